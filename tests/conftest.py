@@ -1,5 +1,6 @@
-"""What all tests begin with."""
+"""Settings and fixtures of all tests."""
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -8,36 +9,43 @@ import sys
 import pytest
 from helpers.relative import approx
 
-pytest.approx = (
-    approx  # its absolute tolerance of 1e-12 is more than most joules and metres of a chain
-)
+# The default absolute tolerance of 1e-12 exceeds most energies and lengths of a chain.
+pytest.approx = approx
 
 os.environ["MPLBACKEND"] = "agg"  # no test opens a window
-os.environ["OPENBLAS_NUM_THREADS"] = (
-    "1"  # one core for a test: threads of two would wait for each other
-)
-os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # some hundred processes load what is tested
+# Every test uses one core, because two threads of OpenBLAS would wait for each other.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+# The processes that tests start share the byte code of the package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# Collection creates objects that all stay alive; looking for garbage takes a third of its time.
+gc.disable()
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Exclude all collected tests from later searches for garbage."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
 def _figures_are_closed():
-    """Let `pyplot` keep no figure of one test for the next."""
+    """Close the figures of a test."""
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Return how many processes `-n auto` starts: one for each core that we may use, up to 8."""
+    """Return the number of processes of `-n auto`: one for each available core, up to 8."""
     return min(len(os.sched_getaffinity(0)), 8)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Let tests obey Ctrl-C; with `-n`, compile what most tests need before the workers start.
+    """Enable Ctrl-C in tests and, with `-n`, compile the common kernels before the workers start.
 
-    A shell that starts tests in the background ignores Ctrl-C, which processes would inherit.
-    Without `-n`, each test compiles what it needs, so that a single file starts at once.
+    A shell that starts tests in the background ignores Ctrl-C, and all child processes inherit
+    this. Without `-n` each test compiles its kernels, so that a single file starts at once.
     """
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -51,7 +59,7 @@ def pytest_configure(config: pytest.Config) -> None:
     beside.start()
     _compile_adaptive_steps_and_gradients()
     beside.join()
-    assert beside.exitcode == 0, "what tests need could not be compiled: the error is above"
+    assert beside.exitcode == 0, "the kernels could not be compiled: the error is above"
 
 
 def _compile_steps_of_one_length_and_measures() -> None:

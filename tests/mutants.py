@@ -173,7 +173,7 @@ def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
     """
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
-        # with the times of files: compiled code stays valid
+        # Times of files are copied, so that compiled code stays valid.
         shutil.copytree(PROJECT, copy, ignore=NOT_COPIED)
         if mutant is not None:
             mutant.write(copy)

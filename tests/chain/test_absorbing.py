@@ -73,7 +73,7 @@ def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
     stiffness = chain.linear_stiffness[0]
     omega = share * 2 * np.sqrt(stiffness / chain.masses[0])
     through = scattering.transmission(chain, [omega])
-    # what the force sends down an endless uniform lead
+    # Amplitude of the wave that the force emits into an endless uniform chain.
     push = 1e-4
     incoming = push / (2 * stiffness * np.sin(2 * np.arcsin(share)))
     periods = 300
@@ -85,7 +85,7 @@ def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
         grains=[size + 95],
     )
     answer = lmpchain.simulate(scene, engine="native", tolerance=1e-5)
-    # of the last hundred periods, what has the frequency of the force
+    # Component at the frequency of the force, during the last hundred periods.
     late = slice(8 * (periods - 100), 8 * periods)
     window = np.hanning(801)[:-1]
     turned = window * np.exp(1j * omega * answer.time[late]) * answer.displacement[late, 0]

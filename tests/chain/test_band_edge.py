@@ -1,4 +1,4 @@
-"""Band edges against LAPACK, exact ones, and those of long chains."""
+"""Band edges against LAPACK, exact values and band edges of long chains."""
 
 import numpy as np
 from scipy.linalg.lapack import dstebz

@@ -300,8 +300,9 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Work done on contact n, 0 that with a wall above, beyond that of its
-    force at rest, closer by r, J.
+    """Return the work (J) on contact n beyond that of its force at rest, if it is closer by r.
+
+    Contact 0 is with a wall above.
     """
     eps = chain.contacts.overlap[n]
     force = chain.contacts.force[n]

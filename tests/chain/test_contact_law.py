@@ -69,6 +69,7 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kin
 def test_a_loose_contact_only_pushes(exponent: float) -> None:
     contacts = Contacts.at_rest(np.array([3e9, 0.0, 3e9]), np.zeros(3), PowerForce(exponent))
     r = np.array([2e-8, 1e-8, -1e-8])
+    # A missing or open contact has exactly no force and energy, so 0 needs no absolute tolerance.
     force = [3e9 * 2e-8**exponent, 0.0, 0.0]
     assert contacts.force_change(r) == pytest.approx(force, rel=1e-14)
     assert contacts.force_at(r) == pytest.approx(force, rel=1e-14)
@@ -154,6 +155,7 @@ def test_energy_bounds_overlaps_and_strains() -> None:
     mixed = Contacts.at_rest(np.array([1e9, 0.0, 1e9]), np.array([0.0, 0.0, 1e-4]), PowerForce(1.5))
     assert mixed.strain_bound(mixed.approach_bound(1e-12)) == np.inf
     bound = mixed.overlap_bound(1e-12)
+    # The overlap of a missing contact is exactly 0.
     assert bound[:2] == pytest.approx([(2.5e-12 / 1e9) ** 0.4, 0.0], rel=1e-13)
     assert mixed.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
     rows = together([contacts, alike])

@@ -91,7 +91,7 @@ def test_the_rebound_is_that_of_the_velocity_form(viscosity, exponent):
 
 @pytest.mark.parametrize(
     ("viscosity", "restitution"),
-    # of two spheres with K = m = 1, whose reduced mass is 1/2; DOP853 at 1e-13, in a study apart
+    # Two spheres with K = m = 1 and a reduced mass of 1/2, computed by DOP853 at 1e-13.
     [(0.01, 0.977478944277684), (0.02, 0.955559729739210), (0.05, 0.893193701608472)],
 )
 def test_known_rebounds(viscosity, restitution):

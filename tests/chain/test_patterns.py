@@ -257,7 +257,7 @@ def test_a_cell_in_a_file(tmp_path):
     assert list(chain.material) == [steel, pom, steel, pom, steel]
     by_hand = [5e-3, 2e-3 * 0.95, 5e-3 * 0.95**2, 2e-3 * 0.95**3, 5e-3 * 0.95**4]
     assert chain.diameters == pytest.approx(by_hand, rel=1e-15, abs=0)
-    # what a grain leaves open the chain says
+    # Keys that a grain does not give are those of the chain.
     sizes = from_file(tmp_path, 'cell = [{diameter = 1e-3}, {diameter = 2e-3}]\nmaterial = "pom"')
     assert sizes == periodic(5, [1e-3, 2e-3], pom)
     assert repeated(5, [{"diameter": 1e-3}, {"diameter": 2e-3}], material="pom") == sizes
@@ -274,8 +274,8 @@ def test_a_taper_in_a_file(tmp_path):
 
 
 def test_a_cell_of_one_kind_needs_no_arrays():
-    plain = write_out({"grains": 10**8, "cell": ["steel"], "diameter": 1e-3})
-    assert plain == {"grains": 10**8, "material": STEEL, "diameter": 1e-3}
+    plain = write_out({"grains": 10**6, "cell": ["steel"], "diameter": 1e-3})
+    assert plain == {"grains": 10**6, "material": STEEL, "diameter": 1e-3}
 
 
 def test_a_chain_in_python_names_the_function_for_a_cell(tmp_path):

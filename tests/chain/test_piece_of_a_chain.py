@@ -152,7 +152,7 @@ def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
 
 
 def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
-    """Grains that no wave has reached take no memory; those of the chain are 8 MB an array."""
+    """Grains without a wave need no memory; an array of the whole chain has 8 MB."""
     runs = []
     for grains in (10**4, 10**6):
         tracemalloc.start()

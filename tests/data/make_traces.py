@@ -28,7 +28,7 @@ def hammer() -> str:
         "Probe Atten,1.000000e+01",
         "Model Number,TDS2014B",
     ]
-    # with its opposite, so that the mean before the trigger is the offset
+    # Noise with zero mean, so that the mean before the trigger is the offset.
     half = np.random.default_rng(43).normal(0, 2e-3, 50).round(5)
     noise = np.concatenate([half, -half])
     rows = []

@@ -20,9 +20,9 @@ from lmpchain.engines import Modes
 from lmpchain.measure import energy
 from lmpchain.theory import modes
 
-# that linear engines leave something out is known
+# Linear engines warn that they neglect terms.
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ", "ignore:chain.damping")
-# a weak and a strong viscosity, a drag beyond the critical one of the lowest modes
+# A weak and a strong viscosity, and a drag that overdamps the lowest modes.
 DAMPINGS = [
     {"viscoelastic": 3e-8, "drag": 1e3},
     {"drag": 1e4},
@@ -31,7 +31,7 @@ DAMPINGS = [
     {"drag": 8e5},
 ]
 ROWS = {"grains": 12, "diameter": 1e-3, "bottom": "wall", "top_load": 0.1}
-# so weak that linearising leaves out nothing
+# Amplitudes for which the error of linearisation is negligible.
 ACTS = {
     "strike": Impulse(velocity=1e-13, grain=3),
     "profile": Profile(displacement=np.cos(np.arange(12.0)) * 1e-19, velocity=np.zeros(12)),
@@ -114,7 +114,7 @@ def test_a_mode_decays_as_one_oscillator(viscoelastic, drag):
         root = np.sqrt(complex(decay**2 - w**2))
         slow = -decay + root
         fast = -decay - root
-        # from rest at displacement 1
+        # Decay from rest at displacement 1.
         amplitude = (slow * np.exp(fast * time) - fast * np.exp(slow * time)) / (slow - fast)
         u, _ = damped.response(time, displacement=lossless.shape[:, number])
         share = u @ (damped.mass * lossless.shape[:, number])

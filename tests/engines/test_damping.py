@@ -1,4 +1,4 @@
-"""Chains that lose energy: who answers, what is refused, where the wave can be, and the balance."""
+"""Damped chains: choice of the engine, refusals, light cone and energy balance."""
 
 import json
 import math
@@ -148,6 +148,7 @@ def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
     assert solve(scene, 1e-12).error(other.displacement, other.velocity) < scene.damping_effect
 
 
+@pytest.mark.slow
 def test_an_answer_says_what_leaving_damping_out_would_change():
     scene = scene_of(ACTS["strike"], 5)
     weak = scene_of(ACTS["strike"], 5, damping={"drag": 100.0})
@@ -206,7 +207,7 @@ def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
     assert beyond.any()
     field = abs(true.displacement[-1])
     assert field[beyond].max() < 1e-20 * field.max()
-    # and not much further than that
+    # The light cone is not much wider than the wave.
     inside = np.flatnonzero(field > 1e-30 * field.max())
     assert cone.scene.chain.grains < 1.5 * (inside[-1] - inside[0] + 1) + 100
 

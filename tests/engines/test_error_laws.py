@@ -51,7 +51,7 @@ PROPOSAL = Proposal(
 
 
 def differences(order: float, error: float, ratios: tuple[float, float]) -> tuple[float, float]:
-    """Return how far runs at steps h, r1 h and r2 h are apart if errors go like h^order."""
+    """Return the differences of runs at steps h, r1 h and r2 h whose error is of this order."""
     first, second = (error * ratio**order for ratio in ratios)
     return second - first, first - error
 
@@ -177,7 +177,7 @@ def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) 
 
 
 def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
-    """Return how far the end of a swing is off, relative to its amplitudes, to forty digits."""
+    """Return the error at the end of an oscillation, relative to its amplitudes, to 40 digits."""
     stiffness, mass = (
         mpmath.mpf(float(x[0])) for x in (scene.chain.contact_constants, scene.chain.masses)
     )
@@ -189,6 +189,7 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
         return float(max(map(abs, off)))
 
 
+@pytest.mark.slow
 def test_thousands_of_periods_shift_the_phase_by_rounding():
     """A last digit of mass, stiffness or step shifts it by that part of itself.
 
@@ -493,7 +494,7 @@ def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_round
     """Walk times growth is up to hundreds of times as much, and refused what can be had."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=duration, samples=21)
-    # which last digits are lost is chance, and another in each version of NumPy
+    # Rounding errors are random and differ between versions of NumPy.
     tolerance = 1e-11 if duration == 2e-4 else 1e-10
     answer = simulate(scene, "native", tolerance)
     error = reference(scene, 1e-20)[0].error(answer.displacement, answer.velocity)

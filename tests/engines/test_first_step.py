@@ -246,6 +246,7 @@ def test_what_moves_many_grains_opens_contacts_again_without_a_reflection():
     assert error <= answer.error_estimate.solver <= 1e-9
 
 
+@pytest.mark.slow
 def test_a_wave_comes_back_from_the_nearer_end():
     """An answer at 5.8e-12 was estimated at 3.0e-12: the wall is 14 grains away, not 40."""
     diameters = np.random.default_rng(7).uniform(0.025, 0.045, 40)

@@ -13,7 +13,7 @@ from lmpchain.engines import Chebyshev, Modes
 from lmpchain.engines.linear import engine as linear
 from lmpchain.integrators.kernels.chebyshev import bessel, terms
 
-# that linear engines leave something out is known
+# Linear engines warn that they neglect terms.
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 ENGINES = ["modes", "chebyshev"]
 both = pytest.mark.parametrize("engine", ENGINES)
@@ -390,7 +390,7 @@ def test_closed_forms_refuse_what_they_do_not_know():
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @both
 def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
-    """Looked at in pieces, it is the same but for rounding."""
+    """Evaluation in blocks changes rounding errors only."""
     scene = Scene(
         chain=Chain(grains=40, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),

@@ -142,7 +142,7 @@ def test_what_a_linear_answer_has_cost(engine):
     if engine == "modes":
         assert cost.force_evaluations == modes_that_move
     else:
-        # of half a radian, as the matrix goes from 0 to 4
+        # Terms of half a radian each, because eigenvalues lie between 0 and 4.
         assert cost.force_evaluations > terms_of_a_radian_each / 2
 
 
@@ -216,7 +216,7 @@ def test_costs_of_linear_answers_grow_with_their_work():
 
 
 def resonance(scene: Scene, time: float) -> np.ndarray:
-    """Return what pairs of waves drive in every mode, by loops over pairs, modes and contacts.
+    """Return the force of wave pairs on every mode, by loops over pairs, modes and contacts.
 
     A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
     closer it is.
@@ -230,7 +230,7 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
     u, v = scene.initial()
     moving = chain.movable
     grains = chain.grains
-    # of contact c, from 0 above the top, by a unit of a mode
+    # Compression of contact c (0 is above the top) by unit amplitude of a mode.
     squeeze = np.zeros((grains + 1, omega.size))
     for contact in range(grains + 1):
         above = shape[contact - 1] if 1 <= contact <= moving else 0.0
@@ -377,7 +377,7 @@ def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
     column = Chain(grains=30, diameter=1e-3)
     scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
     times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
-    # as energy flows evenly
+    # The energy flux is constant along the column.
     strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))
     assert np.all(np.diff(strain) < 0)
     assert model_error.travel(scene) == pytest.approx(

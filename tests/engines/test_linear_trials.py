@@ -125,7 +125,7 @@ def truth(scene: Scene) -> Truth | None:
 
 
 class Trial(NamedTuple):
-    """One answer to a drawn scene: which engine, what it says and what is true."""
+    """One answer to a random scene: the engine, its estimate and the true error."""
 
     seed: int
     engine: str
@@ -232,12 +232,12 @@ def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
-    """The bound on the strain is that of the quadratic form, and the linear motion keeps to it."""
+    """The bound on the strain follows from the quadratic form, and the linear motion obeys it."""
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
     chain = scene.chain
     contacts = scene.chain.contacts
     part = slice(0, chain.movable)
-    # of contacts by displacements
+    # Compression of contacts by unit displacements.
     stretch = -np.diff(np.eye(chain.grains)[:, part], axis=0, prepend=0, append=0)
     form = stretch.T @ (contacts.stiffness[:, None] * stretch)
     u, v = scene.initial()
@@ -315,7 +315,7 @@ def test_waves_in_resonance_add_up(engine, length):
     t = simulate(scene, engine, 0.9)
     assert known
     assert known.error(t) / 1.3 < Modes().look(scene).estimate < 1.3 * known.error(t)
-    # of what acts all the time, the bound
+    # The bound is used while the force acts.
     assert known.error(t) < t.error_estimate.model < 6 * known.error(t)
 
 

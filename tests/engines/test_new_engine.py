@@ -54,7 +54,7 @@ class Oscillator(Engine):
         return Swing(scenes[0], int((state or {"sample": 0})["sample"]))
 
     def describe(self, scene, candidate):
-        """Say how it was done."""
+        """Return the method of the engine."""
         return {"formula": "sine"}
 
 
@@ -89,11 +89,11 @@ class Swing(Run):
         return [ErrorBudget(0.0, ROUNDING, 1.0)]
 
     def cost(self):
-        """Return that it costs next to nothing."""
+        """Return a negligible cost."""
         return Cost(1e-6, 0.0, 0.0, self.scene.samples, 0, self.scene.chain.grains, "sine", 0.0, 1)
 
     def state(self):
-        """Return how far it is."""
+        """Return the progress."""
         return {"sample": np.array(self.sample)}
 
     def close(self):
@@ -155,6 +155,7 @@ def test_refusals_name_it_where_it_can_do_more(spring: Scene, monkeypatch: pytes
         simulate(damped, "chebyshev")
 
 
+@pytest.mark.slow
 def test_it_is_compared_from_the_command_line(spring: Scene, tmp_path):
     spring.to_toml(tmp_path / "scene.toml")
     numbers = tmp_path / "numbers.json"

@@ -180,7 +180,7 @@ def test_samples_that_are_interpolated_are_as_exact_as_the_others():
 
 
 def test_scenes_of_a_batch_are_of_one_kind():
-    """They may differ in numbers, not in what is computed or recorded."""
+    """Scenes of a batch may differ in numbers, but not in the computed or recorded quantities."""
     engine = Native()
     candidate = engine.propose(SCENE, 1e-6)
     alike_ones = (

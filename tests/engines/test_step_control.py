@@ -99,11 +99,11 @@ class ScriptedRun(Run):
         return self.error if isinstance(self.error, list) else [self.error] * self.size
 
     def cost(self):
-        """Return what it has cost."""
+        """Return the cost."""
         return COST
 
     def state(self):
-        """There is none."""
+        """Return no state."""
         return {}
 
     def close(self):

@@ -39,7 +39,7 @@ def start(
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Return the exit code of a process and what it said; one that hangs is not left behind."""
+    """Return the exit code and output of a process; kill the process if it hangs."""
     try:
         out, err = process.communicate(timeout=PATIENCE)
     except subprocess.TimeoutExpired:
@@ -49,7 +49,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, str]:
 
 
 def finish(*words: object, **options) -> tuple[int, str]:
-    """Run a command of lmpchain; return its exit code and what it said."""
+    """Run a command of lmpchain and return its exit code and output."""
     return ended(start(*words, **options))
 
 
@@ -93,7 +93,7 @@ class Fork:
         return self._process.exitcode
 
     def ended(self) -> tuple[int | None, str]:
-        """Wait until it has ended; return its exit code and what it said."""
+        """Wait for the end of the process and return its exit code and output."""
         self._process.join(PATIENCE)
         return self.poll(), self._said.read_text(encoding="utf-8") if self._said.exists() else ""
 
@@ -107,12 +107,12 @@ def until(condition: Callable[[], object], every: float = 0.01) -> None:
 
 
 def recorded(folder: Path) -> int:
-    """Return how many samples a run folder says it has, less than none while there is no folder."""
+    """Return the number of samples in a run folder, or -1 if the folder does not exist."""
     return status(folder)["samples_done"] if (folder / "scene.toml").exists() else -1
 
 
 def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> None:
-    """Wait until a run has kept so many samples."""
+    """Wait until a run has stored this number of samples."""
 
     def reached() -> bool:
         assert process.poll() is None, "it ended too early"

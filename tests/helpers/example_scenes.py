@@ -112,9 +112,7 @@ def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency: those of the contact below this grain, in
-    the vacuum those of a strike.
-    """
+    """Return a length and a frequency of the contact below a grain, or of a strike without load."""
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
         overlap = chain.equilibrium_overlap[contact]

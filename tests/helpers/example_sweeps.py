@@ -7,7 +7,7 @@ from lmpchain import InputError, load_sweep
 
 
 def long_sweep(folder: Path, count: int) -> Path:
-    """Write a sweep of so many scenes, some forty of which make a task."""
+    """Write a sweep of this number of scenes, with about forty scenes in a task."""
     path = folder / "sweep.toml"
     path.write_text(
         f"""
@@ -32,7 +32,7 @@ def long_sweep(folder: Path, count: int) -> Path:
 
 
 def done(folder: Path) -> int:
-    """Return how many scenes of a sweep are done, less than none before it has begun."""
+    """Return the number of finished scenes of a sweep, or -1 before it has started."""
     with suppress(InputError):
         return int((load_sweep(folder).reason != "not done").sum())
     return -1

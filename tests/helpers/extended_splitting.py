@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from helpers.independent_integrators import Curve
+from helpers.forcing import Curve
 from numpy.typing import NDArray
 
 from lmpchain import Scene
@@ -137,9 +137,7 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) after so many steps a look,
-    and what the chain is made of.
-    """
+    """Return displacement and velocity (looks+1, N) at equal numbers of steps, and the chain."""
     chain = scene.chain
     now = made_of(scene, changed)
     m = now["masses"]

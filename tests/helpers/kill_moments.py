@@ -53,9 +53,7 @@ class Watch:
 def kill_moments(
     folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path
 ) -> list[Path]:
-    """Do some work, twice; return what up to so many kills, at any change that it
-    makes to a folder, would leave.
-    """
+    """Do some work twice; return copies of its folder as kills at its changes would leave it."""
     before = folder.with_name(f"{folder.name} before")
     if folder.exists():
         shutil.copytree(folder, before)

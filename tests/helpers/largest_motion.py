@@ -1,6 +1,4 @@
-"""An independent answer to a scene, and errors relative to its largest
-motion at any time of the run.
-"""
+"""Errors relative to the largest motion at any time of the run."""
 
 from collections.abc import Callable
 
@@ -10,15 +8,13 @@ from lmpchain import Scene, Trajectory
 
 from .independent_integrators import Reference, extended_reference
 
-BETWEEN = 12  # times between two samples at which the largest motion is looked for
+BETWEEN = 12  # evaluations of the motion between two samples
 
 
 def true_error(
     t: Trajectory, scene: Scene, integrate: Callable[[Scene], Reference] = extended_reference
 ) -> tuple[float, float]:
-    """Return the error of a trajectory as the package defines it, and that of
-    the independent answer itself.
-    """
+    """Return the error of a trajectory as the package defines it, and the reference's error."""
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
     pairs = ((t.displacement, u), (t.velocity, v))

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from helpers.independent_integrators import Curve
+from helpers.forcing import Curve
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
@@ -21,7 +21,7 @@ from lmpchain.integrators.splittings import Splitting
 
 WIDE = np.longdouble
 Array = NDArray[np.longdouble]
-# of a time, s, an order and a time by whose law: the value that is imposed, or its rate
+# A function of a time (s), a derivative's order and a time that selects the piece.
 Course = Callable[..., Any]
 
 
@@ -40,7 +40,7 @@ class Column(NamedTuple):
 
 
 def column(scene: Scene) -> Column:
-    """Return what a scene is made of, in 80-bit numbers."""
+    """Return the properties of a scene in extended precision."""
     chain = scene.chain
     excitation = scene.excitation
     above, below = chain.wall_constants
@@ -68,7 +68,7 @@ def column(scene: Scene) -> Column:
 
 
 def course_of(excitation: Any, drive: Array) -> Course | None:
-    """Return what is imposed as a function of time."""
+    """Return the imposed motion or force as a function of time."""
     if not excitation.does_work:
         return None
     if excitation.times is not None:
@@ -109,7 +109,7 @@ def course_of(excitation: Any, drive: Array) -> Course | None:
 
 
 class Motion:
-    """Eq. (1) of a column: x'' at any time, and what is driven where its course says."""
+    """Eq. (1) of a column: accelerations, and the motion of driven bodies."""
 
     def __init__(self, made: Column):
         excitation = made.scene.excitation
@@ -149,7 +149,7 @@ class Motion:
         return bodies[..., :-1] - bodies[..., 1:]
 
     def contact_forces(self, x: Array, t: Any) -> Array:
-        """Return what contacts carry beyond that at rest, (..., N+1) N."""
+        """Return the forces of contacts minus those at rest, (..., N+1) N."""
         r = self.closer(x, t)
         s = r / self.length
         shut = s > -1
@@ -158,7 +158,7 @@ class Motion:
         return np.where(self.pressed, self.carried * held, loose)
 
     def acceleration(self, x: Array, t: Any) -> Array:
-        """Return x'' (..., N), 0 for what is held or driven."""
+        """Return x'' (..., N); it is 0 for a fixed or driven grain."""
         force = self.contact_forces(x, t)
         pull = force[..., :-1] - force[..., 1:]
         if self.pushed:

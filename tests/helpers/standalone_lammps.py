@@ -1,4 +1,4 @@
-"""Decks run by the stand-alone LAMMPS, and what it dumps."""
+"""Decks run by the stand-alone LAMMPS, and its dumps."""
 
 import shutil
 import subprocess

@@ -112,6 +112,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
   Drive drive = {kind, grain, sines, sine, sine + sines, sine[2 * sines], knots, knot_times, pieces};
   REAL *X = calloc((size_t)(p + 1) * N, sizeof(REAL)), *O = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
   REAL *G = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL)), *Q = calloc((size_t)(p + 1) * (N + 1), sizeof(REAL));
+  REAL *push = calloc(N + 1, sizeof(REAL)); /* K o^delta at the begin of a step; G[0] + F loses it if it is below one ulp of F */
   REAL *root = calloc(N + 1, sizeof(REAL)), *x = malloc(sizeof(REAL) * N), *v = malloc(sizeof(REAL) * N);
   REAL *next_x = malloc(sizeof(REAL) * N), *next_v = malloc(sizeof(REAL) * N);
   char *shut = calloc(N + 1, 1);
@@ -190,8 +191,13 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
           REAL r = ABOVE(0, c) - (c < last ? X[c] : 0);
           if (!shut[c]) g[c] = -F[c];
           else if (delta == 1) g[c] = K[c] * r;
-          else if (eps[c] > 0 && r > -eps[c] / 2) g[c] = F[c] * expm1(delta * log1p(r / eps[c]));
-          else g[c] = K[c] * pow(o[c], delta) - F[c];
+          else if (eps[c] > 0 && r > -eps[c] / 2) {
+            g[c] = F[c] * expm1(delta * log1p(r / eps[c]));
+            push[c] = F[c] + g[c];
+          } else {
+            push[c] = K[c] * pow(o[c], delta);
+            g[c] = push[c] - F[c];
+          }
         }
       } else if (delta == 1) {
         for (int c = first; c <= last; c++) g[c] = shut[c] ? K[c] * o[c] : 0;
@@ -216,7 +222,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
         for (int j = 1; j <= k; j++) {
           REAL *left = O + (size_t)j * (N + 1), *right = G + (size_t)(k - j) * (N + 1), by = delta * j - (k - j);
           if (j < k) for (int c = first; c <= last; c++) g[c] += by * left[c] * right[c];
-          else for (int c = first; c <= last; c++) g[c] += by * left[c] * (right[c] + F[c]);
+          else for (int c = first; c <= last; c++) g[c] += by * left[c] * push[c];
         }
         for (int c = first; c <= last; c++) g[c] = shut[c] ? g[c] / (k * O[c]) : 0;
       }
@@ -348,6 +354,6 @@ done:
   stats[0] = steps;
   stats[1] = events;
   stats[2] = work;
-  free(X); free(O); free(G); free(Q); free(root); free(x); free(v); free(next_x); free(next_v); free(shut);
+  free(X); free(O); free(G); free(Q); free(push); free(root); free(x); free(v); free(next_x); free(next_v); free(shut);
   return result;
 }

@@ -1,7 +1,6 @@
-"""A reference for hard scenes: Taylor series in time, in extended precision,
-compiled from `taylor_series.c`.
+"""A reference integrator: Taylor series in time, in extended precision, in `taylor_series.c`.
 
-It shares nothing with the package but Eq. (1): equilibrium, force and time integration are its own.
+It shares only Eq. (1) with the package: equilibrium, force and time integration are independent.
 Steps follow the radius of convergence, so that contacts that open and close cost no accuracy, and
 the motion is known at any time. Its error is the distance to a second run of another order and with
 tolerances a hundred times looser.
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from helpers.independent_integrators import Curve, below_load
+from helpers.forcing import Curve, below_load
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -30,7 +29,7 @@ MOST_WORK = 5e8  # contacts times steps times order squared, some 4 s in extende
 
 
 class Unresolved(ArithmeticError):
-    """The reference cannot tell what the solution is, or not in time."""
+    """The reference integrator fails, or needs too many steps."""
 
 
 class Reference(NamedTuple):
@@ -45,13 +44,13 @@ class Reference(NamedTuple):
     events: int
 
     def until(self, samples: int) -> Reference:
-        """Return its first samples; the largest motion stays that of all."""
+        """Return the first samples, with the largest motion of the whole run."""
         return self._replace(
             displacement=self.displacement[:samples], velocity=self.velocity[:samples]
         )
 
     def error(self, displacement: Array, velocity: Array) -> float:
-        """Return how far an answer is off, relative to the largest motion of the run."""
+        """Return the error of an answer relative to the largest motion of the run."""
         pairs = zip(
             (displacement, velocity), (self.displacement, self.velocity), self.largest, strict=True
         )
@@ -74,8 +73,7 @@ def _library(kind: str) -> Any:
 
 
 def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int = 0) -> Reference:
-    """Return the solution with this tolerance of one step, and a Taylor order higher
-    by `more` than is best for it.
+    """Return the solution for a tolerance of one step, at the optimal Taylor order plus `more`.
 
     Raises
     ------
@@ -185,8 +183,9 @@ def _damping(chain: Any, time: Any) -> tuple[Array, Array]:
 
 
 def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
-    """Return what acts: kind, where, sines (S, 2) up to a time, knots, and pieces
-    between them; see `Drive` in C.
+    """Return kind, place, sines (S, 2) with their end, knots and pieces of the forcing.
+
+    See `Drive` in the C file.
     """
     wide = np.longdouble
     none = 0, 0, np.zeros((1, 2), wide), wide(np.inf), np.zeros(1, wide), np.zeros(4, wide)
@@ -221,7 +220,7 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
 
 
 def _largest(sines: Array, knots: Array, pieces: Array) -> tuple[Any, Any]:
-    """Return about the largest size and rate of what acts."""
+    """Estimate the largest value and rate of the forcing."""
     if knots.size > 1:
         return np.abs(pieces[:, 0]).max(), np.abs(pieces[:, 1]).max()
     return np.abs(sines[:, 0]).sum(), np.abs(sines[:, 0] * sines[:, 1]).sum()

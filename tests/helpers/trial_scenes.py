@@ -31,9 +31,7 @@ MATERIALS = ("glass", "steel", "ptfe", "brass", "tungsten_carbide")
 def trial_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
 ) -> Scene:
-    """Draw a scene of one of these exponents (any if there is none), of about
-    so many grain-radians at most.
-    """
+    """Draw a scene with one of these exponents (default: any) and this work in grain-radians."""
     while True:
         try:
             chain = _chain(rng, exponents)

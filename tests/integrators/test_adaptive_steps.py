@@ -75,8 +75,9 @@ def corners(scene: Scene) -> np.ndarray:
 
 
 def time_to_opening(gap: float, rate: float, bend: float) -> float:
-    """Return how far the nearest root of a quadratic is, in the complex plane;
-    of an open contact one to come.
+    """Return the distance of the nearest complex root of a quadratic.
+
+    For an open contact the root must lie ahead.
     """
     roots = (
         np.roots([bend / 2, rate, gap]) if bend else np.roots([rate, gap]) if rate else np.empty(0)

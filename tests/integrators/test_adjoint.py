@@ -32,9 +32,7 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(strains: float, **options: Any) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many
-    overlaps closer or apart.
-    """
+    """Return a scene of moving grains whose contacts differ from rest by this many overlaps."""
     chain = pressed(**options)
     scale = chain.contacts.overlap.max() or 1e-7
     stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
@@ -184,7 +182,7 @@ def check_run(
     largest = np.abs(slopes).max((1, 3)) + 1e-300
     for order in (0, 1):
         error = np.abs(forth[order] - slopes[:, :, order]).max((1, 2))
-        # what hardly changes anything is known to the digits of what does
+        # Small slopes have the absolute error of the large ones.
         assert (
             error <= accuracy * np.maximum(largest[:, order], 1e-3 * largest[:, order].max())
         ).all()

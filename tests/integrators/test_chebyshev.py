@@ -78,7 +78,7 @@ def test_a_pulse_stays_within_its_light_cone():
     chain = Propagator(stiffness, mobility, 0.0, u, v)
     times = np.array([0.0, 0.01, 5.0, 20.0])
     us, vs, reached = chain.advance(times)
-    # of an infinite chain; the integral of J_2n(2t) is the sum of J_(2n+1)(2t), J_(2n+3)(2t) ...
+    # Infinite chain: the integral of J_2n(2t) is the sum of J_(2n+1)(2t), J_(2n+3)(2t) ...
     table = jv(np.arange(2 * n + 100)[:, None], 2 * times)
     apart = np.abs(np.arange(n) - place)
     integral = np.array([table[2 * k + 1 : 2 * k + 99 : 2].sum(0) for k in range(n)])

@@ -79,7 +79,7 @@ def method_of_one_stage(name: str) -> bool:
     ],
 )
 def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
-    """They need no zeros where no wave has come; nor do those of companions where these stop."""
+    """No zeros are written ahead of the wave, nor after auxiliary runs that stop."""
     chain = Chain(grains=300, diameter=1e-3)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25

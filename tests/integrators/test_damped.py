@@ -16,6 +16,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
+from lmpchain.measure import energy
 from lmpchain.simulation.many import simulate_many
 from lmpchain.theory import modes
 
@@ -44,6 +45,17 @@ def slope(scene: Scene, integrator: str, counts: list[int]) -> float:
     return np.linalg.lstsq(laws, np.log(errors), rcond=None)[0][1]
 
 
+@pytest.mark.parametrize("damping", [{"viscoelastic": 1e-7}, {"drag": 2e5}])
+def test_the_dissipated_energy_closes_the_balance(damping):
+    """DOP853 sums the dissipation with its own weights, so two samples suffice."""
+    t = simulate(struck(damped_chain(damping=damping)), "native", 1e-10, integrator="dop853")
+    ledger = energy.ledger(t)
+    initial = ledger.total[0]
+    assert "dissipated" not in ledger.balanced
+    assert ledger.dissipated[-1] > 0.01 * initial
+    assert abs(ledger.drift[-1]) < 1e-8 * initial
+
+
 @pytest.mark.parametrize(
     "damping",
     [
@@ -58,7 +70,7 @@ def test_order_of_convergence(damping):
     assert slope(scene, "dop853", [40, 50, 64, 80]) == pytest.approx(8, abs=0.05)
     counts = [4000, 8000, 16000, 32000]
     assert slope(scene, "verlet", counts) == pytest.approx(2, abs=0.05)
-    # with fix nve of LAMMPS, forces see velocities half a step old
+    # In fix nve of LAMMPS, forces use the velocities of the previous half step.
     assert slope(scene, "lagged-verlet", counts) == pytest.approx(1, abs=0.05)
 
 

@@ -27,7 +27,7 @@ SPEED = 1e-3
 def samples_of(
     scene: Scene, schedule: Steps, name: str = "rkn6", threads: int = 1, most: int = 2**62
 ):
-    """Return displacements and velocities, (T, N) each, made in pieces of at most so many steps."""
+    """Return displacements and velocities (T, N), computed in blocks of at most this many steps."""
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
     u[:, 0], v[:, 0] = scene.initial()
@@ -52,7 +52,7 @@ def fill(ends, clock, rates, out):
 
 
 def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
-    """Those of displacement and velocity of a sine, where it is exact at both ends of a step."""
+    """The orders of displacement and velocity for a sine that is exact at both ends of a step."""
     steps = np.array([0.4, 0.6, 0.8, 1.2])
     errors = []
     for h in steps:

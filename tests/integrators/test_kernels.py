@@ -116,7 +116,7 @@ def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponen
     ],
 )
 def test_forces_where_nothing_is_pressed(form: int, exponent: float):
-    """Down to 1e-30 m; what is found as an exponential is as good as its argument."""
+    """Forces are accurate down to 1e-30 m, up to the error of an exponential's argument."""
     r = spread(1e-30, 10)
     with mpmath.workdps(60):
         true = [mpmath.mpf(x) ** mpmath.mpf(exponent) for x in r]
@@ -145,7 +145,7 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
-    # which may be written to, as in loops that are compiled
+    # A writable copy, because compiled loops require it.
     at_rest = chain.equilibrium_force.copy()
     links = links_of(1 / eps, at_rest, form, 1.0, exponent)
     forces.LOOPS[form][0](found[1:-1], u, links)
@@ -234,7 +234,7 @@ def packed(assembly: str, operation: str) -> int:
     return len(re.findall(rf"\n\s+(?:{operation}pd\s|v{operation}\w*pd\s.*[yz]mm)", assembly))
 
 
-# what is put into other functions has no instructions of its own
+# Inlined functions have no assembly of their own.
 alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
 
 
@@ -251,7 +251,7 @@ alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
     _, kept, _ = forces.LOOPS[form]
-    # what is kept for later processes cannot be read; the same compiled anew can
+    # The assembly of cached code is not available, so the loop is compiled again.
     loop = alone(kept.py_func)
     loop.compile(forces.SWEEP)
     assert packed(next(iter(loop.inspect_asm().values())), operation) > 0
@@ -262,6 +262,7 @@ def watch_first(chains):
     window.watch(sample_loop.chain_of(chains, 0, 0))
 
 
+@pytest.mark.slow
 @with_fma
 def test_other_loops_do_several_at_a_time():
     row = types.Array(float64, 1, "C")

@@ -181,7 +181,7 @@ PLACES = {
 
 @pytest.mark.parametrize("what", PLACES)
 def test_the_window_begins_around_what_moves(what: str):
-    """At whole cache lines; what is acted on counts, too."""
+    """Windows begin at whole cache lines and include driven grains."""
     excitation, low, high = PLACES[what]
     laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
     _, _, state = laid.place(*(field[None] for field in laid.initial))

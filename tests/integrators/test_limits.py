@@ -12,9 +12,7 @@ from lmpchain.integrators.steps import Steps
 
 
 def test_what_twice_the_kinetic_energy_cannot_exceed():
-    """Half as much again as what is put in, and slow motion that nothing puts
-    in; nothing bounds a drive.
-    """
+    """The limit is 1.5 times the energy input; drives have no limit."""
     chain = Chain(grains=5, diameter=1e-3)
     struck = [
         Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-4) for v in (1e-9, 1e-2)
@@ -43,9 +41,7 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
 
 @pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])
 def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: int, lost: str):
-    """Steps that are far too long let grains through each other; if those of a
-    companion do, the error is infinite.
-    """
+    """At steps that are far too long grains pass each other, and the error is infinite."""
     chain = Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
     engine = Native("rkn4", adaptive=False)

@@ -75,7 +75,7 @@ def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines:
 def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
     field: str, margin: int, place: int
 ):
-    """What moves by less than 1e-19 of the strike is at rest; what is acted on is not."""
+    """Grains that move by less than 1e-19 of the strike are at rest, unless they are driven."""
     width = 240
     for moving, acted in ((1.1e-19, False), (0.9e-19, False), (0.0, True)):
         bodies = {"x": np.zeros(width), "v": np.zeros(width)}

@@ -167,7 +167,7 @@ def test_a_companion_of_many_steps_lands_on_all_samples():
 
 
 def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
-    """Every fourth, second or each sample, as its steps pass over so many."""
+    """Steps land on every fourth, every second or every sample."""
     for steps, stride, ratio, dense in (
         (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
         (16, 8, 4, 2), (3, 2, 2, 1), (3, 3, 2, 2),
@@ -235,7 +235,7 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
             values = []
             for sign in (1, -1, 2, -2):
                 wave = changed(excitation, place, excitation.frequency + sign * h).waveform
-                # what ends later is as it was
+                # A waveform that ends later is unchanged.
                 wave = replace(wave, end=end if np.isinf(end) else 1.0)
                 values.append(wave.at(times, order) * (times < end))
             slopes[place] = (8 * (values[0] - values[1]) - (values[2] - values[3])) / (12 * h)

@@ -33,9 +33,7 @@ def pressed(**options: Any) -> Chain:
 
 
 def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
-    """Return a scene in which all grains fly about, contacts by so many
-    overlaps closer or apart.
-    """
+    """Return a scene of moving grains whose contacts differ from rest by this many overlaps."""
     scale = chain.contacts.overlap.max() or 1e-7
     edge = chain.band_edge or np.sqrt(
         chain.contacts.stiffness_at(np.full(GRAINS + 1, scale)).max() / chain.masses.min()
@@ -173,7 +171,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
-    """Return the same by plain NumPy, (2, T, N)."""
+    """Return displacement and velocity by plain NumPy, (2, T, N)."""
     motion = Motion(plain.column(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":

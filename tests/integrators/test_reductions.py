@@ -26,7 +26,7 @@ KINETIC = (MASSES[:, None] * V**2).sum(-1)  # twice the energy
 
 
 def verdict(u=U, v=V, allowed=None, begin=BEGIN, peaks=None) -> tuple[int, np.ndarray, np.ndarray]:
-    """Return what is said of the answers, their differences, and their peaks."""
+    """Return the reductions of the answers, of their differences and of their peaks."""
     allowed = 1.01 * KINETIC.max(1) if allowed is None else allowed
     differences = np.full((OTHERS, FINAL + 1, CHAINS, 2), np.nan)
     peaks = np.zeros((CHAINS, 2)) if peaks is None else peaks

@@ -71,7 +71,7 @@ def answer(
 def check_alike(
     scene: Scene, *how: Any, several: Sequence[int] = SEVERAL, **more: Any
 ) -> list[Any]:
-    """Return the answer of one thread, if it is that of several."""
+    """Return the answer of one thread, after checking that several threads give the same."""
     one = answer(scene, 1, *how, **more)
     for threads in several:
         for a, b in zip(one, answer(scene, threads, *how, **more), strict=True):
@@ -167,7 +167,7 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
 
 @pytest.mark.slow
 def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
-    """The answer, its error estimate and what it goes on from know nothing of the threads."""
+    """The answer, its error estimate and its checkpoint do not depend on the threads."""
     scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
     scene = scene.replace(samples=11, duration=scene.duration / 16)
     one, two = (simulate(scene, "native", 1e-4, threads=threads) for threads in (1, 2))
@@ -181,7 +181,7 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
         proposal = engine.propose(scene, 1e-3)
-        # else it lands at the end only
+        # Without sampled steps the run has a single landing at its end.
         started = engine.start([scene], proposal.with_steps(proposal.steps.sampled), kept)
         blocks = []
         for block in started.blocks():

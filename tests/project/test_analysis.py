@@ -120,7 +120,7 @@ KNOWN = {
         "events, driven at the other end": (0, 0),
     },
     "energies": {
-        # by SciPy's DOP853
+        # Computed by SciPy's DOP853.
         "share at 1.5, 0.1 m/s": (0.99366104, 1e-6),
         "share at 2, 0.01 m/s": (0.99845214, 1e-6),
         "weakest force at 143 kHz off linear theory": (0, 1e-3),
@@ -172,9 +172,7 @@ Command = Callable[..., str]
 def command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> Command:
-    """Return what runs a script in this process, which has loaded what was compiled, and returns
-    what it prints.
-    """
+    """Return a function that runs a script in this process and returns its output."""
     monkeypatch.chdir(tmp_path)
 
     def run(script: str, *words: object) -> str:
@@ -227,7 +225,7 @@ def test_no_script_bears_the_name_of_a_library():
 def test_every_script_has_its_picture_on_the_page():
     page = (ANALYSIS / "README.md").read_text(encoding="utf-8")
     shown = set(re.findall(r"\]\(pictures/(\w+)\.png\)", page))
-    # which the README shows
+    # The README shows the picture `compare`.
     drawn = {path.stem for path in (ANALYSIS / "pictures").glob("*.png")} - {"compare"}
     assert shown == drawn
     assert drawn > set(KNOWN) | {"scaling"}
@@ -390,7 +388,7 @@ AGAIN = ("fig5", "fig8", "fig9")  # those that take seconds
 
 
 def kept(name: str) -> dict[str, str]:
-    """Return what a picture says of itself."""
+    """Return the metadata of a picture."""
     folder = "design/pictures" if (ANALYSIS / "design" / f"{name}.py").is_file() else "pictures"
     with Image.open(ANALYSIS / folder / f"{name}.png") as picture:
         return dict(picture.info)
@@ -434,6 +432,7 @@ def whole_history() -> set[str] | None:
     return set(git("rev-list", "HEAD").split()) if whole else None
 
 
+@pytest.mark.slow
 def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As large as the PNG, the same each time, without fonts, and small for all cells of a map."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])

@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
-# the longest
+# The slowest scripts.
 LONG = ("adaptive_steps", "halved_steps", "linear_model_error", "richardson_estimate", "roundoff")
-# what few scenes already show; the README has what many do, and what none does
+# Constants that a quick run with few scenes confirms.
 SHOWN = {
     "adaptive_steps": ["OPENING_STEPS.crossing", "OPENING_STEPS.least_crossing"],
     "amplified_rounding": ["GROWTH.digit", "GROWTH.changes", "GROWTH.reach", "GROWTH.rate"],

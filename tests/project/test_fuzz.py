@@ -74,7 +74,7 @@ SWEEPS: list[Tables] = [
     {"disorder": {"m": 20.0, "seed": 1, "realisations": 2, "law": "dyson", "of": "constant"}},
 ]
 
-# what a key may be given; sizes that would only take long are left out
+# Values of keys, except sizes that would only cost time.
 COMMANDS = [
     f"{MARK}",
     f"glass\nshell touch {MARK}",
@@ -242,7 +242,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 
 def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) -> None:
-    """Check so many cases: always the same few in the quick suite, others every time in a soak."""
+    """Check this number of cases, which are fixed in the quick suite and random in a soak."""
     quick = count < 100
     seed = 0 if quick else secrets.randbits(64)
     print(f"{check.__name__}: {count} cases, seed {seed}")
@@ -260,14 +260,12 @@ def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) 
 
 
 def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test that does so many cases, and that many more in a soak."""
+    """Mark a test with its number of cases in the quick suite and in a soak."""
     return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 
 def call(*words: object) -> tuple[int, str]:
-    """Run a command; return its exit code and what it printed, once it is clear that it said what
-    is wrong, if so.
-    """
+    """Run a command; check that errors are explained, and return its exit code and output."""
     out = StringIO()
     err = StringIO()
     with redirect_stdout(out), redirect_stderr(err):
@@ -340,12 +338,12 @@ def run(scene: bytes, *options: str) -> None:
         nothing_injected(folder)
 
 
-@fuzzed(60, 2900)
+@fuzzed(20, 2900)
 def test_decks_of_hostile_scenes(count: int):
     examine(lambda tables: deck(toml(tables)), spoilt(scenes()), count)
 
 
-@fuzzed(40, 1500)
+@fuzzed(13, 1500)
 def test_runs_of_hostile_scenes(count: int):
     def check(case: tuple[Tables, str]) -> None:
         tables, engine = case
@@ -358,7 +356,7 @@ def test_runs_of_hostile_scenes(count: int):
     )
 
 
-@fuzzed(60, 1500)
+@fuzzed(20, 1500)
 def test_spoilt_text_of_scenes(count: int):
     def check(case: tuple[Tables, Callable[[bytes], bytes]]) -> None:
         deck(case[1](toml(case[0])))
@@ -366,7 +364,7 @@ def test_spoilt_text_of_scenes(count: int):
     examine(check, st.tuples(scenes(), damage()), count)
 
 
-@fuzzed(40, 700)
+@fuzzed(13, 700)
 def test_spoilt_tables_of_grains(count: int):
     def check(case: tuple[str, Callable[[bytes], bytes]]) -> None:
         name, spoil = case
@@ -426,12 +424,12 @@ def sweep(text: bytes) -> None:
         nothing_injected(folder)
 
 
-@fuzzed(25, 1000)
+@fuzzed(8, 1000)
 def test_hostile_sweeps(count: int):
     examine(lambda tables: sweep(toml(tables)), spoilt(sweeps()), count)
 
 
-@fuzzed(25, 500)
+@fuzzed(8, 500)
 def test_spoilt_text_of_sweeps(count: int):
     examine(lambda case: sweep(case[1](toml(case[0]))), st.tuples(sweeps(), damage()), count)
 
@@ -472,7 +470,7 @@ def read(path: Path, *more: object) -> None:
     call("fit", path, *more, "--json", path.with_suffix(".json"))
 
 
-@fuzzed(30, 1900)
+@fuzzed(10, 1900)
 def test_spoilt_files(answers: Path, count: int):
     def check(spoil: Callable[[bytes], bytes]) -> None:
         with Workplace(run__nc=spoil((answers / "run.nc").read_bytes())) as folder:
@@ -481,7 +479,7 @@ def test_spoilt_files(answers: Path, count: int):
     examine(check, damage(), count)
 
 
-@fuzzed(20, 500)
+@fuzzed(8, 500)
 def test_spoilt_dumps(answers: Path, count: int):
     def check(spoil: Callable[[bytes], bytes]) -> None:
         with Workplace(column__lammpstrj=spoil((answers / "dump").read_bytes())) as folder:
@@ -491,7 +489,7 @@ def test_spoilt_dumps(answers: Path, count: int):
 
 
 @pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run went so far")
-@fuzzed(30, 500)
+@fuzzed(10, 500)
 def test_spoilt_run_folders(answers: Path, count: int):
     """What a resumed run ends with are the right bits, or it or who reads them says
     that it cannot.
@@ -516,7 +514,7 @@ def test_spoilt_run_folders(answers: Path, count: int):
             read(at)
             code, _ = call("resume", at)
             assert code != 1
-            # what SHA256SUMS alone guards
+            # Files that only SHA256SUMS protects.
             if code == 0 and path.name not in (
                 "status.json",
                 "zarr.json",

@@ -1,6 +1,4 @@
-"""Readers of files, fed with a hundred thousand that are wrong: each gives a value or says in words
-what is wrong.
-"""
+"""Readers of files on damaged files: each returns a value or raises an error with a message."""
 
 import hashlib
 import io
@@ -145,9 +143,7 @@ def damaged(content: bytes, turn: random.Random) -> bytes:
 
 
 def examine(case: Callable[[random.Random], object], count: int) -> None:
-    """Try so many cases; each gives a value or an error in words, of one short line a fault, in
-    little memory.
-    """
+    """Try this number of cases; each returns a value or short error lines, in little memory."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused = 0
     longest = 0
@@ -167,7 +163,7 @@ def examine(case: Callable[[random.Random], object], count: int) -> None:
 
 
 def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test that does so many cases, and that many in a soak."""
+    """Mark a test with its number of cases in the quick suite and in a soak."""
     return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 

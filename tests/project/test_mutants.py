@@ -1,4 +1,4 @@
-"""Mutants are changes of what runs, and of nothing else."""
+"""A mutant changes statements and expressions that run, and nothing else."""
 
 import ast
 from pathlib import Path
@@ -9,15 +9,15 @@ import pytest
 MODULES = sorted((mutants.PROJECT / "lmpchain").rglob("*.py"))
 
 
-@pytest.mark.parametrize("module", MODULES[::16], ids=lambda path: path.stem)
-def test_every_mutant_is_another_program(module: Path, tmp_path: Path):
-    program = ast.dump(ast.parse(module.read_text(encoding="utf-8")))
-    copy = tmp_path / module.relative_to(mutants.PROJECT)
-    copy.parent.mkdir(parents=True, exist_ok=True)
-    for mutant in mutants.mutants_of(module)[::7]:
-        copy.write_bytes(module.read_bytes())
-        mutant.write(tmp_path)
-        assert ast.dump(ast.parse(copy.read_text(encoding="utf-8"))) != program, mutant
+def test_every_mutant_is_another_program(tmp_path: Path):
+    for module in MODULES[::64]:
+        program = ast.dump(ast.parse(module.read_text(encoding="utf-8")))
+        copy = tmp_path / module.relative_to(mutants.PROJECT)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        for mutant in mutants.mutants_of(module)[::7]:
+            copy.write_bytes(module.read_bytes())
+            mutant.write(tmp_path)
+            assert ast.dump(ast.parse(copy.read_text(encoding="utf-8"))) != program, mutant
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_every_mutant_is_another_program(module: Path, tmp_path: Path):
         ("a", None),
     ],
 )
-def test_expressions(before: str, after: str | None):
+def test_expressions_are_changed(before: str, after: str | None):
     assert mutants.mutate(ast.parse(before).body[0].value) == after
 
 
@@ -45,7 +45,7 @@ def test_statements_are_dropped(statement: str):
 
 
 @pytest.mark.parametrize(
-    "statement", ["'''What it does.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"]
+    "statement", ["'''A docstring.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"]
 )
 def test_nothing_else_is_changed(statement: str):
     assert not [

@@ -39,11 +39,9 @@ def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
 
 
 def truth(scene: lmpchain.Scene) -> Reference:
-    """Return an answer that shares nothing with the peers but Eq. (1)."""
+    """Return a solution that shares only Eq. (1) with the peers."""
     u, v, error = extended_reference(scene)
-    return Reference(
-        scene.time, u, v, error, "Stoermer's rule, extrapolated, in extended precision"
-    )
+    return Reference(scene.time, u, v, error, "Taylor series in extended precision")
 
 
 @pytest.mark.parametrize(("velocity", "within"), [(1e-9, 1e-11), (8.57e-4, 1e-11), (8.57e-3, 1e-9)])
@@ -89,7 +87,7 @@ def test_yade_finds_the_truth_by_the_same_rule_as_lammps(peer):
 
 
 def test_a_code_is_added_beside_lammps_by_turns(peer, monkeypatch):
-    """Its time of a step is the ratio of the least times, times that of LAMMPS in the file."""
+    """Its time per step is the file's time of LAMMPS, scaled by the ratio of the shortest times."""
     run = peer("run")
     scene = short(8.57e-4)
     code = peer("with_scipy").codes(peer("problem").Problem(scene))[1]

@@ -22,7 +22,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def python(*arguments: str, cwd: Path = ROOT, **environment: str) -> str:
-    """Run this Python in a process of its own and return what it prints."""
+    """Run Python in a new process and return its output."""
     done = subprocess.run(
         [sys.executable, *arguments],
         cwd=cwd,

@@ -118,7 +118,7 @@ def test_equations_that_are_cited_are_written_out():
         str(number) for number in range(1, 36)
     ]
     sources = [*DOCS.glob("*.md"), *(ROOT / "lmpchain").rglob("*.py")]
-    # as the pages find them
+    # The expressions with which the pages are built.
     links = runpy.run_path(str(DOCS / "equations.py"))
     cited = set()
     for source in sources:
@@ -146,7 +146,7 @@ def test_the_reference_lists_what_is_public():
 
 
 def listed_names() -> list[str]:
-    """Return what the reference lists, with dotted names; it must be there."""
+    """Return the dotted names that the reference lists."""
     found = []
     package = ""
     for line in (DOCS / "api.md").read_text(encoding="utf-8").splitlines():
@@ -493,7 +493,7 @@ def test_a_measured_figure_stands_on_one_page():
     assert [script for script, pages in cited.items() if len(pages) > 1] == []
 
 
-# what several pages say, and how: a number in a group of its own, or in one of several
+# Quantities that several pages state, with a pattern whose groups match the number.
 QUANTITIES = {
     "strike number at which linear theory is off by 1 %": (
         r"at the strike number (0\.\d+), and 10 %|v_0\^\* < (0\.\d+)\$, to 10 %"
@@ -744,7 +744,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
         assert page.count("_images/sphx_glr_") >= script.read_text(encoding="utf-8").count(
             "\npicture"
         )
-        # what is said to those who build is not for those who read
+        # Messages of the build are not part of the page.
         assert "once for this machine" not in page
         assert "RuntimeWarning" not in page
     if program := installed():

@@ -1,6 +1,4 @@
-"""Every number of a scene file set to what is no number, or none that makes sense: one line, and
-what to do.
-"""
+"""Every number of a scene file is set to strange values: the error is one line with a remedy."""
 
 import re
 from collections.abc import Iterator
@@ -40,13 +38,8 @@ REFUSED = {  # what is wrong with a scene is said alike by all
     "fit": ("column.lammpstrj", "--scene"),
     "dyson": ("column.lammpstrj", "--m", "1", "--scene"),
 }
-# what takes no long time is done where the scene is accepted
-DONE = (
-    "plan",
-    "run",
-    "compare",
-    "deck",
-)
+# Commands that are quick enough to be run if the scene is accepted.
+DONE = ("plan", "run", "compare", "deck")
 DUMP = "".join(
     f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 "
     "1\n"

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_scenes import acted_scene
-from helpers.independent_integrators import Curve, extended_reference, relative_error
+from helpers.forcing import Curve
+from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump
+from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 from numpy.typing import NDArray
 from scipy.integrate import quad
@@ -89,7 +91,7 @@ OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
 
 
 def course(given: Any) -> Any:
-    """Return what is imposed as a function of time, from its definition."""
+    """Return the imposed force or displacement as a function of time, from its definition."""
     if given.times is not None:
         values = given.force if given.kind == "force" else given.displacement
         curve = Curve(given, values, np.float64)
@@ -166,7 +168,7 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
     corners = [*given.waveform.corners]
-    # at resonance samples see little of the motion
+    # At resonance the samples miss most of the motion.
     between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
     fields = duhamel(given, strength, between, corners)
     (x, v) = (field[7::8] for field in fields)
@@ -202,6 +204,7 @@ def test_a_wall_that_moves_in_linear_engines(name: str):
         )
 
 
+@pytest.mark.slow
 def test_forces_in_modes():
     springs = Chain(**LOADED.given() | {"exponent": 1.0, "bottom": "wall"})
     for kind, given in forces(1e-2, grain=3).items():
@@ -309,7 +312,7 @@ def strong(kind: str) -> Any:
     return reference(scene_of(*STRONG[kind], samples=5))
 
 
-@pytest.mark.parametrize("kind", STRONG)
+@pytest.mark.parametrize("kind", thinned(STRONG, 2))
 def test_accuracy_is_as_asked_for_and_known(kind: str):
     """Where contacts open and close, too; the two references agree."""
     scene = scene_of(*STRONG[kind], samples=5)
@@ -329,9 +332,12 @@ def test_accuracy_is_as_asked_for_and_known(kind: str):
         assert (true - truth.error) / 3 <= t.error_estimate.total <= tolerance
 
 
-@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6", "verlet"])
+IN_LAMMPS = "force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"
+
+
 @pytest.mark.parametrize(
-    "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
+    ("kind", "integrator"),
+    thinned(itertools.product(IN_LAMMPS, ("rkn6", "kahan-li6", "verlet")), 2),
 )
 def test_lammps(kind: str, integrator: str):
     """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its
@@ -341,7 +347,7 @@ def test_lammps(kind: str, integrator: str):
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
-    # in steps of any length it is the native map: formulas are right to the last digits
+    # At equal steps LAMMPS and the native engine compute the same map.
     step = scene.duration / 200
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
     assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
@@ -438,9 +444,7 @@ def test_the_integral_of_what_acts(wave: Waveform):
 
 @pytest.mark.parametrize("kind", STRONG)
 def test_work_and_impulse_are_accounted_for(kind: str):
-    """Energy is what the force or the driver has put in, momentum what it, the load and the walls
-    have.
-    """
+    """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
     scene = scene_of(*STRONG[kind], samples=4001)
     t = simulate(scene, "native", 1e-9)
     ledger = energy.ledger(t)
@@ -448,7 +452,7 @@ def test_work_and_impulse_are_accounted_for(kind: str):
     assert np.abs(ledger.drift).max() <= ledger.drive_error + 1e-8 * ledger.total.max()
     largest = np.abs(ledger.momentum).max()
     assert np.abs(ledger.momentum_drift).max() <= ledger.impulse_error + 1e-8 * largest
-    # at the points of a curve the force on the driver bends
+    # The force on the driver has kinks at the points of a curve.
     assert ledger.drive_error < (2e-5 if "points" in kind else 1e-5) * ledger.total.max()
     parts = ledger.kinetic + ledger.contact + ledger.gravity + ledger.load
     assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())

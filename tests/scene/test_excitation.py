@@ -1,9 +1,9 @@
-"""What an excitation says of itself holds for the motion that it makes."""
+"""The stated size of an excitation against the motion that it causes."""
 
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.engines.linear.model_error import expected_error
 from lmpchain.scene.base import Excitation
 
@@ -85,3 +85,16 @@ def test_only_an_impulse_is_a_strike() -> None:
     assert Impulse(velocity=1e-6).label == "an impulse of 1 µm/s"
     assert Impulse(velocity=-2.5).label == "an impulse of -2.5 m/s"
     assert WEAK["drive"].label == "a drive"
+
+
+def test_profiles_of_one_chain_add_up():
+    moved = Profile(displacement=[1e-9, 0.0, 2e-9])
+    struck = Profile(velocity=[0.0, 1e-3, 0.0])
+    total = moved + struck
+    assert total.displacement.tolist() == [1e-9, 0.0, 2e-9]
+    assert total.velocity.tolist() == [0.0, 1e-3, 0.0]
+    assert (total + struck).velocity.tolist() == [0.0, 2e-3, 0.0]
+    with pytest.raises(InputError, match="displacement: profiles that are added must be of one"):
+        moved + Profile(velocity=[1e-3, 0.0])
+    with pytest.raises(TypeError):
+        moved + 1.0

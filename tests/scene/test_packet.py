@@ -85,9 +85,7 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
 
 @pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
 def test_hardly_anything_goes_up(width: float, most: float):
-    """The part that goes up is that of the Gaussian beyond q = 0 and pi: exp(-(q width)^2 / 2) at q
-    = 1.
-    """
+    """The upward part is the tail of exp(-(q width)^2 / 2) beyond q = 1."""
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
     packet = Packet(
@@ -97,7 +95,7 @@ def test_hardly_anything_goes_up(width: float, most: float):
     found = energy.shares(simulate(scene, "modes"))
     up = found.part(1, 170)[-1] / found.part(1, 500)[-1]
     assert up < most
-    # without its velocity, half of it goes up
+    # Without its velocity, half of the packet travels upward.
     rest = Profile(displacement=packet.initial(chain)[0])
     still = energy.shares(simulate(Scene(**scene.given() | {"excitation": rest}), "modes"))
     assert still.part(1, 200)[-1] / still.part(1, 500)[-1] == pytest.approx(0.5, abs=0.02)
@@ -153,9 +151,7 @@ def test_reflection_and_transmission(engine: str):
 
 
 def test_energy_flows_evenly_through_an_uneven_chain():
-    """Where stiffness and mass change slowly, m v^2 times the group velocity is that of the middle,
-    at its phase.
-    """
+    """In a slowly varying chain, m v^2 times the group velocity is constant along the packet."""
     x = np.linspace(-1, 1, 400)
     masses = 1e-6 * np.exp(0.5 * x)
     constants = 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)

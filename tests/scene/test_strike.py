@@ -182,9 +182,7 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
 
 
 def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
-    """Both sides: a hundredth of the diameter; the speed of sound of the grain itself; not what is
-    so at rest.
-    """
+    """The limits are a hundredth of the diameter and the speed of sound of the grain."""
 
     def remarks(chain: Chain, excitation: Any) -> list[str]:
         return list(
@@ -224,7 +222,7 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
 
 
 def test_materials_differ_from_grain_to_grain() -> None:
-    """The sound of the slowest grain is not that of the one that moves."""
+    """The speed of sound is that of the moving grain, not of the slowest one."""
     chain = Chain(
         grains=4,
         material=[STEEL, PTFE, STEEL, STEEL],

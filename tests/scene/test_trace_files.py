@@ -50,7 +50,7 @@ def lvm(column: bool) -> str:
     return header + times.replace(".", ",")
 
 
-# what the file holds, and the options by which its push is that of `push`
+# Text of the file, and the options with which its push equals `push`.
 INSTRUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
     "Keysight, two channels": (
         "x-axis,1,2\nsecond,Volt,Volt\n"
@@ -345,6 +345,6 @@ def test_equal_forces_may_come_from_different_files(tmp_path: Path):
     assert len({*forces, points}) == 1
     assert forces[0].source != forces[1].source
     assert forces[0].replace(grain=2).source == forces[0].source
-    # what is changed is no more what the file says
+    # A changed force no longer names its file.
     assert forces[0].scaled(2.0).source is None
     assert forces[0].scaled(2.0) == points.replace(force=[2, 4])

@@ -117,7 +117,7 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
         points=turns[turns < until] if cycles is None else None,
         limit=500,
     )
-    # at whole arches it is the area itself; at quarter periods the path is 1 more
+    # The bound is exact at whole half periods, and exceeds the path by 1 at quarter periods.
     if cycles is None:
         assert wave.area(duration) <= whole[0] + 2 * abs(AMPLITUDE) / wave.omega
         whole_arches = (2 * FREQUENCY * duration) % 1 == 0

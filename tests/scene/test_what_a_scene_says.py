@@ -53,7 +53,7 @@ def scene_of(excitation: Any, chain: Chain = COLUMN, **keys: Any) -> Scene:
 def test_quantities_are_gathered_at_the_least_of_1_2_3_4_6_8_12_that_misses_no_motion(
     needed: float,
 ) -> None:
-    """At half a radian of the highest frequency, here that of a drive."""
+    """The limit is half a radian of the highest frequency, which is the drive's here."""
     drive = Drive(amplitude=1e-15, frequency=1e7)
     samples = 11
     duration = 0.5 * needed * (samples - 1) / (2 * np.pi * 1e7)

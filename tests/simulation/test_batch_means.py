@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from scipy.signal import lfilter
 
 from lmpchain.simulation.batch_means import BATCHING, correlation_of_neighbours, estimate
@@ -19,7 +20,7 @@ def sequences(memory: float, copies: int, per_stretch: int, rng: np.random.Gener
 
 
 def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: int) -> float:
-    """Return how many intervals of the mean cover 0."""
+    """Return the share of intervals of the mean that cover 0."""
     rng = np.random.default_rng(seed)
     covered = 0
     for _ in range(trials):
@@ -29,7 +30,7 @@ def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: in
 
 
 @pytest.mark.parametrize(
-    ("memory", "copies"), [(0.0, 1), (0.5, 1), (0.8, 4), (0.9, 1), (0.9, 4), (-0.5, 1)]
+    ("memory", "copies"), thinned([(0.5, 1), (0.0, 1), (0.9, 4), (0.8, 4), (-0.5, 1), (0.9, 1)], 2)
 )
 def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
     """A thousand of them scatter by 0.7 % themselves, hence 2 in place of 1 %."""
@@ -85,7 +86,7 @@ def test_the_standard_error_is_that_of_the_sequence():
     memory, per_stretch = 0.9, 64
     errors = [estimate(sequences(memory, 1, per_stretch, rng).mean(-1)).error for _ in range(400)]
     exact = (1 + memory) / (1 - memory) / (BATCHING.stretches * per_stretch)
-    # of 400 with 15 degrees of freedom each: 1.8 %
+    # 400 estimates with 15 degrees of freedom each scatter by 1.8 %.
     assert 0.93 < np.mean(np.square(errors)) / exact < 1.07
 
 

@@ -17,7 +17,7 @@ from lmpchain.engines import cost_model
 
 @pytest.fixture(autouse=True)
 def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Have "auto" choose by the speeds that come with the package, not by those of this machine."""
+    """Let "auto" use the shipped speeds in place of the measured speeds of this machine."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     cost_model.measured.cache_clear()
     yield

@@ -36,7 +36,7 @@ NUMBER = f"{SCENE.strike_number:.2g}"
 
 @pytest.fixture(autouse=True)
 def shipped(tmp_path, monkeypatch):
-    """Let costs be those of the package."""
+    """Use the shipped costs."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     cost_model.measured.cache_clear()
     yield
@@ -263,7 +263,7 @@ def test_a_record_says_what_was_asked():
 
 
 def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
-    """Its own words: what it leaves out, what was expected, which engine does it again."""
+    """The message states the neglected part, the expectation and the engine of the second run."""
     attempt = Attempt(proposal(model=3e-7), 1e-6)
     good = ErrorBudget(0.0, 1e-12, 1.0, model=5e-7, model_bound=9e-7)
     assert fall_back(SCENE, attempt, good) is None

@@ -492,7 +492,7 @@ def test_a_signal_is_noted_and_passed_on():
 
 
 def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
-    """Times of the runs of a batch by its size, with those of attempts before.
+    """Times of the runs of a batch by its size, including earlier attempts.
 
     Counts are of the batch.
     """

@@ -30,7 +30,7 @@ SCENES = {
 
 
 def forces(scene: Scene, contact: int, samples: int) -> np.ndarray:
-    """Return K (1 + A d/dt) o^delta at so many times."""
+    """Return K (1 + A d/dt) o^delta at this number of times."""
     chain = scene.chain
     run = taylor_series.solve(scene.replace(samples=samples, quantities=None), 1e-18)
     u, v = (np.pad(x, ((0, 0), (1, 1))) for x in (run.displacement, run.velocity))
@@ -66,7 +66,7 @@ def test_forces_of_viscous_contacts_are_the_truth_within_their_errors(name: str)
         top = peak(forces(scene, number, 20_001))
         found = gathered[f"peak_force:{number}"]
         error = gathered[f"peak_force:{number}_error"]
-        # that a wave adds: of what no wave reaches, nothing but rounding
+        # Force added by the wave; where no wave arrives it is a rounding error.
         added = top - scene.chain.contacts.force[number]
         assert abs(found - top) <= error + 1e-12 * top
         assert error <= 1e-4 * added + 1e-10 * top

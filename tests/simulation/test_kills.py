@@ -124,7 +124,7 @@ def test_a_kill_at_any_change_of_the_disk(
         run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
     )
     assert status(run)["attempt"] >= (1 if case is fallback else 2)
-    # else there is nothing to go on with
+    # A folder without a scene cannot be resumed.
     begun = [folder for folder in left if (folder / "scene.toml").exists()]
     assert len(begun) > most / 2
     for folder in begun:
@@ -283,7 +283,7 @@ CASES = {
     "mpirun": (FEW, FIXED, [2, 1, 2]),
     "two ranks, then mpirun": (FEW, [*FIXED, *TWO], [1, 2, 1]),
 }
-# that need a second attempt
+# Cases that need a second attempt.
 SEVERAL = {
     "native to a tolerance",
     "lammps",
@@ -295,7 +295,7 @@ DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajectory]:
-    """Return what gives the uninterrupted answer to a case, on one rank."""
+    """Return a function that computes the uninterrupted answer to a case on one rank."""
 
     @cache
     def answer(case: str) -> Trajectory:
@@ -311,7 +311,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
 
 
 def reached(folder: Path) -> float:
-    """Return how many attempts a run folder says are done, with the share of the one under way."""
+    """Return the number of finished attempts of a run folder, plus the share of the current one."""
     if not (folder / "scene.toml").exists():
         return -1.0
     said = status(folder)
@@ -319,7 +319,7 @@ def reached(folder: Path) -> float:
 
 
 class Command:
-    """A command of lmpchain that is to be killed.
+    """A process of lmpchain that a test kills.
 
     Hurried, in a fork of this process or under mpirun.
     """
@@ -340,7 +340,7 @@ class Command:
         return self._process.poll() is None
 
     def processes(self) -> list[int]:
-        """Return those of it, and of what it has started, that are there."""
+        """Return the live processes of the command and its children."""
         return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
 
     def ended(self) -> tuple[int | None, str]:
@@ -358,7 +358,7 @@ class Command:
 def killed(
     case: str, folder: Path, parts: list[float], rng: random.Random
 ) -> tuple[Trajectory, int]:
-    """Run a case; kill a part of it, drawn at random, once so many of its attempts are done.
+    """Run a case and kill one of its processes at random after this number of attempts.
 
     Returns the answer, and how often something was killed. A part below 0 is of the time before the
     first sample.

@@ -33,7 +33,7 @@ def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
 
 
 def springs(duration: float) -> Scene:
-    """Return a chain near that of springs, whose contacts open: it is soon unpredictable."""
+    """Return a chain of nearly linear contacts that open, which is soon unpredictable."""
     chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
     strike = Impulse(velocity=0.05)
     samples = round(duration / 2e-5) + 1
@@ -118,8 +118,9 @@ def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_pat
     assert np.array_equal(disk.velocity[:], kept.velocity)
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
-    """In whichever attempt it is stopped; the beginning of what is unpredictable, too."""
+    """Stops in any attempt, also in a run that ends at its predictability horizon."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
         folder = tmp_path / name
         answers = []
@@ -173,7 +174,7 @@ def test_who_wants_the_best_answer_gets_all_of_it(early):
         simulate(scene, "native", 1e-6)
     kept = missed.value.trajectory
     assert answer.cost.step_s < kept.cost.step_s
-    # no less right as long as it can be
+    # It is as accurate up to the predictability horizon.
     apart = answer.velocity[: kept.time.size] - kept.velocity
     assert np.abs(apart).max() <= 2e-6 * np.abs(kept.velocity).max()
 
@@ -186,6 +187,7 @@ def test_a_scene_ends_before_a_time():
     assert np.allclose(beginning.time, scene.time[:7], rtol=1e-15, atol=0)
 
 
+@pytest.mark.slow
 def test_round_off_of_lammps_is_judged_at_its_end(early):
     """Heights round as much at first, of which a slow drive had moved but little: refused then."""
     times = np.linspace(0.0, 4e-4, 401)

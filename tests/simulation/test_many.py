@@ -1,9 +1,9 @@
-"""A list of scenes at once: the answers, their order, their errors, and what is refused."""
+"""A list of scenes in one call: the answers, their order, their errors, and refusals."""
 
 import numpy as np
 import pytest
 from helpers.example_scenes import smooth
-from helpers.independent_integrators import relative_error, scipy_reference
+from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import (
     Chain,
@@ -76,7 +76,7 @@ def test_the_error_covers_the_truth():
         for v in (1e-6, 1e-3, 1e-2)
     ]
     for t in simulate_many(scenes, 1e-7):
-        u, v, _ = scipy_reference(t.scene)
+        u, v, _ = extended_reference(t.scene)
         error = relative_error(np.asarray(t.displacement), np.asarray(t.velocity), u, v)
         assert error <= t.error_estimate.total + 1e-10
         assert t.error_estimate.total <= 1e-7

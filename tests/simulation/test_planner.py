@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, random_scene, wide_scene
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.thinned import thinned
 from helpers.trial_scenes import trial_scene
 
 import lmpchain
@@ -221,7 +222,7 @@ def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-@pytest.mark.parametrize("seed", range(1, 61, 4))
+@pytest.mark.parametrize("seed", thinned(range(1, 61, 4), 3))
 def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
     """Beforehand from the strike, afterwards from the linear wave: never below half the truth."""
     scene = struck(seed)
@@ -533,7 +534,7 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
     assert again.provenance["plan"] == plain.provenance["plan"]
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", thinned(range(30), 3))
 def test_a_run_takes_what_its_plan_says(seed: int):
     """Though engines that begin too late to be the cheapest are asked by the plan only."""
     rng = np.random.default_rng(33_000_000 + seed)

@@ -1,4 +1,4 @@
-"""A run folder: what is in it, who may work in it, and that its samples can be read at any time."""
+"""A run folder: its contents, its lock, and reading of samples during the run."""
 
 import hashlib
 import json
@@ -368,7 +368,7 @@ def test_one_process_at_a_time(tmp_path: Path):
 
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
 def test_a_time_that_there_is_not(said: str, tmp_path: Path):
-    """A time spent that is none is not counted, and does not end the run."""
+    """An invalid elapsed time is ignored and does not end the run."""
     with pytest.raises(Stopped):
         simulate(SCENE, "native", folder=tmp_path, max_wall=1e-9)
     path = tmp_path / "status.json"

@@ -28,7 +28,7 @@ ENDLESS = Scene(
     duration=1.0,
     samples=20001,
 )
-# so that a stop need not wait for a sample, however busy the machine
+# Many samples, so that a stop is quick on a busy machine.
 OFTEN = ENDLESS.replace(samples=200_001)
 VERLET = [
     "--engine",
@@ -142,6 +142,7 @@ def test_handlers_are_put_back(tmp_path: Path):
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
 
 
+@pytest.mark.slow
 def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scene = write(ENDLESS, tmp_path)
     folder = tmp_path / "run"

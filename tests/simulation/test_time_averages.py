@@ -1,4 +1,4 @@
-"""Averages over time against ensembles known in closed form, and what is refused."""
+"""Averages over time against ensembles in closed form, and refusals."""
 
 import math
 import warnings
@@ -88,7 +88,7 @@ def test_temperature_and_equipartition():
     assert whole == pytest.approx(scene.energy, rel=2 * found.energy_error)
     # 1 where velocities of one kinetic energy are equally likely
     assert mean["equipartition"] == pytest.approx(1.0, abs=0.05)
-    # what stays between walls has no mean velocity
+    # The mean velocity between walls is zero.
     low, high = found.interval["velocity:7"]
     assert low < 0 < high
     assert found.variance["velocity:7"] == pytest.approx(

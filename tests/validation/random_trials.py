@@ -36,15 +36,15 @@ from helpers.trial_scenes import (
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
 
-LONGEST = 60.0  # s of this process; a scene that takes longer is a finding
-LOW = 3.0  # an estimate below a third of the truth is one too
-ROUND = 2.3e-16  # two answers in double precision may differ by so much
-SAFE = 10.0  # by so much must the doubt about the reference be below what it decides
+LONGEST = 60.0  # s of CPU time; a longer trial counts as a failure
+LOW = 3.0  # an estimate below a third of the true error is a failure
+ROUND = 2.3e-16  # difference of two solutions in double precision
+SAFE = 10.0  # the error of the reference must be smaller than its margin by this factor
 FAMILIES = (
     *("native", "step", "auto", "linear", "lammps", "acted"),
     *("damped", "damped-lammps", "loose", "damped-short"),
 )
-# least tolerance that makes sense
+# Smallest reasonable tolerance.
 LOOSE = {
     "verlet": 1e-7,
     "gear4": 1e-8,
@@ -151,7 +151,7 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
 
 
 def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
-    """Return what came of a trial, as a row of the table.
+    """Return the outcome of a trial as a row of the table.
 
     It is given up after `longest` s of this process.
     """
@@ -225,7 +225,7 @@ def judge(
         row |= {"doubt": doubt, "events": true.events}
         clear = missed and doubt < tolerance / 30
         if answer is not None:
-            # what cannot be predicted to its end is answered as far as it can
+            # An unpredictable run ends at its predictability horizon.
             off = true.until(answer.time.size).error(answer.displacement, answer.velocity)
             row |= {"true": off, "ratio": estimate / off if off else np.inf,
                     "above": off - doubt > tolerance,

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import random_scene
 from helpers.interpolated_peak import find_peak
+from helpers.thinned import thinned
 from numpy.typing import NDArray
 from scipy.integrate import quad
 from scipy.special import ai_zeros, airy, jv
@@ -226,7 +227,7 @@ def test_piston_at_springs(engine: str, tolerance: float) -> None:
 
 
 def test_overshoot_before_a_piston_at_springs() -> None:
-    """Peak velocity over that of the piston.
+    """The peak velocity relative to the piston velocity.
 
     1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
 
@@ -494,7 +495,7 @@ def test_soliton_of_a_precompressed_chain(
         assert found / coste - 1 == pytest.approx(slower[speed], abs=6e-6)
 
 
-@pytest.mark.parametrize("seed", range(1, 21))
+@pytest.mark.parametrize("seed", thinned(range(1, 21), 4))
 def test_engines_agree_on_chains_with_everything_in_them(seed: int) -> None:
     """Walls, loads, gravity, impurities, strikes and drives: at 1e-6 the engines agree within 2e-6.
 

@@ -80,7 +80,7 @@ def test_peak_velocity_in_a_column(
         assert when == pytest.approx(arrival, rel=1e-6)
 
 
-# which has Hertz's contacts and springs
+# The paper has Hertzian contacts and springs.
 NATIVE = ("native", 1e-8, 1e-6)
 LAMMPS = ("lammps", 1e-5, 1e-4)
 
@@ -129,7 +129,7 @@ def test_what_a_strike_gives_to_its_first_soliton(
     tolerance: float,
     off: float,
 ) -> None:
-    """Peak velocity, energy and momentum of the leading pulse over those of the striking grain.
+    """Peak velocity, energy and momentum of the leading pulse, relative to the striking grain.
 
     Source: 0.68 in the literature on Hertzian chains; the digits from the exact lattice soliton and
     direct impact runs. The fractions depend on the exponent alone (Deng et al., arXiv:2002.08499).

@@ -74,7 +74,7 @@ def test_weak_localisation_by_random_masses():
 
 @cache
 def spread(of: str, m: float, moved: bool, grains: int, realisations: int) -> Spreading:
-    """Return how a strike on the middle grain, or its displacement, spreads in random springs."""
+    """Return the spreading of a strike or displacement of the middle grain in random springs."""
     chain = lmpchain.Chain(
         grains=grains,
         diameter=1e-3,

@@ -63,7 +63,7 @@ def maxima(
 
     The size falls by more than `fall` after it.
     """
-    # of values that are the same
+    # Equal values.
     last = np.append(np.flatnonzero(np.abs(np.diff(y)) > SAME * y.max()), y.size - 1)
     first = np.append(0, last[:-1] + 1)
     level = np.append(y[last], 0.0)
@@ -78,7 +78,7 @@ def maxima(
 def wrong_fronts(
     name: str, sizes: np.ndarray, time: np.ndarray, rows: np.ndarray, doubt: float, known: float
 ) -> list[Any]:
-    """Return which fronts (G, 6) are not those of sizes (T, G).
+    """Return a mask of the fronts (G, 6) that do not match the sizes (T, G).
 
     Their times, and heights and widths where given.
 
@@ -142,7 +142,7 @@ def faults(seed: int) -> list[Any] | None:
     def check(
         name: str, found: np.ndarray, error: np.ndarray, values: np.ndarray, doubt: float
     ) -> None:
-        """Compare a largest value with that of samples (T, ...), which may miss a bend between."""
+        """Compare a largest value with the samples (T, ...), which may miss a maximum."""
         top = values.max(0)
         place = np.clip(values.argmax(0), 1, len(values) - 2)
         before, here, after = (

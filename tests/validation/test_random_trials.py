@@ -1,22 +1,19 @@
-"""Thousands of random scenes against an independent integrator, and it against exact ones.
+"""Random scenes against an independent integrator, and this integrator against exact solutions.
 
-Counts of a range of seeds, the trials that failed, and any one of them: `python -m
-validation.random_trials`.
+`python -m validation.random_trials` counts the outcomes for a range of seeds and repeats a trial.
 """
 
 from math import gamma, pi, sqrt
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
-from helpers.independent_integrators import extended_reference
-from helpers.taylor_series import reference
+from helpers.taylor_series import FINEST, reference, solve
 from scipy.optimize import brentq
-from validation.random_trials import FAMILIES, LONGEST, table, trial
+from validation.random_trials import FAMILIES, LONGEST, draw, table, trial
 
-from lmpchain import Chain, Drive, Impulse, Profile, Scene
+from lmpchain import Chain, Drive, Impulse, Scene
 
-slow = pytest.mark.slow  # it needs a C compiler
+slow = pytest.mark.slow
 TRIALS = {
     "native": 5000,
     "step": 1000,
@@ -40,7 +37,7 @@ def test_the_reference_finds_a_harmonic_oscillator():
     found, error = reference(scene, 1e-19)
     exact = np.cos(omega * scene.time.astype(np.longdouble))
     assert error < 1e-14
-    # the last digit of omega, 1000 times
+    # 1000 radians amplify the rounding error of omega.
     assert np.abs(found.velocity[:, 0] / 1e-6 - exact).max() < 1e-13
     assert found.largest[0] == pytest.approx(1e-6 / omega, rel=1e-2)
 
@@ -63,7 +60,7 @@ def test_the_reference_finds_a_collision(delta):
         found.velocity[[0, -1]] / speed, [[1, 0], [0, 1]], rtol=0, atol=3e-15
     )
     assert found.displacement[1] @ [1, -1] == pytest.approx(deepest, rel=1e-14)
-    for change in (1e-3, -1e-3):  # still pressed, or apart for long
+    for change in (1e-3, -1e-3):  # shortly before and after the contact opens
         found, _ = reference(ends.replace(duration=lasts * (1 - change)), 1e-19)
         force = found.velocity[-1, 0] / speed
         assert (force > 1e-12) if change > 0 and delta < 3 else abs(force) < 1e-7
@@ -101,30 +98,13 @@ def test_the_reference_finds_a_push_by_a_wall():
     assert found.displacement[-1, 0] == pytest.approx(u(parts) + v(parts) * (end - parts), rel=1e-9)
 
 
-@slow
-def test_the_reference_agrees_with_the_other_independent_one():
-    springs = Chain(grains=6, diameter=1e-3, exponent=1.0, top_load=1e-3, top="wall", bottom="wall")
-    vacuum = Chain(grains=12, diameter=1e-3, exponent=2.5, gravity=0.0, bottom="wall")
-    sine = Drive(amplitude=1e-8, frequency=2e4)
-    spline = Drive(times=[0, 1e-5, 3e-5, 5e-5, 6e-5], displacement=[0, 1e-9, -1e-9, 2e-9, 0])
-    for scene in (
-        paper("fig1", 5),
-        Scene(
-            chain=springs,
-            excitation=Profile(velocity=[0, 1e-3, 0, 0, -1e-3, 0]),
-            duration=3e-6,
-            samples=5,
-        ),
-        Scene(chain=vacuum, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5),
-        *(
-            Scene(chain=Chain(grains=5, diameter=1e-3), excitation=e, duration=5e-5, samples=5)
-            for e in (sine, spline)
-        ),
-    ):
-        found, error = reference(scene, 1e-19)
-        u, v, other = extended_reference(scene, 1e-16)
-        assert error < 1e-13
-        assert found.error(u, v) < 3 * (other + error)
+def test_the_reference_closes_a_contact_whose_force_is_below_one_ulp_of_its_load():
+    """The first overlap after the contact closes exerts a force of 1e-21 of the load."""
+    scene, *_ = draw("damped-short", 700699)
+    finest = solve(scene, FINEST["long double"])
+    coarse = solve(scene, 1e-13)
+    assert finest.steps > 50
+    assert finest.error(coarse.displacement, coarse.velocity) < 1e-11
 
 
 @slow
@@ -136,68 +116,60 @@ def test_a_few_trials(family):
     )
 
 
-# what was above its tolerance without a word, or took no end
-# masses 3e-8 and 5e-3 kg: the last digit of the heavy grain's displacement moves the light one
-# 238 openings make 2e-8 of a last digit; runs at two steps agree better by chance
-# rounding makes 1e-5: what a last digit becomes was looked for below 1e-6 only
-# springs in a vacuum: all four runs agree by chance on less than their error
-# a burst has just begun: modes of low frequency took one sine off another like it
-# crests of a wide packet gain on its troughs, which linear theory did not say
-# roundings of runs at h, 1.5h and 2h agree by chance on a third of what they make
+# Trials that once were above their tolerance without a warning, or that did not end.
 FOUND = [
-    (
-        "native",
-        2,
-    ),
-    ("native", 135),  # steps of dop853 that samples cut, alike in all companions
-    ("native", 544),  # two grains between walls make 1e-6 of a last digit
-    ("auto", 345),  # grains fly apart: displacements of 3,700 times v / omega
+    # Masses of 3e-8 and 5e-3 kg: rounding of the heavy grain's displacement moves the light grain.
+    ("native", 2),
+    # The samples cut steps of dop853 in the same way in all auxiliary runs.
+    ("native", 135),
+    # Two grains between walls amplify rounding errors to 1e-6.
+    ("native", 544),
+    # Grains fly apart, up to displacements of 3,700 v / omega.
+    ("auto", 345),
     ("auto", 366),
-    ("auto", 276),  # a collision at a sample that companions passed over
-    (
-        "auto",
-        200195,
-    ),
-    (
-        "native",
-        2000441,
-    ),
-    ("auto", 2001443),  # runs at h and 2h agree to 1e-4 by chance, both are off by 0.014
-    ("acted", 2000404),  # 58 openings under a motion by points: errors scatter
-    ("acted", 2000790),  # a wall that moves drives all grains, the first one, too
-    ("native", 2000109),  # samples cut steps of dop853: runs at 2h are worse by less than 2^8
-    ("auto", 4000130),  # springs: plain diagonalisation mixes low modes
+    # The auxiliary runs missed a collision at a sample.
+    ("auto", 276),
+    # 238 openings amplify rounding errors to 2e-8; runs at two steps agree better by chance.
+    ("auto", 200195),
+    # Rounding makes an error of 1e-5, but its amplification was measured below 1e-6 only.
+    ("native", 2000441),
+    # Runs at h and 2h agree to 1e-4 by chance; both have an error of 0.014.
+    ("auto", 2001443),
+    # 58 openings in a motion that is given by points: errors scatter.
+    ("acted", 2000404),
+    # A moving wall drives all grains, the first grain included.
+    ("acted", 2000790),
+    # The samples cut steps of dop853: a step of 2h increases the error by less than 2^8.
+    ("native", 2000109),
+    # Springs: plain diagonalisation mixes modes of low frequency.
+    ("auto", 4000130),
     ("auto", 4000691),
-    ("auto", 2000192),  # drives, forces and packets in modes, whose few frequencies add up in phase
+    # Drives, forces and packets in modes: their few frequencies add up in phase.
+    ("auto", 2000192),
     ("acted", 3000562),
     ("acted", 3001159),
     ("acted", 4000521),
     ("acted", 6000343),
     ("acted", 6000646),
-    (
-        "acted",
-        8000043,
-    ),
-    (
-        "acted",
-        9000167,
-    ),
-    (
-        "acted",
-        10000061,
-    ),
-    ("native", 4000638),  # companions passed over a touch shorter than an eighth of a step
-    (
-        "native",
-        9003082,
-    ),
-    # steps did not shorten where contacts that only touch open, for exponents above 1.5
+    # Springs in a vacuum: four runs agree by chance to less than their error.
+    ("acted", 8000043),
+    # A burst has just begun: modes of low frequency subtract two sines that are nearly equal.
+    ("acted", 9000167),
+    # Crests of a wide packet catch up with its troughs, which linear theory did not include.
+    ("acted", 10000061),
+    # The auxiliary runs missed a contact that was closed for less than an eighth of a step.
+    ("native", 4000638),
+    # Rounding errors of runs at h, 1.5h and 2h agree by chance to a third of their size.
+    ("native", 9003082),
+    # Steps did not become shorter where contacts without overlap open, for exponents above 1.5.
     ("loose", 107),
     ("loose", 306),
     ("loose", 313),
-    ("loose", 492),  # companions at 2h and 4h agree by chance
+    # Auxiliary runs at 2h and 4h agree by chance.
+    ("loose", 492),
     ("loose", 502),
-    ("native", 101540),  # here the reference was wrong: two solutions left out the same opening
+    # The reference was wrong: both of its solutions missed the same opening.
+    ("native", 101540),
 ]
 
 
@@ -205,11 +177,11 @@ FOUND = [
     ("family", "seed"),
     [
         *(pytest.param(*each, marks=slow) for each in FOUND),
-        # twenty million steps of verlet round to one side, which makes 1e-6
+        # Twenty million steps of verlet have a rounding bias, which adds up to 1e-6.
         pytest.param("native", 3000080, marks=pytest.mark.soak),
     ],
 )
-def test_what_was_once_underestimated(family, seed):
+def test_errors_once_underestimated_are_estimated(family, seed):
     row = trial(family, seed)
     assert row["ending"] in ("right", "missed"), table([row])
     assert not row.get("low"), table([row])
@@ -218,7 +190,7 @@ def test_what_was_once_underestimated(family, seed):
 @pytest.mark.soak
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("family", FAMILIES)
-def test_no_answer_is_above_its_tolerance_unsaid(family):
+def test_no_error_exceeds_its_tolerance_without_a_warning(family):
     rows = [trial(family, seed, LONGEST) for seed in range(TRIALS[family])]
     print(told := table(rows))
     assert not [row for row in rows if row["ending"] in ("above", "failed", "slow")], told

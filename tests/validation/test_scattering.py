@@ -186,7 +186,7 @@ def test_packets(
     tolerance: float,
     off: float,
 ) -> None:
-    """Energy that passes is the mean of T over the spectrum, what returns that of R."""
+    """Transmitted and reflected energy are the means of T and R over the spectrum."""
     passed, back, transmitted, reflected = _shares(engine, alpha, grains, k, strain, tolerance)
     assert passed == pytest.approx(transmitted, rel=0, abs=off)
     assert back == pytest.approx(reflected, rel=0, abs=off)

@@ -345,7 +345,6 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
         rel=1e-12,
     )
     typical = engine.typical_round_off(scene, 10_000, 1e-3)
-    # as it says
     assert typical == pytest.approx(0.16 * 100 * digit * scene.highest_frequency / 1e-3, rel=0.02)
     gauge = Lammps("verlet", diameter="gauge").typical_round_off(scene, 10_000, 1e-3)
     assert gauge < typical / 10

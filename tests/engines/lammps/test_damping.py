@@ -1,4 +1,4 @@
-"""Chains that lose energy, in LAMMPS: its force is that of Kuwabara and Kono, its order is 2."""
+"""Damped chains in LAMMPS: the force of Kuwabara and Kono, and the order 2."""
 
 import numpy as np
 import pytest
@@ -104,11 +104,12 @@ def test_a_deck_runs_by_itself(name, tmp_path):
     lmp(tmp_path, "-log", "none", "-screen", "none")
     u, v = read_dump(tmp_path / "column.lammpstrj")
     answer = simulate(scene, engine=Lammps("verlet", step=step, diameter="physical"))
-    # to the last digit of a height
+    # The difference is one rounding error of a height.
     assert abs(u - answer.displacement).max() < 1e-15
     assert abs(v - answer.velocity).max() < 1e-15 * scene.highest_frequency
 
 
+@pytest.mark.slow
 def test_ranks_give_the_bytes_of_one():
     scene = scene_of(CHAINS["held"])
     options = {"step": 3e-8, "diameter": "physical"}

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.standalone_lammps import read_dump, small
+from helpers.thinned import thinned
 
 from lmpchain import Drive, InputError, Scene, simulate
 from lmpchain.engines import Native
@@ -68,7 +69,7 @@ EDITS: list[tuple[str, str, str, bool]] = [
     ("driven", r"\nvariable +amplitude .*", "\nvariable amplitude index 2e-8", True),
     ("driven", r"\nvariable +dt .*", "\nvariable dt index 5e-8", True),
     ("driven", TIMESTEP, r"\g<0>\ntimestep 5e-8", False),
-    # of the data file
+    # Edits of the data file.
     ("struck", r"\n3 0 0 -0.0 ", "\n3 0 0 1e-4 ", False),
     ("struck", r"\n3 0 0 -0.0 ", "\n3 1e-4 0 0 ", False),
     ("struck", r"\n3 0 0 -0.0 0 0 0", "\n3 0 0 0 0 9 0", False),
@@ -123,7 +124,7 @@ def agree(folder: Path) -> None:
         assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
 
 
-@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), EDITS)
+@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 2))
 def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
     name: str, pattern: str, text: str, is_read: bool, tmp_path: Path
 ):
@@ -141,7 +142,7 @@ def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
 
 @pytest.mark.parametrize(
     ("count", "is_run"),
-    [(60, False), *(pytest.param(2000, run, marks=pytest.mark.soak) for run in (False, True))],
+    [(20, False), *(pytest.param(2000, run, marks=pytest.mark.soak) for run in (False, True))],
 )
 def test_decks_spoilt_at_random_are_read_right_or_refused(count: int, is_run: bool, tmp_path: Path):
     """In a soak of its own, `lmp` runs every deck that is read."""

@@ -373,6 +373,7 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
     assert "error: rank 1: the third digit of pi" in said
 
 
+@pytest.mark.slow
 def test_lammps_errors_are_those_of_one_rank():
     ranks = SubprocessRanks(2, "none")
     try:
@@ -383,6 +384,7 @@ def test_lammps_errors_are_those_of_one_rank():
         ranks.close()
 
 
+@pytest.mark.slow
 def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
     MIDDLE.to_toml(tmp_path / "scene.toml")
     words = ["run", str(tmp_path / "scene.toml"), "--engine", "lammps"]

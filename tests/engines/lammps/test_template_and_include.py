@@ -13,6 +13,7 @@ import pytest
 from helpers.command_output import SCENE, keys, names
 from helpers.independent_integrators import relative_error
 from helpers.standalone_lammps import lmp, small
+from helpers.thinned import thinned
 
 from lmpchain import (
     Chain,
@@ -64,7 +65,7 @@ def test_an_include_works_in_the_library(ranks: int):
     t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
     assert np.array_equal(t.displacement, plain.displacement)
     assert t.provenance["include"] == INCLUDE
-    # of every 10th step, so of every sample
+    # The file has every 10th step, so it has every sample.
     energy = np.loadtxt("energy.txt")[:: t.cost.steps // 50, 1]
     assert energy == pytest.approx(0.5 * (t.velocity**2) @ t.scene.chain.masses, rel=1e-5)
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
@@ -109,6 +110,7 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
         stepper.fill(u, v, 0, small().samples - 1, 7)
         state = stepper.state()
         stepper.close()
+    # The clock starts at exactly 0.
     assert np.loadtxt("clock.txt") == pytest.approx([0.0, 7 * candidate.step], rel=1e-12)
 
 
@@ -338,7 +340,7 @@ def scenes(text: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("text", HOSTILE)
+@pytest.mark.parametrize("text", thinned(HOSTILE, 3))
 def test_text_in_a_scene_stays_out_of_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -367,7 +369,7 @@ def test_text_in_a_scene_stays_out_of_decks(
         assert names(here) == before
 
 
-@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.parametrize("name", thinned(HOSTILE, 3))
 def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.CaptureFixture[str]):
     """What is written to a shell is quoted, and what LAMMPS could take for a command is refused."""
     name = name.replace("/", "_")

@@ -1,20 +1,17 @@
-"""Scenes of which an 80-bit reference is stored, as it takes long to make, and that reference."""
+"""Scenes of every kind with their motion in extended precision."""
 
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Scene
 
 from .example_scenes import PAPER, paper, random_scene
-from .independent_integrators import Reference
-
-FILE = Path(__file__).parents[1] / "data" / "references.npz"
+from .independent_integrators import Reference, extended_reference
 
 
 def between(excitation, **keys) -> Scene:
-    """Return a scene of twelve glass beads between two walls, unless they are told otherwise."""
+    """Return a scene of twelve glass beads between two walls, unless keywords change the chain."""
     chain = Chain(**{"grains": 12, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
     duration = min(30 * chain.time_scale, 1e-4)
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=6)
@@ -48,7 +45,7 @@ CLOSED = {
         path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"
     ),
 }
-OPENING = {  # to touch without pressing is to open
+OPENING = {  # a contact without overlap counts as open
     "paper": paper("fig1", samples=6),
     "just touched by the wall": between(Impulse(velocity=-1e-4)),
     "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),
@@ -80,15 +77,6 @@ SCENES = (
 
 
 @cache
-def _stored() -> dict[str, np.ndarray]:
-    with np.load(FILE) as file:
-        return dict(file)
-
-
-def stored_reference(name: str) -> Reference:
-    """Return what `extended_reference` gave for one of `SCENES`;
-    `tests/data/make_references.py` makes it.
-    """
-    motion = _stored()[name]
-    error = _stored()[f"{name}: error"]
-    return motion[0], motion[1], float(error)
+def reference_motion(name: str) -> Reference:
+    """Return displacement, velocity and their error for one of `SCENES`, computed once."""
+    return extended_reference(SCENES[name])

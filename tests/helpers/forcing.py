@@ -1,0 +1,119 @@
+"""Forcing of a scene and its load, evaluated independently of the package."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline, PchipInterpolator
+
+Array = NDArray[np.floating[Any]]
+
+
+def below_load(chain: Any) -> NDArray[np.bool_]:
+    """Return which contacts (N+1,) the load presses: with load on grain 1, that
+    with a wall above it, too.
+    """
+    return np.arange(chain.grains + 1) >= (chain.load_grain if chain.load_grain > 1 else 0)
+
+
+class Sine:
+    """A sin(2 pi f t), for as many cycles under a Hann window, or for its first half period."""
+
+    def __init__(
+        self,
+        amplitude: float,
+        frequency: float,
+        kind: type[np.floating[Any]],
+        cycles: float | None,
+        half: bool,
+    ):
+        self.amplitude = kind(amplitude)
+        self.omega = 8 * np.arctan(kind(1)) * kind(frequency)
+        self.unit = 1 / self.omega
+        self.cycles = cycles
+        self.half = half
+        ends = (
+            [kind(cycles) / kind(frequency)]
+            if cycles
+            else [1 / kind(2 * frequency)]
+            if half
+            else []
+        )
+        self.knots = np.array(ends, dtype=kind)
+
+    def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
+        """Return displacement, m, and velocity, m/s; or a force, N, and its rate."""
+        if self.knots.size and t >= self.knots[0]:
+            return 0 * self.omega, 0 * self.omega
+        a = self.amplitude
+        w = self.omega
+        value = a * np.sin(w * t)
+        rate = a * w * np.cos(w * t)
+        if not self.cycles:
+            return value, rate
+        # the square of its sine keeps the digits that 1 - cos loses at first
+        half = w * t / (2 * self.cycles)
+        hann = np.sin(half) ** 2
+        slope = np.sin(half) * np.cos(half) * w / self.cycles
+        return value * hann, rate * hann + value * slope
+
+    def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
+        """Return the largest value and rate, about."""
+        return abs(self.amplitude), abs(self.amplitude) * self.omega
+
+
+class Curve:
+    """The curve through points, what comes before and after them, in the precision `kind`.
+
+    The slopes at the points are SciPy's; from point to point there is the cubic with these slopes,
+    or a straight line.
+    """
+
+    def __init__(self, given: Any, values: Array, kind: type[np.floating[Any]]):
+        times = given.times
+        straight = given.interpolation == "linear"
+        slopes = 0 * np.asarray(values, dtype=kind)
+        if given.interpolation == "pchip":
+            slopes = PchipInterpolator(times, np.asarray(values, dtype=float))(times, 1)
+        elif given.interpolation == "spline":
+            # linear in the values, which may have more digits than a double
+            slopes = CubicSpline(times, np.eye(len(times)))(times, 1) @ np.asarray(values, kind)
+        knots, y, slope = (np.asarray(a, dtype=kind) for a in (times, values, slopes))
+        length = np.diff(knots)
+        mean = np.diff(y) / length
+        bend = (3 * mean - 2 * slope[:-1] - slope[1:]) / length
+        twist = (slope[:-1] + slope[1:] - 2 * mean) / length**2
+        rates = (mean, 0 * mean, 0 * mean) if straight else (slope[:-1], bend, twist)
+        pieces = (y[:-1], *rates)
+        # a force falls to 0 in the time between the last two points, a drive holds still
+        fall = -y[-1] / length[-1] if given.kind == "force" else kind(0)
+        rest = y[-1] if given.kind == "drive" else kind(0)
+        behind = np.array([[y[-1], fall, 0, 0], [rest, 0, 0, 0]], dtype=kind).T
+        self.pieces = np.append(np.array(pieces), behind, axis=1)
+        # the last point is one of the curve, also where its time is rounded up
+        begins = np.append(knots[:-1], knots[-1] * (1 + kind(4 * 2.0**-52)))
+        self.knots = np.append(begins, begins[-1] + length[-1] * np.arange(1, 3))
+        if knots[0] > 0:
+            begin = max(knots[0] - length[0], kind(0))
+            rise = [[0, y[0] / (knots[0] - begin), 0, 0]]
+            before = [*([[0, 0, 0, 0]] if begin > 0 else []), *rise]
+            self.pieces = np.append(np.array(before, dtype=kind).T, self.pieces, axis=1)
+            self.knots = np.append(([kind(0)] if begin > 0 else []) + [begin], self.knots)
+        self.unit = np.diff(self.knots).min()
+
+    def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
+        """Return displacement, m, and velocity, m/s."""
+        piece = min(
+            max(int(np.searchsorted(self.knots, t, side="right")) - 1, 0), self.knots.size - 2
+        )
+        s = t - self.knots[piece]
+        y, slope, bend, twist = self.pieces[:, piece]
+        return y + s * (slope + s * (bend + s * twist)), slope + s * (2 * bend + 3 * s * twist)
+
+    def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
+        """Return about the largest displacement and speed."""
+        dense = (self.knots[:-1, None] + np.diff(self.knots)[:, None] * np.arange(8) / 8).ravel()
+        u, v = np.abs([self(t) for t in [*dense, self.knots[-1]]]).max(axis=0)
+        return u, v

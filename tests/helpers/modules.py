@@ -1,0 +1,33 @@
+"""The modules of the package and their syntax trees, each of which is parsed once."""
+
+import ast
+from functools import cache
+from pathlib import Path
+
+PACKAGE = Path(__file__).parents[2] / "lmpchain"
+
+
+def name_of(path: Path) -> str:
+    """Return the dotted name of a module."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+@cache
+def text_of(module: str) -> str:
+    """Return the source text of a module."""
+    return MODULES[module].read_text(encoding="utf-8")
+
+
+@cache
+def nodes_of(module: str) -> list[ast.AST]:
+    """Return all nodes of the syntax tree of a module; the first node is the module itself."""
+    return list(ast.walk(ast.parse(text_of(module))))
+
+
+def room_of(module: str) -> str:
+    """Return the part of the package that a module belongs to."""
+    return module.split(".")[1]
