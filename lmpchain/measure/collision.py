@@ -227,7 +227,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
 def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingWave]:
     """Return the two highest waves of a snapshot, from the top."""
     size = np.abs(velocity)
-    tops = 1 + np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]))
+    tops = crests.local_maxima(size)
     tops = np.sort(tops[np.argsort(size[tops])[-2:]])
     if tops.size < 2 or size[tops].min() < 1e-3 * size.max():
         raise InputError.at("excitation", "must be two solitary waves")

@@ -33,7 +33,7 @@ from ..util.plotting import (
 )
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
-from .flight import summit
+from .crests import local_maxima, summit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -510,11 +510,9 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     crests = []
     for n in contacts:
         signal = signals[:, n]
-        inner = signal[1:-1]
-        tops = (inner >= signal[:-2]) & (inner > signal[2:]) & (inner > signal.max() / 2)
-        crests.append(
-            summit(time, signal, 1 + int(tops.argmax()), 1) if tops.any() else (np.nan,) * 2
-        )
+        tops = local_maxima(signal)
+        high = tops[signal[tops] > signal.max() / 2]
+        crests.append(summit(time, signal, int(high[0]), 1) if high.size else (np.nan,) * 2)
     return np.array(crests)
 
 

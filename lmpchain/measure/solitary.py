@@ -250,7 +250,7 @@ def _useful(velocity: Array, direction: str) -> int:
 def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_FollowedWave]:
     """Return the solitary waves, the first of them first."""
     final = velocity[-1]
-    tops = 1 + np.flatnonzero((final[1:-1] >= final[:-2]) & (final[1:-1] > final[2:]))
+    tops = crests.local_maxima(final)
     # the weakest that may be told from rounding and from the error of the run
     tops = tops[final[tops] > 1e-6 * final.max(initial=0.0)]
     if not tops.size:
