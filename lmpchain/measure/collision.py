@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, finish
 from ..util.tabular import Tabular
 from . import crests
 from .fit.column_front import is_uniform
@@ -104,10 +104,8 @@ class Collision(Shown, Tabular):
                 law = f"wave {k + 1} in Toda's chain: {self.toda[k]:.5g}"
                 ax.axhline(self.toda[k], color=colour, lw=1, ls="--", label=law)
         ax.axvline(self.time, color="0.6", lw=1)
-        ax.set(xlabel="time", ylabel="grains ahead of where it would be")
-        set_title(ax, "head-on" if self.head_on else "overtaking")
-        legend(ax)
-        return ax
+        title = "head-on" if self.head_on else "overtaking"
+        return finish(ax, "time", "grains ahead of where it would be", title)
 
 
 class _CrestLine(NamedTuple):
@@ -229,7 +227,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
 def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingWave]:
     """Return the two highest waves of a snapshot, from the top."""
     size = np.abs(velocity)
-    tops = 1 + np.flatnonzero((size[1:-1] >= size[:-2]) & (size[1:-1] > size[2:]))
+    tops = crests.local_maxima(size)
     tops = np.sort(tops[np.argsort(size[tops])[-2:]])
     if tops.size < 2 or size[tops].min() < 1e-3 * size.max():
         raise InputError.at("excitation", "must be two solitary waves")

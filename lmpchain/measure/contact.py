@@ -16,7 +16,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, colour_bar, edges, legend, thin_rows
+from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 
@@ -168,9 +168,7 @@ class Signal(Shown, Tabular):
         """Draw the force over time; returns the axes."""
         ax = axes_in_units(ax, "s", "N")
         ax.plot(self.time, self.force, label=f"grain {self.grain}")
-        ax.set(xlabel="time", ylabel="force on the sensor")
-        legend(ax)
-        return ax
+        return finish(ax, "time", "force on the sensor")
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import PPoly, make_interp_spline
 
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -13,6 +14,7 @@ from ..util.lazy import listed
 __dir__ = listed(__name__)
 
 HALF = 4  # samples on either side of a crest through which a polynomial runs
+REACH = 6  # samples on either side of a maximum through which a spline runs
 NEAR = 0.25  # of the time from grain to grain, and of the height: by how much the next may be off
 
 
@@ -123,3 +125,41 @@ def _summits(
         # within the sample next to it; a curve that does not bend down has no maximum
         x = np.clip(x - np.divide(slope, curve, out=np.zeros_like(x), where=curve < 0), -1, 1)
     return stride * x, (terms * x[:, None] ** powers).sum(1)
+
+
+def local_maxima(values: Array) -> NDArray[np.intp]:
+    """Return the numbers of values (T,) above the next one and not below the one before."""
+    inner = values[1:-1]
+    return 1 + np.flatnonzero((inner >= values[:-2]) & (inner > values[2:]))
+
+
+def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
+    """Return time and height of the maximum near a sample, by a quintic spline.
+
+    The spline runs through every `stride`-th sample around it.
+
+    Parameters
+    ----------
+    time, values : (T,) arrays
+        s; in any unit.
+    top : int
+        Number of the sample.
+    stride : int
+
+    Returns
+    -------
+    (float, float)
+        Time, s, and height.
+    """
+    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
+    near = near[(near >= 0) & (near < len(values))]
+    # in steps from the sample, so that the spline is well conditioned
+    unit = time[top + 1] - time[top]
+    spline = make_interp_spline(
+        (time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1)
+    )
+    roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
+    # the sample itself stands in where rounding leaves no root of the slope
+    inside = np.append(roots[np.abs(roots) <= stride], 0.0)
+    best = inside[np.argmax(spline(inside))]
+    return float(time[top] + best * unit), float(spline(best))

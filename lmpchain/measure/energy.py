@@ -19,7 +19,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, finish
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
@@ -151,13 +151,10 @@ class EnergyLedger(Shown, Tabular):
         if self.drive.any():
             work = self.total[0] + self.drive
             ax.plot(self.time, work, "k--", lw=1, label="given by strike and driver")
-        ax.set(xlabel="time", ylabel="energy above rest")
         largest = np.abs(self.total).max() or 1.0
-        set_title(
-            ax, f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total"
-        )
-        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2)
-        return ax
+        title = f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total"
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
+        return finish(ax, "time", "energy above rest", title, **below)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.interpolate import PPoly, make_interp_spline
 
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from .contact import Signal, sensor
+from .crests import summit
 
 __dir__ = listed(__name__)
 
-REACH = 6  # samples on either side of a peak used to interpolate it
 # error of a height over its change with every second sample: in random signals of 3 samples a wave
 # or more, 0.06 leaves no maximum out that is the largest; of 2.6 samples, 0.25 leaves one in 40
 UNRESOLVED = 0.25
@@ -206,35 +205,3 @@ def _check_passed(signal: Signal) -> None:
         raise InputError.at(
             "duration", f"the wave has not passed grain {signal.grain} at the end: {cure}"
         )
-
-
-def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
-    """Return time and height of the maximum near a sample, by a quintic spline.
-
-    The spline runs through every `stride`-th sample around it.
-
-    Parameters
-    ----------
-    time, values : (T,) arrays
-        s; in any unit.
-    top : int
-        Number of the sample.
-    stride : int
-
-    Returns
-    -------
-    (float, float)
-        Time, s, and height.
-    """
-    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
-    near = near[(near >= 0) & (near < len(values))]
-    # in steps from the sample, so that the spline is well conditioned
-    unit = time[top + 1] - time[top]
-    spline = make_interp_spline(
-        (time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1)
-    )
-    roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
-    # the sample itself stands in where rounding leaves no root of the slope
-    inside = np.append(roots[np.abs(roots) <= stride], 0.0)
-    best = inside[np.argmax(spline(inside))]
-    return float(time[top] + best * unit), float(spline(best))

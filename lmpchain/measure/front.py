@@ -14,7 +14,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import axes_in_units, legend, mark_decades
 from ..util.tabular import Tabular
 from .motion import motion_of
 from .recorded import Field, check
@@ -457,9 +457,7 @@ def _draw(
     ax = axes_in_units(ax, "", unit, "xy" if error is None else "x")
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
     ax.set(xlabel="depth h = n − 1/2 (grains)", ylabel=label)
-    ax.xaxis.set(
-        major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
-    )
+    mark_decades(ax)
     if error is None:
         decades = y.size > 0 and y.max() > DECADE * y.min()
         ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)) if decades else MaxNLocator(6))

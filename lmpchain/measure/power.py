@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, prefixed, set_title
+from ..util.plotting import axes_in_units, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts
@@ -92,13 +92,11 @@ class Power(Shown, Tabular):
             ax.axhline(
                 self.linear, color="k", ls="--", lw=1, label=f"linear, {prefixed(self.linear, 'W')}"
             )
-        ax.set(xlabel="time", ylabel="power")
         share = (
             f", {100 * self.share:.5g} % of that of the drive" if np.isfinite(self.input) else ""
         )
-        set_title(ax, f"Contact {self.contact}: ± {prefixed(self.error, 'W', 1)}{share}")
-        legend(ax)
-        return ax
+        title = f"Contact {self.contact}: ± {prefixed(self.error, 'W', 1)}{share}"
+        return finish(ax, "time", "power", title)
 
 
 def through(trajectory: Trajectory, contact: int, periods: int | None = None) -> Power:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -22,10 +22,18 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, prefixed, set_title, si
+from ..util.plotting import (
+    axes_in_units,
+    choose_few,
+    colour_bar,
+    finish,
+    prefixed,
+    set_title,
+    si,
+)
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
-from .flight import summit
+from .crests import local_maxima, summit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,11 +168,10 @@ class Shock(Shown, Tabular):
             for theory, speed in self._predicted(name):
                 label = f"{name} edge, {theory}: {speed:.5g} grains/s"
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
-        ax.set(xlabel="contact, from the top", ylabel="overlap")
-        set_title(ax, f"{self.kind} after {prefixed(self.time, 's', 3)}")
-        # within the axes it would lie on the lines of the edges
-        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.18))
-        return ax
+        title = f"{self.kind} after {prefixed(self.time, 's', 3)}"
+        # A legend within the axes would lie on the lines of the edges.
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18)}
+        return finish(ax, "contact, from the top", "overlap", title, **below)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw overlaps over place and time with edges, predicted ones dashed, and plateaus."""
@@ -503,11 +510,9 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     crests = []
     for n in contacts:
         signal = signals[:, n]
-        inner = signal[1:-1]
-        tops = (inner >= signal[:-2]) & (inner > signal[2:]) & (inner > signal.max() / 2)
-        crests.append(
-            summit(time, signal, 1 + int(tops.argmax()), 1) if tops.any() else (np.nan,) * 2
-        )
+        tops = local_maxima(signal)
+        high = tops[signal[tops] > signal.max() / 2]
+        crests.append(summit(time, signal, int(high[0]), 1) if high.size else (np.nan,) * 2)
     return np.array(crests)
 
 

@@ -16,7 +16,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import axes_in_units, finish
 from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
@@ -114,13 +114,11 @@ class Train(Shown, Tabular):
                 )
         # room for these words
         ax.set_ylim(top=1e4 * self.density.max())
-        ax.set(xlabel="grain, from the top", ylabel="energy of a grain (J)")
         whole, error = self.all_share
         count = self.grain.size
         waves = "1 solitary wave has" if count == 1 else f"{count} solitary waves have"
-        set_title(ax, f"{waves} {100 * whole:.6g} ± {100 * error:.1g} % of the energy")
-        legend(ax, loc="upper left")
-        return ax
+        title = f"{waves} {100 * whole:.6g} ± {100 * error:.1g} % of the energy"
+        return finish(ax, "grain, from the top", "energy of a grain (J)", title, loc="upper left")
 
 
 class _FollowedWave(NamedTuple):
@@ -252,7 +250,7 @@ def _useful(velocity: Array, direction: str) -> int:
 def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_FollowedWave]:
     """Return the solitary waves, the first of them first."""
     final = velocity[-1]
-    tops = 1 + np.flatnonzero((final[1:-1] >= final[:-2]) & (final[1:-1] > final[2:]))
+    tops = crests.local_maxima(final)
     # the weakest that may be told from rounding and from the error of the run
     tops = tops[final[tops] > 1e-6 * final.max(initial=0.0)]
     if not tops.size:

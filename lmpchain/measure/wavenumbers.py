@@ -23,7 +23,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, prefixed, set_title
+from ..util.plotting import axes_in_units, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular
 from .bodies import motion
 from .energy import shares
@@ -92,12 +92,9 @@ class EnergyBands(Shown, Tabular):
         labels = [f"{low:.2g} to {high:.2g}" for low, high in itertools.pairwise(self.edges)]
         values = self.energy[sample].T / spacing
         ax.stackplot(self.place, values, labels=labels, lw=0)
-        ax.set(xlabel="grain, from the top", ylabel="energy per grain")
-        set_title(
-            ax, f"after {prefixed(self.time[sample], 's', 3)}, by wavenumber (radians per grain)"
-        )
-        legend(ax)
-        return ax
+        after = prefixed(self.time[sample], "s", 3)
+        title = f"after {after}, by wavenumber (radians per grain)"
+        return finish(ax, "grain, from the top", "energy per grain", title)
 
 
 def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 48) -> EnergyBands:

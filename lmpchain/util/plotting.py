@@ -274,6 +274,40 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
         )
 
 
+def finish(ax: Axes, x: str, y: str, title: str = "", **keys: Any) -> Axes:
+    """Label axes that are drawn, give them a title and a legend, and return them.
+
+    Parameters
+    ----------
+    ax : Axes
+        Axes with their units, see `axes_in_units`.
+    x, y : str
+        Labels.
+    title : str
+        Text above the axes, none by default.
+    **keys
+        Options of the legend, which appears if any line or marker has a label.
+
+    Returns
+    -------
+    Axes
+    """
+    ax.set(xlabel=x, ylabel=y)
+    if title:
+        set_title(ax, title)
+    legend(ax, **keys)
+    return ax
+
+
+def mark_decades(ax: Axes) -> None:
+    """Write plain numbers at 1, 2 and 5 of each decade of a logarithmic horizontal axis."""
+    from matplotlib.ticker import LogLocator
+
+    ax.xaxis.set(
+        major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
+    )
+
+
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
     """Explain the colours of axes beside them, in letters of the same size."""
     # before the bar takes its share of the width

@@ -14,7 +14,8 @@ from scipy.signal import get_window
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
 from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
-from lmpchain.measure.flight import Flight, arrival, summit, time_of_flight
+from lmpchain.measure.crests import summit
+from lmpchain.measure.flight import Flight, arrival, time_of_flight
 from lmpchain.measure.motion import peaks
 from lmpchain.measure.recorded import check, check_field, columns, leaves_rest
 from lmpchain.measure.spectrum import cut_off, dispersion, spectrum, travel_time

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -16,7 +16,7 @@ from ...theory.continuum import chi, impulse_amplitude, peaked
 from ...theory.domain import exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import SHADES, axes_in_units, legend
+from ...util.plotting import SHADES, axes_in_units, finish, mark_decades
 from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, PowerLaw, asymptotic, exponent, fit_power
 from .column_front import bottom, front_before_echo, strike_at_top
@@ -108,14 +108,8 @@ class FrontLaw(Fitted, Tabular):
         expected = f"expected {factor:.4f} $h^{{{exponent:.4f}}}$"
         law = f"{self.factor:.4f} $h^{{{self.exponent:.4f}}}$, {expected}"
         ax.plot(self.depth, self.law, lw=1, label=law)
-        ax.set(
-            xscale="log",
-            yscale="log",
-            xlabel="depth h = n − 1/2 (grains)",
-            ylabel="arrival (units of tau)",
-        )
-        legend(ax)
-        return ax
+        ax.loglog()
+        return finish(ax, "depth h = n − 1/2 (grains)", "arrival (units of tau)")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -180,14 +174,10 @@ class ContinuumFit(Fitted, Tabular):
         ax.axhline(self.amplitude / self.expected - 1, color="k", lw=1, label=label)
         label = f"Eq. (35): {self.expected:.8g}"
         ax.axhline(0.0, color="0.5", lw=1, ls="--", label=label)
-        ax.set(
-            xscale="log",
-            xlabel=r"$\tau^2 - \chi^2$ (time in units of $\sqrt{m_1/k_1}$)",
-            ylabel="C over that of Eq. (35), less 1",
-        )
+        ax.set_xscale("log")
         ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), minor_formatter="")
-        legend(ax)
-        return ax
+        cone = r"$\tau^2 - \chi^2$ (time in units of $\sqrt{m_1/k_1}$)"
+        return finish(ax, cone, "C over that of Eq. (35), less 1")
 
 
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) -> ContinuumFit:
@@ -418,8 +408,6 @@ class ExponentFit(Fitted):
 
         Points at the right are the exponents of great depth.
         """
-        from matplotlib.ticker import LogLocator
-
         ax = axes_in_units(ax, "", "")
         ax.set_xscale("log")
         ax.axhline(0, color="k", lw=1, ls="--", label="law of weak waves")
@@ -438,17 +426,13 @@ class ExponentFit(Fitted):
                 height = shown[name].exponent - power
                 error = shown[name].error[0]
                 ax.errorbar(beyond, height, error, fmt="o", ms=4, capsize=3, color=colour)
-        ax.xaxis.set(
-            major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=""
-        )
+        mark_decades(ax)
         points = "; points: at great depth" if shown else ""
-        ax.set(
-            xlabel=f"depth h = n − 1/2 (grains){points}",
-            ylabel="local exponent d log / d log h\nless that of a weak wave",
-        )
-        # curves may be anywhere within
-        legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.3), ncols=3, columnspacing=1.0)
-        return ax
+        depth = f"depth h = n − 1/2 (grains){points}"
+        exponent = "local exponent d log / d log h\nless that of a weak wave"
+        # The legend is below the axes, since curves may lie anywhere within.
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.3), "ncols": 3}
+        return finish(ax, depth, exponent, columnspacing=1.0, **below)
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:

@@ -17,7 +17,7 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, choose_few, legend, set_title, with_error
+from ...util.plotting import axes_in_units, choose_few, finish, with_error
 from ...util.tables import counted
 from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
@@ -161,12 +161,10 @@ class ParameterFit(Fitted, Tabular):
             (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=label)
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
         field = "force above rest" if trace.field == "force" else f"{trace.field}, downward"
-        ax.set(xlabel="time", ylabel=field)
         unit = UNITS_OF_TRACES[self.parameter]
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
-        set_title(ax, f"{name} {with_error(self.value, self.error, unit)} (lines)")
-        legend(ax)
-        return ax
+        title = f"{name} {with_error(self.value, self.error, unit)} (lines)"
+        return finish(ax, "time", field, title)
 
     def _columns(self) -> Iterator[NamedColumn]:
         trace = self.trace

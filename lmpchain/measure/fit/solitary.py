@@ -14,7 +14,7 @@ from ...errors import InputError
 from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, struck
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units, legend
+from ...util.plotting import axes_in_units, finish
 from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column_front import is_uniform
@@ -94,9 +94,8 @@ class SolitonFit(Fitted, Tabular):
         ax.plot(self.grain, height, ".", label="largest velocity, over its mean")
         ax.plot(self.grain, speed, ".", label="local speed, over that of the solitary wave")
         ax.axhline(formula, color="0.4", lw=1, ls="--", label=f"speed by {author}'s formula")
-        ax.set(yscale="log", xlabel="grain, from the top", ylabel="|relative difference|")
-        legend(ax)
-        return ax
+        ax.set_yscale("log")
+        return finish(ax, "grain, from the top", "|relative difference|")
 
 
 def fit_soliton(

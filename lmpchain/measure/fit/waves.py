@@ -18,7 +18,7 @@ from ...theory.modes import eigenmodes
 from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units, choose_few, legend, set_title
+from ...util.plotting import axes_in_units, choose_few, finish
 from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
@@ -126,9 +126,8 @@ class ModeFit(Fitted, Tabular):
         percent = 100 * self.share
         error = 100 * self.share_error
         ax.errorbar(hertz, percent, yerr=error, fmt=".", markersize=4, elinewidth=1)
-        ax.set(xlabel="frequency of the mode", ylabel="share of the energy at t = 0 (%)")
-        set_title(ax, f"Linear motion from t = 0: off by at most {self.residual.max():.1e}")
-        return ax
+        title = f"Linear motion from t = 0: off by at most {self.residual.max():.1e}"
+        return finish(ax, "frequency of the mode", "share of the energy at t = 0 (%)", title)
 
 
 def fit_modes(trajectory: Trajectory) -> ModeFit:
@@ -283,11 +282,9 @@ class BesselFit(Fitted, Tabular):
             label = f"grain {grain}"
             (points,) = ax.plot(time, self.values[rows], ".", markersize=4, label=label)
             ax.plot(time, self.model[rows], color=points.get_color(), lw=1)
-        ax.set(xlabel="time", ylabel=f"{self.field}, downward")
         kappa = f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}"
-        set_title(ax, f"{kappa}, residual {self.residual:.1e} (lines)")
-        legend(ax)
-        return ax
+        title = f"{kappa}, residual {self.residual:.1e} (lines)"
+        return finish(ax, "time", f"{self.field}, downward", title)
 
 
 def fit_bessel(
