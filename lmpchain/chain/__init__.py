@@ -2,16 +2,15 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Chain", "Contacts", "Damping", "Impurity", "Law", "Material", "laws", "patterns"]
+__all__ = ["Chain", "Contacts", "Damping", "Impurity", "Material", "patterns"]
 __getattr__ = attributes(
     __name__,
-    ["laws", "patterns"],
+    ["patterns"],
     {
         "chain": "Chain",
         "contacts": "Contacts",
         "damping": "Damping",
         "impurities": "Impurity",
-        "law": "Law",
         "materials": "Material",
     },
 )

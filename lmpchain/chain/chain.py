@@ -7,7 +7,7 @@ from operator import index
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, InstanceOf
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
@@ -30,7 +30,6 @@ from .contacts import FEW_GRAINS, Contacts
 from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, derive_chain
 from .impurities import Impurities, Impurity, Kinds, kinds, misfits, with_impurities
-from .law import Law, OneLaw
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import ChainPicture
 from .plausible import LIMITS, least_compression, remarks, too_compressed
@@ -53,8 +52,8 @@ class Chain(ChainPicture, Checked):
         m/s2; 0 for a horizontal chain.
     exponent : float
         delta, 1 (linear springs) to 3; 1.5 is Hertz.
-    law : Law or dict, optional
-        A contact law by formula, in place of an exponent; its k is in place of contact constants.
+    law : ContactLaw, optional
+        In place of an exponent.
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     load_grain : int
@@ -105,7 +104,7 @@ class Chain(ChainPicture, Checked):
     diameter: OneOrMany
     gravity: Annotated[Real, Field(ge=0)] = 9.81
     given_exponent: Annotated[Real, Field(ge=1, le=3)] = Field(1.5, alias="exponent")
-    given_law: OneLaw = Field(NOT_GIVEN, alias="law")
+    given_law: InstanceOf[ContactLaw] = Field(NOT_GIVEN, alias="law")
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     load_grain: Annotated[Whole, Field(ge=1)] = 1
     top: Literal["free", "wall"] = "free"
@@ -130,7 +129,7 @@ class Chain(ChainPicture, Checked):
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             cure = 'use bottom = "wall", or more grains'
             yield "grains", f"a single grain that is held, or touches nothing: {cure}"
-        if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
+        if self.bottom == "free" and self.compressed:
             cure = "a free chain would fall"
             yield "bottom", f'must be "fixed" or "wall" under gravity or a top load: {cure}'
         if self.load_grain > self.movable:
@@ -195,10 +194,6 @@ class Chain(ChainPicture, Checked):
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
         if self.given_law and "given_exponent" in self.model_fields_set:
             yield "law", "takes the place of an exponent: give one of them"
-        if isinstance(self.given_law, Law):
-            yield from self.given_law.misfits(self.grains)
-            if self.law.given_constant is not None and self.given_contact_constants is not None:
-                yield "law.k", "takes the place of contact_constants: give one of them"
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
         yield from self.damping.misfits(self.grains)
         yield from self._misfits_of_walls()
@@ -340,7 +335,7 @@ class Chain(ChainPicture, Checked):
     @cached_property
     def compressed(self) -> bool:
         """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
-        return self.gravity > 0 or self.top_load > 0 or self.law.adheres
+        return self.gravity > 0 or self.top_load > 0
 
     @cached_property
     def loose_grains(self) -> int:
@@ -434,8 +429,6 @@ class Chain(ChainPicture, Checked):
         if "wall_constants" in fields:
             outer = [first == 1, last == self.grains]
             fields["wall_constants"] = read_only(self.wall_constants * outer)
-        if isinstance(self.given_law, Law):
-            fields["law"] = self.given_law.part(slice(first - 1, last - 1))
         if self.damped:
             fields["damping"] = self.damping.part(first, last)
         if first > 1:

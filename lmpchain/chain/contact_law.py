@@ -98,7 +98,7 @@ class ContactLaw:
     stiffness_formula: Formula
     curvature_formula: Formula
     onset: float
-    parameters: tuple[Any, ...] = ()
+    parameters: tuple[float, ...] = ()
     kinks: tuple[float, ...] = (0.0,)
     name: str = "a law given by formulas"
 
@@ -106,11 +106,6 @@ class ContactLaw:
     def power(self) -> float | None:
         """The exponent of a power of the overlap; None for any other law."""
         return None
-
-    @property
-    def formulas(self) -> tuple[Formula, Formula] | None:
-        """The formulas of force and stiffness that kernels compile; None for a power."""
-        return (self.force_formula, self.stiffness_formula) if self.power is None else None
 
     def power_of(self, what: str) -> float:
         """Return the exponent of a power law; raise `InputError` for others, which `what` needs."""
@@ -122,24 +117,6 @@ class ContactLaw:
     def with_parameters(self, parameters: Iterable[Any]) -> ContactLaw:
         """Return the law with other parameters, which may be of higher precision."""
         return replace(self, parameters=tuple(parameters))
-
-    @property
-    def given_constant(self) -> Any:
-        """The contact constant that the law gives; None if it follows from the grains."""
-        return None
-
-    @property
-    def adheres(self) -> bool:
-        """Whether contacts are compressed at rest without any load."""
-        return False
-
-    def spread(self, grains: int) -> ContactLaw:
-        """Return the law with its parameters for all contacts of a chain, walls included."""
-        return self
-
-    def of(self, numbers: Any) -> ContactLaw:
-        """Return the law of some of these contacts."""
-        return self
 
     def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
         """Return the constant K of contacts of spheres, Hertz's (4/3) E* sqrt(R*), N/m^1.5.
@@ -208,7 +185,7 @@ class ContactLaw:
         It is the integral of F(eps + r) - F(eps) over r, accurate in relative terms for the weakest
         waves.
         """
-        return self._energy(*np.broadcast_arrays(contacts.overlap, r, contacts.constant))
+        return self._integral(contacts.overlap, r, contacts.constant, 1)
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more contacts overlap under this additional force, m."""
@@ -230,37 +207,25 @@ class ContactLaw:
     def _approach(self, energy: Array, constant: Array, rest: Array) -> Array:
         """Return the r > 0 at which the energy above that at rest is this one, m."""
         return _solve(
-            lambda r: self._energy(rest, r, constant),
+            lambda r: self._integral(rest, r, constant, 1),
             lambda r: self._change(rest, r, constant),
             energy,
             (energy / constant) ** (1 / (self.onset + 1)),
         )
 
     def _change(self, rest: Array, r: Array, constant: Array) -> Array:
-        """Return F(rest + r) - F(rest) to all digits, N."""
+        """Return F(rest + r) - F(rest), which loses the digits of weak waves, or the integral."""
         weak = np.abs(r) < WEAK * rest
-        small = np.where(weak, r, 0)
         change = self.force(rest + r, constant) - self.force(rest, constant)
-        integral = self._integral(rest, small, lambda s: self.stiffness(rest + s, constant))
-        return np.where(weak, integral, change)
+        return np.where(weak, self._integral(rest, np.where(weak, r, 0), constant, 0), change)
 
-    def _energy(self, rest: Array, r: Array, constant: Array) -> Array:
-        """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
-        weak = np.abs(r) < WEAK * rest
-        small = np.where(weak, r, 0)
-        large = np.where(weak, 0, r)
-        at_rest = self.force(rest, constant)
-        # All terms of either integral have one sign, so that nothing cancels.
-        return self._integral(
-            rest, small, lambda s: self.stiffness(rest + s, constant) * (small - s)
-        ) + self._integral(rest, large, lambda s: self.force(rest + s, constant) - at_rest)
+    def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
+        """Return the integral of k(rest + s) (r - s)^moment over s from 0 to r.
 
-    def _integral(self, rest: Array, r: Array, integrand: Callable[[Array], Array]) -> Array:
-        """Return the integral of a function of s, (nodes, ...) arrays, from 0 to r.
-
-        Pieces end at kinks, and grow with the distance to them.
+        All of its terms have one sign, so that nothing cancels. Pieces end at kinks, and grow with
+        the distance to them.
         """
-        rest, r = np.broadcast_arrays(rest, r)
+        rest, r, constant = np.broadcast_arrays(rest, r, constant)
         ends: list[Any] = [0 * r, r]
         for kink in self.kinks:
             far = np.abs(rest - kink)
@@ -270,8 +235,10 @@ class ContactLaw:
         places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
         total = np.zeros(r.shape)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
-            s = begin + np.multiply.outer(NODES, width)
-            total = total + width * np.tensordot(WEIGHTS, integrand(s), 1)
+            for node, weight in zip(NODES, WEIGHTS, strict=True):
+                s = begin + node * width
+                k = self.stiffness(rest + s, constant)
+                total = total + weight * width * k * (r - s) ** moment
         return np.sign(r) * total
 
     def __repr__(self) -> str:

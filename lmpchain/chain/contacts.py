@@ -87,8 +87,7 @@ class Contacts:
     def at_rest(cls, constant: Array, force: Array, law: ContactLaw) -> Contacts:
         """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
         # where there is no wall, 0 / 0 would be no number
-        exists = constant > 0
-        overlap = np.where(exists, law.overlap(force, np.where(exists, constant, 1.0)), 0.0)
+        overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
         stiffness = law.stiffness(overlap, constant)
         return cls(law, *map(read_only, (constant, force, overlap, stiffness)))
 
@@ -105,8 +104,7 @@ class Contacts:
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
         """Whether the contact is compressed at rest, (..., N+1) bool."""
-        # A law that pulls holds a contact together without a load.
-        return read_only((self.force > 0) | (self.overlap > 0))
+        return read_only(self.force > 0)
 
     @cached_property
     def bend(self) -> Array:
@@ -115,15 +113,13 @@ class Contacts:
 
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
-        return Contacts(self.law.of(numbers), *(values[numbers] for values in self.arrays))
+        return Contacts(self.law, *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
         # there is no wall below the grain that is held
         arrays = (read_only(np.append(values[:grain], 0.0)) for values in self.arrays)
-        # The place of the missing wall keeps the parameters of the contact above it.
-        kept = np.minimum(np.arange(grain + 1), grain - 1)
-        return Contacts(self.law.of(kept), *arrays)
+        return Contacts(self.law, *arrays)
 
     def force_at(self, overlap: Array) -> Array:
         """Return the force of contacts with this overlap, 0 if open, (..., N+1) N."""

@@ -106,7 +106,6 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
     upper, lower = _neighbours(diameter)
     lengths = (_end(diameter, 0), (upper + lower) / 2, _end(diameter, -1))
     given = drawn.get("contact_constants", chain.given_contact_constants)
-    law = chain.law.spread(grains)
     modulus = youngs / (1 - poisson * poisson)
     constants = _contact_constants(chain, modulus, diameter, lengths, given)
     masses = _spread((*rows, grains), mass)
@@ -120,7 +119,7 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
         force[..., -1] = 0.0
     shape = (*rows, grains + 1)
     return Equilibrium(
-        Contacts.at_rest(_fill(shape, constants), force, law),
+        Contacts.at_rest(_fill(shape, constants), force, chain.law),
         read_only(_fill(shape, lengths)),
         read_only(_spread(masses.shape, diameter)),
         read_only(masses),
@@ -176,8 +175,6 @@ def _contact_constants(
             ends.append(0.0)
         elif chain.given_wall_constants is not None:
             ends.append(chain.given_wall_constants[end])
-        elif given is None and chain.law.given_constant is not None:
-            ends.append(_end(np.atleast_1d(chain.law.given_constant), end))
         else:
             of_grain = _end(modulus, end)
             plane: Any = wall.plane_strain_modulus if wall else of_grain

@@ -78,7 +78,7 @@ class ChainBatch:
         forms = [force_form(scene, force) for scene in scenes]
         self.plain = [form in PLAIN and chain.compressed for form in forms]
         self.opening_power = chain.law.onset
-        formulas = chain.law.formulas
+        formulas = chain.law if chain.law.power is None else None
         at_rest = _at_rest(self.contacts, chain.loose_grains, formulas is None)
         acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
@@ -130,14 +130,8 @@ class ChainBatch:
             (self.driven, chain.movable),
             self.opening_power,
         )
-        if formulas and chain.law.kinks:
+        if formulas:
             self._weigh_openings(at_rest[0])
-        elif formulas:
-            # Without kinks no step is shortened, and no contact opens.
-            arrays = self.arrays
-            for field in (arrays.opening_weight, arrays.opening_reach, arrays.inverse_length):
-                field[:] = 0.0
-            arrays.least_strain[:] = 0.0
 
     def _weigh_openings(self, overlap: Array) -> None:
         """Set the weights of contacts by formulas from their forces at a typical overlap."""
@@ -233,9 +227,6 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
         return overlap, force, constant, stiffness
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
-    if not powers:
-        # The kernels read this as the size of the force; a law that pulls carries none at rest.
-        force = stiffness * overlap
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
     # Read-only like the other arrays, so that the loops are compiled only once.
     return (
@@ -250,8 +241,9 @@ def parameter_rows(contacts: Contacts, overlap: Array) -> Array:
     """Return `BatchArrays.parameters` of contacts with these overlaps at rest."""
     parameters = contacts.law.parameters
     rows = np.empty((*overlap.shape, 2 + len(parameters)))
-    for n, values in enumerate((overlap, contacts.constant, *parameters)):
-        rows[..., n] = values
+    rows[..., 0] = overlap
+    rows[..., 1] = contacts.constant
+    rows[..., 2:] = parameters
     return rows
 
 

@@ -14,10 +14,8 @@ from typing import Any
 import numpy as np
 
 from ..chain.chain import Chain
-from ..chain.contact_law import ContactLaw
 from ..chain.damping import Damping
 from ..chain.impurities import Impurity
-from ..chain.law import Law
 from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
@@ -171,14 +169,9 @@ def _of_this_length(table: Any) -> Chain | None:
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
-    given = chain.given().get("law")
-    options = (
-        chain.replace(law=None, exponent=given.power_of("a scene file"))
-        if (isinstance(given, ContactLaw) and not isinstance(given, Law))
-        else chain
-    )
+    laws = {"exponent": chain.law.power_of("a scene file")} if "law" in chain.given() else {}
     return {
-        "chain": _table(options),
+        "chain": {key: value for key, value in _table(chain).items() if key != "law"} | laws,
         "excitation": {"kind": excitation.kind} | _table(excitation),
         "recording": {
             key: _toml(recording[key]) for key in Recording.arguments if key in recording
@@ -358,8 +351,6 @@ def _toml(value: Any) -> Any:
         if MATERIALS.get(value.name) == value:
             return value.name
         return {key: constant for key, constant in value.given().items() if constant != ""}
-    if isinstance(value, Law):
-        return {key: _toml(each) for key, each in value.table.items()}
     if isinstance(value, Damping | Impurity | Profile):
         return _table(value)
     if isinstance(value, np.ndarray | tuple):

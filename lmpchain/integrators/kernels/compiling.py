@@ -11,9 +11,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
-from numba.extending import intrinsic, overload
+from numba.extending import intrinsic
 
-from ...chain.formula import where
 from ...util.compilation import Ingredient, compiled_once
 
 # no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
@@ -96,15 +95,6 @@ def select(typing: Any, condition: Any, a: Any, b: Any) -> Any:
     return types.float64(
         types.boolean, types.float64, types.float64
     ), lambda _c, builder, _s, args: builder.select(*args)
-
-
-OVERLOADED: Any = {"_nrt": False, "error_model": "numpy"}
-
-
-@overload(where, jit_options=OVERLOADED)
-def _where(a, b, x, y):
-    """Compile `where` for numbers."""
-    return lambda a, b, x, y: select(a > b, x, y)
 
 
 class Bits(NamedTuple):

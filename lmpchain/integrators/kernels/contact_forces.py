@@ -246,21 +246,20 @@ LOOPS = {
 
 
 @cache
-def _loops_of(formulas: tuple[Any, Any]) -> tuple[Any, ...]:
+def _loops_of(law: Any) -> tuple[Any, ...]:
     """Make the loops of a law given by formulas, and that over samples, see `change_in_time`."""
-    force_at, stiffness_at = map(compiled_formula, formulas)
-    kind = "".join(map(content_of, formulas))
+    force_at = compiled_formula(law.force_formula)
+    stiffness_at = compiled_formula(law.stiffness_formula)
+    kind = content_of(law.force_formula) + content_of(law.stiffness_formula)
 
     @compiled
     def force(r, inverse_length, strength, precompressed, coefficients, row):
         # both by the same instructions, so that nothing is left at rest
-        change = force_at(row[0] + r, row[1], row[2:]) - force_at(row[0], row[1], row[2:])
-        # Where there is no contact, terms without the constant would still give a force.
-        return select(row[1] > 0.0, change, 0.0)
+        return force_at(row[0] + r, row[1], row[2:]) - force_at(row[0], row[1], row[2:])
 
     @compiled
     def stiffness(r, change, inverse_length, strength, precompressed, coefficients, row):
-        return select(row[1] > 0.0, stiffness_at(row[0] + r, row[1], row[2:]), 0.0)
+        return stiffness_at(row[0] + r, row[1], row[2:])
 
     @compiled_filler(kind=kind)
     def series(r, closing, row, change, rate):
@@ -272,12 +271,12 @@ def _loops_of(formulas: tuple[Any, Any]) -> tuple[Any, ...]:
 
 
 @cache
-def addresses(form: int, formulas: tuple[Any, Any] | None = None) -> tuple[int, ...]:
+def addresses(form: int, law: Any = None) -> tuple[int, ...]:
     """Return where the loops of a form lie in memory, once they are compiled.
 
-    Loops of `ContactLaw.formulas` have a loop over samples besides.
+    Those of formulas depend on the `ContactLaw`, and have a loop over samples besides.
     """
-    loops = LOOPS[form] if formulas is None else _loops_of(formulas)
+    loops = LOOPS[form] if law is None else _loops_of(law)
     signatures = FORCES, SWEEP, STIFFNESSES, SERIES
     return tuple(address_of(*pair) for pair in zip(loops, signatures, strict=False))
 

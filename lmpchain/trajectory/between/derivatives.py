@@ -156,7 +156,7 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
         return forces
     return forces._replace(
         parameters=parameter_rows(contacts, contacts.overlap),
-        formulas=addresses(Form.FORMULAS, law.formulas)[-1],
+        formulas=addresses(Form.FORMULAS, law)[-1],
     )
 
 
