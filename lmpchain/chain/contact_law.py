@@ -14,7 +14,7 @@ delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Protocol
@@ -87,7 +87,7 @@ class ContactLaw:
         overlap, and is 0 where there is none.
     onset : float
         The power of the overlap with which the force sets in as a contact closes.
-    parameters : tuple of float, optional
+    parameters : tuple of numbers, or of (..., N+1) arrays, optional
     kinks : tuple of float, optional
         Overlaps at which a formula is not smooth, m.
     name : str, optional
@@ -98,7 +98,7 @@ class ContactLaw:
     stiffness_formula: Formula
     curvature_formula: Formula
     onset: float
-    parameters: tuple[float, ...] = ()
+    parameters: tuple[Any, ...] = ()
     kinks: tuple[float, ...] = (0.0,)
     name: str = "a law given by formulas"
 
@@ -222,10 +222,19 @@ class ContactLaw:
     def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
         """Return the integral of k(rest + s) (r - s)^moment over s from 0 to r.
 
-        All of its terms have one sign, so that nothing cancels. Pieces end at kinks, and grow with
-        the distance to them.
+        All of its terms have one sign, so that nothing cancels.
         """
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
+        total = np.zeros(r.shape)
+        for s, weight in self._nodes(rest, r):
+            total = total + weight * self.stiffness(rest + s, constant) * (r - s) ** moment
+        return np.sign(r) * total
+
+    def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield places s between 0 and r, and their weights, of an integral over them.
+
+        Pieces end at kinks, and grow with the distance to them.
+        """
         ends: list[Any] = [0 * r, r]
         for kink in self.kinks:
             far = np.abs(rest - kink)
@@ -233,13 +242,9 @@ class ContactLaw:
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
             ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
         places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
-        total = np.zeros(r.shape)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
             for node, weight in zip(NODES, WEIGHTS, strict=True):
-                s = begin + node * width
-                k = self.stiffness(rest + s, constant)
-                total = total + weight * width * k * (r - s) ** moment
-        return np.sign(r) * total
+                yield begin + node * width, weight * width
 
     def __repr__(self) -> str:
         return self.name
