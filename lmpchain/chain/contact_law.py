@@ -74,11 +74,9 @@ class RestingContacts(Protocol):
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """The force of a contact as a function of its overlap, by formulas of (o, K, p).
+    """The force of a contact as a function of its overlap: `PowerForce`, or a `Law` of a user.
 
-    numba compiles the formulas of force and stiffness for single numbers, and numpy evaluates them
-    for arrays: write them with operators and functions of numpy, for every overlap from a gap
-    (o < 0) on. p are the `parameters`.
+    The formulas of (o, K, p) take arrays; p are the `parameters`.
 
     Parameters
     ----------
@@ -130,6 +128,38 @@ class ContactLaw:
         """
         return 4 / 3 * modulus * radius**0.5
 
+    @property
+    def given_constant(self) -> Array | None:
+        """The constants of contacts that the law itself gives, N/m^delta; else None."""
+        return None
+
+    def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
+        """Return what the compiled force reads besides overlap, constant and parameters."""
+        return []
+
+    @property
+    def bonds(self) -> bool:
+        """Whether contacts are stiff at rest without any load: they pull as they open."""
+        return False
+
+    def of(self, numbers: Any) -> ContactLaw:
+        """Return the law of some of the contacts that have parameters of their own."""
+        return self
+
+    def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
+        """Return whether a contact is stiff at rest, so that weak motions are linear, (..., N+1).
+
+        A contact without load only touches.
+        """
+        return contacts.force > 0
+
+    def length(self, contacts: RestingContacts) -> Array:
+        """Return the change of the overlap that is no longer weak, (..., N+1) m.
+
+        It is the overlap at rest, where a contact opens.
+        """
+        return contacts.overlap
+
     def force(self, overlap: Any, constant: Any) -> Any:
         """Return the force at an overlap, 0 if the contact is open, N."""
         return self.force_formula(overlap, constant, self.parameters)
@@ -150,7 +180,7 @@ class ContactLaw:
         """Return the overlap at which a contact has this force from 0, m."""
         force, constant = np.broadcast_arrays(force, constant)
         start = (force / constant) ** (1 / self.onset)
-        return _solve(
+        return solve_growing(
             lambda o: self.force(o, constant), lambda o: self.stiffness(o, constant), force, start
         )
 
@@ -167,10 +197,11 @@ class ContactLaw:
         return self._approach(*arrays)
 
     def bend(self, contacts: RestingContacts) -> Any:
-        """Return o k'(o) / k(o) at the overlaps at rest: delta - 1 for a power of the overlap."""
+        """Return k'(eps) l / k(eps) at rest, l of `length`: delta - 1 for a power."""
         overlap = np.where(contacts.pressed, contacts.overlap, 1.0)
+        length = np.where(contacts.pressed, self.length(contacts), 0.0)
         stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
-        return overlap * self.curvature(overlap, contacts.constant) / stiffness
+        return length * self.curvature(overlap, contacts.constant) / stiffness
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
@@ -189,7 +220,7 @@ class ContactLaw:
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more contacts overlap under this additional force, m."""
-        return _solve(
+        return solve_growing(
             lambda r: self.force_change(contacts, r),
             lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
             np.asarray(force),
@@ -206,7 +237,7 @@ class ContactLaw:
 
     def _approach(self, energy: Array, constant: Array, rest: Array) -> Array:
         """Return the r > 0 at which the energy above that at rest is this one, m."""
-        return _solve(
+        return solve_growing(
             lambda r: self._integral(rest, r, constant, 1),
             lambda r: self._change(rest, r, constant),
             energy,
@@ -250,7 +281,7 @@ class ContactLaw:
         return self.name
 
 
-def _solve(
+def solve_growing(
     function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
 ) -> Array:
     """Return the x >= 0 at which a function that grows from 0 has this value.

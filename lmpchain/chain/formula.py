@@ -63,8 +63,8 @@ class Formula:
     Attributes
     ----------
     operation : str
-        "number", "name", "negative", an operator, a function, or "select": the second part if the
-        first is 0 or more, else the third.
+        "number", "name", "negative", an operator, a function, "select": the second part if the
+        first is 0 or more, else the third, or "growth": (1 + s)^p - 1 of s and p, -1 for s < -1.
     parts : tuple of Formula
     value : float or str
         Of a number or a name.
@@ -139,6 +139,63 @@ class Formula:
         for node in self.walk():
             slopes[node] = _slope(node, [slopes[part] for part in node.parts], variable)
         return slopes[self]
+
+    def change(self, variable: str, by: str) -> Formula:
+        """Return by how much the formula grows if a variable grows by `by`.
+
+        No two values are subtracted that nearly agree, so that the relative accuracy does not
+        depend on the size of the change.
+        """
+        after = self._after(variable, by)
+        changes: dict[Formula, Formula] = {}
+        for node in self.walk():
+            if not node.parts:
+                changes[node] = name(by) if node.value == variable else ZERO
+            elif all(changes[part] is ZERO for part in node.parts):
+                changes[node] = ZERO
+            else:
+                changes[node] = _change(node, [changes[part] for part in node.parts], after)
+        return changes[self]
+
+    def _after(self, variable: str, by: str) -> dict[Formula, Formula]:
+        """Return what becomes of every part if a variable grows by `by`."""
+        after: dict[Formula, Formula] = {}
+        for node in self.walk():
+            if node.parts:
+                after[node] = build(node.operation, *(after[part] for part in node.parts))
+            else:
+                grows = node.value == variable
+                after[node] = add(node, name(by)) if grows else node
+        return after
+
+    def without(self, known: Iterable[str], stem: str) -> tuple[Formula, list[Formula]]:
+        """Return the formula with what depends on known names alone under new names, and that.
+
+        The new names are `stem` with a number from 0 on.
+        """
+        constant = set(known)
+        parts: list[Formula] = []
+        alone: dict[Formula, bool] = {}
+        for node in self.walk():
+            if node.operation == "name":
+                alone[node] = node.value in constant
+            else:
+                alone[node] = all(alone[part] for part in node.parts)
+
+        def replace(node: Formula) -> Formula | None:
+            if not node.parts:
+                return node
+            if not alone[node]:
+                return None
+            if node not in parts:
+                parts.append(node)
+            return name(f"{stem}{parts.index(node)}")
+
+        outer = self.rebuilt(replace)
+        # Parts of other known parts are needed by name only if they stand outside of them, too.
+        used = [part for n, part in enumerate(parts) if f"{stem}{n}" in outer.names]
+        names = {f"{stem}{parts.index(part)}": name(f"{stem}{n}") for n, part in enumerate(used)}
+        return outer.substitute(names), used
 
     def conditions(self, variable: str) -> list[Formula]:
         """Return what changes its sign where the formula is not smooth in a variable."""
@@ -217,8 +274,9 @@ class Formula:
         arguments : str
             Of the function, separated by commas.
         functions : mapping
-            The functions ``maximum minimum absolute sqrt exp log sin cos tanh select`` that it
-            calls, by name, and ``__name__``, the module that it belongs to.
+            The functions ``maximum minimum absolute sqrt exp log sin cos tanh select``, and
+            ``expm1 log1p growth`` of a change, that it calls, by name, and ``__name__``, the
+            module that it belongs to.
         codes : mapping, optional
             What stands in the function for names of the formula that are no arguments.
         """
@@ -289,6 +347,9 @@ CONSTANT: dict[str, Callable[..., float]] = {
     "cos": math.cos,
     "tanh": math.tanh,
     "step": lambda a: float(a >= 0),
+    "expm1": math.expm1,
+    "log1p": math.log1p,
+    "growth": lambda s, p: math.expm1(p * math.log1p(s)),
     "select": lambda c, a, b: a if c >= 0 else b,
 }
 
@@ -598,6 +659,91 @@ def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
     if slopes[1] is not ZERO:
         total = add(total, multiply(multiply(node, build("log", base)), slopes[1]))
     return total
+
+
+# Added to a sum of two roots, which may be 0: far below every other number.
+TINY = number(1e-300)
+TWO = number(2.0)
+
+
+def _change(node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]) -> Formula:
+    """Return the change of a formula whose parts change by these, see `Formula.change`."""
+    a = node.parts[0]
+    da = changes[0]
+    ends = after[node]
+    match node.operation:
+        case "+" | "-" | "negative":
+            return build(node.operation, *changes)
+        case "*":
+            return add(multiply(da, after[node.parts[1]]), multiply(a, changes[1]))
+        case "/":
+            return divide(subtract(da, multiply(node, changes[1])), after[node.parts[1]])
+        case "**":
+            return _change_of_power(node, changes, after)
+        case "sqrt":
+            return divide(da, add(add(ends, node), TINY))
+        case "exp":
+            return multiply(node, build("expm1", da))
+        case "log":
+            return build("log1p", divide(da, a))
+        case "sin" | "cos":
+            half = multiply(number(0.5), da)
+            middle = add(a, half)
+            if node.operation == "sin":
+                return multiply(multiply(TWO, build("cos", middle)), build("sin", half))
+            return multiply(multiply(number(-2.0), build("sin", middle)), build("sin", half))
+        case "tanh":
+            return multiply(build("tanh", da), subtract(ONE, multiply(ends, node)))
+        case "step":
+            return subtract(ends, node)
+    return _change_across(node, changes, after)
+
+
+def _change_of_power(
+    node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]
+) -> Formula:
+    base, exponent = node.parts
+    p = exponent.number
+    if p is not None and 0 < p <= 4 and (2 * p).is_integer():
+        # x^p is x x ... sqrt(x).
+        factors = [(base, changes[0], after[base])] * int(p)
+        if p != int(p):
+            root = build("sqrt", base)
+            ends = build("sqrt", after[base])
+            slope = divide(changes[0], add(add(ends, root), TINY))
+            factors.append((root, slope, ends))
+        value, change, product = factors[0]
+        for factor, by, end in factors[1:]:
+            change = add(multiply(change, end), multiply(value, by))
+            value = multiply(value, factor)
+            product = multiply(product, end)
+        return change
+    if changes[0] is ZERO:
+        return multiply(node, build("expm1", multiply(build("log", base), changes[1])))
+    if changes[1] is not ZERO:
+        return subtract(after[node], node)
+    grows = build("growth", divide(changes[0], base), exponent)
+    # A base of 0 at rest has no relative change.
+    return build("select", subtract(base, TINY), multiply(node, grows), after[node])
+
+
+def _change_across(
+    node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]
+) -> Formula:
+    """Return the change of an operation with a condition, which may be on the other side after."""
+    condition = _condition(node)
+    above, below = _sides(node.operation, node.parts)
+    if node.operation == "abs":
+        by = changes[0], negative(changes[0])
+    else:
+        by = changes[-2], changes[-1]
+    ended = condition.rebuilt(lambda part: after.get(part, None if part.parts else part))
+    if ended is condition:
+        return build("select", condition, *by)
+    ahead = subtract(above, below)
+    passed = build("select", condition, ZERO, ahead)
+    returned = build("select", condition, negative(ahead), ZERO)
+    return build("select", ended, add(by[0], passed), add(by[1], returned))
 
 
 def _condition(node: Formula) -> Formula:
