@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
     from .chain.impurities import Impurity as Impurity
+    from .chain.law import Law as Law
     from .chain.materials import ALUMINIUM as ALUMINIUM
     from .chain.materials import BRASS as BRASS
     from .chain.materials import BRONZE as BRONZE
@@ -75,6 +76,7 @@ _MODULES = {
     "chain.chain": "Chain",
     "chain.damping": "Damping",
     "chain.impurities": "Impurity",
+    "chain.law": "Law",
     "chain.materials": "Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C ALUMINIUM"
     " BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
     "scene.excitation": "Impulse Displacement Profile Packet Riemann Drive Force",
