@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from .benchmark.bench import work_precision as work_precision
     from .benchmark.own_run import check as check
     from .benchmark.own_run import check_deck as check_deck
+    from .chain import laws as laws
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
@@ -94,7 +95,7 @@ _MODULES = {
     "benchmark.own_run": "check check_deck",
     "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
-    "chain": "patterns",
+    "chain": "laws patterns",
 }
 _PACKAGES = (
     "benchmark",

@@ -184,7 +184,7 @@ class Contacts:
         meets = (inverse_mass > 0) & self.exists
         energy = speed**2 / (2 * np.where(meets, inverse_mass, np.inf))
         constant = np.where(meets, self.constant, 1.0)
-        return self.law.approach(energy, constant)  # type: ignore[no-any-return]
+        return np.where(meets, self.law.approach(energy, constant), 0.0)
 
     def squeezed_by(self, force: float) -> float:
         """Return by how much more one contact overlaps under this additional force, m."""

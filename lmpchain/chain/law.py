@@ -38,6 +38,9 @@ COMPARED = 4
 NEAR_KINK = 1e-6
 # Sizes of overlaps among which a rest is looked for, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
+LARGEST = 1e300  # N
+# Lengths of the stiffness's own change up to which a kink is near.
+FAR = 4.0
 # A length for laws without one, as a linear spring, m.
 LONGEST = 1.0
 NUMPY: dict[str, Any] = {
@@ -251,10 +254,7 @@ class Law(ContactLaw):
 
     def _rest(self, forces: Array, constant: float) -> Array:
         """Return the overlaps under some forces of contacts of one kind, (C,) m."""
-        places = self._places
-        values = self.force(places, constant)
-        sound = ~np.isnan(values)
-        places, values = places[sound], values[sound]
+        places, values = self._sampled(constant)
         low, high = np.zeros((2, forces.size))
         at_zero = self.force(0.0, constant), self.stiffness(0.0, constant)
         touches = (forces == 0.0) & (at_zero[0] == 0.0) & (at_zero[1] >= 0.0)
@@ -297,10 +297,13 @@ class Law(ContactLaw):
             x = new
         return x
 
-    @property
-    def _places(self) -> Array:
-        """Overlaps of every size, and the kinks, ascending, m."""
-        return np.unique(np.concatenate((-SIZES, [0.0], SIZES, self.kinks)))
+    def _sampled(self, constant: float) -> tuple[Array, Array]:
+        """Return overlaps of every size and the kinks, ascending, m, and the forces there, N."""
+        places = np.unique(np.concatenate((-SIZES, [0.0], SIZES, self.kinks)))
+        # Forces beyond all numbers are as large as can be.
+        values = np.clip(self.force(places, constant), -LARGEST, LARGEST)
+        sound = ~np.isnan(values)
+        return places[sound], values[sound]
 
     @cached_property
     def _shape(self) -> tuple[bool, bool, bool]:
@@ -311,10 +314,9 @@ class Law(ContactLaw):
         constant = float(np.max(self.given.get("k", 1.0)))
         for values in np.unique(parameters, axis=1).T if self.parameters else [()]:
             alone = self.with_parameters(values)
-            places = alone._places
-            force = alone.force(places, constant)
+            places, force = alone._sampled(constant)
             pulls |= bool((force[places < 0] != 0).any())
-            grows &= bool((np.diff(force[~np.isnan(force)]) >= 0).all())
+            grows &= bool((np.diff(force) >= 0).all())
             try:
                 rest = alone._rest(np.zeros(1), constant)
             except InputError:
@@ -387,8 +389,8 @@ class Law(ContactLaw):
     def length(self, contacts: RestingContacts) -> Array:
         """Return the change of the overlap that is no longer weak, (..., N+1) m.
 
-        It is the distance to the nearest kink, or the change at which a parabola or cubic of the
-        stiffness has changed it all.
+        It is the distance to the nearest kink or, if that is far, the change by which the slope or
+        the bend of the stiffness would change all of it.
         """
         length = np.full(contacts.overlap.shape, LONGEST)
         for kink in self.kinks:
@@ -400,7 +402,9 @@ class Law(ContactLaw):
             step = 1e-3 * np.fmin(length, np.fmin(1 / bend, LONGEST))
             ends = [self.curvature(contacts.overlap + side * step, constant) for side in (-1, 1)]
             twist = np.sqrt(np.abs(ends[1] - ends[0]) / (4 * step * k))
-            return np.fmin(length, np.fmin(1 / bend, 1 / twist))
+            # Before a kink, powers of the distance to it bend as well.
+            far = FAR if self.kinks else 1.0
+            return np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
         """Return the largest stiffness at any overlap up to this size, N/m."""
@@ -600,7 +604,8 @@ def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
     if force.substitute({"k": 0.0}) is not ZERO:
         force = build("select", negative(name("k")), ZERO, force)
     variable = "u" if "u" in formula.names else "o"
-    stiffness = force.derivative(variable)
+    # An infinite stiffness times a constant of 0 would be no number.
+    stiffness = build("select", negative(name("k")), ZERO, force.derivative(variable))
     return force, stiffness, stiffness.derivative(variable)
 
 

@@ -87,7 +87,6 @@ select(o,1,2)|where(o)|o!r|o->o|o:o|0o7*o or 1|k*o if 1 else 2""".replace("\n", 
 WRONG = [text for text in WRONG if text not in ("", "o")]
 WRONG += [
     "o" * 1001,
-    "(" * 150 + "o" + ")" * 150,
     "-" * 900 + "o",
     "o" + "+o" * 300,
     "o" + "**o" * 90,
