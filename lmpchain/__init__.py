@@ -24,10 +24,12 @@ if TYPE_CHECKING:
     from .benchmark.bench import work_precision as work_precision
     from .benchmark.own_run import check as check
     from .benchmark.own_run import check_deck as check_deck
+    from .chain import laws as laws
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
     from .chain.impurities import Impurity as Impurity
+    from .chain.law import Law as Law
     from .chain.materials import ALUMINIUM as ALUMINIUM
     from .chain.materials import BRASS as BRASS
     from .chain.materials import BRONZE as BRONZE
@@ -75,6 +77,7 @@ _MODULES = {
     "chain.chain": "Chain",
     "chain.damping": "Damping",
     "chain.impurities": "Impurity",
+    "chain.law": "Law",
     "chain.materials": "Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C ALUMINIUM"
     " BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
     "scene.excitation": "Impulse Displacement Profile Packet Riemann Drive Force",
@@ -92,7 +95,7 @@ _MODULES = {
     "benchmark.own_run": "check check_deck",
     "doctor": "diagnose",
     "errors": "LmpchainError InputError ToleranceNotMet RunFailed EngineUnavailable",
-    "chain": "patterns",
+    "chain": "laws patterns",
 }
 _PACKAGES = (
     "benchmark",

@@ -2,15 +2,16 @@
 
 from ..util.lazy import attributes, listed
 
-__all__ = ["Chain", "Contacts", "Damping", "Impurity", "Material", "patterns"]
+__all__ = ["Chain", "Contacts", "Damping", "Impurity", "Law", "Material", "laws", "patterns"]
 __getattr__ = attributes(
     __name__,
-    ["patterns"],
+    ["laws", "patterns"],
     {
         "chain": "Chain",
         "contacts": "Contacts",
         "damping": "Damping",
         "impurities": "Impurity",
+        "law": "Law",
         "materials": "Material",
     },
 )

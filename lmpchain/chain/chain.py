@@ -7,7 +7,7 @@ from operator import index
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, InstanceOf
+from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
@@ -30,6 +30,7 @@ from .contacts import FEW_GRAINS, Contacts
 from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, derive_chain
 from .impurities import Impurities, Impurity, Kinds, kinds, misfits, with_impurities
+from .law import Law, OneLaw
 from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
 from .picture import ChainPicture
 from .plausible import LIMITS, least_compression, remarks, too_compressed
@@ -52,8 +53,9 @@ class Chain(ChainPicture, Checked):
         m/s2; 0 for a horizontal chain.
     exponent : float
         delta, 1 (linear springs) to 3; 1.5 is Hertz.
-    law : ContactLaw, optional
-        In place of an exponent.
+    law : Law, or dict, optional
+        The force of the contacts by a formula, in place of an exponent. A dict is the table of a
+        scene file.
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     load_grain : int
@@ -104,7 +106,7 @@ class Chain(ChainPicture, Checked):
     diameter: OneOrMany
     gravity: Annotated[Real, Field(ge=0)] = 9.81
     given_exponent: Annotated[Real, Field(ge=1, le=3)] = Field(1.5, alias="exponent")
-    given_law: InstanceOf[ContactLaw] = Field(NOT_GIVEN, alias="law")
+    given_law: OneLaw = Field(NOT_GIVEN, alias="law")
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     load_grain: Annotated[Whole, Field(ge=1)] = 1
     top: Literal["free", "wall"] = "free"
@@ -129,7 +131,7 @@ class Chain(ChainPicture, Checked):
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             cure = 'use bottom = "wall", or more grains'
             yield "grains", f"a single grain that is held, or touches nothing: {cure}"
-        if self.bottom == "free" and self.compressed:
+        if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             cure = "a free chain would fall"
             yield "bottom", f'must be "fixed" or "wall" under gravity or a top load: {cure}'
         if self.load_grain > self.movable:
@@ -194,9 +196,26 @@ class Chain(ChainPicture, Checked):
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
         if self.given_law and "given_exponent" in self.model_fields_set:
             yield "law", "takes the place of an exponent: give one of them"
+        yield from self._misfits_of_law()
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
         yield from self.damping.misfits(self.grains)
         yield from self._misfits_of_walls()
+
+    def _misfits_of_law(self) -> Iterator[tuple[str, str]]:
+        """Yield parameters of a law that do not fit the contacts."""
+        law = self.given_law
+        if not isinstance(law, Law):
+            return
+        if law.of_ground:
+            yield "law.force", "depends on u or t: a contact law is one of the overlap o"
+        if law.onset == 0:
+            yield "law.force", "jumps where it should only bend: make the jump a ramp of some width"
+        if "k" in law.given and self.given_contact_constants is not None:
+            yield "contact_constants", "are given by law.k, too: give one of them"
+        for key, value in law.given.items():
+            if isinstance(value, tuple) and len(value) != self.grains - 1:
+                count = f"one number, or {self.grains - 1} for {self.grains} grains"
+                yield f"law.{key}", f"must be {count}, not {len(value)}"
 
     def _misfits_of_walls(self) -> Iterator[tuple[str, str]]:
         """Yield materials and constants of walls that do not fit the ends of the chain."""
@@ -264,7 +283,15 @@ class Chain(ChainPicture, Checked):
     @cached_property
     def law(self) -> ContactLaw:
         """The force of a contact as a function of its overlap."""
-        return self.given_law or power_law(self.given_exponent)
+        law = self.given_law or power_law(self.given_exponent)
+        # A power is computed by the faster and more accurate forms of its own.
+        return power_law(law.as_exponent) if isinstance(law, Law) and law.as_exponent else law
+
+    @property
+    def contact_law(self) -> ContactLaw:
+        """The law with the parameters of all contacts, walls included."""
+        law = self.law
+        return law.with_walls(self.grains) if isinstance(law, Law) else law
 
     @property
     def exponent(self) -> float:
@@ -334,12 +361,14 @@ class Chain(ChainPicture, Checked):
 
     @cached_property
     def compressed(self) -> bool:
-        """Whether contacts carry a force at rest; if not, the chain is a sonic vacuum."""
-        return self.gravity > 0 or self.top_load > 0
+        """Whether contacts are stiff at rest, by a force or a bond; else it is a sonic vacuum."""
+        return self.gravity > 0 or self.top_load > 0 or self.law.bonds
 
     @cached_property
     def loose_grains(self) -> int:
         """How many grains at the top only touch, above the load and without weight; 0 if none."""
+        if self.law.bonds:
+            return 0
         return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
 
     @property
@@ -419,6 +448,8 @@ class Chain(ChainPicture, Checked):
             if isinstance(fields.get(key), np.ndarray | tuple):
                 end = last - (key == "contact_constants")
                 fields[key] = fields[key][first - 1 : end]
+        if isinstance(self.given_law, Law):
+            fields["law"] = self.given_law.part(first, last)
         if self.impurity:
             fields["impurity"] = tuple(
                 impurity.replace(grain=impurity.grain - first + 1)
@@ -525,7 +556,7 @@ class Chain(ChainPicture, Checked):
     @property
     def length_scale(self) -> float:
         """Overlap eps_1 of the contact below grain 1 at rest, m; below the load if grains touch."""
-        return float(self.contacts.overlap[self._first])
+        return float(self.contacts.length[self._first])
 
     @property
     def time_scale(self) -> float:

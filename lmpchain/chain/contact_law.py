@@ -14,7 +14,7 @@ delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Protocol
@@ -74,11 +74,9 @@ class RestingContacts(Protocol):
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """The force of a contact as a function of its overlap, by formulas of (o, K, p).
+    """The force of a contact as a function of its overlap: `PowerForce`, or a `Law` of a user.
 
-    numba compiles the formulas of force and stiffness for single numbers, and numpy evaluates them
-    for arrays: write them with operators and functions of numpy, for every overlap from a gap
-    (o < 0) on. p are the `parameters`.
+    The formulas of (o, K, p) take arrays; p are the `parameters`.
 
     Parameters
     ----------
@@ -87,7 +85,7 @@ class ContactLaw:
         overlap, and is 0 where there is none.
     onset : float
         The power of the overlap with which the force sets in as a contact closes.
-    parameters : tuple of float, optional
+    parameters : tuple of numbers, or of (..., N+1) arrays, optional
     kinks : tuple of float, optional
         Overlaps at which a formula is not smooth, m.
     name : str, optional
@@ -98,7 +96,7 @@ class ContactLaw:
     stiffness_formula: Formula
     curvature_formula: Formula
     onset: float
-    parameters: tuple[float, ...] = ()
+    parameters: tuple[Any, ...] = ()
     kinks: tuple[float, ...] = (0.0,)
     name: str = "a law given by formulas"
 
@@ -130,6 +128,38 @@ class ContactLaw:
         """
         return 4 / 3 * modulus * radius**0.5
 
+    @property
+    def given_constant(self) -> Array | None:
+        """The constants of contacts that the law itself gives, N/m^delta; else None."""
+        return None
+
+    def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
+        """Return what the compiled force reads besides overlap, constant and parameters."""
+        return []
+
+    @property
+    def bonds(self) -> bool:
+        """Whether contacts are stiff at rest without any load: they pull as they open."""
+        return False
+
+    def of(self, numbers: Any) -> ContactLaw:
+        """Return the law of some of the contacts that have parameters of their own."""
+        return self
+
+    def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
+        """Return whether a contact is stiff at rest, so that weak motions are linear, (..., N+1).
+
+        A contact without load only touches.
+        """
+        return contacts.force > 0
+
+    def length(self, contacts: RestingContacts) -> Array:
+        """Return the change of the overlap that is no longer weak, (..., N+1) m.
+
+        It is the overlap at rest, where a contact opens.
+        """
+        return contacts.overlap
+
     def force(self, overlap: Any, constant: Any) -> Any:
         """Return the force at an overlap, 0 if the contact is open, N."""
         return self.force_formula(overlap, constant, self.parameters)
@@ -150,7 +180,7 @@ class ContactLaw:
         """Return the overlap at which a contact has this force from 0, m."""
         force, constant = np.broadcast_arrays(force, constant)
         start = (force / constant) ** (1 / self.onset)
-        return _solve(
+        return solve_growing(
             lambda o: self.force(o, constant), lambda o: self.stiffness(o, constant), force, start
         )
 
@@ -167,10 +197,11 @@ class ContactLaw:
         return self._approach(*arrays)
 
     def bend(self, contacts: RestingContacts) -> Any:
-        """Return o k'(o) / k(o) at the overlaps at rest: delta - 1 for a power of the overlap."""
+        """Return k'(eps) l / k(eps) at rest, l of `length`: delta - 1 for a power."""
         overlap = np.where(contacts.pressed, contacts.overlap, 1.0)
+        length = np.where(contacts.pressed, self.length(contacts), 0.0)
         stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
-        return overlap * self.curvature(overlap, contacts.constant) / stiffness
+        return length * self.curvature(overlap, contacts.constant) / stiffness
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
@@ -189,7 +220,7 @@ class ContactLaw:
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more contacts overlap under this additional force, m."""
-        return _solve(
+        return solve_growing(
             lambda r: self.force_change(contacts, r),
             lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
             np.asarray(force),
@@ -206,7 +237,7 @@ class ContactLaw:
 
     def _approach(self, energy: Array, constant: Array, rest: Array) -> Array:
         """Return the r > 0 at which the energy above that at rest is this one, m."""
-        return _solve(
+        return solve_growing(
             lambda r: self._integral(rest, r, constant, 1),
             lambda r: self._change(rest, r, constant),
             energy,
@@ -222,10 +253,19 @@ class ContactLaw:
     def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
         """Return the integral of k(rest + s) (r - s)^moment over s from 0 to r.
 
-        All of its terms have one sign, so that nothing cancels. Pieces end at kinks, and grow with
-        the distance to them.
+        All of its terms have one sign, so that nothing cancels.
         """
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
+        total = np.zeros(r.shape)
+        for s, weight in self._nodes(rest, r):
+            total = total + weight * self.stiffness(rest + s, constant) * (r - s) ** moment
+        return np.sign(r) * total
+
+    def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield places s between 0 and r, and their weights, of an integral over them.
+
+        Pieces end at kinks, and grow with the distance to them.
+        """
         ends: list[Any] = [0 * r, r]
         for kink in self.kinks:
             far = np.abs(rest - kink)
@@ -233,19 +273,15 @@ class ContactLaw:
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
             ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
         places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
-        total = np.zeros(r.shape)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
             for node, weight in zip(NODES, WEIGHTS, strict=True):
-                s = begin + node * width
-                k = self.stiffness(rest + s, constant)
-                total = total + weight * width * k * (r - s) ** moment
-        return np.sign(r) * total
+                yield begin + node * width, weight * width
 
     def __repr__(self) -> str:
         return self.name
 
 
-def _solve(
+def solve_growing(
     function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
 ) -> Array:
     """Return the x >= 0 at which a function that grows from 0 has this value.

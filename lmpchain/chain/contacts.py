@@ -88,6 +88,8 @@ class Contacts:
         """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
         # where there is no wall, 0 / 0 would be no number
         overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
+        if law.bonds:
+            overlap = np.where(constant > 0, overlap, 0.0)
         stiffness = law.stiffness(overlap, constant)
         return cls(law, *map(read_only, (constant, force, overlap, stiffness)))
 
@@ -103,8 +105,13 @@ class Contacts:
 
     @cached_property
     def pressed(self) -> NDArray[np.bool_]:
-        """Whether the contact is compressed at rest, (..., N+1) bool."""
-        return read_only(self.force > 0)
+        """Whether the contact is compressed, or bonded, at rest, (..., N+1) bool."""
+        return read_only(self.law.pressed(self))
+
+    @cached_property
+    def length(self) -> Array:
+        """Return `ContactLaw.length` of the contacts, (..., N+1) m."""
+        return self.law.length(self)
 
     @cached_property
     def bend(self) -> Array:
@@ -113,13 +120,15 @@ class Contacts:
 
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
-        return Contacts(self.law, *(values[numbers] for values in self.arrays))
+        # Of many chains, the first axis is that of the chains.
+        law = self.law.of(numbers) if numbers is not None and self.constant.ndim == 1 else self.law
+        return Contacts(law, *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
         # there is no wall below the grain that is held
         arrays = (read_only(np.append(values[:grain], 0.0)) for values in self.arrays)
-        return Contacts(self.law, *arrays)
+        return Contacts(self.law.of(slice(grain + 1)), *arrays)
 
     def force_at(self, overlap: Array) -> Array:
         """Return the force of contacts with this overlap, 0 if open, (..., N+1) N."""
@@ -175,7 +184,7 @@ class Contacts:
         meets = (inverse_mass > 0) & self.exists
         energy = speed**2 / (2 * np.where(meets, inverse_mass, np.inf))
         constant = np.where(meets, self.constant, 1.0)
-        return self.law.approach(energy, constant)  # type: ignore[no-any-return]
+        return np.where(meets, self.law.approach(energy, constant), 0.0)
 
     def squeezed_by(self, force: float) -> float:
         """Return by how much more one contact overlaps under this additional force, m."""
@@ -197,7 +206,7 @@ class Contacts:
     def strain_bound(self, approach: Array) -> Array:
         """Return a bound on the strains by one on each approach, (..., N+1) m; see `Scene`."""
         # A loose contact has no strain; where there is none, neither moves.
-        strain = approach / np.where(self.pressed, self.overlap, 1.0)
+        strain = approach / np.where(self.pressed, self.length, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
         # of one chain a number, and no array of none
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]

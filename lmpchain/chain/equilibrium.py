@@ -106,6 +106,8 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
     upper, lower = _neighbours(diameter)
     lengths = (_end(diameter, 0), (upper + lower) / 2, _end(diameter, -1))
     given = drawn.get("contact_constants", chain.given_contact_constants)
+    if given is None:
+        given = chain.law.given_constant
     modulus = youngs / (1 - poisson * poisson)
     constants = _contact_constants(chain, modulus, diameter, lengths, given)
     masses = _spread((*rows, grains), mass)
@@ -119,7 +121,7 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
         force[..., -1] = 0.0
     shape = (*rows, grains + 1)
     return Equilibrium(
-        Contacts.at_rest(_fill(shape, constants), force, chain.law),
+        Contacts.at_rest(_fill(shape, constants), force, chain.contact_law),
         read_only(_fill(shape, lengths)),
         read_only(_spread(masses.shape, diameter)),
         read_only(masses),

@@ -103,7 +103,7 @@ class ChainBatch:
             loops=np.array([addresses(form, formulas) for form in forms]),
             precompressed=float(chain.compressed),
             coefficients=series(chain.law.onset),
-            parameters=_in_rows(self.contacts, at_rest[0], rows.shape[2]),
+            parameters=_in_rows(self.contacts, rows.shape[2]),
             omega=omega,
             scale=scale,
             units=units,
@@ -130,19 +130,33 @@ class ChainBatch:
             self.opening_power,
         )
         if formulas:
-            self._weigh_openings(at_rest[0])
+            self._weigh_kinks()
 
-    def _weigh_openings(self, overlap: Array) -> None:
-        """Give each contact the weight of its force at a typical overlap, which is no power."""
+    def _weigh_kinks(self) -> None:
+        """Let steps shorten near the nearest kink of each contact, by how much the force bends."""
         arrays = self.arrays
         contacts = slice(PAD - 1, PAD + self.grains)
+        kinks = self.contacts.law.kinks
+        inverse_length = arrays.inverse_length[:, contacts]
+        # Other kinks are crossed unseen: contacts count as open from the beginning.
+        if len(kinks) > 1:
+            arrays.least_strain[:] = -1.0
+        if not kinks:
+            inverse_length[:] = 0.0
+            arrays.opening_weight[:] = arrays.opening_reach[:] = 0.0
+            return
+        overlap = self.contacts.overlap
+        kink = nearest_kinks(self.contacts)
         typical = arrays.scale[:, :1] + 1e-300
-        strain = typical * np.where(self.contacts.exists, arrays.inverse_length[:, contacts], 1.0)
-        force = self.contacts.force_at(np.broadcast_to(typical, overlap.shape))
+        strain = typical * np.where(self.contacts.exists, inverse_length, 1.0)
+        ends = [self.contacts.force_at(kink + side * typical) for side in (-1, 0, 1)]
+        bent = np.abs(ends[0] - 2 * ends[1] + ends[2])
         strength = arrays.strength[:, contacts] * strain**self.opening_power
-        ratio = np.divide(force, strength, out=np.zeros_like(force), where=strength > 0)
+        ratio = np.divide(bent, strength, out=np.zeros_like(bent), where=strength > 0)
         arrays.opening_weight[:, contacts] *= ratio**2
         arrays.opening_reach[:, contacts] *= ratio ** (2 / 3)
+        # A kink at a larger overlap than that at rest is reached by closing.
+        inverse_length[overlap < kink] *= -1.0
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Return an array with a row for each of the R scenes, from one for all or one for each."""
@@ -223,6 +237,11 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
     powers = contacts.law.power is not None
     if powers and not loose:
         return overlap, force, constant, stiffness
+    if not powers:
+        # The length is the distance to a kink, and the force, which is not read, that of a spring.
+        distance = np.abs(overlap - nearest_kinks(contacts))
+        overlap = distance if contacts.law.kinks else contacts.length
+        force = np.where(contacts.pressed, stiffness * overlap, 0.0)
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
     trace = np.maximum(contacts.law.force(TOUCHING, constant), np.finfo(float).tiny)
@@ -235,22 +254,29 @@ def _at_rest(contacts: Contacts, loose: int) -> tuple[Array, Array, Array, Array
     )
 
 
-def parameter_rows(contacts: Contacts, overlap: Array) -> Array:
-    """Return `BatchArrays.parameters` of contacts with these overlaps at rest."""
-    parameters = contacts.law.parameters
-    rows = np.empty((*overlap.shape, 2 + len(parameters)))
-    rows[..., 0] = overlap
-    rows[..., 1] = contacts.constant
-    rows[..., 2:] = parameters
+def nearest_kinks(contacts: Contacts) -> Array:
+    """Return the kink nearest to the overlap at rest of every contact, (..., N+1) m; 0 if none."""
+    kinks = np.array(contacts.law.kinks or (0.0,))
+    distances = np.abs(contacts.overlap[..., None] - kinks)
+    return kinks[distances.argmin(-1)]  # type: ignore[no-any-return]
+
+
+def parameter_rows(contacts: Contacts) -> Array:
+    """Return `BatchArrays.parameters` of these contacts."""
+    overlap = contacts.overlap
+    law = contacts.law
+    kept = law.kept_at_rest(overlap, contacts.constant)
+    columns = np.broadcast_arrays(overlap, contacts.constant, *law.parameters, *kept)
+    rows: Array = np.stack(columns, axis=-1)
     return rows
 
 
-def _in_rows(contacts: Contacts, overlap: Array, width: int) -> Array:
-    """Return `BatchArrays.parameters` of R chains, (R, W, 2 + P), or (R, W, 0) of powers."""
-    size, count = overlap.shape
+def _in_rows(contacts: Contacts, width: int) -> Array:
+    """Return `BatchArrays.parameters` of R chains, (R, W, P), or (R, W, 0) of powers."""
+    size, count = contacts.overlap.shape
     if contacts.law.power is not None:
         return np.zeros((size, width, 0))
-    rows = parameter_rows(contacts, overlap)
+    rows = parameter_rows(contacts)
     # a formula may divide by parameters, also where there is no contact
     ends = np.zeros((size, width, rows.shape[2])) + rows[:, -1:]
     ends[..., :2] = 0.0

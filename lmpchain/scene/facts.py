@@ -168,7 +168,7 @@ class SceneFacts(Recording):
             if n <= loose:
                 return np.inf
             omega = (contacts.stiffness[n] / chain.masses[n - 1]) ** 0.5
-            return float(abs(self.strike_velocity) / (contacts.overlap[n] * omega))
+            return float(abs(self.strike_velocity) / (contacts.length[n] * omega))
         moving = slice(0, chain.movable)
         displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
         # Contacts that carry nothing at rest are as in the sonic vacuum.
@@ -177,7 +177,7 @@ class SceneFacts(Recording):
             return np.inf
         if not chain.compressed:
             return 0.0
-        overlap = contacts.overlap[1:][moving][loose:]
+        overlap = contacts.length[1:][moving][loose:]
         omega = np.sqrt(contacts.stiffness[1:][moving][loose:] / chain.masses[moving][loose:])
         shift = displacement[loose:] / overlap
         return float(max(shift.max(), (velocity[loose:] / (overlap * omega)).max()))
@@ -201,8 +201,9 @@ class SceneFacts(Recording):
         inverse_mass[1:-1][moving] = 1 / chain.masses[moving]
         closer = contacts.closer(displacement)
         approach = contacts.closer(excitation.largest(chain)[1])
-        # A driven body moves both ways, and squeezes the contacts on either side of it in turn.
-        if excitation.does_work:
+        # A driven body moves both ways, and squeezes the contacts on either side of it in turn, and
+        # so does one that is bonded to its neighbours.
+        if excitation.does_work or chain.law.bonds:
             closer = np.abs(closer)
             approach = np.abs(approach)
         approach = np.maximum(approach, 0.0)
@@ -290,7 +291,7 @@ class SceneFacts(Recording):
         if pressed[0] and not does_work:
             compliance *= 1 - compliance / compliance.sum()
         norm = self.excitation.energy_norm(self.chain, self.duration)
-        bound = float(norm * (np.sqrt(compliance[pressed]) / contacts.overlap[pressed]).max())
+        bound = float(norm * (np.sqrt(compliance[pressed]) / contacts.length[pressed]).max())
         if does_work:
             bound *= 1 + self.chain.damping.longest_time * self.linear_frequency
         return bound
@@ -397,6 +398,8 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
         if last - first + 1 > CUT.share * grains:
             return 1, grains
         omega = _fastest(scene, first, last)
+        if not math.isfinite(omega):
+            return 1, grains
         viscosity = chain.damping.longest_time
         if viscosity > 0:
             needed = _damped_distance(omega * viscosity, omega * scene.duration)

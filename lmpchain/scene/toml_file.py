@@ -16,6 +16,7 @@ import numpy as np
 from ..chain.chain import Chain
 from ..chain.damping import Damping
 from ..chain.impurities import Impurity
+from ..chain.law import Law
 from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
@@ -169,9 +170,8 @@ def _of_this_length(table: Any) -> Chain | None:
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
-    laws = {"exponent": chain.law.power_of("a scene file")} if "law" in chain.given() else {}
     return {
-        "chain": {key: value for key, value in _table(chain).items() if key != "law"} | laws,
+        "chain": _table(chain),
         "excitation": {"kind": excitation.kind} | _table(excitation),
         "recording": {
             key: _toml(recording[key]) for key in Recording.arguments if key in recording
@@ -353,6 +353,8 @@ def _toml(value: Any) -> Any:
         return {key: constant for key, constant in value.given().items() if constant != ""}
     if isinstance(value, Damping | Impurity | Profile):
         return _table(value)
+    if isinstance(value, Law):
+        return value.table()
     if isinstance(value, np.ndarray | tuple):
         return [_toml(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value

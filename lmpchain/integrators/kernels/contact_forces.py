@@ -4,7 +4,8 @@ Every form gives the force minus what the contact carries at rest, ``strength f(
 ``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the
 overlap at rest over the length: 1, or 0 where nothing is pressed (length 1 m, strength K).
 `coefficients` are the first seven of the binomial series of (1 + s)^delta - 1, and delta. A law
-given by formulas reads a `row` for each contact instead: overlap at rest, K and the parameters.
+given by a formula reads a `row` for each contact instead: overlap at rest, K, the parameters, and
+what the law keeps of the force at rest.
 """
 
 from __future__ import annotations
@@ -13,11 +14,11 @@ import math
 from collections.abc import Callable
 from enum import IntEnum
 from functools import cache
+from hashlib import sha256
 from typing import Any
 
 from numba import types
 
-from ...util.compilation import content_of
 from .compiling import (
     STRICT,
     address_of,
@@ -232,7 +233,7 @@ class Form(IntEnum):
 
 ROOTS = range(5, 9)  # forms of delta = quarters / 4
 # these subtract two forces, and lose what is below the last digit of that at rest
-PLAIN = (*ROOTS, Form.FORMULAS)
+PLAIN = tuple(ROOTS)
 FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
     Form.CORRECTED: ("corrected square root", _corrected),
     Form.POLYNOMIAL: ("polynomial", _polynomial),
@@ -245,21 +246,46 @@ LOOPS = {
 }
 
 
+@compiled
+def _growth(s, exponent):
+    """Return (1 + s)^exponent - 1, -1 for s < -1, without cancellation."""
+    inside = select(s > -1.0, s, 0.0)
+    y = 1.0 + inside
+    change = exponential(exponent * logarithm(y, inside - (y - 1.0)), 1.0)
+    return select(s > -1.0, change, -1.0)
+
+
+# What the formulas of a law call.
+FUNCTIONS = {
+    "maximum": compiled_formula(lambda a, b: select(a > b, a, b)),
+    "minimum": compiled_formula(lambda a, b: select(a < b, a, b)),
+    "absolute": abs,
+    "select": select,
+    "growth": _growth,
+    "__name__": __name__,
+} | {key: getattr(math, key) for key in ("sqrt", "exp", "log", "sin", "cos", "tanh")}
+FUNCTIONS |= {"expm1": math.expm1, "log1p": math.log1p}
+
+
 @cache
-def _loops_of(law: Any) -> tuple[Any, ...]:
-    """Make the loops of a law given by formulas, and that over samples, see `change_in_time`."""
-    force_at = compiled_formula(law.force_formula)
-    stiffness_at = compiled_formula(law.stiffness_formula)
-    kind = content_of(law.force_formula) + content_of(law.stiffness_formula)
+def _loops_of(kernel: Any) -> tuple[Any, ...]:
+    """Make the loops of a law given by a formula, and that over samples, see `change_in_time`."""
+    given = "r, row", FUNCTIONS, kernel.codes
+    change_of = kernel.force_change.function(*given)
+    stiffness_of = kernel.stiffness.function(*given)
+    force_at = compiled_formula(change_of)
+    stiffness_at = compiled_formula(stiffness_of)
+    codes = [function.__code__ for function in (change_of, stiffness_of)]
+    content = [(code.co_code, code.co_consts, code.co_names) for code in codes]
+    kind = sha256(repr(content).encode()).hexdigest()
 
     @compiled
     def force(r, inverse_length, strength, precompressed, coefficients, row):
-        # both by the same instructions, so that nothing is left at rest
-        return force_at(row[0] + r, row[1], row[2:]) - force_at(row[0], row[1], row[2:])
+        return force_at(r, row)
 
     @compiled
     def stiffness(r, change, inverse_length, strength, precompressed, coefficients, row):
-        return stiffness_at(row[0] + r, row[1], row[2:])
+        return stiffness_at(r, row)
 
     @compiled_filler(kind=kind)
     def series(r, closing, row, change, rate):
@@ -274,9 +300,9 @@ def _loops_of(law: Any) -> tuple[Any, ...]:
 def addresses(form: int, law: Any = None) -> tuple[int, ...]:
     """Return where the loops of a form lie in memory, once they are compiled.
 
-    Those of formulas depend on the `ContactLaw`, and have a loop over samples besides.
+    Those of formulas depend on the `Law`, and have a loop over samples besides.
     """
-    loops = LOOPS[form] if law is None else _loops_of(law)
+    loops = LOOPS[form] if law is None else _loops_of(law.kernel)
     signatures = FORCES, SWEEP, STIFFNESSES, SERIES
     return tuple(address_of(*pair) for pair in zip(loops, signatures, strict=False))
 

@@ -123,9 +123,9 @@ class BatchArrays(NamedTuple):
         Where the loops of the form lie in memory, see `contact_forces.addresses`.
     precompressed, coefficients : number and (8,) array
         See `contact_forces`.
-    parameters : (R, W, 2 + P) array
-        Overlap at rest, m, constant and P parameters of the contact below each body, for a law
-        given by formulas; (R, W, 0) for powers.
+    parameters : (R, W, P) array
+        Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
+        below each body, for a law given by a formula; (R, W, 0) for powers.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array

@@ -144,7 +144,7 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     # a held grain is never accelerated
     inverse_mass[chain.movable :] = 0.0
     pressed = contacts.pressed
-    length = np.where(pressed, contacts.overlap, 1.0)
+    length = np.where(pressed, contacts.length, 1.0)
     strength = np.where(pressed, contacts.force, contacts.constant)
     if linear:
         # the force of a spring of this length
@@ -155,7 +155,7 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     if linear or law.power is not None:
         return forces
     return forces._replace(
-        parameters=parameter_rows(contacts, contacts.overlap),
+        parameters=parameter_rows(contacts),
         formulas=addresses(Form.FORMULAS, law)[-1],
     )
 

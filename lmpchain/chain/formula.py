@@ -1,0 +1,968 @@
+"""Formulas of force laws: a safe parser, derivatives, integrals, and functions made of them.
+
+A formula comes from a scene file, perhaps of a stranger. Python's parser turns its text into a
+syntax tree, of which only numbers, names, arithmetic and the functions below are accepted; nothing
+evaluates the text itself. Every formula that is computed or written to a LAMMPS deck is printed
+from this tree again.
+
+=====================  ===============================================
+in a formula           meaning
+=====================  ===============================================
++ - * / **             arithmetic; ``**`` is a power
+min max                of two or more
+abs sqrt exp log       log is the natural logarithm
+sin cos tanh           of an angle in rad; hyperbolic tangent
+step                   step(x) is 1 for x >= 0 and 0 below
+=====================  ===============================================
+"""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+import warnings
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import pairwise
+from typing import Any
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from ..errors import InputError
+
+# Characters, nested levels and operations of a formula; the size of its numbers.
+MAX_LENGTH = 1000
+MAX_DEPTH = 40
+MAX_OPERATIONS = 200
+MAX_NUMBER = 1e100
+# Conditions of min, max, abs and step: every one doubles the branches to look at.
+MAX_CONDITIONS = 6
+# Terms of an expanded formula, and powers that are multiplied out, up to which it is integrated.
+MAX_TERMS = 200
+MAX_POWER = 12
+
+FUNCTIONS = ("min", "max", "abs", "sqrt", "exp", "log", "sin", "cos", "tanh", "step")
+CHARACTERS = re.compile(r"[\w\s.+\-*/(),]*", re.ASCII)
+OPERATORS: dict[type, str] = {
+    ast.Add: "+",
+    ast.Sub: "-",
+    ast.Mult: "*",
+    ast.Div: "/",
+    ast.Pow: "**",
+}
+PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "negative": 3, "**": 4}
+
+
+@dataclass(frozen=True, eq=False)
+class Formula:
+    """An expression of numbers, names, arithmetic and functions; equal ones are one object.
+
+    Attributes
+    ----------
+    operation : str
+        "number", "name", "negative", an operator, a function, "select": the second part if the
+        first is 0 or more, else the third, or "growth": (1 + s)^p - 1 of s and p, -1 for s < -1.
+    parts : tuple of Formula
+    value : float or str
+        Of a number or a name.
+    """
+
+    operation: str
+    parts: tuple[Formula, ...] = ()
+    value: float | str = ""
+
+    @property
+    def number(self) -> float | None:
+        """The value of a number; None for anything else."""
+        return self.value if isinstance(self.value, float) else None
+
+    def walk(self) -> Iterator[Formula]:
+        """Yield every different part once, parts before the whole."""
+        seen: set[Formula] = set()
+        waiting = [(self, False)]
+        while waiting:
+            node, ready = waiting.pop()
+            if node in seen:
+                continue
+            if ready:
+                seen.add(node)
+                yield node
+            else:
+                waiting.append((node, True))
+                waiting += ((part, False) for part in node.parts)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of variables and parameters, in the order in which they are computed."""
+        return [str(node.value) for node in self.walk() if node.operation == "name"]
+
+    def rebuilt(self, replace: Callable[[Formula], Formula | None]) -> Formula:
+        """Return this formula with parts replaced where `replace` returns another part."""
+        made: dict[Formula, Formula] = {}
+        for node in self.walk():
+            other = replace(node)
+            if other is None:
+                other = build(node.operation, *(made[part] for part in node.parts))
+            made[node] = other
+        return made[self]
+
+    def substitute(self, values: Mapping[str, Formula | float]) -> Formula:
+        """Return this formula with numbers or formulas in place of names."""
+
+        def replace(node: Formula) -> Formula | None:
+            if node.operation == "name" and node.value in values:
+                other = values[str(node.value)]
+                return other if isinstance(other, Formula) else number(float(other))
+            return None if node.parts else node
+
+        return self.rebuilt(replace)
+
+    @property
+    def text(self) -> str:
+        """The formula as it is written in a scene file; reading it gives this formula again."""
+        return _print(self)[0]
+
+    @property
+    def lepton(self) -> str:
+        """The formula in the language of LEPTON, which LAMMPS reads."""
+        made: dict[Formula, str] = {}
+        for node in self.walk():
+            made[node] = _in_lepton(node, [made[part] for part in node.parts])
+        return made[self]
+
+    def derivative(self, variable: str) -> Formula:
+        """Return the derivative by a variable; what jumps has the derivatives of its two sides."""
+        slopes: dict[Formula, Formula] = {}
+        for node in self.walk():
+            slopes[node] = _slope(node, [slopes[part] for part in node.parts], variable)
+        return slopes[self]
+
+    def change(self, variable: str, by: str) -> Formula:
+        """Return by how much the formula grows if a variable grows by `by`.
+
+        No two values are subtracted that nearly agree, so that the relative accuracy does not
+        depend on the size of the change.
+        """
+        after = self._after(variable, by)
+        changes: dict[Formula, Formula] = {}
+        for node in self.walk():
+            if not node.parts:
+                changes[node] = name(by) if node.value == variable else ZERO
+            elif all(changes[part] is ZERO for part in node.parts):
+                changes[node] = ZERO
+            else:
+                changes[node] = _change(node, [changes[part] for part in node.parts], after)
+        return changes[self]
+
+    def _after(self, variable: str, by: str) -> dict[Formula, Formula]:
+        """Return what becomes of every part if a variable grows by `by`."""
+        after: dict[Formula, Formula] = {}
+        for node in self.walk():
+            if node.parts:
+                after[node] = build(node.operation, *(after[part] for part in node.parts))
+            else:
+                grows = node.value == variable
+                after[node] = add(node, name(by)) if grows else node
+        return after
+
+    def without(self, known: Iterable[str], stem: str) -> tuple[Formula, list[Formula]]:
+        """Return the formula with what depends on known names alone under new names, and that.
+
+        The new names are `stem` with a number from 0 on.
+        """
+        constant = set(known)
+        parts: list[Formula] = []
+        alone: dict[Formula, bool] = {}
+        for node in self.walk():
+            if node.operation == "name":
+                alone[node] = node.value in constant
+            else:
+                alone[node] = all(alone[part] for part in node.parts)
+
+        def replace(node: Formula) -> Formula | None:
+            if not node.parts:
+                return node
+            if not alone[node]:
+                return None
+            if node not in parts:
+                parts.append(node)
+            return name(f"{stem}{parts.index(node)}")
+
+        outer = self.rebuilt(replace)
+        # Parts of other known parts are needed by name only if they stand outside of them, too.
+        used = [part for n, part in enumerate(parts) if f"{stem}{n}" in outer.names]
+        names = {f"{stem}{parts.index(part)}": name(f"{stem}{n}") for n, part in enumerate(used)}
+        return outer.substitute(names), used
+
+    def conditions(self, variable: str) -> list[Formula]:
+        """Return what changes its sign where the formula is not smooth in a variable."""
+        found = [_condition(node) for node in self.walk() if node.operation in CONDITIONAL]
+        branches = [branch for one in found for branch in _branches(one)]
+        return [c for c in dict.fromkeys(branches) if variable in c.names]
+
+    def kinks(self, variable: str) -> list[Formula]:
+        """Return where the formula is not smooth in a variable, in terms of the other names.
+
+        Raises
+        ------
+        InputError
+            If a condition of min, max, abs or step is not linear in the variable.
+        """
+        places = []
+        for condition in self.conditions(variable):
+            slope = condition.derivative(variable)
+            if variable in slope.names:
+                fault = f"bends where {condition.text} = 0, which is not linear in {variable}"
+                cure = "use min, max, abs and step of linear terms"
+                raise InputError.at("force", f"{fault}: {cure}")
+            places.append(divide(negative(condition.substitute({variable: 0.0})), slope))
+        return list(dict.fromkeys(places))
+
+    def between_kinks(self, variable: str, at: float) -> Formula:
+        """Return the smooth formula of one variable that holds around a value of it."""
+        made: dict[Formula, Formula] = {}
+        for node in self.walk():
+            parts = [made[part] for part in node.parts]
+            whole = build(node.operation, *parts) if parts else node
+            if whole.operation in CONDITIONAL:
+                above = _condition(whole).value_at(variable, at) >= 0
+                whole = _sides(whole.operation, whole.parts)[0 if above else 1]
+            made[node] = whole
+        return made[self]
+
+    def value_at(self, variable: str, at: float) -> float:
+        """Return the value of a formula of one variable."""
+        result = self.substitute({variable: at}).number
+        return math.nan if result is None else result
+
+    def integral(self, variable: str) -> Formula | None:
+        """Return the integral of a formula of one variable from 0; None without a closed form.
+
+        Between kinks the formula is smooth and has an integral G of its own. The variable enters G
+        held between the kinks, so that their sum is right everywhere.
+        """
+        kinks = sorted({k for place in self.kinks(variable) if (k := place.number) is not None})
+        edges = [-math.inf, *kinks, math.inf]
+        total: Formula = number(0.0)
+        for low, high in pairwise(edges):
+            smooth = self.between_kinks(variable, _inside(low, high))
+            primitive = _primitive(smooth, variable)
+            if primitive is None:
+                return None
+            held = name(variable)
+            if low > -math.inf:
+                held = build("max", held, number(low))
+            if high < math.inf:
+                held = build("min", held, number(high))
+            start = primitive.value_at(variable, min(max(0.0, low), high))
+            if not math.isfinite(start):
+                return None
+            inside = primitive.substitute({variable: held})
+            total = add(total, subtract(inside, number(start)))
+        return total
+
+    def function(
+        self, arguments: str, functions: Mapping[str, Any], codes: Mapping[str, str] | None = None
+    ) -> Callable[..., Any]:
+        """Return a Python function that computes the formula; equal parts are computed once.
+
+        Parameters
+        ----------
+        arguments : str
+            Of the function, separated by commas.
+        functions : mapping
+            The functions ``maximum minimum absolute sqrt exp log sin cos tanh select``, and
+            ``expm1 log1p growth`` of a change, that it calls, by name, and ``__name__``, the
+            module that it belongs to.
+        codes : mapping, optional
+            What stands in the function for names of the formula that are no arguments.
+        """
+        made: dict[Formula, str] = {}
+        lines: list[str] = []
+        for node in self.walk():
+            code = _in_python(node, [made[part] for part in node.parts])
+            if node.operation == "name":
+                code = (codes or {}).get(code, code)
+            if node.parts:
+                lines.append(f"    _{len(lines)} = {code}")
+                code = f"_{len(lines) - 1}"
+            made[node] = code
+        body = "\n".join(lines)
+        # The text was printed from a tree of accepted parts alone.
+        source = f"def formula({arguments}):\n{body}\n    return {made[self]}\n"
+        scope = dict(functions)
+        exec(compile(source, "<formula of a law>", "exec"), scope)
+        return scope["formula"]  # type: ignore[no-any-return]
+
+    def __repr__(self) -> str:
+        return self.text
+
+    def __reduce__(self) -> Any:
+        return make, (self.operation, self.parts, self.value)
+
+
+_formulas: WeakValueDictionary[Any, Formula] = WeakValueDictionary()
+
+
+def make(operation: str, parts: tuple[Formula, ...] = (), value: float | str = "") -> Formula:
+    """Return the one formula with this operation, these parts and this value."""
+    key = operation, parts, value
+    formula = _formulas.get(key)
+    if formula is None:
+        formula = _formulas[key] = Formula(operation, parts, value)
+    return formula
+
+
+def number(value: float) -> Formula:
+    """Return a number as a formula."""
+    return make("number", value=float(value))
+
+
+def name(text: str) -> Formula:
+    """Return a variable or parameter as a formula."""
+    return make("name", value=text)
+
+
+ZERO = number(0.0)
+ONE = number(1.0)
+# Operations with a condition, on whose two sides they compute different things.
+CONDITIONAL = ("max", "min", "abs", "step", "select")
+CONSTANT: dict[str, Callable[..., float]] = {
+    "+": lambda a, b: a + b,
+    "-": lambda a, b: a - b,
+    "*": lambda a, b: a * b,
+    "/": lambda a, b: a / b,
+    "**": lambda a, b: float(np.float64(a) ** np.float64(b)),
+    "negative": lambda a: -a,
+    "max": max,
+    "min": min,
+    "abs": abs,
+    "sqrt": math.sqrt,
+    "exp": math.exp,
+    "log": math.log,
+    "sin": math.sin,
+    "cos": math.cos,
+    "tanh": math.tanh,
+    "step": lambda a: float(a >= 0),
+    "expm1": math.expm1,
+    "log1p": math.log1p,
+    "growth": lambda s, p: math.expm1(p * math.log1p(s)),
+    "select": lambda c, a, b: a if c >= 0 else b,
+}
+
+
+def build(operation: str, *parts: Formula) -> Formula:
+    """Return an operation on parts, simplified where a number makes that trivial."""
+    if operation in SIMPLIFIED:
+        return SIMPLIFIED[operation](*parts)
+    numbers = [part.number for part in parts]
+    if None not in numbers:
+        return _constant(operation, numbers)
+    if operation == "step" or operation not in CONDITIONAL:
+        return make(operation, parts)
+    if operation == "select":
+        condition, above, below = parts
+        if condition.number is not None:
+            return above if condition.number >= 0 else below
+        return above if above is below else make(operation, parts)
+    if operation == "abs":
+        return make(operation, parts)
+    return reduce(lambda a, b: a if a is b else make(operation, (a, b)), parts)
+
+
+def _constant(operation: str, numbers: Iterable[Any]) -> Formula:
+    """Return the result of an operation on numbers; infinity or no number where there is none."""
+    with np.errstate(all="ignore"):
+        try:
+            return number(CONSTANT[operation](*numbers))
+        except ZeroDivisionError:
+            return number(math.inf)
+        except (ValueError, OverflowError):
+            return number(math.nan)
+
+
+def add(a: Formula, b: Formula) -> Formula:
+    """Return a + b."""
+    if a is ZERO or b is ZERO:
+        return b if a is ZERO else a
+    return _arithmetic("+", a, b)
+
+
+def subtract(a: Formula, b: Formula) -> Formula:
+    """Return a - b."""
+    if a is b:
+        return ZERO
+    if b is ZERO:
+        return a
+    return negative(b) if a is ZERO else _arithmetic("-", a, b)
+
+
+def multiply(a: Formula, b: Formula) -> Formula:
+    """Return a b; where a step is a factor, the other is passed over where that is 0."""
+    if a is ZERO or b is ZERO:
+        return ZERO
+    if a is ONE or b is ONE:
+        return b if a is ONE else a
+    for one, other in ((a, b), (b, a)):
+        if one.operation == "step":
+            return build("select", one.parts[0], other, ZERO)
+        if one.operation == "select" and one.parts[2] is ZERO:
+            return build("select", one.parts[0], multiply(one.parts[1], other), ZERO)
+    return _arithmetic("*", a, b)
+
+
+def divide(a: Formula, b: Formula) -> Formula:
+    """Return a / b."""
+    return a if a is ZERO or b is ONE else _arithmetic("/", a, b)
+
+
+def power(a: Formula, b: Formula) -> Formula:
+    """Return a^b."""
+    if b is ZERO:
+        return ONE
+    return a if b is ONE else _arithmetic("**", a, b)
+
+
+def negative(a: Formula) -> Formula:
+    """Return -a."""
+    if a.number is not None:
+        return number(-a.number)
+    return a.parts[0] if a.operation == "negative" else make("negative", (a,))
+
+
+def _arithmetic(operation: str, a: Formula, b: Formula) -> Formula:
+    if a.number is not None and b.number is not None:
+        return _constant(operation, (a.number, b.number))
+    return make(operation, (a, b))
+
+
+SIMPLIFIED: dict[str, Callable[..., Formula]] = {
+    "+": add,
+    "-": subtract,
+    "*": multiply,
+    "/": divide,
+    "**": power,
+    "negative": negative,
+}
+
+
+# Reading.
+
+
+def parse(text: str) -> Formula:
+    """Return the formula that a text holds.
+
+    Raises
+    ------
+    InputError
+        With the key "force", if it is no formula, too long, or nested too deeply.
+    """
+    if not isinstance(text, str):
+        raise _fault("must be a text such as 'k*max(o, 0)**1.5'")
+    if len(text) > MAX_LENGTH:
+        raise _fault(f"has {len(text)} characters, more than {MAX_LENGTH}: write it shorter")
+    if not CHARACTERS.fullmatch(text):
+        wrong = next(c for c in text if not CHARACTERS.fullmatch(c))
+        hint = ": write ** for a power" if wrong == "^" else ""
+        raise _fault(f"has {wrong!r}, which no formula holds{hint}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            tree = ast.parse(text.strip(), mode="eval")
+    except (SyntaxError, ValueError, RecursionError, MemoryError):
+        raise _fault(f"is no formula: {_short(text)}") from None
+    left = [MAX_OPERATIONS]
+    formula = _read(tree.body, 0, left)
+    for node in formula.walk():
+        if node.number is not None and not abs(node.number) <= MAX_NUMBER:
+            raise _fault(f"has a number that is too large, or none: {_short(text)}")
+    if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
+        raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
+    return formula
+
+
+def _fault(message: str) -> InputError:
+    return InputError.at("force", message)
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= 60 else f"{text[:57]}...")
+
+
+def _read(node: ast.AST, depth: int, left: list[int]) -> Formula:
+    """Return the formula of a syntax tree of accepted parts; raise `InputError` for others."""
+    left[0] -= 1
+    if depth > MAX_DEPTH:
+        raise _fault(f"is nested more than {MAX_DEPTH} levels deep")
+    if left[0] < 0:
+        raise _fault(f"has more than {MAX_OPERATIONS} numbers, names and operations")
+    value = node.value if isinstance(node, ast.Constant) else None
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        if abs(value) > MAX_NUMBER:
+            raise _fault(f"has a number above {MAX_NUMBER:g}")
+        return number(float(value))
+    if isinstance(node, ast.Name):
+        if node.id in FUNCTIONS:
+            raise _fault(f"has {node.id} without brackets: write {node.id}(...)")
+        if node.id.startswith("_") or len(node.id) > 30:
+            raise _fault(f"has the name {_short(node.id)}: use up to 30 letters and digits")
+        return name(node.id)
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
+        part = _read(node.operand, depth + 1, left)
+        return negative(part) if isinstance(node.op, ast.USub) else part
+    if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+        sides = [_read(side, depth + 1, left) for side in (node.left, node.right)]
+        return build(OPERATORS[type(node.op)], *sides)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        called = node.func.id
+        if called not in FUNCTIONS:
+            raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
+        several = called in ("min", "max")
+        if len(node.args) != 1 if not several else len(node.args) < 2:
+            raise _fault(f"has {called} of {len(node.args)} values")
+        return build(called, *(_read(part, depth + 1, left) for part in node.args))
+    kinds = "numbers, names, + - * / ** and functions"
+    raise _fault(f"has {type(node).__name__}: a formula holds {kinds} only")
+
+
+# Printing.
+
+
+def _digits(value: float) -> str:
+    """Return a number that is read as the same one."""
+    return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
+
+
+def _print(node: Formula) -> tuple[str, int]:
+    """Return the text of a formula and its precedence."""
+    if node.number is not None:
+        return _digits(node.number), 3 if node.number < 0 else 5
+    if node.operation == "name":
+        return str(node.value), 5
+    if node.operation == "select" and node.parts[2] is ZERO:
+        node = make("*", (make("step", node.parts[:1]), node.parts[1]))
+    rank = PRECEDENCE.get(node.operation)
+    printed = [_print(part) for part in node.parts]
+    if rank is None:
+        return f"{node.operation}({', '.join(text for text, _ in printed)})", 5
+    if node.operation == "negative":
+        text, inner = printed[0]
+        # A sum is enclosed; a product is not, because -a*b and -(a*b) are read alike in value
+        # only, not as the same tree.
+        return f"-({text})" if inner < 4 else f"-{text}", rank
+    (left, low), (right, high) = printed
+    left_associative = node.operation != "**"
+    if low < rank or (low == rank and not left_associative):
+        left = f"({left})"
+    if high < rank or (high == rank and left_associative):
+        right = f"({right})"
+    spaced = f" {node.operation} " if rank == 1 else node.operation
+    return f"{left}{spaced}{right}", rank
+
+
+def _in_lepton(node: Formula, parts: list[str]) -> str:
+    if node.number is not None:
+        # No blanks and no name of a number enter a deck.
+        return f"({node.number!r})" if node.number < 0 else repr(node.number)
+    if node.operation == "name":
+        return str(node.value)
+    if node.operation == "negative":
+        return f"(-{parts[0]})"
+    if node.operation == "select":
+        return f"select(step({parts[0]}),{parts[1]},{parts[2]})"
+    if node.operation in PRECEDENCE:
+        return f"({parts[0]}{'^' if node.operation == '**' else node.operation}{parts[1]})"
+    return f"{node.operation}({','.join(parts)})"
+
+
+NUMPY_NAMES = {"max": "maximum", "min": "minimum", "abs": "absolute"}
+
+
+def _in_python(node: Formula, parts: list[str]) -> str:
+    if node.number is not None:
+        return f"({node.number!r})"
+    if node.operation == "name":
+        return str(node.value)
+    if node.operation == "negative":
+        return f"-{parts[0]}"
+    if node.operation == "**":
+        return _power_in_python(node.parts[1].number, *parts)
+    if node.operation in PRECEDENCE:
+        return f"{parts[0]} {node.operation} {parts[1]}"
+    if node.operation == "step":
+        return f"select({parts[0]} >= 0.0, 1.0, 0.0)"
+    if node.operation == "select":
+        return f"select({parts[0]} >= 0.0, {parts[1]}, {parts[2]})"
+    return f"{NUMPY_NAMES.get(node.operation, node.operation)}({', '.join(parts)})"
+
+
+def _power_in_python(exponent: float | None, base: str, other: str) -> str:
+    """Return a power; products and roots are faster than the power function."""
+    if exponent is None or not (2 * exponent).is_integer() or abs(exponent) > 6:
+        return f"{base} ** {other}"
+    whole = int(abs(exponent))
+    factors = [base] * whole + [f"sqrt({base})"] * (abs(exponent) != whole)
+    product = " * ".join(factors)
+    return product if exponent > 0 else f"1.0 / ({product})"
+
+
+# Derivatives and conditions.
+
+
+def _slope(node: Formula, slopes: list[Formula], variable: str) -> Formula:
+    """Return the derivative of a formula whose parts have these derivatives."""
+    if not node.parts:
+        return ONE if node.value == variable else ZERO
+    if all(slope is ZERO for slope in slopes):
+        return ZERO
+    a = node.parts[0]
+    da = slopes[0]
+    match node.operation:
+        case "+" | "-" | "negative":
+            return build(node.operation, *slopes)
+        case "*":
+            b = node.parts[1]
+            return add(multiply(da, b), multiply(a, slopes[1]))
+        case "/":
+            b = node.parts[1]
+            return divide(subtract(da, multiply(node, slopes[1])), b)
+        case "**":
+            return _slope_of_power(node, slopes)
+        case "step":
+            return ZERO
+        case "select":
+            return build("select", a, slopes[1], slopes[2])
+        case "max" | "min" | "abs":
+            return build("select", _condition(node), *_sides(node.operation, slopes))
+    return multiply(OUTER[node.operation](node, a), da)
+
+
+OUTER: dict[str, Callable[[Formula, Formula], Formula]] = {
+    "sqrt": lambda node, a: divide(number(0.5), node),
+    "exp": lambda node, a: node,
+    "log": lambda node, a: divide(ONE, a),
+    "sin": lambda node, a: build("cos", a),
+    "cos": lambda node, a: negative(build("sin", a)),
+    "tanh": lambda node, a: subtract(ONE, multiply(node, node)),
+}
+
+
+def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
+    base, exponent = node.parts
+    total = ZERO
+    if slopes[0] is not ZERO:
+        lower = power(base, subtract(exponent, ONE))
+        total = multiply(multiply(exponent, lower), slopes[0])
+    if slopes[1] is not ZERO:
+        total = add(total, multiply(multiply(node, build("log", base)), slopes[1]))
+    return total
+
+
+# Added to a sum of two roots, which may be 0: far below every other number.
+TINY = number(1e-300)
+TWO = number(2.0)
+
+
+def _change(node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]) -> Formula:
+    """Return the change of a formula whose parts change by these, see `Formula.change`."""
+    a = node.parts[0]
+    da = changes[0]
+    ends = after[node]
+    match node.operation:
+        case "+" | "-" | "negative":
+            return build(node.operation, *changes)
+        case "*":
+            return add(multiply(da, after[node.parts[1]]), multiply(a, changes[1]))
+        case "/":
+            return divide(subtract(da, multiply(node, changes[1])), after[node.parts[1]])
+        case "**":
+            return _change_of_power(node, changes, after)
+        case "sqrt":
+            return divide(da, add(add(ends, node), TINY))
+        case "exp":
+            return multiply(node, build("expm1", da))
+        case "log":
+            return build("log1p", divide(da, a))
+        case "sin" | "cos":
+            half = multiply(number(0.5), da)
+            middle = add(a, half)
+            if node.operation == "sin":
+                return multiply(multiply(TWO, build("cos", middle)), build("sin", half))
+            return multiply(multiply(number(-2.0), build("sin", middle)), build("sin", half))
+        case "tanh":
+            return multiply(build("tanh", da), subtract(ONE, multiply(ends, node)))
+        case "step":
+            return subtract(ends, node)
+    return _change_across(node, changes, after)
+
+
+def _change_of_power(
+    node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]
+) -> Formula:
+    base, exponent = node.parts
+    p = exponent.number
+    if p is not None and 0 < p <= 4 and (2 * p).is_integer():
+        # x^p is x x ... sqrt(x).
+        factors = [(base, changes[0], after[base])] * int(p)
+        if p != int(p):
+            root = build("sqrt", base)
+            ends = build("sqrt", after[base])
+            slope = divide(changes[0], add(add(ends, root), TINY))
+            factors.append((root, slope, ends))
+        value, change, product = factors[0]
+        for factor, by, end in factors[1:]:
+            change = add(multiply(change, end), multiply(value, by))
+            value = multiply(value, factor)
+            product = multiply(product, end)
+        return change
+    if changes[0] is ZERO:
+        return multiply(node, build("expm1", multiply(build("log", base), changes[1])))
+    if changes[1] is not ZERO:
+        return subtract(after[node], node)
+    grows = build("growth", divide(changes[0], base), exponent)
+    # A base of 0 at rest has no relative change.
+    return build("select", subtract(base, TINY), multiply(node, grows), after[node])
+
+
+def _change_across(
+    node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]
+) -> Formula:
+    """Return the change of an operation with a condition, which may be on the other side after."""
+    condition = _condition(node)
+    above, below = _sides(node.operation, node.parts)
+    if node.operation == "abs":
+        by = changes[0], negative(changes[0])
+    else:
+        by = changes[-2], changes[-1]
+    ended = condition.rebuilt(lambda part: after.get(part, None if part.parts else part))
+    if ended is condition:
+        return build("select", condition, *by)
+    ahead = subtract(above, below)
+    passed = build("select", condition, ZERO, ahead)
+    returned = build("select", condition, negative(ahead), ZERO)
+    return build("select", ended, add(by[0], passed), add(by[1], returned))
+
+
+def _condition(node: Formula) -> Formula:
+    """Return what is 0 or more on the first side of an operation with a condition."""
+    if node.operation == "max":
+        return subtract(*node.parts)
+    if node.operation == "min":
+        return subtract(node.parts[1], node.parts[0])
+    return node.parts[0]
+
+
+def _sides(operation: str, parts: Sequence[Formula]) -> tuple[Formula, Formula]:
+    """Return what an operation gives where its condition is 0 or more, and elsewhere."""
+    if operation == "abs":
+        return parts[0], negative(parts[0])
+    if operation == "step":
+        return ONE, ZERO
+    return parts[-2], parts[-1]
+
+
+def _branches(condition: Formula) -> list[Formula]:
+    """Return the smooth formulas that a condition with conditions of its own can be."""
+    found = {condition}
+    smooth = []
+    while found:
+        one = found.pop()
+        inner = next((node for node in one.walk() if node.operation in CONDITIONAL), None)
+        if inner is None:
+            smooth.append(one)
+            continue
+        for side in _sides(inner.operation, inner.parts):
+            found.add(_replaced(one, inner, side))
+    return sorted(smooth, key=lambda formula: formula.text)
+
+
+def _replaced(formula: Formula, old: Formula, new: Formula) -> Formula:
+    return formula.rebuilt(lambda node: new if node is old else (None if node.parts else node))
+
+
+# Integrals: sums of products, by the rules of every textbook.
+
+Term = tuple[float, dict[Formula, float]]  # a factor, and powers of formulas
+
+
+def _inside(low: float, high: float) -> float:
+    """Return a number between two, of which one may be infinite."""
+    if low == -math.inf:
+        return high - 1.0 - abs(high) if high < math.inf else 0.0
+    return low + 1.0 + abs(low) if high == math.inf else (low + high) / 2
+
+
+def _primitive(smooth: Formula, variable: str) -> Formula | None:
+    """Return an integral of a smooth formula of one variable; None if no rule gives it."""
+    terms = _expand(smooth, variable)
+    if terms is None:
+        return None
+    total: Formula = ZERO
+    for factor, powers in terms:
+        if factor == 0:
+            continue
+        part = _integrate(dict(powers), variable)
+        if part is None:
+            return None
+        total = add(total, multiply(number(factor), part))
+    return total
+
+
+def _expand(node: Formula, variable: str) -> list[Term] | None:
+    """Return the terms of a formula of one variable; None if there are too many."""
+    if node.number is not None:
+        return [(node.number, {})]
+    if node.operation in ("+", "-", "negative"):
+        sides = [_expand(part, variable) for part in node.parts]
+        if any(side is None for side in sides):
+            return None
+        sign = -1.0 if node.operation in ("-", "negative") else 1.0
+        last = [(sign * factor, powers) for factor, powers in sides[-1] or []]
+        return _bounded([*(sides[0] or []), *last] if len(sides) == 2 else last)
+    if node.operation in ("*", "/"):
+        left, right = (_expand(part, variable) for part in node.parts)
+        if left is None or right is None:
+            return None
+        return _times(left, right if node.operation == "*" else _raised(node.parts[1], right, -1.0))
+    if node.operation in ("**", "sqrt"):
+        exponent = 0.5 if node.operation == "sqrt" else node.parts[1].number
+        inner = _expand(node.parts[0], variable)
+        if exponent is not None and inner is not None:
+            return _raised(node.parts[0], inner, exponent)
+    return [(1.0, {node: 1.0})]
+
+
+def _bounded(terms: list[Term]) -> list[Term] | None:
+    return terms if len(terms) <= MAX_TERMS else None
+
+
+def _times(left: list[Term], right: list[Term] | None) -> list[Term] | None:
+    if right is None or len(left) * len(right) > MAX_TERMS:
+        return None
+    product = []
+    for a, powers in left:
+        for b, others in right:
+            merged = dict(powers)
+            for base, exponent in others.items():
+                merged[base] = merged.get(base, 0.0) + exponent
+            product.append((a * b, {base: e for base, e in merged.items() if e != 0}))
+    return product
+
+
+def _raised(base: Formula, terms: list[Term], exponent: float) -> list[Term] | None:
+    """Return a power of terms: of one factor by factor, of a few multiplied out, or as a whole."""
+    whole = exponent.is_integer()
+    if len(terms) == 1:
+        factor, powers = terms[0]
+        plain = all(e == 1 for e in powers.values()) and len(powers) <= 1
+        if (factor > 0 and plain) or (whole and factor != 0):
+            return [(factor**exponent, {b: e * exponent for b, e in powers.items()})]
+    # A power of a linear term is integrated as such.
+    if whole and 1 < exponent <= MAX_POWER and base.operation != "name":
+        names = base.names
+        if names and names[0] in base.derivative(names[0]).names:
+            product: list[Term] | None = [(1.0, {})]
+            for _ in range(int(exponent)):
+                product = None if product is None else _times(product, terms)
+            return product
+    return [(1.0, {base: exponent})]
+
+
+def _linear(node: Formula, variable: str) -> tuple[float, float] | None:
+    """Return a and b of a + b x with b other than 0; None for anything else."""
+    slope = node.derivative(variable).number
+    offset = node.value_at(variable, 0.0)
+    return (offset, slope) if slope and math.isfinite(offset) else None
+
+
+def _integrate(powers: dict[Formula, float], variable: str) -> Formula | None:
+    """Return the integral of a product of powers."""
+    x = name(variable)
+    degree = powers.pop(x, 0.0)
+    powers = _one_exponential(powers)
+    if not powers:
+        return _power_integral(x, degree)
+    if len(powers) > 1 or not 0 <= degree <= MAX_POWER or not degree.is_integer():
+        return None
+    ((base, exponent),) = powers.items()
+    inner = base.parts[0] if base.operation in PRIMITIVES else base
+    linear = _linear(inner, variable)
+    if linear is None:
+        return None
+    if base.operation in PRIMITIVES:
+        if exponent != 1:
+            return None
+        if base.operation in ("tanh", "log") and degree > 0:
+            return None
+        return _by_parts(base.operation, inner, linear[1], int(degree), x)
+    return _shifted(inner, linear, int(degree), exponent)
+
+
+def _power_integral(base: Formula, exponent: float) -> Formula:
+    if exponent == -1:
+        return build("log", build("abs", base))
+    raised = power(base, number(exponent + 1))
+    return divide(raised, number(exponent + 1))
+
+
+def _one_exponential(powers: dict[Formula, float]) -> dict[Formula, float]:
+    """Return a product in which all exponential functions are one."""
+    exponentials = {base: e for base, e in powers.items() if base.operation == "exp"}
+    if not exponentials:
+        return powers
+    argument: Formula = ZERO
+    for base, exponent in exponentials.items():
+        argument = add(argument, multiply(number(exponent), base.parts[0]))
+    rest = {base: e for base, e in powers.items() if base not in exponentials}
+    return rest | {build("exp", argument): 1.0}
+
+
+def _shifted(inner: Formula, linear: tuple[float, float], degree: int, exponent: float) -> Formula:
+    """Return the integral of x^n L^p with L = a + b x, by powers of L alone."""
+    a, b = linear
+    total: Formula = ZERO
+    for j in range(degree + 1):
+        factor = math.comb(degree, j) * (-a) ** (degree - j) / b ** (degree + 1)
+        total = add(total, multiply(number(factor), _power_integral(inner, exponent + j)))
+    return total
+
+
+def _by_parts(operation: str, inner: Formula, slope: float, degree: int, x: Formula) -> Formula:
+    """Return the integral of x^n f(L), in which f is a function with known integrals."""
+    total: Formula = ZERO
+    sign = 1.0
+    factor = 1.0
+    function = operation
+    for j in range(degree, -1, -1):
+        primitive, function, turned = PRIMITIVES[function](inner)
+        factor /= slope
+        term = multiply(power(x, number(float(j))), primitive)
+        sign *= turned
+        total = add(total, multiply(number(sign * factor), term))
+        # The next term integrates the primitive itself, with the other sign.
+        factor *= j
+        sign = -sign
+    return total
+
+
+def _log_cosh(inner: Formula) -> Formula:
+    size = build("abs", inner)
+    decays = build("exp", multiply(number(-2.0), size))
+    return add(size, build("log", multiply(number(0.5), add(ONE, decays))))
+
+
+# Of a function of L: its integral by L without the sign, the function that this is, and the sign.
+PRIMITIVES: dict[str, Callable[[Formula], tuple[Formula, str, float]]] = {
+    "exp": lambda inner: (build("exp", inner), "exp", 1.0),
+    "sin": lambda inner: (build("cos", inner), "cos", -1.0),
+    "cos": lambda inner: (build("sin", inner), "sin", 1.0),
+    "tanh": lambda inner: (_log_cosh(inner), "", 1.0),
+    "log": lambda inner: (
+        subtract(multiply(inner, build("log", inner)), inner),
+        "",
+        1.0,
+    ),
+}

@@ -1,0 +1,696 @@
+"""Force laws that users write as formulas: of contacts, and of springs between grains and ground.
+
+========  ==========  ========================================================
+symbol    in formula  meaning
+========  ==========  ========================================================
+o         o           overlap of a contact, m; below 0 a gap or a stretched bond
+K         k           constant of a contact, of the chain unless it is given
+u         u           displacement of a grain from rest, m, in a ground law
+t         t           time, s, in a ground law
+========  ==========  ========================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BeforeValidator
+
+from ..errors import InputError, shown
+from ..util.arrays import EPSILON, Array, read_only
+from ..util.caching import cached_property
+from ..util.tables import counted
+from .contact_law import ITERATIONS, PARTS, ContactLaw, RestingContacts, solve_growing
+from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse
+
+VARIABLES = ("o", "u", "t")
+# The power of the overlap with which a smooth force is said to set in: no contact opens.
+SMOOTH = 1.5
+# Derivatives that are compared on both sides of a kink.
+COMPARED = 4
+# Distance to a kink, over its overlap, at which a fractional power is measured.
+NEAR_KINK = 1e-6
+# Sizes of overlaps among which a rest is looked for, m.
+SIZES = np.geomspace(1e-18, 1e2, 801)
+LARGEST = 1e300  # N
+# Lengths of the stiffness's own change up to which a kink is near.
+FAR = 4.0
+# A length for laws without one, as a linear spring, m.
+LONGEST = 1.0
+NUMPY: dict[str, Any] = {
+    **{
+        key: getattr(np, key)
+        for key in ("maximum", "minimum", "absolute", "sqrt", "exp", "log", "sin", "cos", "tanh")
+    },
+    "select": np.where,
+    "expm1": np.expm1,
+    "log1p": np.log1p,
+    "growth": lambda s, p: np.expm1(p * np.log1p(np.maximum(s, -1.0))),
+    "__name__": __name__,
+}
+
+
+class Law(ContactLaw):
+    """The force of a contact, or of a spring to the ground, by a formula.
+
+    Two laws are equal if their formulas, as printed, and their parameters are.
+
+    Parameters
+    ----------
+    force : str
+        The force in N. Of a contact: with which two grains push each other apart, as a function of
+        the overlap ``o`` in m; ``o < 0`` is a gap, or a stretched bond if the force is not 0 there.
+        Of the ground: that pulls a grain back, as a function of its displacement ``u`` from rest in
+        m, and of the time ``t`` in s. `lmpchain.chain.formula` lists what a formula may hold.
+    **parameters : float or (N-1,) array
+        Numbers for the other names, of all contacts or of each (of a ground: of each grain). ``k``
+        is the constant of the contacts of the chain unless it is given. A wall has the parameters
+        of the contact next to it.
+
+    Raises
+    ------
+    InputError
+        With the key ``force``, or that of a parameter.
+
+    Examples
+    --------
+    >>> law = Law("k*max(o, 0)**1.5*(1 + c*o)", k=1e9, c=1e4)
+    >>> law
+    Law('k*max(o, 0)**1.5*(1 + c*o)', k=1000000000, c=10000)
+    >>> f"{law.force(1e-6):.4f} N, {law.stiffness(1e-6):.4g} N/m"
+    '1.0100 N, 1.525e+06 N/m'
+    >>> f"{float(law.overlap(1.01)):.6g} m"
+    '1e-06 m'
+    """
+
+    formula: Formula
+    given: dict[str, float | tuple[float, ...]]
+
+    def __init__(self, force: str, /, **parameters: Any):
+        formula = parse(force)
+        names = formula.names
+        needed = [key for key in names if key not in VARIABLES]
+        faults = list(_misfits(names, needed, parameters))
+        given = {}
+        for key in dict.fromkeys([*(key for key in ("k",) if key in parameters), *needed]):
+            if key in parameters:
+                try:
+                    given[key] = _number(key, parameters[key])
+                except InputError as error:
+                    faults += list(error.faults)
+        if faults:
+            raise InputError(faults)
+        lengths = {len(value) for value in given.values() if isinstance(value, tuple)}
+        if len(lengths) > 1:
+            raise InputError.at("force", f"has parameters of lengths {sorted(lengths)}")
+        self._set(formula, given)
+
+    def _set(self, formula: Formula, given: dict[str, float | tuple[float, ...]]) -> None:
+        object.__setattr__(self, "formula", formula)
+        object.__setattr__(self, "given", given)
+        arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
+        force, stiffness, curvature = (
+            formula.function("o, k, p", NUMPY, arguments) for formula in _derived(formula)
+        )
+        kinks = [place.substitute(self._numbers(0)) for place in formula.kinks("o")]
+        values = sorted({k for place in kinks if (k := place.number) is not None})
+        super().__init__(
+            force,
+            stiffness,
+            curvature,
+            onset=SMOOTH,
+            parameters=tuple(_array(given[key]) for key in self.names),
+            kinks=tuple(values),
+            name=self.text,
+        )
+        object.__setattr__(self, "onset", self._onset())
+
+    @property
+    def kernel(self) -> LawKernel:
+        """What the native engine compiles, the same for all values of the parameters."""
+        return _kernel(self.formula, tuple(self.names))
+
+    def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
+        """Return the values at rest that the compiled change of the force reads."""
+        with np.errstate(all="ignore"):
+            return [function(overlap, constant, self.parameters) for function in self.kernel.kept]
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the parameters but k, in the order of `parameters`."""
+        return [key for key in self.given if key != "k"]
+
+    @property
+    def text(self) -> str:
+        """The formula as it is printed; reading it gives the same law."""
+        return self.formula.text
+
+    @property
+    def of_ground(self) -> bool:
+        """Whether it is the law of a ground, of the displacement and the time."""
+        return any(key in self.formula.names for key in ("u", "t"))
+
+    def _change(self, rest: Array, r: Array, constant: Array) -> Array:
+        """Return F(rest + r) - F(rest), with all digits of weak waves, N."""
+        with np.errstate(all="ignore"):
+            change = self.kernel.change(rest, r, constant, self.parameters)
+        return np.broadcast_to(change, np.broadcast_shapes(np.shape(rest), np.shape(r)))
+
+    def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
+        """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
+        rest, r, constant = np.broadcast_arrays(rest, r, constant)
+        total = np.zeros(r.shape)
+        for s, weight in self._nodes(rest, r):
+            total = total + weight * self._change(rest, s, constant)
+        return np.sign(r) * total
+
+    def _numbers(self, contact: int, constant: float = 1.0) -> dict[str, float]:
+        """Return the parameters of one contact."""
+        values = {"k": constant}
+        for key, value in self.given.items():
+            values[key] = value[contact] if isinstance(value, tuple) else value
+        return values
+
+    def _onset(self) -> float:
+        """Return the lowest power of the distance to a kink with which the force bends there."""
+        if self.of_ground:
+            return SMOOTH
+        whole = self.formula.substitute(self._numbers(0))
+        return min((_bend_at(whole, kink) for kink in self.kinks), default=SMOOTH)
+
+    def with_parameters(self, parameters: Iterable[Any]) -> Law:
+        """Return the law with other parameters, which may be of higher precision."""
+        law = object.__new__(Law)
+        law.__dict__.update(
+            {key: value for key, value in self.__dict__.items() if key in KEPT_FIELDS}
+        )
+        object.__setattr__(law, "parameters", tuple(parameters))
+        return law
+
+    def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
+        """Return the constant K of contacts of spheres, unless the law has its own."""
+        k = self.given.get("k")
+        return super().constant(modulus, radius, length) if k is None else np.asarray(k)
+
+    def _constant(self, constant: Any) -> Any:
+        if constant is not None:
+            return constant
+        if "k" in self.given:
+            return np.asarray(self.given["k"])
+        if "k" in self.formula.names:
+            raise InputError.at("k", "is not given: name it, as a chain does")
+        return 1.0
+
+    def _filled(self, function: Any, overlap: Any, constant: Any) -> Any:
+        """Return what a function gives, of the shape of overlaps, constants and parameters."""
+        constant = self._constant(constant)
+        overlap = np.asarray(overlap)[()]
+        shape = np.broadcast_shapes(*map(np.shape, (overlap, constant, *self.parameters)))
+        with np.errstate(all="ignore"):
+            values = function(overlap, constant)
+        return values if np.shape(values) == shape else np.broadcast_to(values, shape)
+
+    def force(self, overlap: Any, constant: Any = None) -> Any:
+        """Return the force at an overlap, N."""
+        return self._filled(super().force, overlap, constant)
+
+    def stiffness(self, overlap: Any, constant: Any = None) -> Any:
+        """Return the derivative of the force by the overlap, N/m."""
+        return self._filled(super().stiffness, overlap, constant)
+
+    def curvature(self, overlap: Any, constant: Any = None) -> Any:
+        """Return the derivative of the stiffness by the overlap, N/m2."""
+        return self._filled(super().curvature, overlap, constant)
+
+    def overlap(self, force: Any, constant: Any = None) -> Any:
+        """Return the overlap at which a contact rests under this force, m.
+
+        It is 0 without a force, if that of the law is 0 there and does not fall.
+
+        Raises
+        ------
+        InputError
+            If there is no such overlap at which the force grows, or more than one.
+        """
+        columns = np.broadcast_arrays(force, self._constant(constant), *self.parameters)
+        shape = columns[0].shape
+        forces, *others = (np.ravel(column).astype(float) for column in columns)
+        contacts, inverse = np.unique(np.array(others), axis=1, return_inverse=True)
+        overlaps = np.zeros(forces.size)
+        # The contacts of a long chain have one constant and many forces.
+        order = np.argsort(inverse.ravel(), kind="stable")
+        ends = np.searchsorted(inverse.ravel()[order], np.arange(contacts.shape[1] + 1))
+        for number_, values in enumerate(contacts.T):
+            chosen = order[ends[number_] : ends[number_ + 1]]
+            alone = self.with_parameters(values[1:])
+            overlaps[chosen] = alone._rest(forces[chosen], float(values[0]))
+        return overlaps.reshape(shape)[()]
+
+    def _rest(self, forces: Array, constant: float) -> Array:
+        """Return the overlaps under some forces of contacts of one kind, (C,) m."""
+        places, values = self._sampled(constant)
+        low, high = np.zeros((2, forces.size))
+        at_zero = self.force(0.0, constant), self.stiffness(0.0, constant)
+        touches = (forces == 0.0) & (at_zero[0] == 0.0) & (at_zero[1] >= 0.0)
+        if (np.diff(values) >= 0).all():
+            after = np.searchsorted(values, forces, side="right")
+            before = np.searchsorted(values, forces, side="left") - 1
+            unique = (before >= 0) & (after < values.size)
+            if not (unique | touches).all():
+                raise self._no_rest(float(forces[~(unique | touches)][0]), 0)
+            low, high = places[np.maximum(before, 0)], places[np.minimum(after, values.size - 1)]
+        else:
+            for n in np.flatnonzero(~touches):
+                signs = np.sign(values - forces[n])
+                near = np.flatnonzero(signs)
+                rises = np.flatnonzero(np.diff(signs[near]) > 0)
+                if rises.size != 1:
+                    raise self._no_rest(float(forces[n]), rises.size)
+                low[n], high[n] = places[near[rises[0]]], places[near[rises[0] + 1]]
+        return np.where(touches, 0.0, self._refined(low, high, forces, constant))
+
+    def _no_rest(self, force: float, count: int) -> InputError:
+        if count:
+            fault = f"has {count} equilibria under {force:g} N: change load or gravity"
+        else:
+            fault = f"has no equilibrium under {force:g} N: its force does not grow through that"
+        return InputError.at("law", f"{fault} ({self.text})")
+
+    def _refined(self, low: Array, high: Array, forces: Array, constant: float) -> Array:
+        """Return where between two overlaps the force has these values, by Newton's method."""
+        x = (low + high) / 2
+        for _ in range(ITERATIONS):
+            off = self.force(x, constant) - forces
+            low = np.where(off < 0, x, low)
+            high = np.where(off < 0, high, x)
+            with np.errstate(all="ignore"):
+                step = x - off / self.stiffness(x, constant)
+            new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
+            if not (np.abs(new - x) > 2 * EPSILON * np.abs(x)).any():
+                return new
+            x = new
+        return x
+
+    def _sampled(self, constant: float) -> tuple[Array, Array]:
+        """Return overlaps of every size and the kinks, ascending, m, and the forces there, N."""
+        places = np.unique(np.concatenate((-SIZES, [0.0], SIZES, self.kinks)))
+        # Forces beyond all numbers are as large as can be.
+        values = np.clip(self.force(places, constant), -LARGEST, LARGEST)
+        sound = ~np.isnan(values)
+        return places[sound], values[sound]
+
+    @cached_property
+    def _shape(self) -> tuple[bool, bool, bool]:
+        """Whether contacts pull, whether the force never falls, and whether it is stiff at rest."""
+        pulls, grows, bonds = False, True, True
+        kinds = max(map(np.size, self.parameters), default=1)
+        parameters = np.array([np.broadcast_to(p, kinds) for p in self.parameters])
+        constant = float(np.max(self.given.get("k", 1.0)))
+        for values in np.unique(parameters, axis=1).T if self.parameters else [()]:
+            alone = self.with_parameters(values)
+            places, force = alone._sampled(constant)
+            pulls |= bool((force[places < 0] != 0).any())
+            grows &= bool((np.diff(force) >= 0).all())
+            try:
+                rest = alone._rest(np.zeros(1), constant)
+            except InputError:
+                bonds = False
+                continue
+            stiffness = alone.stiffness(rest, constant)[0]
+            bonds &= 0 < stiffness < np.inf and rest[0] not in alone.kinks
+        return pulls, grows, pulls and bonds
+
+    @property
+    def pulls(self) -> bool:
+        """Whether contacts have a force where there is a gap."""
+        return self._shape[0]
+
+    @property
+    def bonds(self) -> bool:
+        """Whether contacts are stiff at rest without any load."""
+        return self._shape[2]
+
+    @property
+    def as_exponent(self) -> float | None:
+        """The exponent of a law that is a power as the chain itself has it; None for others."""
+        if "k" in self.given or self.formula.operation != "*":
+            return None
+        constant, raised = self.formula.parts
+        base = raised.parts[0] if raised.operation == "**" else raised
+        exponent = raised.parts[1].number if raised.operation == "**" else 1.0
+        plain = constant is name("k") and base is build("max", name("o"), ZERO)
+        return exponent if plain and exponent and 1 <= exponent <= 3 else None
+
+    @property
+    def given_constant(self) -> Array | None:
+        """The constants of contacts that the law itself gives; else None."""
+        k = self.given.get("k")
+        return None if k is None else np.array(k, ndmin=1)
+
+    def with_walls(self, grains: int) -> Law:
+        """Return the law with parameters of all contacts, walls included, (N+1,) arrays."""
+        if not any(isinstance(value, np.ndarray) for value in self.parameters):
+            return self
+        # A wall has those of the contact next to it; one grain has only walls.
+        index = np.clip(np.arange(grains + 1) - 1, 0, max(grains - 2, 0))
+        return self.of(index)
+
+    def of(self, numbers: Any) -> Law:
+        """Return the law of some of the contacts that have parameters of their own."""
+        return self.with_parameters(
+            value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
+        )
+
+    def part(self, first: int, last: int) -> Law:
+        """Return the law of grains `first` to `last` of the chain."""
+        if not any(isinstance(value, tuple) for value in self.given.values()):
+            return self
+        return self.replace(
+            **{
+                key: value[first - 1 : last - 1]
+                for key, value in self.given.items()
+                if isinstance(value, tuple)
+            }
+        )
+
+    def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
+        """Return whether a contact is stiff at rest, and no kink is there, (..., N+1)."""
+        stiff = contacts.exists & (contacts.stiffness > 0) & np.isfinite(contacts.stiffness)
+        for kink in self.kinks:
+            stiff &= contacts.overlap != kink
+        return stiff
+
+    def length(self, contacts: RestingContacts) -> Array:
+        """Return the change of the overlap that is no longer weak, (..., N+1) m.
+
+        It is the distance to the nearest kink or, if that is far, the change by which the slope or
+        the bend of the stiffness would change all of it.
+        """
+        length = np.full(contacts.overlap.shape, LONGEST)
+        for kink in self.kinks:
+            length = np.minimum(length, np.abs(contacts.overlap - kink))
+        constant = np.where(contacts.exists, contacts.constant, 1.0)
+        with np.errstate(all="ignore"):
+            k = self.stiffness(contacts.overlap, constant)
+            bend = np.abs(self.curvature(contacts.overlap, constant)) / k
+            step = 1e-3 * np.fmin(length, np.fmin(1 / bend, LONGEST))
+            ends = [self.curvature(contacts.overlap + side * step, constant) for side in (-1, 1)]
+            twist = np.sqrt(np.abs(ends[1] - ends[0]) / (4 * step * k))
+            # Before a kink, powers of the distance to it bend as well.
+            far = FAR if self.kinks else 1.0
+            return np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
+
+    def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
+        """Return the largest stiffness at any overlap up to this size, N/m."""
+        sides = (-1.0, 1.0) if self.pulls else (1.0,)
+        values = [
+            self.stiffness(side * part * overlap, constant) for side in sides for part in PARTS
+        ]
+        values += [
+            np.where(np.abs(kink) < overlap, self.stiffness(np.float64(kink), constant), 0.0)
+            for kink in self.kinks
+            if kink != 0
+        ]
+        return np.nanmax(values, axis=0)
+
+    def approach(self, energy: Any, constant: Any) -> Any:
+        """Return the size of the overlap at which a contact holds this energy, m.
+
+        The energy is that above rest without a load.
+        """
+        energy, constant = np.broadcast_arrays(energy, constant)
+        rest = np.zeros(energy.shape)
+        if self.bonds:
+            rest = rest + self.overlap(np.zeros(energy.shape), constant)
+        closed = rest + self._extent(energy, constant, rest, 1.0)
+        stretched = self._extent(energy, constant, rest, -1.0) if self.pulls else rest
+        return np.where(np.isfinite(stretched), np.maximum(closed, stretched), closed)
+
+    def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
+        """Return an upper bound on how far overlaps differ from those at rest, m.
+
+        Without a force that never falls there is none: energy may come from other contacts.
+        """
+        shape = np.broadcast_shapes(np.shape(energy), contacts.constant.shape)
+        if not self._shape[1]:
+            return np.full(shape, np.inf)
+        constant = np.where(contacts.exists, contacts.constant, 1.0)
+        given, constant, rest = (
+            np.broadcast_to(x, shape) for x in (energy, constant, contacts.overlap)
+        )
+        bound = self._extent(given, constant, rest, 1.0)
+        if self.pulls:
+            bound = np.maximum(bound, self._extent(given, constant, rest, -1.0))
+        return bound
+
+    def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
+        """Return by how much a contact is closed (side 1) or stretched that holds this energy."""
+        with np.errstate(all="ignore"):
+            k = np.abs(self.stiffness(rest, constant))
+            start = np.sqrt(energy / np.where((k > 0) & np.isfinite(k), k, constant))
+            return solve_growing(
+                lambda r: self._integral(rest, side * r, constant, 1),
+                lambda r: side * self._change(rest, side * r, constant),
+                energy,
+                start,
+            )
+
+    def energy(self, overlap: Any, constant: Any = None) -> Any:
+        """Return the integral of the force over the overlap from 0, J."""
+        overlap = np.asarray(overlap, dtype=float)
+        constant = self._constant(constant)
+        shape = np.broadcast_shapes(overlap.shape, np.shape(constant), *map(np.shape, self.values))
+        overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
+        total = np.zeros(shape)
+        for place, weight in self._nodes(np.zeros(shape), overlap):
+            total += weight * self.force(place, constant)
+        return (np.sign(overlap) * total)[()]
+
+    @property
+    def values(self) -> list[Any]:
+        """The parameters but k, numbers or arrays."""
+        return list(self.parameters)
+
+    def lepton(
+        self,
+        what: str = "energy",
+        overlap: str = "-r",
+        constant: float | None = None,
+        contact: int = 0,
+    ) -> str:
+        """Return force or energy of one contact in the language of LEPTON, with all numbers in.
+
+        Parameters
+        ----------
+        what : "energy" or "force"
+        overlap : str
+            What stands for the overlap o, itself a formula: of the distance ``r`` for instance. Of
+            a ground law: what stands for the displacement u.
+        constant : float, optional
+            K; that of the law by default.
+        contact : int
+            Index of the contact of which parameters are taken, from 0.
+
+        Raises
+        ------
+        InputError
+            If the energy has no closed form.
+
+        Examples
+        --------
+        >>> Law("k*max(o, 0)**1.5", k=2.0).lepton(overlap="0.001 - r")
+        '(2.0*((max((0.001-r),0.0)^2.5)/2.5))'
+        """
+        values = self._numbers(contact, float(np.asarray(self._constant(constant)).flat[0]))
+        if constant is not None:
+            values["k"] = constant
+        formula = self.formula.substitute(values)
+        variable = "u" if self.of_ground else "o"
+        if what == "energy":
+            energy = formula.integral(variable)
+            if energy is None:
+                fault = f"has no energy in closed form: {self.text}"
+                raise InputError.at("force", f"{fault}; LAMMPS needs one, the native engine not")
+            formula = energy
+        return formula.substitute({variable: parse(overlap)}).lepton
+
+    def table(self) -> dict[str, Any]:
+        """Return formula and parameters as a scene file has them."""
+        return {"force": self.text} | {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in self.given.items()
+        }
+
+    @classmethod
+    def from_table(cls, table: Mapping[str, Any]) -> Law:
+        """Return the law of a table of a scene file, see `table`."""
+        rest = dict(table)
+        force = rest.pop("force", None)
+        if force is None:
+            raise InputError.at("force", "is missing: a formula such as 'k*max(o, 0)**1.5'")
+        return cls(force, **rest)
+
+    def replace(self, **parameters: Any) -> Law:
+        """Return the law with other values of some parameters, or another `force`."""
+        return Law.from_table(self.table() | parameters)
+
+    def _key(self) -> tuple[Any, ...]:
+        return self.text, tuple(sorted(self.given.items()))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Law) and self._key() == other._key()
+
+    def __hash__(self) -> int:
+        return hash(self._key())
+
+    def __reduce__(self) -> Any:
+        return Law.from_table, (self.table(),)
+
+    def __repr__(self) -> str:
+        values = "".join(f", {key}={_shown(value)}" for key, value in self.given.items())
+        return f"Law({self.text!r}{values})"
+
+
+@dataclass(frozen=True, eq=False)
+class LawKernel:
+    """Functions of one formula that do not depend on the values of its parameters.
+
+    Attributes
+    ----------
+    force_change, stiffness : Formula
+        Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
+        names are ``o``, ``k``, the parameters, and ``q0``, ``q1`` ... of what is kept at rest.
+    codes : mapping
+        Where these names are in a row of numbers: ``row[0]`` is o.
+    change : function
+        Of (o, r, k, p): the change of the force.
+    kept : list of functions
+        Of (o, k, p): what is kept at rest.
+    """
+
+    force_change: Formula
+    stiffness: Formula
+    codes: dict[str, str]
+    change: Any
+    kept: list[Any]
+
+
+@cache
+def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
+    force, stiffness, _ = _derived(formula)
+    change = force.change("o", "r")
+    inner, kept = change.without(["o", "k", *names], "_q")
+    parameters = {key: f"p[{n}]" for n, key in enumerate(names)}
+    columns = ["o", "k", *names, *(f"_q{n}" for n in range(len(kept)))]
+    return LawKernel(
+        inner,
+        stiffness.substitute({"o": add(name("o"), name("r"))}),
+        {key: f"row[{n}]" for n, key in enumerate(columns)},
+        change.function("o, r, k, p", NUMPY, parameters),
+        [part.function("o, k, p", NUMPY, parameters) for part in kept],
+    )
+
+
+@cache
+def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
+    """Return force, stiffness and curvature; 0 where there is no contact, whose constant is 0."""
+    force = formula
+    if force.substitute({"k": 0.0}) is not ZERO:
+        force = build("select", negative(name("k")), ZERO, force)
+    variable = "u" if "u" in formula.names else "o"
+    # An infinite stiffness times a constant of 0 would be no number.
+    stiffness = build("select", negative(name("k")), ZERO, force.derivative(variable))
+    return force, stiffness, stiffness.derivative(variable)
+
+
+def _misfits(
+    names: list[str], needed: list[str], parameters: Mapping[str, Any]
+) -> Iterable[tuple[str, str]]:
+    """Yield what does not fit between a formula and its parameters."""
+    if "o" in names and ("u" in names or "t" in names):
+        yield "force", "has o, of a contact, beside u or t, of the ground: use one kind"
+    if "o" not in names and "u" not in names:
+        yield "force", "depends on no overlap o and no displacement u"
+    if "force" in needed:
+        yield "force", "has a parameter named force: give it another name"
+    for key in needed:
+        if key not in parameters and (key != "k" or "o" not in names):
+            yield key, f"is not given: the formula needs a number, {key} = ..."
+    for key in parameters:
+        if key in VARIABLES:
+            yield key, "is a variable of formulas: give the parameter another name"
+        elif key not in needed:
+            known = ", ".join(needed) or "none"
+            yield key, f"is not in the formula, whose parameters are: {known}"
+
+
+def _number(key: str, value: Any) -> float | tuple[float, ...]:
+    """Return one number, or a tuple of them."""
+    try:
+        array = np.asarray(value)
+        sound = array.dtype.kind in "iuf" and array.ndim <= 1 and array.size > 0
+        array = array.astype(float) if sound else array
+    except (ValueError, TypeError):
+        sound = False
+    if not sound:
+        raise InputError.at(key, "must be a number, or a list of one for each contact")
+    if not (np.abs(array) <= MAX_NUMBER).all():
+        raise InputError.at(key, f"must be finite, and no more than {MAX_NUMBER:g}")
+    if array.ndim == 0:
+        return float(array)
+    return tuple(array.tolist())
+
+
+def _array(value: float | tuple[float, ...]) -> float | Array:
+    return read_only(np.array(value)) if isinstance(value, tuple) else value
+
+
+def _shown(value: float | tuple[float, ...]) -> str:
+    if isinstance(value, tuple):
+        return counted(len(value), "number")
+    return number(value).text
+
+
+def _bend_at(formula: Formula, kink: float) -> float:
+    """Return the lowest power of the distance to a kink that differs on its two sides.
+
+    0 is a jump of the force, 1 one of the stiffness.
+    """
+    distance = NEAR_KINK * abs(kink) or 1e-40
+    below, above = (formula.between_kinks("o", kink + side) for side in (-distance, distance))
+    for order in range(COMPARED):
+        difference = above.value_at("o", kink) - below.value_at("o", kink)
+        if not math.isfinite(difference):
+            near, far = (
+                above.value_at("o", kink + d) - below.value_at("o", kink + d)
+                for d in (distance, 16 * distance)
+            )
+            grows = math.log(abs(far / near), 16) if near and far else 0.0
+            return round(order + max(grows, -1.0), 6)
+        scale = abs(above.value_at("o", kink)) + abs(below.value_at("o", kink))
+        if abs(difference) > 1e-9 * scale:
+            return float(order)
+        below, above = below.derivative("o"), above.derivative("o")
+    return float(COMPARED)
+
+
+KEPT_FIELDS = (*ContactLaw.__dataclass_fields__, "formula", "given")
+
+
+def _law(value: Any) -> Any:
+    """Return the law that a dict describes, and others as they are."""
+    if isinstance(value, Mapping):
+        return Law.from_table(value)
+    if not isinstance(value, ContactLaw):
+        cure = 'use lmpchain.Law("k*max(o, 0)**1.5"), or {"force": "k*max(o, 0)**1.5"}'
+        raise ValueError(f"is no law (got {shown(value)}): {cure}")
+    return value
+
+
+OneLaw = Annotated[ContactLaw, BeforeValidator(_law)]

@@ -1,0 +1,85 @@
+"""Contact laws of the literature, each a `Law` made of a formula.
+
+Without k, the contacts have the constants of the chain.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .law import Law
+
+
+def _law(formula: str, k: Any, **parameters: Any) -> Law:
+    return Law(formula, **({} if k is None else {"k": k}), **parameters)
+
+
+def hertz(k: Any = None) -> Law:
+    """Return ``k o^1.5`` of spheres that touch (H. Hertz, J. reine angew. Math. 92, 156, 1882)."""
+    return _law("k*max(o, 0)**1.5", k)
+
+
+def power(exponent: Any, k: Any = None) -> Law:
+    """Return ``k o^exponent`` of a closed contact; one exponent, or one for each contact.
+
+    Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001), section 1.11; exponents below
+    1 are those of Herbold and Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
+
+    Examples
+    --------
+    >>> power(0.6)
+    Law('k*max(o, 0)**p', p=0.6)
+    """
+    return _law("k*max(o, 0)**p", k, p=exponent)
+
+
+def fput(alpha: Any = 0.0, beta: Any = 0.0, k: Any = None) -> Law:
+    """Return ``k o - alpha o^2 + beta o^3``: springs of Fermi, Pasta, Ulam and Tsingou.
+
+    Their alpha belongs to the extension of a bond, which is -o (Los Alamos report LA-1940, 1955).
+    """
+    return _law("k*o - alpha*o**2 + beta*o**3", k, alpha=alpha, beta=beta)
+
+
+def toda(b: Any, k: Any = None) -> Law:
+    """Return ``k (exp(b o) - 1) / b`` (M. Toda, J. Phys. Soc. Japan 22, 431, 1967)."""
+    return _law("k*(exp(b*o) - 1)/b", k, b=b)
+
+
+def bilinear(tension: Any, k: Any = None) -> Law:
+    """Return a spring of stiffness k when pressed and ``tension k`` when stretched.
+
+    Shaw and Holmes, J. Sound Vib. 90, 129 (1983).
+
+    Examples
+    --------
+    >>> bilinear(0.3, k=1e3).force([-1e-6, 1e-6]).tolist()
+    [-0.0003, 0.001]
+    """
+    return _law("k*(max(o, 0) + tension*min(o, 0))", k, tension=tension)
+
+
+def softening(length: Any, k: Any = None) -> Law:
+    """Return ``k length tanh(o / length)``, whose force is bounded by ``k length``.
+
+    A bounded contact force as in models of softening metamaterials; its energy is in closed form.
+    """
+    return _law("k*length*tanh(o/length)", k, length=length)
+
+
+def dmt(pull: Any, reach: Any, k: Any = None) -> Law:
+    """Return Hertz's force minus a constant pull, which a gap takes away over some reach, m.
+
+    Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 314 (1975). Their pull ends at
+    once; here it falls linearly over the reach, because a jump of the force has no order.
+    """
+    formula = "k*max(o, 0)**1.5 - pull*min(1, max(0, 1 + o/reach))"
+    return _law(formula, k, pull=pull, reach=reach)
+
+
+def bistable(a: Any, b: Any, k: Any = None) -> Law:
+    """Return ``k o (1 + o/a) (1 + o/b)``: at rest at o = 0, and stretched by the larger of a and b.
+
+    Frazier and Kochmann, Adv. Mater. 29, 1605800 (2017).
+    """
+    return _law("k*o*(1 + o/a)*(1 + o/b)", k, a=a, b=b)
