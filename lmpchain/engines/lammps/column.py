@@ -10,6 +10,7 @@ import numpy as np
 
 from ...chain.chain import Chain
 from ...chain.contacts import pair_value
+from ...chain.law import Law
 from ...errors import InputError
 from ...scene.excitation import Impulse
 from ...scene.scene import Scene
@@ -89,9 +90,15 @@ class LammpsColumn:
         return self.chain.damped and not self.lagged
 
     @property
+    def formula(self) -> Law | None:
+        """The law of the contacts if it is a formula: each contact is then a bond of LEPTON."""
+        law = self.chain.law
+        return law if isinstance(law, Law) else None
+
+    @property
     def atoms(self) -> str:
         """Atom style of the data file."""
-        return "hybrid" if self.predicts else "sphere"
+        return "hybrid" if self.predicts or self.formula else "sphere"
 
     @property
     def chain(self) -> Chain:
@@ -173,9 +180,10 @@ class LammpsColumn:
         radius = self.diameters[[0, -1]] / 2
         gaps = radius - self.chain.contacts.overlap[[0, -1]]
         above, below = (self.heights[[0, -1]] + [1, -1] * gaps).tolist()
-        ends = self._contacts(
-            self.chain.wall_constants, radius, self.chain.masses[[0, -1]], [0, -1]
-        )
+        constants = self.chain.wall_constants
+        if self.formula:
+            return self._walls_by_formula(constants, radius, (above, below))
+        ends = self._contacts(constants, radius, self.chain.masses[[0, -1]], [0, -1])
         top, bottom = (Contact(*row) for row in np.column_stack(ends).tolist())
         walls = (
             Wall("top", 1, top.stiffness, "NULL", repr(above), self._arguments(top)),
@@ -189,6 +197,47 @@ class LammpsColumn:
             ),
         )
         return [wall for wall in walls if wall.constant > 0]
+
+    def _walls_by_formula(
+        self, constants: Array, radius: Array, heights: tuple[float, float]
+    ) -> list[Wall]:
+        """Return the walls as planes with a law by formula, at these heights, m."""
+        law = self.formula
+        assert law
+        walls = []
+        last = max(self.chain.grains - 2, 0)
+        rows = zip(constants.tolist(), radius.tolist(), heights, strict=True)
+        for (constant, half, height), name in zip(rows, ("top", "bottom"), strict=True):
+            if constant > 0:
+                top = name == "top"
+                overlap = f"{half!r} - r"
+                energy = law.lepton(overlap=overlap, constant=constant, contact=0 if top else last)
+                reach = self.box[3] - self.box[2]
+                contact = f"{energy} {reach!r}"
+                grain = 1 if top else self.chain.grains
+                lo, hi = ("NULL", repr(height)) if top else (repr(height), "NULL")
+                walls.append(Wall(name, grain, constant, lo, hi, contact))
+        return walls
+
+    @cached_property
+    def bonds(self) -> tuple[list[int], list[str]]:
+        """Bond type of each contact of a law by formula, and the `bond_coeff` of each type.
+
+        The energy is a function of r, the distance of two grains less that at which they touch, so
+        that the overlap is -r.
+        """
+        law = self.formula
+        assert law
+        d = self.diameters
+        constants = self.chain.contact_constants
+        own = (np.broadcast_to(value, constants.shape) for value in law.parameters)
+        rows = np.column_stack([(d[:-1] + d[1:]) / 2, constants, *own])
+        _, first, kinds = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+        coefficients = [
+            f"{float(rows[n, 0])!r} {law.lepton(constant=float(constants[n]), contact=n)}"
+            for n in first.tolist()
+        ]
+        return (kinds.ravel() + 1).tolist(), coefficients
 
     def _contacts(
         self, constants: Array, radius: Array, mass: Array, numbers: Sequence[int] | slice
@@ -221,6 +270,11 @@ class LammpsColumn:
         gap = z[:-1] - z[1:] - (self.diameters[:-1] + self.diameters[1:]) / 2
         return float(0.3 * self.diameters.max() + gap.max(initial=0.0))
 
+    @property
+    def reach(self) -> float:
+        """Distance within which ranks share grains that are bonded, m."""
+        return float(self.diameters.max() + 2 * self.skin)
+
     @cached_property
     def box(self) -> tuple[float, float, float, float]:
         """Lower and upper bound in x and y, and in z, m."""
@@ -234,6 +288,8 @@ class LammpsColumn:
     @cached_property
     def types(self) -> list[int]:
         """Type of every grain, from 1."""
+        if self.formula:
+            return [1] * self.chain.grains
         return self._types_and_contacts[0]
 
     @property

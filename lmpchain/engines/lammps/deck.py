@@ -187,6 +187,10 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
         # Positions come first, and what atom_style sph adds last.
         atoms = "%d %d 0 0 %r %s %s 0 0 0\n"
         columns = types, z, column.diameters, column.densities
+    if column.formula:
+        # Positions come first, and the molecule of atom_style bond last.
+        atoms = "%d %d 0 0 %r %s %s 0\n"
+        columns = types, z, column.diameters, column.densities
     pieces = render_pieces(
         "column.data",
         CLOSED,
@@ -195,6 +199,7 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
         atoms=_lines(atoms, *columns),
         speeds=_lines("%d 0 0 %r 0 0 0\n", speeds),
         heights=_lines("%d %r\n", column.heights),
+        bonds=_bond_lines(column.bonds[0]) if column.formula else (),
     )
     file.writelines(piece.encode("ascii") for piece in pieces)
 
@@ -213,6 +218,12 @@ def _lines(line: str, *columns: Array) -> Iterator[str]:
         ]
         rows = zip(range(begin + 1, begin + 1 + LINES), *values, strict=False)
         yield "".join(line % row for row in rows)
+
+
+def _bond_lines(types: list[int]) -> Iterator[str]:
+    """Yield the lines of the bonds: number, type, and the two grains."""
+    for number, bond_type in enumerate(types, 1):
+        yield f"{number} {bond_type} {number} {number + 1}\n"
 
 
 def _as_text(values: Array) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 
+from ...chain.law import Law
 from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
 from ...integrators.method import Method
 from ...integrators.methods import methods_of
@@ -177,7 +178,10 @@ class Lammps(TimeSteppingEngine):
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         law = scene.chain.law
-        if law.power not in exponents:
+        if isinstance(law, Law):
+            if reasons := self._refuses_formula(scene):
+                return reasons
+        elif law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
             got = law if law.power is None else f"{law.power:g}"
             fault = f"knows {allowed} only (got {got}); use the engine native"
@@ -194,10 +198,23 @@ class Lammps(TimeSteppingEngine):
                     scene, gauge, self.pair_style, (), self.template, self.include
                 )
                 _ = column.types, column.drag
+                if column.formula:
+                    _ = column.bonds, column.walls
             if self.template:
                 deck.check_template(column, self.splitting(scene))
         except InputError as error:
             return error.faults
+        return []
+
+    def _refuses_formula(self, scene: Scene) -> list[tuple[str, str]]:
+        """Return why LAMMPS cannot do a scene with a law by formula."""
+        if self.pair_style != "granular":
+            return [("pair_style", f"{self.pair_style} has no law by formula: leave it out")]
+        native = "use the engine native"
+        if scene.chain.damped:
+            return [("chain.damping", f"LAMMPS has no damping with a law by formula; {native}")]
+        if scene.excitation.wall is not None:
+            return [("excitation", f"LAMMPS moves no wall with a law by formula; {native}")]
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
