@@ -567,7 +567,7 @@ class LawKernel:
         Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
         names are ``o``, ``k``, the parameters, and ``q0``, ``q1`` ... of what is kept at rest.
     codes : mapping
-        Where these names are in a row of numbers: ``row[0]`` is o.
+        Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
     change : function
         Of (o, r, k, p): the change of the force.
     kept : list of functions
@@ -591,7 +591,7 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
     return LawKernel(
         inner,
         stiffness.substitute({"o": add(name("o"), name("r"))}),
-        {key: f"row[{n}]" for n, key in enumerate(columns)},
+        {key: f"given[{n}, n]" for n, key in enumerate(columns)},
         change.function("o, r, k, p", NUMPY, parameters),
         [part.function("o, k, p", NUMPY, parameters) for part in kept],
     )

@@ -267,20 +267,20 @@ def parameter_rows(contacts: Contacts) -> Array:
     law = contacts.law
     kept = law.kept_at_rest(overlap, contacts.constant)
     columns = np.broadcast_arrays(overlap, contacts.constant, *law.parameters, *kept)
-    rows: Array = np.stack(columns, axis=-1)
+    rows: Array = np.stack(columns, axis=-2)
     return rows
 
 
 def _in_rows(contacts: Contacts, width: int) -> Array:
-    """Return `BatchArrays.parameters` of R chains, (R, W, P), or (R, W, 0) of powers."""
+    """Return `BatchArrays.parameters` of R chains, (R, P, W), or (R, 0, W) of powers."""
     size, count = contacts.overlap.shape
     if contacts.law.power is not None:
-        return np.zeros((size, width, 0))
+        return np.zeros((size, 0, width))
     rows = parameter_rows(contacts)
     # a formula may divide by parameters, also where there is no contact
-    ends = np.zeros((size, width, rows.shape[2])) + rows[:, -1:]
-    ends[..., :2] = 0.0
-    ends[:, PAD - 1 : PAD - 1 + count] = rows
+    ends = np.zeros((size, rows.shape[1], width)) + rows[..., -1:]
+    ends[:, :2] = 0.0
+    ends[..., PAD - 1 : PAD - 1 + count] = rows
     return ends
 
 
