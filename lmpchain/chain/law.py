@@ -429,8 +429,10 @@ class Law(ContactLaw):
         if self.bonds:
             rest = rest + self.overlap(np.zeros(energy.shape), constant)
         closed = rest + self._extent(energy, constant, rest, 1.0)
-        stretched = self._extent(energy, constant, rest, -1.0) if self.pulls else rest
-        return np.where(np.isfinite(stretched), np.maximum(closed, stretched), closed)
+        # A pull that ends, or falls, may hold less energy however far the contact is stretched.
+        if not (self.pulls and self._shape[1]):
+            return closed
+        return np.maximum(closed, self._extent(energy, constant, rest, -1.0))
 
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on how far overlaps differ from those at rest, m.
