@@ -429,8 +429,10 @@ class Law(ContactLaw):
         if self.bonds:
             rest = rest + self.overlap(np.zeros(energy.shape), constant)
         closed = rest + self._extent(energy, constant, rest, 1.0)
-        stretched = self._extent(energy, constant, rest, -1.0) if self.pulls else rest
-        return np.where(np.isfinite(stretched), np.maximum(closed, stretched), closed)
+        # A pull that ends, or falls, may hold less energy however far the contact is stretched.
+        if not (self.pulls and self._shape[1]):
+            return closed
+        return np.maximum(closed, self._extent(energy, constant, rest, -1.0))
 
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on how far overlaps differ from those at rest, m.
@@ -567,7 +569,7 @@ class LawKernel:
         Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
         names are ``o``, ``k``, the parameters, and ``q0``, ``q1`` ... of what is kept at rest.
     codes : mapping
-        Where these names are in a row of numbers: ``row[0]`` is o.
+        Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
     change : function
         Of (o, r, k, p): the change of the force.
     kept : list of functions
@@ -591,7 +593,7 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
     return LawKernel(
         inner,
         stiffness.substitute({"o": add(name("o"), name("r"))}),
-        {key: f"row[{n}]" for n, key in enumerate(columns)},
+        {key: f"given[{n}, n]" for n, key in enumerate(columns)},
         change.function("o, r, k, p", NUMPY, parameters),
         [part.function("o, k, p", NUMPY, parameters) for part in kept],
     )

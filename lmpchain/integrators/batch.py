@@ -104,7 +104,7 @@ class ChainBatch:
             coefficients=series(chain.law.onset),
             parameters=_in_rows(self.contacts, rows.shape[2])
             if formulas
-            else np.zeros((size, rows.shape[2], 0)),
+            else np.zeros((size, 0, rows.shape[2])),
             omega=omega,
             scale=scale,
             units=units,
@@ -269,18 +269,18 @@ def parameter_rows(contacts: Contacts) -> Array:
     law = contacts.law
     kept = law.kept_at_rest(overlap, contacts.constant)
     columns = np.broadcast_arrays(overlap, contacts.constant, *law.parameters, *kept)
-    rows: Array = np.stack(columns, axis=-1)
+    rows: Array = np.stack(columns, axis=-2)
     return rows
 
 
 def _in_rows(contacts: Contacts, width: int) -> Array:
-    """Return `BatchArrays.parameters` of R chains with a law by formulas, (R, W, P)."""
+    """Return `BatchArrays.parameters` of R chains with a law by formulas, (R, P, W)."""
     size, count = contacts.overlap.shape
     rows = parameter_rows(contacts)
     # Places without a contact get parameters, too, because a formula may divide by them.
-    ends = np.zeros((size, width, rows.shape[2])) + rows[:, -1:]
-    ends[..., :2] = 0.0
-    ends[:, PAD - 1 : PAD - 1 + count] = rows
+    ends = np.zeros((size, rows.shape[1], width)) + rows[..., -1:]
+    ends[:, :2] = 0.0
+    ends[..., PAD - 1 : PAD - 1 + count] = rows
     return ends
 
 

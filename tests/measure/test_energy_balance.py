@@ -213,7 +213,10 @@ def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, dampi
     scene, *true = exact_linear(damping, act)
     t = simulate(scene.replace(samples=samples), engine, 1e-6)
     balance = energy.ledger(t)
-    assert not set(balance.balanced) & {"drive", "dissipated"}
+    # Without damping the work follows from the balance, and the reference below checks it.
+    assert set(balance.balanced) & {"drive", "dissipated"} == (
+        {"drive"} if damping == "lossless" else set()
+    )
     # The energy may be near 0 at three samples.
     put_in = max(map(largest, (balance.total, *true)))
     assert largest(balance.drift) < 1e-9 * put_in
@@ -307,7 +310,7 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
 
 def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):
     """A quadrature that takes too long is left out: the balance yields the losses of a strike."""
-    monkeypatch.setattr(Modes, "summed_values", 0)
+    monkeypatch.setattr(Modes, "most_summed", lambda _self, _scene: 0)
     scene = Scene(
         chain=Chain(**WALLS, damping=DAMPING),
         excitation=Impulse(velocity=1e-9),

@@ -211,13 +211,15 @@ def test_the_page_reads_a_dump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_scene_files_of_the_page(tmp_path: Path):
-    paper, grains, striker, damping = blocks("scenes", "toml")
+    paper, grains, law, striker, damping = blocks("scenes", "toml")
     (tmp_path / "grains.csv").write_text(blocks("scenes", "text")[0])
     for text in (paper, grains, f"{grains}\n{damping}"):
         (tmp_path / "scene.toml").write_text(text)
         assert Scene.from_toml(tmp_path / "scene.toml").samples == 101
     (tmp_path / "scene.toml").write_text(striker)
     assert Scene.from_toml(tmp_path / "scene.toml").chain.load_grain == 2
+    (tmp_path / "scene.toml").write_text(f"{paper}\n{law}")
+    assert Scene.from_toml(tmp_path / "scene.toml").chain.law.parameters == (1e4,)
     (tmp_path / "scene.toml").write_text(f"{paper}\n{damping}")
     assert Scene.from_toml(tmp_path / "scene.toml").chain.damped
 

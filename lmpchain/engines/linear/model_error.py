@@ -114,8 +114,8 @@ class PhaseError:
         # Held and driven grains do not respond to forces.
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
-        overlap = np.where(contacts.pressed, contacts.overlap, np.inf)
-        self._links = LinearLinks(contacts.stiffness, 1 / overlap, inverse_mass)
+        length = np.where(contacts.pressed, contacts.length, np.inf)
+        self._links = LinearLinks(contacts.stiffness, 1 / length, inverse_mass)
         self._excess = excess(scene)
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1
@@ -320,7 +320,7 @@ def travel(scene: Scene) -> float:
         return float(times.sum())
     chain = scene.chain
     start_at = first_moved(scene) - 1
-    strain = np.sqrt(times / chain.linear_stiffness) / chain.equilibrium_overlap
+    strain = np.sqrt(times / chain.linear_stiffness) / chain.contacts.length[1:-1]
     longest = 0.0
     for path in (slice(start_at, None), slice(start_at - 1, None, -1) if start_at else slice(0)):
         if times[path].size:

@@ -89,8 +89,8 @@ class Resonance:
         # Compression of each contact by each mode.
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)
         waves, frequencies = self._waves(modes, squeezed)
-        overlap = np.where(contacts.pressed, contacts.overlap, np.inf)[free]
-        curvature = contacts.bend[free] * contacts.stiffness[free] / overlap
+        length = np.where(contacts.pressed, contacts.length, np.inf)[free]
+        curvature = contacts.bend[free] * contacts.stiffness[free] / length
         products = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
         # Each pair occurs twice, as (a, b) and (b, a), with twice the force: hence the root of 2.
         factor = np.sqrt(2) / 4

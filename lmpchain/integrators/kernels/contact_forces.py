@@ -3,9 +3,9 @@
 Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
 ``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the
 overlap at rest over the length: 1, or 0 where nothing is pressed (length 1 m, strength K).
-`coefficients` are the first seven of the binomial series of (1 + s)^delta - 1, and delta. A law
-given by a formula reads a `row` for each contact instead: overlap at rest, K, the parameters, and
-what the law keeps of the force at rest.
+`coefficients` are the first seven of the binomial series of (1 + s)^delta - 1, and delta. A law by
+a formula reads column `n` of what is `given` instead: overlap at rest, K, the parameters, and what
+the law keeps of the force at rest.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from functools import cache
 from hashlib import sha256
 from typing import Any
 
+import numpy as np
 from numba import types
 
 from .compiling import (
@@ -34,9 +35,13 @@ from .compiling import (
 )
 from .layout import Links, Rows
 
+# An index without a sign: others are looked at whether they count from the end, which keeps the
+# compiler from making vector instructions.
+unsigned = np.uint64
+
 
 @compiled
-def _corrected(r, inverse_length, strength, precompressed, coefficients, row):
+def _corrected(r, inverse_length, strength, precompressed, coefficients, given, n):
     """delta = 3/2 without cancellation: relative accuracy at any amplitude for one square root."""
     s = r * inverse_length
     s = s if s > -1.0 else -1.0
@@ -47,7 +52,7 @@ def _corrected(r, inverse_length, strength, precompressed, coefficients, row):
 
 
 @compiled
-def _polynomial(r, inverse_length, strength, precompressed, coefficients, row):
+def _polynomial(r, inverse_length, strength, precompressed, coefficients, given, n):
     """Any delta while |s| is small enough for seven binomial terms; no contact may open."""
     s = r * inverse_length
     p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
@@ -57,14 +62,14 @@ def _polynomial(r, inverse_length, strength, precompressed, coefficients, row):
 
 
 @compiled
-def _spring(r, inverse_length, strength, precompressed, coefficients, row):
+def _spring(r, inverse_length, strength, precompressed, coefficients, given, n):
     """delta = 1: linear until the contact opens."""
     s = r * inverse_length
     return strength * (s if s > -precompressed else -precompressed)
 
 
 @compiled
-def _power(r, inverse_length, strength, precompressed, coefficients, row):
+def _power(r, inverse_length, strength, precompressed, coefficients, given, n):
     """Any delta without cancellation."""
     s = r * inverse_length
     # an open contact is computed as one at rest and its value thrown away: a branch would keep the
@@ -76,7 +81,7 @@ def _power(r, inverse_length, strength, precompressed, coefficients, row):
 
 
 @compiled
-def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients, row):
+def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients, given, n):
     """Any delta where nothing is pressed."""
     # the logarithm of 0 is none, and so small an overlap gives no force that matters
     y = select(r > 1e-90, r, 1.0)
@@ -91,7 +96,7 @@ def _roots(quarters: int) -> Callable[..., Any]:
     quarter = quarters % 2
 
     @compiled
-    def force(r, inverse_length, strength, precompressed, coefficients, row):
+    def force(r, inverse_length, strength, precompressed, coefficients, given, n):
         y = fma(r, inverse_length, precompressed)
         y = y if y > 0.0 else 0.0
         product = strength
@@ -107,7 +112,7 @@ def _roots(quarters: int) -> Callable[..., Any]:
 
 
 @compiled
-def _power_stiffness(r, change, inverse_length, strength, precompressed, coefficients, row):
+def _power_stiffness(r, change, inverse_length, strength, precompressed, coefficients, given, n):
     """Any delta, from the change of the force."""
     y = r * inverse_length + precompressed
     # the force is K y^delta
@@ -131,7 +136,7 @@ _ROW = types.float64[::1]
 _LINKS = types.NamedTuple(
     [
         *(_ROW, _ROW, types.float64, types.int64, types.int64[::1], types.float64, _ROW),
-        types.float64[:, ::1],
+        *(types.float64[:, ::1], types.int64),
     ],
     Links,
 )
@@ -140,7 +145,7 @@ _ROWS = types.NamedUniTuple(_ROW, len(Rows._fields), Rows)
 FORCES = types.void(_ROW, _ROW, _LINKS)
 STIFFNESSES = types.void(_ROW, _ROW, _ROW, _LINKS)
 _SAMPLES = types.float64[:]
-SERIES = types.void(_SAMPLES, _SAMPLES, _ROW, _SAMPLES, _SAMPLES)
+SERIES = types.void(*(_SAMPLES, _SAMPLES, types.float64[:, ::1], types.int64, _SAMPLES, _SAMPLES))
 SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, types.boolean)
 
 
@@ -158,9 +163,18 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
         il = links.inverse_length
         st = links.strength
         pressed = links.precompressed
-        rows = links.parameters
+        given = links.parameters
+        first = links.first
         for n in range(out.size):
-            out[n] = force(x[n] - x[n + 1], il[n], st[n], pressed, links.coefficients, rows[n])
+            out[n] = force(
+                x[n] - x[n + 1],
+                il[n],
+                st[n],
+                pressed,
+                links.coefficients,
+                given,
+                unsigned(first + n),
+            )
 
     @kept
     def stiffnesses(out, change, x, links):
@@ -168,10 +182,13 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
         il = links.inverse_length
         st = links.strength
         pressed = links.precompressed
-        rows = links.parameters
+        given = links.parameters
+        first = links.first
         for n in range(out.size):
             r = x[n] - x[n + 1]
-            out[n] = stiffness(r, change[n], il[n], st[n], pressed, links.coefficients, rows[n])
+            out[n] = stiffness(
+                r, change[n], il[n], st[n], pressed, links.coefficients, given, unsigned(first + n)
+            )
 
     @kept
     def sweep_rows(x, v, inverse_mass, links, rows, top, body, forced):
@@ -188,6 +205,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
         pressed = links.precompressed
         coefficients = links.coefficients
         given = links.parameters
+        first = links.first
         for row in range(rows.kick.size):
             kick = rows.kick[row]
             drift = rows.drift[row]
@@ -203,13 +221,16 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
             if top:
                 above = 0.0
                 if st[0] > 0.0:
-                    above = force(x[0] - x[1], il[0], st[0], pressed, coefficients, given[0])
+                    above = force(
+                        x[0] - x[1], il[0], st[0], pressed, coefficients, given, unsigned(first)
+                    )
                 if links.uncompressed > 0.0:
                     above += touching(x[0] - x[1], links.uncompressed, coefficients)
             # a kick takes the forces at one time: a grain moves when both of its contacts are known
             for n in range(v.size):
                 closer = x[n + 1] - x[n + 2]
-                below = force(closer, il[n + 1], st[n + 1], pressed, coefficients, given[n + 1])
+                contact = unsigned(first + n + 1)
+                below = force(closer, il[n + 1], st[n + 1], pressed, coefficients, given, contact)
                 faster = fma(kick, inverse_mass[n] * (above - below), v[n])
                 v[n] = faster
                 x[n + 1] = fma(drift, faster, x[n + 1])
@@ -270,9 +291,9 @@ FUNCTIONS |= {"expm1": math.expm1, "log1p": math.log1p}
 @cache
 def _loops_of(kernel: Any) -> tuple[Any, ...]:
     """Make the loops of a law given by a formula, and that over samples, see `change_in_time`."""
-    given = "r, row", FUNCTIONS, kernel.codes
-    change_of = kernel.force_change.function(*given)
-    stiffness_of = kernel.stiffness.function(*given)
+    arguments = "r, given, n", FUNCTIONS, kernel.codes
+    change_of = kernel.force_change.function(*arguments)
+    stiffness_of = kernel.stiffness.function(*arguments)
     force_at = compiled_formula(change_of)
     stiffness_at = compiled_formula(stiffness_of)
     codes = [function.__code__ for function in (change_of, stiffness_of)]
@@ -280,18 +301,18 @@ def _loops_of(kernel: Any) -> tuple[Any, ...]:
     kind = sha256(repr(content).encode()).hexdigest()
 
     @compiled
-    def force(r, inverse_length, strength, precompressed, coefficients, row):
-        return force_at(r, row)
+    def force(r, inverse_length, strength, precompressed, coefficients, given, n):
+        return force_at(r, given, n)
 
     @compiled
-    def stiffness(r, change, inverse_length, strength, precompressed, coefficients, row):
-        return stiffness_at(r, row)
+    def stiffness(r, change, inverse_length, strength, precompressed, coefficients, given, n):
+        return stiffness_at(r, given, n)
 
     @compiled_filler(kind=kind)
-    def series(r, closing, row, change, rate):
+    def series(r, closing, given, n, change, rate):
         for i in range(r.size):
-            change[i] = force(r[i], 0.0, 0.0, 0.0, row, row)
-            rate[i] = stiffness(r[i], 0.0, 0.0, 0.0, 0.0, row, row) * closing[i]
+            change[i] = force_at(r[i], given, n)
+            rate[i] = stiffness_at(r[i], given, n) * closing[i]
 
     return *_loops(kind, force, stiffness), series
 
@@ -335,10 +356,10 @@ def contact_stiffnesses(links, out, change, x):
 
 
 @inlined
-def change_in_time(address, r, closing, row, change, rate):
+def change_in_time(address, r, closing, given, n, change, rate):
     """Fill the changes of the force of one contact, N, and their rates, N/s, at (R,) samples.
 
-    The changes r of the overlap since rest, m, and their rates are (R,) arrays. `row` is that of
-    the contact in `Links.parameters`; the force is that of a law given by formulas.
+    The changes r of the overlap since rest, m, and their rates are (R,) arrays. `n` is the column
+    of the contact in `given`, see `Links.parameters`; the force is that of a law by a formula.
     """
-    _call_series(address, (r, closing, row, change, rate))
+    _call_series(address, (r, closing, given, n, change, rate))

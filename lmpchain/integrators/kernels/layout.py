@@ -123,9 +123,9 @@ class BatchArrays(NamedTuple):
         Where the loops of the form lie in memory, see `contact_forces.addresses`.
     precompressed, coefficients : number and (8,) array
         See `contact_forces`.
-    parameters : (R, W, P) array
+    parameters : (R, P, W) array
         Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
-        below each body, for a law given by a formula; (R, W, 0) for powers.
+        below each body, for a law given by a formula; (R, 0, W) for powers.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
@@ -208,7 +208,15 @@ class Chains(NamedTuple):
 
 
 class Links(NamedTuple):
-    """The contacts of one chain, or some of them: fields as in `BatchArrays`."""
+    """The contacts of one chain, or some of them: fields as in `BatchArrays`.
+
+    Attributes
+    ----------
+    parameters : (P, W) array
+        Of all contacts of the chain, so that numbers of one kind lie side by side.
+    first : int
+        Column of the first contact in them.
+    """
 
     inverse_length: Array
     strength: Array
@@ -218,6 +226,7 @@ class Links(NamedTuple):
     precompressed: float
     coefficients: Array
     parameters: Array
+    first: int
 
 
 class Imposed(NamedTuple):

@@ -110,7 +110,8 @@ def slice_links(links, contacts, uncompressed):
         loops=links.loops,
         precompressed=links.precompressed,
         coefficients=links.coefficients,
-        parameters=links.parameters[contacts],
+        parameters=links.parameters,
+        first=links.first + contacts.start,
     )
 
 

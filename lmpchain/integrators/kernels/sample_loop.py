@@ -26,6 +26,7 @@ def links_of(batch, real):
         precompressed=batch.precompressed,
         coefficients=batch.coefficients,
         parameters=batch.parameters[real],
+        first=0,
     )
 
 

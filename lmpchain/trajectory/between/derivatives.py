@@ -61,7 +61,7 @@ class ChainForces(NamedTuple):
     exponent : float
     linear : bool
         Whether the forces are linearised.
-    parameters : (N+1, 2 + P) array
+    parameters : (P, N+1) array
         See `BatchArrays.parameters`, for a law given by formulas.
     formulas : int
         Where the loop of that law lies in memory, see `change_in_time`; 0 for powers.
@@ -71,7 +71,7 @@ class ChainForces(NamedTuple):
     inverse_mass: Array
     exponent: float
     linear: bool
-    parameters: Array = np.zeros((0, 2))
+    parameters: Array = np.zeros((0, 1))
     formulas: int = 0
 
 
@@ -238,7 +238,7 @@ def _push_hertz(r, closing, inverse_length, strength, pressed, force, rate):
 
 
 @compiled
-def _push(r, closing, contact, law, row, force, rate):
+def _push(r, closing, contact, law, n, force, rate):
     """Fill in changes of the force of a contact and their rates, for changes r of the overlap.
 
     F - F_0 = S (max(p + s, 0)^delta - p) with s = r / l, and its rate S delta (p + s)^(delta - 1)
@@ -257,7 +257,7 @@ def _push(r, closing, contact, law, row, force, rate):
     inverse_length, strength, pressed = contact
     exponent = law.exponent
     if law.formulas != 0:
-        change_in_time(law.formulas, r, closing, row, force, rate)
+        change_in_time(law.formulas, r, closing, law.parameters, n, force, rate)
         return
     if exponent == 1.5 and not law.linear:
         _push_hertz(r, closing, inverse_length, strength, pressed, force, rate)
@@ -350,8 +350,7 @@ def _push_contact(block, n, work):
         r[i] = above[i] - below[i]
     for i in range(r.size):
         closing[i] = above_rate[i] - below_rate[i]
-    row = law.parameters[min(n, law.parameters.shape[0] - 1)]
-    _push(r, closing, contact, law, row, force, rate)
+    _push(r, closing, contact, law, n, force, rate)
     return not law.linear and _nearly_opens(r, closing, contact, block.h) > 0
 
 
