@@ -48,14 +48,25 @@ LASTING = {
 
 STANDING_IN = {
     "mpiexec": f'exec {mpi.launcher()} "$@"',
-    "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; exec mpiexec -n "$SLURM_NTASKS" "$@"',
+    # a job that asks for the cores of one task starts one process
+    "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; '
+    '[ -z "$SLURM_CPUS_PER_TASK" ] || exec "$@"; exec mpiexec -n "$SLURM_NTASKS" "$@"',
     "date": "echo 1000000",  # so that it is certain how much is left of the time of a job
     # the first job has a second beyond those that the job script spares, the others have enough
     "sbatch": """
 export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$([ -e jobs ] && echo 1000900 || echo 1000301)
-for option; do case $option in --*) shift;; *) break;; esac; done
+tasks=
+for option; do case $option in
+--array=*) tasks=$(seq -s " " "${option#--array=1-}"); shift;;
+--cpus-per-task=*) export SLURM_CPUS_PER_TASK="${option#*=}"; shift;;
+--*) shift;;
+*) break;;
+esac; done
+for task in ${tasks:-none}; do
+[ "$task" = none ] || export SLURM_ARRAY_TASK_ID=$task
 code=0; bash "$@" || code=$?
-echo $code >> jobs""",
+echo $code >> jobs
+done""",
 }
 
 
@@ -134,19 +145,20 @@ def test_every_command_of_the_page(here: Path):
             answer = Trajectory.load(name)
             assert same(answer, undisturbed), name
             assert answer.cost.ranks == 2
-    assert (here / "jobs").read_text().split() == ["75", "0", "0"], (
+    assert (here / "jobs").read_text().split() == ["75", "0", "0", "0", "0", "0"], (
         "the first job was stopped, the next went on"
     )
-    one, other = (
+    one, other, queued = (
         {
             str(p.relative_to(here / name)): p.read_bytes()
             for p in (here / name).rglob("*")
             if p.is_file()
         }
-        for name in ("sweep", "again")
+        for name in ("sweep", "again", "queued")
     )
     assert len(one) > 10
-    assert one == other
+    assert one == other == queued
+    assert same(Trajectory.load("runs/one.nc"), Trajectory.load("runs/two.nc"))
     found = load_sweep("sweep")
     assert (found.reason == "").all()
     assert found.peak_velocity.dims == ("chain.gravity", "disorder.m", "realisation", "grain")
