@@ -29,7 +29,7 @@ from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import run as stepping_run
 
-ROW = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
+ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
 K = 1e3  # N/m
 STRIKE = Impulse(velocity=0.02)
 CUBIC = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e4)
@@ -98,7 +98,7 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         2e-4,
     ),
 }
-DEFAULT = ("toda under gravity", "one exponent a contact", "walls")
+DEFAULT = ("toda under gravity", "one exponent a contact", "adhesion", "walls")
 
 
 def case(name: str) -> tuple[Scene, float]:
