@@ -44,7 +44,6 @@ class Wall:
 
     name: str
     grain: int
-    constant: float
     lo: str
     hi: str
     contact: str
@@ -180,44 +179,32 @@ class LammpsColumn:
         radius = self.diameters[[0, -1]] / 2
         gaps = radius - self.chain.contacts.overlap[[0, -1]]
         above, below = (self.heights[[0, -1]] + [1, -1] * gaps).tolist()
-        constants = self.chain.wall_constants
-        if self.formula:
-            return self._walls_by_formula(constants, radius, (above, below))
-        ends = self._contacts(constants, radius, self.chain.masses[[0, -1]], [0, -1])
-        top, bottom = (Contact(*row) for row in np.column_stack(ends).tolist())
+        top, bottom = self._wall_arguments(radius)
         walls = (
-            Wall("top", 1, top.stiffness, "NULL", repr(above), self._arguments(top)),
-            Wall(
-                "bottom",
-                self.chain.grains,
-                bottom.stiffness,
-                repr(below),
-                "NULL",
-                self._arguments(bottom),
-            ),
+            Wall("top", 1, "NULL", repr(above), top),
+            Wall("bottom", self.chain.grains, repr(below), "NULL", bottom),
         )
-        return [wall for wall in walls if wall.constant > 0]
+        exists = self.chain.wall_constants > 0
+        return [wall for wall, there in zip(walls, exists, strict=True) if there]
 
-    def _walls_by_formula(
-        self, constants: Array, radius: Array, heights: tuple[float, float]
-    ) -> list[Wall]:
-        """Return the walls as planes with a law by formula, at these heights, m."""
-        law = self.formula
-        assert law
-        walls = []
-        last = max(self.chain.grains - 2, 0)
-        rows = zip(constants.tolist(), radius.tolist(), heights, strict=True)
-        for (constant, half, height), name in zip(rows, ("top", "bottom"), strict=True):
-            if constant > 0:
-                top = name == "top"
-                overlap = f"{half!r} - r"
-                energy = law.lepton(overlap=overlap, constant=constant, contact=0 if top else last)
-                reach = self.box[3] - self.box[2]
-                contact = f"{energy} {reach!r}"
-                grain = 1 if top else self.chain.grains
-                lo, hi = ("NULL", repr(height)) if top else (repr(height), "NULL")
-                walls.append(Wall(name, grain, constant, lo, hi, contact))
-        return walls
+    def _wall_arguments(self, radius: Array) -> list[str]:
+        """Return the arguments for the contacts with the top and the bottom wall.
+
+        By formula, these are the energy as a function of the distance r to the wall, and the
+        distance up to which it acts: all of the box.
+        """
+        constants = self.chain.wall_constants
+        if self.formula is None:
+            ends = self._contacts(constants, radius, self.chain.masses[[0, -1]], [0, -1])
+            return [self._arguments(Contact(*row)) for row in np.column_stack(ends).tolist()]
+        height = self.box[3] - self.box[2]
+        # A wall has the parameters of the contact next to it.
+        numbers = (0, max(self.chain.grains - 2, 0))
+        rows = zip(constants.tolist(), radius.tolist(), numbers, strict=True)
+        return [
+            f"{self.formula.lepton(overlap=f'{r!r} - r', constant=k, contact=n)} {height!r}"
+            for k, r, n in rows
+        ]
 
     @cached_property
     def bonds(self) -> tuple[list[int], list[str]]:

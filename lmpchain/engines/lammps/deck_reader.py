@@ -249,6 +249,9 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if not folder.is_dir():
         raise InputError.at("deck", f"there is no folder {folder}")
     script = _Script(folder / "in.column")
+    if bond := script.find("bond_style"):
+        fault = "has contacts by formula, which cannot be read back: run the deck with lmp"
+        raise script.refuse(bond, fault)
     data = script.variables.get("data")
     path = data.words[3] if data else "column.data"
     if data and not PLAIN_PATH.fullmatch(path):

@@ -241,9 +241,8 @@ class Lammps(TimeSteppingEngine):
             most = f"{steps.per_landing} steps from one to the next are more than LAMMPS counts"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
-        # the overlaps of a driven column, and so the gauge diameter, are known from a trial only
-        bounded = not scene.excitation.does_work
-        if fixed and (self.diameter == "physical" or (self.diameter == "gauge" and bounded)):
+        bounded = self.diameter == "gauge" and _bounds_overlaps(scene)
+        if fixed and (self.diameter == "physical" or bounded):
             proposal = super().propose_steps(scene, tolerance, method, steps)
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return proposal._replace(choices=_choices(gauge, "as asked"))
@@ -422,14 +421,15 @@ class Lammps(TimeSteppingEngine):
         self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
         """Write the deck of the run; where no deck can carry it, that of Verlet at equal cost."""
-        driven = scene.excitation.does_work
         splitting = self.splitting(scene)
         integrator = splitting.name
         step = proposal.step
-        if not deck.carries(splitting) or (driven and splitting.order > 2):
+        driven = scene.excitation.does_work and splitting.order > 2
+        if driven or not deck.carries(splitting):
             integrator = "verlet"
             step /= splitting.evaluations
-        diameter = "gauge" if gauge_of(proposal) and not driven else "physical"
+        # Without a bound, the gauge diameter would need another trial.
+        diameter = "gauge" if gauge_of(proposal) and _bounds_overlaps(scene) else "physical"
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
             engine.write_deck(scene, tolerance, folder / DECK, overwrite=False)
@@ -521,14 +521,21 @@ def _largest_motion(run: Run) -> tuple[Array, float]:
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     """Return the gauge diameter, m, or 0 where the grains are no larger than that.
 
-    It is a few times the largest overlap: a rigorous bound, or, where the excitation does work,
-    the `closest` approach of a trial, m.
+    The gauge diameter is a few times the largest overlap: a rigorous bound or, if there is none,
+    the overlap at rest and the `closest` approach of a trial, m.
     """
-    contacts = scene.chain.contacts
-    driven = scene.excitation.does_work
-    overlap = contacts.overlap + closest if driven else scene.overlap_bounds
+    bounded = _bounds_overlaps(scene)
+    overlap = scene.overlap_bounds if bounded else scene.chain.contacts.overlap + closest
     gauge = HEIGHTS.headroom * float(overlap.max())
     return gauge if gauge < scene.chain.diameters.min() else 0.0
+
+
+def _bounds_overlaps(scene: Scene) -> bool:
+    """Return whether a bound on the overlaps is known without a trial.
+
+    There is none if the excitation does work, or if the force of a contact falls somewhere.
+    """
+    return not scene.excitation.does_work and bool(np.isfinite(scene.overlap_bounds).all())
 
 
 def _choices(gauge: float, reason: str) -> dict[str, str | float]:

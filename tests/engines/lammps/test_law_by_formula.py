@@ -1,0 +1,252 @@
+"""Contact laws by formula in LAMMPS: against the native engine and SciPy, decks, ranks, stops."""
+
+import filecmp
+import itertools
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.standalone_lammps import lmp, read_dump
+from scipy.integrate import solve_ivp
+
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Law,
+    Scene,
+    Stopped,
+    laws,
+    resume,
+    simulate,
+)
+from lmpchain.engines import Lammps, Native
+from lmpchain.engines.lammps.deck_reader import read_deck
+from lmpchain.engines.lammps.export import write_deck
+from lmpchain.engines.stepping import run as stepping_run
+
+ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
+K = 1e3  # N/m
+STRIKE = Impulse(velocity=0.02)
+CUBIC = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e4)
+EXPONENTS = np.linspace(1.3, 1.7, 11).tolist()
+CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
+    "toda": ({"law": laws.toda(1e5, k=K)}, Impulse(velocity=0.2), 4e-4),
+    "toda under gravity": (
+        {"law": laws.toda(1e5, k=K), "gravity": 9.81},
+        Impulse(velocity=0.2),
+        4e-4,
+    ),
+    "fput": ({"law": laws.fput(1e7, 1e14, k=K)}, STRIKE, 1e-3),
+    "fput, pushed": (
+        {"law": laws.fput(1e7, 1e14, k=K)},
+        Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4),
+        3e-4,
+    ),
+    "fput, driven": (
+        {"law": laws.fput(1e7, 1e14, k=K)},
+        Drive(amplitude=1e-7, frequency=5e3),
+        3e-4,
+    ),
+    "springs": ({"law": Law("k*o", k=K)}, STRIKE, 1e-3),
+    "bilinear": ({"law": laws.bilinear(0.3, k=K)}, STRIKE, 1e-3),
+    "an exponent below 1": (
+        {"law": laws.power(0.6, k=10.0), "top_load": 1e-3},
+        Impulse(velocity=0.002),
+        3e-4,
+    ),
+    "softening": (
+        {"law": laws.softening(1e-6, k=K), "top_load": 3e-4},
+        Impulse(velocity=0.005),
+        5e-4,
+    ),
+    "one exponent a contact": (
+        {"law": Law("k*max(o, 0)**p", k=1e6, p=EXPONENTS), "gravity": 9.81},
+        Impulse(velocity=0.01),
+        1e-3,
+    ),
+    "Hertz": (
+        {"law": Law("k*max(o, 0)**1.5", k=5e8), "gravity": 9.81},
+        Impulse(velocity=0.01),
+        2e-4,
+    ),
+    "stiffer than Hertz": ({"law": CUBIC, "gravity": 9.81}, Impulse(velocity=0.01), 2e-4),
+    "exponent 2.5": (
+        {"law": laws.power(2.5, k=1e13), "top_load": 0.01},
+        Impulse(velocity=0.01),
+        2e-4,
+    ),
+    "adhesion": (
+        {"law": laws.dmt(1e-3, 1e-7, k=5e8), "top_load": 0.01},
+        Impulse(velocity=0.003),
+        1e-4,
+    ),
+    "polynomial": ({"law": Law("k*o + b*o**3 + c*o**5", k=K, b=1e13, c=1e24)}, STRIKE, 1e-3),
+    "bistable": ({"law": laws.bistable(1e-4, 2e-4, k=K)}, STRIKE, 1e-3),
+    "unlike springs": (
+        {"law": Law("k*o + b*o**3", k=np.linspace(1e3, 2e3, 11).tolist(), b=1e13)},
+        STRIKE,
+        1e-3,
+    ),
+    "walls": (
+        {"law": CUBIC, "gravity": 9.81, "top": "wall", "bottom": "wall", "top_load": 0.01},
+        Impulse(velocity=0.01),
+        2e-4,
+    ),
+}
+DEFAULT = ("toda under gravity", "one exponent a contact", "adhesion", "walls")
+
+
+def case(name: str) -> tuple[Scene, float]:
+    """Return a scene and a step, s."""
+    chain, excitation, duration = CASES[name]
+    scene = Scene(chain=Chain(**ROW | chain), excitation=excitation, duration=duration, samples=11)
+    return scene, duration / 2000
+
+
+def some(names: tuple[str, ...]) -> list[Any]:
+    """Return all cases; those that are not among the names are slow."""
+    return [pytest.param(n, marks=() if n in names else pytest.mark.slow) for n in CASES]
+
+
+@pytest.mark.parametrize("name", some(DEFAULT))
+def test_lammps_and_native_differ_by_less_than_1e_10_at_the_same_steps(name: str):
+    scene, step = case(name)
+    native = simulate(scene, Native(integrator="verlet", step=step))
+    ours = simulate(scene, Lammps(integrator="verlet", step=step, diameter="gauge"))
+    largest = np.abs(native.velocity).max()
+    assert native.cost.steps == ours.cost.steps
+    assert np.abs(native.velocity - ours.velocity).max() < 1e-10 * largest
+    assert ours.error_estimate.solver == pytest.approx(native.error_estimate.solver, rel=1e-3)
+
+
+REFERENCES: dict[str, Callable[[Any], Any]] = {
+    "toda": lambda o: K * np.expm1(1e5 * o) / 1e5,
+    "fput": lambda o: K * o - 1e7 * o**2 + 1e14 * o**3,
+    "polynomial": lambda o: K * o + 1e13 * o**3 + 1e24 * o**5,
+}
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n != "toda" else ()) for n in REFERENCES]
+)
+def test_the_estimate_covers_the_error_against_scipy(name: str):
+    scene, step = case(name)
+    m = scene.chain.masses
+
+    def rates(t: float, state: np.ndarray) -> np.ndarray:
+        u, v = state.reshape(2, -1)
+        force = REFERENCES[name](u[:-1] - u[1:])
+        pull = (np.append(0.0, force) - np.append(force, 0.0)) / m
+        # The last grain is held.
+        return np.concatenate((v, np.append(pull[:-1], 0.0)))
+
+    start = np.concatenate(scene.initial())
+    solution = solve_ivp(
+        rates, (0, scene.duration), start, "DOP853", scene.time, rtol=1e-12, atol=1e-22
+    )
+    wanted = solution.y[scene.chain.grains :].T
+    t = simulate(scene, Lammps(integrator="verlet", step=step, diameter="gauge"))
+    error = np.abs(t.velocity - wanted).max() / np.abs(wanted).max()
+    # Velocity Verlet has an error at this step; the estimate is of its size.
+    assert 1e-7 < error <= 1.1 * t.error_estimate.solver
+
+
+@pytest.mark.parametrize("name", some(("toda under gravity", "walls")))
+def test_a_deck_alone_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
+    scene, step = case(name)
+    write_deck(scene, tmp_path / "deck", step=step)
+    lmp(tmp_path / "deck", "-screen", "none")
+    engine = Lammps("verlet", step=step, diameter="physical", keep=tmp_path / "library")
+    t = simulate(scene, engine)
+    alone, inside = (tmp_path / at / "column.lammpstrj" for at in ("deck", "library"))
+    assert filecmp.cmp(alone, inside, shallow=False)
+    u, v = read_dump(alone)
+    assert np.abs(u).max() > 0
+    assert np.array_equal(v, t.velocity)
+
+
+def test_rkn6_meets_a_tolerance():
+    scene, _ = case("toda")
+    t = simulate(scene, "lammps", tolerance=1e-8)
+    exact = simulate(scene, "native", tolerance=1e-11)
+    largest = np.abs(exact.velocity).max()
+    assert np.abs(t.velocity - exact.velocity).max() < 1e-8 * largest
+    assert t.cost.integrator == "rkn6"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["toda under gravity", "one exponent a contact", "walls"])
+def test_two_ranks_give_the_bytes_of_one(name: str):
+    scene, step = case(name)
+    for diameter in ("physical", "gauge"):
+        one, two = (
+            simulate(scene, Lammps("verlet", step=step, diameter=diameter, ranks=ranks))
+            for ranks in (1, 2)
+        )
+        assert two.cost.ranks == 2
+        assert np.array_equal(one.displacement, two.displacement)
+        assert np.array_equal(one.velocity, two.velocity)
+
+
+@pytest.mark.parametrize("name", some(("walls",)))
+def test_a_resumed_run_gives_the_same_bits(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    scene, step = case(name)
+    engine = Lammps("verlet", step=step, diameter="gauge")
+    whole = simulate(scene, engine)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
+    stops = 0
+    for attempt in itertools.count():
+        limit = 1e-9 if attempt < 3 else None
+        try:
+            if attempt == 0:
+                answer = simulate(scene, engine, folder=tmp_path / "run", max_wall=limit)
+            else:
+                answer = resume(tmp_path / "run", max_wall=limit)
+            break
+        except Stopped:
+            stops += 1
+    assert stops == 3
+    assert np.array_equal(answer.displacement[:], whole.displacement)
+    assert np.array_equal(answer.velocity[:], whole.velocity)
+
+
+REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
+    "damping": ({"damping": {"drag": 10.0}}, {}, STRIKE, "no damping with a law by formula"),
+    "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
+    "moving wall": (
+        {"top": "wall", "top_load": 1e-2},
+        {},
+        Drive(grain=0, amplitude=1e-7, frequency=5e3),
+        "moves no wall",
+    ),
+    "no closed energy": (
+        {"law": Law("k*tanh(b*o)*exp(-(b*o)**2)*(1 + o**2)", k=K, b=1e3)},
+        {},
+        STRIKE,
+        "no energy in closed form",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_what_lammps_cannot_do_is_refused_in_a_line(name: str):
+    chain, options, excitation, message = REFUSED[name]
+    made = Chain(**ROW | {"law": CUBIC, "gravity": 9.81} | chain)
+    scene = Scene(chain=made, excitation=excitation, duration=1e-5, samples=3)
+    with pytest.raises(InputError, match=message):
+        simulate(scene, Lammps("verlet", step=1e-7, **options))
+
+
+def test_a_deck_with_a_formula_is_not_read_back(tmp_path: Path):
+    scene, step = case("toda")
+    write_deck(scene, tmp_path, step=step)
+    for given in (None, scene):
+        with pytest.raises(InputError, match="contacts by formula, which cannot be read back"):
+            read_deck(tmp_path, given)
