@@ -164,7 +164,10 @@ class Chain(ChainPicture, Checked):
         with np.errstate(all="ignore"):
             computable = self.equilibrium.computable(self.movable)
             compression = self.equilibrium.compression
-        if not computable:
+        if isinstance(self.law, Law) and np.isinf(self.contacts.stiffness).any():
+            cure = "press the contacts by gravity or a load"
+            yield "law", f"is infinitely stiff where contacts only touch: {cure}"
+        elif not computable:
             cure = "or contacts too hard or too soft: use SI units"
             yield "masses", f"are too small or too large to compute with, {cure}"
         elif compression.max() > LIMITS.compression:

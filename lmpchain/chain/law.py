@@ -26,7 +26,7 @@ from ..errors import InputError, shown
 from ..util.arrays import EPSILON, Array, read_only
 from ..util.caching import cached_property
 from ..util.tables import counted
-from .contact_law import ITERATIONS, PARTS, ContactLaw, RestingContacts, solve_growing
+from .contact_law import PARTS, ContactLaw, RestingContacts, solve_growing
 from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse
 
 VARIABLES = ("o", "u", "t")
@@ -39,6 +39,8 @@ NEAR_KINK = 1e-6
 # Sizes of overlaps among which a rest is looked for, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
 LARGEST = 1e300  # N
+# Iterations after which bisection alone has found a root between two of these sizes.
+BISECTIONS = 64
 # Lengths of the stiffness's own change up to which a kink is near.
 FAR = 4.0
 # A length for laws without one, as a linear spring, m.
@@ -285,13 +287,15 @@ class Law(ContactLaw):
     def _refined(self, low: Array, high: Array, forces: Array, constant: float) -> Array:
         """Return where between two overlaps the force has these values, by Newton's method."""
         x = (low + high) / 2
-        for _ in range(ITERATIONS):
+        for _ in range(BISECTIONS):
             off = self.force(x, constant) - forces
             low = np.where(off < 0, x, low)
             high = np.where(off < 0, high, x)
             with np.errstate(all="ignore"):
                 step = x - off / self.stiffness(x, constant)
             new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
+            # Rounding may throw the last step out of the bracket.
+            new = np.where(np.abs(off) <= 4 * EPSILON * np.abs(forces), x, new)
             if not (np.abs(new - x) > 2 * EPSILON * np.abs(x)).any():
                 return new
             x = new

@@ -142,3 +142,8 @@ def test_a_toda_soliton_keeps_its_form() -> None:
 def test_laws_without_a_rest_are_refused(law: Law, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Chain(**ROW | {"top_load": 1.1e-4 if "2" in message else 1e-2, "law": law})
+
+
+def test_an_infinite_stiffness_is_refused() -> None:
+    with pytest.raises(InputError, match="law: is infinitely stiff where contacts only touch"):
+        Chain(**ROW, law=laws.power(0.6, k=1e4))
