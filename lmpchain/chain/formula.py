@@ -499,6 +499,24 @@ def _read(node: ast.AST, depth: int, left: list[int]) -> Formula:
         raise _fault(f"is nested more than {MAX_DEPTH} levels deep")
     if left[0] < 0:
         raise _fault(f"has more than {MAX_OPERATIONS} numbers, names and operations")
+    leaf = _read_leaf(node)
+    if leaf is not None:
+        return leaf
+    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
+        part = _read(node.operand, depth + 1, left)
+        return negative(part) if isinstance(node.op, ast.USub) else part
+    if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+        sides = [_read(side, depth + 1, left) for side in (node.left, node.right)]
+        return build(OPERATORS[type(node.op)], *sides)
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+        _check_call(node.func.id, len(node.args))
+        return build(node.func.id, *(_read(part, depth + 1, left) for part in node.args))
+    kinds = "numbers, names, + - * / ** and functions"
+    raise _fault(f"has {type(node).__name__}: a formula holds {kinds} only")
+
+
+def _read_leaf(node: ast.AST) -> Formula | None:
+    """Return a number or a name; None for anything else."""
     value = node.value if isinstance(node, ast.Constant) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         if abs(value) > MAX_NUMBER:
@@ -510,22 +528,16 @@ def _read(node: ast.AST, depth: int, left: list[int]) -> Formula:
         if node.id.startswith("_") or len(node.id) > 30:
             raise _fault(f"has the name {_short(node.id)}: use up to 30 letters and digits")
         return name(node.id)
-    if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.UAdd | ast.USub):
-        part = _read(node.operand, depth + 1, left)
-        return negative(part) if isinstance(node.op, ast.USub) else part
-    if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
-        sides = [_read(side, depth + 1, left) for side in (node.left, node.right)]
-        return build(OPERATORS[type(node.op)], *sides)
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
-        called = node.func.id
-        if called not in FUNCTIONS:
-            raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
-        several = called in ("min", "max")
-        if len(node.args) != 1 if not several else len(node.args) < 2:
-            raise _fault(f"has {called} of {len(node.args)} values")
-        return build(called, *(_read(part, depth + 1, left) for part in node.args))
-    kinds = "numbers, names, + - * / ** and functions"
-    raise _fault(f"has {type(node).__name__}: a formula holds {kinds} only")
+    return None
+
+
+def _check_call(called: str, count: int) -> None:
+    """Raise `InputError` unless a function has this name and so many values."""
+    if called not in FUNCTIONS:
+        raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
+    several = called in ("min", "max")
+    if count != 1 if not several else count < 2:
+        raise _fault(f"has {called} of {count} values")
 
 
 # Printing.
@@ -553,14 +565,20 @@ def _print(node: Formula) -> tuple[str, int]:
         # A sum is enclosed; a product is not, because -a*b and -(a*b) are read alike in value
         # only, not as the same tree.
         return f"-({text})" if inner < 4 else f"-{text}", rank
-    (left, low), (right, high) = printed
-    left_associative = node.operation != "**"
+    return _infix(node.operation, rank, *printed), rank
+
+
+def _infix(operation: str, rank: int, first: tuple[str, int], second: tuple[str, int]) -> str:
+    """Return two sides, with their precedence, around an operator, in brackets where needed."""
+    left, low = first
+    right, high = second
+    left_associative = operation != "**"
     if low < rank or (low == rank and not left_associative):
         left = f"({left})"
     if high < rank or (high == rank and left_associative):
         right = f"({right})"
-    spaced = f" {node.operation} " if rank == 1 else node.operation
-    return f"{left}{spaced}{right}", rank
+    spaced = f" {operation} " if rank == 1 else operation
+    return f"{left}{spaced}{right}"
 
 
 def _in_lepton(node: Formula, parts: list[str]) -> str:
@@ -662,7 +680,7 @@ def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
 
 
 # Added to a sum of two roots, which may be 0: far below every other number.
-TINY = number(1e-300)
+NEARLY_ZERO = number(1e-300)
 TWO = number(2.0)
 
 
@@ -681,7 +699,7 @@ def _change(node: Formula, changes: list[Formula], after: Mapping[Formula, Formu
         case "**":
             return _change_of_power(node, changes, after)
         case "sqrt":
-            return divide(da, add(add(ends, node), TINY))
+            return divide(da, add(add(ends, node), NEARLY_ZERO))
         case "exp":
             return multiply(node, build("expm1", da))
         case "log":
@@ -710,7 +728,7 @@ def _change_of_power(
         if p != int(p):
             root = build("sqrt", base)
             ends = build("sqrt", after[base])
-            slope = divide(changes[0], add(add(ends, root), TINY))
+            slope = divide(changes[0], add(add(ends, root), NEARLY_ZERO))
             factors.append((root, slope, ends))
         value, change, product = factors[0]
         for factor, by, end in factors[1:]:
@@ -724,7 +742,7 @@ def _change_of_power(
         return subtract(after[node], node)
     grows = build("growth", divide(changes[0], base), exponent)
     # A base of 0 at rest has no relative change.
-    return build("select", subtract(base, TINY), multiply(node, grows), after[node])
+    return build("select", subtract(base, NEARLY_ZERO), multiply(node, grows), after[node])
 
 
 def _change_across(
@@ -816,12 +834,7 @@ def _expand(node: Formula, variable: str) -> list[Term] | None:
     if node.number is not None:
         return [(node.number, {})]
     if node.operation in ("+", "-", "negative"):
-        sides = [_expand(part, variable) for part in node.parts]
-        if any(side is None for side in sides):
-            return None
-        sign = -1.0 if node.operation in ("-", "negative") else 1.0
-        last = [(sign * factor, powers) for factor, powers in sides[-1] or []]
-        return _bounded([*(sides[0] or []), *last] if len(sides) == 2 else last)
+        return _sum(node.operation, [_expand(part, variable) for part in node.parts])
     if node.operation in ("*", "/"):
         left, right = (_expand(part, variable) for part in node.parts)
         if left is None or right is None:
@@ -835,7 +848,14 @@ def _expand(node: Formula, variable: str) -> list[Term] | None:
     return [(1.0, {node: 1.0})]
 
 
-def _bounded(terms: list[Term]) -> list[Term] | None:
+def _sum(operation: str, sides: list[list[Term] | None]) -> list[Term] | None:
+    """Return the terms of a sum or difference of terms, or of their negative."""
+    first, last = sides[0], sides[-1]
+    if first is None or last is None:
+        return None
+    sign = 1.0 if operation == "+" else -1.0
+    signed = [(sign * factor, powers) for factor, powers in last]
+    terms = signed if len(sides) == 1 else [*first, *signed]
     return terms if len(terms) <= MAX_TERMS else None
 
 
@@ -861,14 +881,18 @@ def _raised(base: Formula, terms: list[Term], exponent: float) -> list[Term] | N
         if (factor > 0 and plain) or (whole and factor != 0):
             return [(factor**exponent, {b: e * exponent for b, e in powers.items()})]
     # A power of a linear term is integrated as such.
-    if whole and 1 < exponent <= MAX_POWER and base.operation != "name":
-        names = base.names
-        if names and names[0] in base.derivative(names[0]).names:
-            product: list[Term] | None = [(1.0, {})]
-            for _ in range(int(exponent)):
-                product = None if product is None else _times(product, terms)
-            return product
+    if whole and 1 < exponent <= MAX_POWER and not _is_linear(base):
+        product: list[Term] | None = [(1.0, {})]
+        for _ in range(int(exponent)):
+            product = None if product is None else _times(product, terms)
+        return product
     return [(1.0, {base: exponent})]
+
+
+def _is_linear(base: Formula) -> bool:
+    """Return whether a formula of one variable is linear in it."""
+    names = base.names
+    return not names or names[0] not in base.derivative(names[0]).names
 
 
 def _linear(node: Formula, variable: str) -> tuple[float, float] | None:

@@ -29,7 +29,7 @@ from ..util.tables import counted
 from .contact_law import PARTS, ContactLaw, RestingContacts, solve_growing
 from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse
 
-VARIABLES = ("o", "u", "t")
+FORMULA_VARIABLES = ("o", "u", "t")
 # The power of the overlap with which a smooth force is said to set in: no contact opens.
 SMOOTH = 1.5
 # Derivatives that are compared on both sides of a kink.
@@ -97,7 +97,7 @@ class Law(ContactLaw):
     def __init__(self, force: str, /, **parameters: Any):
         formula = parse(force)
         names = formula.names
-        needed = [key for key in names if key not in VARIABLES]
+        needed = [key for key in names if key not in FORMULA_VARIABLES]
         faults = list(_misfits(names, needed, parameters))
         given = {}
         for key in dict.fromkeys([*(key for key in ("k",) if key in parameters), *needed]):
@@ -629,7 +629,7 @@ def _misfits(
         if key not in parameters and (key != "k" or "o" not in names):
             yield key, f"is not given: the formula needs a number, {key} = ..."
     for key in parameters:
-        if key in VARIABLES:
+        if key in FORMULA_VARIABLES:
             yield key, "is a variable of formulas: give the parameter another name"
         elif key not in needed:
             known = ", ".join(needed) or "none"
