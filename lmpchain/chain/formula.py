@@ -26,6 +26,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise
+from types import CodeType, FunctionType
 from typing import Any
 from weakref import WeakValueDictionary
 
@@ -293,9 +294,10 @@ class Formula:
         body = "\n".join(lines)
         # The text was printed from a tree of accepted parts alone.
         source = f"def formula({arguments}):\n{body}\n    return {made[self]}\n"
-        scope = dict(functions)
-        exec(compile(source, "<formula of a law>", "exec"), scope)
-        return scope["formula"]  # type: ignore[no-any-return]
+        module = compile(source, "<formula of a law>", "exec")
+        constants: tuple[Any, ...] = module.co_consts
+        (code,) = (each for each in constants if isinstance(each, CodeType))
+        return FunctionType(code, dict(functions), "formula")
 
     def __repr__(self) -> str:
         return self.text
