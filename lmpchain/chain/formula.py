@@ -296,8 +296,8 @@ class Formula:
         source = f"def formula({arguments}):\n{body}\n    return {made[self]}\n"
         module = compile(source, "<formula of a law>", "exec")
         constants: tuple[Any, ...] = module.co_consts
-        (code,) = (each for each in constants if isinstance(each, CodeType))
-        return FunctionType(code, dict(functions), "formula")
+        (body_code,) = (each for each in constants if isinstance(each, CodeType))
+        return FunctionType(body_code, dict(functions), "formula")
 
     def __repr__(self) -> str:
         return self.text

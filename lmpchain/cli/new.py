@@ -15,6 +15,7 @@ EXAMPLES = {
     "dimer": "steel and aluminium in turn, pressed together: a gap between two bands",
     "driven": "a burst of a piezo travels down a precompressed row",
     "disorder": "balls of random diameters scatter a wave",
+    "law": "a Toda chain, by a contact law of its own",
     "lammps": "steel balls on a wall, as a LAMMPS deck and in LAMMPS",
 }
 
