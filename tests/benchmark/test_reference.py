@@ -9,7 +9,7 @@ from helpers.independent_integrators import extended_reference, relative_error
 from helpers.taylor_series import reference as independent_reference
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Scene
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Scene
 from lmpchain.benchmark.reference import _first_root, reference
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -232,3 +232,32 @@ def test_steps_end_at_the_first_root_of_an_overlap():
     rising = np.array([0.1, 1, 3], dtype=wide)
     assert _first_root(rising, wide(0.7)) >= 0.7
     assert _first_root(np.array([1, -0.5, 0, 0], dtype=wide), wide(1.5)) >= 1.5
+
+
+HERTZ = Law("k*max(o, 0)**1.5")
+FORCED = {
+    "strike": ({}, Impulse(velocity=0.05)),
+    "drive": ({}, Drive(amplitude=2e-8, frequency=3e4)),
+    "moving wall": ({"top": "wall"}, Drive(grain=0, amplitude=2e-8, frequency=3e4)),
+    "force": ({}, Force(grain=2, shape="half-sine", amplitude=0.01, duration=2e-5)),
+    "damped": (
+        {"damping": {"viscoelastic": 2e-8, "drag": 200.0}},
+        Force(grain=1, amplitude=0.01, frequency=3e4, cycles=2),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FORCED)
+def test_the_reference_of_laws_by_formula_is_that_of_powers(name: str) -> None:
+    options, excitation = FORCED[name]
+    chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
+    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=9)
+    by_formula = scene.replace(chain=chain.replace(law=HERTZ))
+    true, found = reference(scene), reference(by_formula)
+    off = max(
+        np.abs(found.displacement - true.displacement).max() / true.scale[0],
+        np.abs(found.velocity - true.velocity).max() / true.scale[1],
+    )
+    assert off <= found.error + true.error
+    assert found.error < 1e-10
+    assert found.scale == pytest.approx(true.scale, rel=0.02)
