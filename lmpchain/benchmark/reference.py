@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -192,77 +193,78 @@ def _solve_by_scipy(scene: Scene) -> Reference:
     return replace(answer, error=error)
 
 
-def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
-    """Return displacements and velocities, (T, N) m and m/s, and the largest at any time, (2,)."""
-    # Only this reference needs SciPy's integrators, whose import takes a tenth of a second.
-    from scipy.integrate import solve_ivp
-
+def _equations(scene: Scene) -> Callable[[float, Array], Array]:
+    """Return the function of time, s, and state, (2N,) m and m/s, that gives its rates."""
     chain = scene.chain
     excitation = scene.excitation
     wave = excitation.waveform
     contacts = chain.contacts
     grains = chain.grains
-    moves = np.arange(grains) < chain.movable
-    walled = excitation.wall is not None
     driven = bool(excitation.driven)
-    if driven:
-        moves[0] = False
-    pushed = excitation.acts_on - 1 if wave is not None and not (driven or walled) else None
+    moves = (np.arange(grains) < chain.movable) & (np.arange(grains) >= driven)
 
     def rates(t: float, state: Array) -> Array:
-        u = state[:grains].copy()
-        v = state[grains:].copy()
+        u, v = state.reshape(2, grains).copy()
         wall = np.zeros(2)
-        if wave is not None and (driven or walled):
+        push = np.zeros(grains)
+        if wave is not None:
             imposed = np.array([wave.at(t, 0), wave.at(t, 1)])
             if driven:
                 u[0], v[0] = imposed
-            else:
+            elif excitation.wall is not None:
                 wall = imposed
+            else:
+                push[excitation.acts_on - 1] = imposed[0]
         closer = contacts.closer(u, wall[0])
         force = contacts.force_change(closer)
         if chain.damped:
             viscosity = chain.contact_viscosity * contacts.stiffness_at(contacts.overlap + closer)
             force = force + viscosity * contacts.closer(v, wall[1])
-        pull = -np.diff(force)
-        if pushed is not None and wave is not None:
-            pull[pushed] += wave.at(t)
-        a = np.where(moves, pull / chain.masses - chain.drag * v, 0.0)
-        return np.concatenate((np.where(moves, v, 0.0), a))
+        acceleration = (push - np.diff(force)) / chain.masses - chain.drag * v
+        return np.concatenate((moves * v, moves * acceleration))
 
-    start = np.concatenate(scene.initial())
-    speed = max(np.abs(start[grains:]).max(), np.abs(start[:grains]).max() * scene.fastest_motion)
-    speed = max(speed, scene.imposed[1], scene.imposed[0] * scene.fastest_motion)
+    return rates
+
+
+def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
+    """Return displacements and velocities, (T, N) m and m/s, and the largest at any time, (2,)."""
+    # Only this reference needs SciPy's integrators, whose import takes a tenth of a second.
+    from scipy.integrate import solve_ivp
+
+    grains = scene.chain.grains
+    rates = _equations(scene)
+    state = np.concatenate(scene.initial())
+    u, v = np.abs(state).reshape(2, grains).max(axis=1)
+    farthest, fastest = np.maximum((u, v), scene.imposed)
+    speed = max(fastest, farthest * scene.fastest_motion)
     size = np.repeat([speed / scene.highest_frequency, speed], grains)
-    atol = tolerance * (size + 1e-300)
-    ends = [*scene.corners, scene.duration]
-    rows = [start[np.newaxis]]
-    largest = np.abs(start.reshape(2, grains)).max(axis=1)
+    rows = [state[np.newaxis]]
+    peaks = [(u, v)]
     begin = 0.0
-    for end in ends:
-        later = scene.time[(scene.time > begin) & (scene.time <= end)]
+    for end in (*scene.corners, scene.duration):
+        times = scene.time[(scene.time > begin) & (scene.time <= end)]
         run = solve_ivp(
             rates,
             (begin, end),
-            start,
+            state,
             method="DOP853",
             rtol=tolerance,
-            atol=atol,
-            t_eval=np.append(later, end) if not later.size or later[-1] < end else later,
+            atol=tolerance * size + 1e-300,
+            t_eval=np.union1d(times, end),
             max_step=MOST_RADIANS / scene.highest_frequency,
         )
         if run.status:
             raise RunFailed(f"the reference by SciPy gave up: {run.message}")
-        start = run.y[:, -1]
-        rows.append(run.y.T[: later.size])
-        peaks = np.abs(run.y.reshape(2, grains, -1)).max(axis=(1, 2))
-        largest = np.maximum(largest, peaks)
+        state = run.y[:, -1]
+        rows.append(run.y.T[: times.size])
+        peaks.append(np.abs(run.y.reshape(2, grains, -1)).max(axis=(1, 2)))
         begin = end
-    u, v = np.concatenate(rows).reshape(-1, 2, grains).swapaxes(0, 1).copy()
-    if driven and wave is not None:
-        u[:, 0] = wave.at(scene.time, 0)
-        v[:, 0] = wave.at(scene.time, 1)
-    return u, v, largest
+    solution = np.concatenate(rows).reshape(-1, 2, grains).swapaxes(0, 1).copy()
+    wave = scene.excitation.waveform
+    if scene.excitation.driven and wave is not None:
+        solution[:, :, 0] = wave.at(scene.time, 0), wave.at(scene.time, 1)
+        peaks.append(np.abs(solution[:, :, 0]).max(axis=1))
+    return solution[0], solution[1], np.max(peaks, axis=0)
 
 
 class _Motion:

@@ -215,7 +215,7 @@ def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, dampi
     balance = energy.ledger(t)
     # Without damping the work follows from the balance, and the reference below checks it.
     assert set(balance.balanced) & {"drive", "dissipated"} == (
-        {"drive"} if damping == "lossless" else set()
+        {"drive"} if damping == "lossless" and act != "strike" else set()
     )
     # The energy may be near 0 at three samples.
     put_in = max(map(largest, (balance.total, *true)))

@@ -518,8 +518,8 @@ def said_of_linear_theory() -> str:
     displacement, peak = (reach(strikes, norms[norm], 0.01) for norm in ("displacement", "peak"))
     return (
         f"at $v_0^*$ = {percents[0]:.3f} and 10 % at {percents[1]:.1f}, whatever the gravity and "
-        f"nearly whatever the time; in the package's norm at {package[0]:.3f} and "
-        f"{package[1]:.2f}, in displacements at {displacement:.2f}, "
+        f"nearly whatever the time. The same errors are reached in the package's norm at "
+        f"{package[0]:.3f} and {package[1]:.2f}, in displacements at {displacement:.2f}, "
         f"in peak velocities at {peak:.2f}."
     )
 
@@ -530,7 +530,7 @@ def said_without_damping() -> str:
     one, ten = ([reach(rates, errors, level) for errors in weakest] for level in (0.01, 0.1))
     return (
         f"with Aω of {one[0]:.2g}, {one[1]:.2g} and {one[2]:.2g} at the band edge changes 1 % "
-        f"of the answer after 20, 100 and 500 grains, and {ten[0]:.2g}, {ten[1]:.2g} and "
+        f"of the answer after 20, 100 and 500 grains. Values of {ten[0]:.2g}, {ten[1]:.2g} and "
         f"{ten[2]:.2g} change 10 %."
     )
 
@@ -541,7 +541,8 @@ def said_of_the_energy() -> str:
     assert min(-runs["dop853"][-1], runs["gear4"][-1], -runs["rk4"][-1]) > 0
     words = (
         f"rkn6 keeps the energy to {largest['rkn6']:.0e} and Verlet to {largest['verlet']:.0e}, "
-        f"both without a trend at 99 % confidence; dop853 loses {largest['dop853']:.0e}, "
+        "both without a trend at 99 % confidence. "
+        f"The method dop853 loses {largest['dop853']:.0e}, "
         f"gear4 gains {largest['gear4']:.1e} and the classical Runge-Kutta method loses "
         f"{largest['rk4']:.0%}"
     )
@@ -552,7 +553,9 @@ def said_of_steps() -> str:
     steps = stored("steps")
     law = np.interp(np.log(steps["numbers"]), np.log(steps["smooth"]), steps["predicted"]["verlet"])
     off = np.abs(law / steps["native"]["verlet"] - 1).max()
-    return f"for Verlet to {100 * off:.0f} % from $v_0^*$ = {steps['numbers'][0]:g} to 10⁴"
+    return (
+        f"For Verlet this holds to {100 * off:.0f} % from $v_0^*$ = {steps['numbers'][0]:g} to 10⁴"
+    )
 
 
 def said_of_round_off() -> str:
