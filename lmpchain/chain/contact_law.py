@@ -13,14 +13,13 @@ delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterable, Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from ..errors import InputError
@@ -30,29 +29,6 @@ from ..util.arrays import Array
 Formula = Callable[[Any, Any, Any], Any]
 # strain below which 11 terms of the energy's series have all digits
 SERIES_BELOW = 0.02
-# Change of an overlap, over that at rest, above which the difference of two forces has all digits.
-WEAK = 0.1
-# Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
-GROWTH = 16.0
-MOST_PIECES = 20
-# Iterations of a solution: bisection alone ends in fewer.
-ITERATIONS = 2000
-# Overlaps, over the largest one, at which the largest stiffness is looked for.
-PARTS = np.linspace(0.0, 1.0, 33)[1:]
-
-
-def _smooth_rule(size: int = 24) -> Array:
-    """Return nodes from 0 to 1 and weights of an integration, (2, size).
-
-    Gauss's nodes crowd at both ends by a step of order 4, so that roots there are integrated too.
-    """
-    nodes, weights = leggauss(size)
-    t = (nodes + 1) / 2
-    step = t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
-    return np.array([step, weights / 2 * 140 * t**3 * (1 - t) ** 3])
-
-
-NODES, WEIGHTS = _smooth_rule()
 
 
 class RestingContacts(Protocol):
@@ -73,7 +49,7 @@ class RestingContacts(Protocol):
 
 
 @dataclass(frozen=True)
-class ContactLaw:
+class ContactLaw(ABC):
     """The force of a contact as a function of its overlap: `PowerForce`, or a `Law` of a user.
 
     The formulas of (o, K, p) take arrays; p are the `parameters`.
@@ -172,29 +148,21 @@ class ContactLaw:
         """Return the derivative of the stiffness at an overlap o > 0, N/m2."""
         return self.curvature_formula(overlap, constant, self.parameters)
 
+    @abstractmethod
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
-        """Return the largest stiffness at any overlap from 0 to this one, N/m."""
-        return np.max([self.stiffness(part * overlap, constant) for part in PARTS], axis=0)
+        """Return the largest stiffness at overlaps up to this one, N/m."""
 
+    @abstractmethod
     def overlap(self, force: Any, constant: Any) -> Any:
-        """Return the overlap at which a contact has this force from 0, m."""
-        force, constant = np.broadcast_arrays(force, constant)
-        start = (force / constant) ** (1 / self.onset)
-        return solve_growing(
-            lambda o: self.force(o, constant), lambda o: self.stiffness(o, constant), force, start
-        )
+        """Return the overlap at which a contact has this force, m."""
 
+    @abstractmethod
     def approach(self, energy: Any, constant: Any) -> Any:
-        """Return the overlap at which a contact without force at rest holds this energy, m."""
-        energy, constant = np.broadcast_arrays(energy, constant)
-        return self._approach(energy, constant, np.zeros(energy.shape))
+        """Return the overlap at which a contact without load at rest holds this energy, m."""
 
+    @abstractmethod
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return how far overlaps exceed those at rest if each contact holds this energy, m."""
-        shape = np.broadcast_shapes(np.shape(energy), contacts.constant.shape)
-        constant = np.where(contacts.exists, contacts.constant, 1.0)
-        arrays = (np.broadcast_to(x, shape) for x in (energy, constant, contacts.overlap))
-        return self._approach(*arrays)
 
     def bend(self, contacts: RestingContacts) -> Any:
         """Return k'(eps) l / k(eps) at rest, l of `length`: delta - 1 for a power."""
@@ -203,29 +171,24 @@ class ContactLaw:
         stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
         return length * self.curvature(overlap, contacts.constant) / stiffness
 
+    @abstractmethod
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N.
 
         The relative accuracy does not depend on the amplitude of the wave.
         """
-        return self._change(contacts.overlap, r, contacts.constant)
 
+    @abstractmethod
     def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
         It is the integral of F(eps + r) - F(eps) over r, accurate in relative terms for the weakest
         waves.
         """
-        return self._integral(contacts.overlap, r, contacts.constant, 1)
 
+    @abstractmethod
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return by how much more contacts overlap under this additional force, m."""
-        return solve_growing(
-            lambda r: self.force_change(contacts, r),
-            lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
-            np.asarray(force),
-            (force / contacts.constant) ** (1 / self.onset),
-        )
 
     @property
     def elastic_share(self) -> float:
@@ -235,77 +198,8 @@ class ContactLaw:
         """
         return 2 / (self.onset + 3)
 
-    def _approach(self, energy: Array, constant: Array, rest: Array) -> Array:
-        """Return the r > 0 at which the energy above that at rest is this one, m."""
-        return solve_growing(
-            lambda r: self._integral(rest, r, constant, 1),
-            lambda r: self._change(rest, r, constant),
-            energy,
-            (energy / constant) ** (1 / (self.onset + 1)),
-        )
-
-    def _change(self, rest: Array, r: Array, constant: Array) -> Array:
-        """Return F(rest + r) - F(rest), which loses the digits of weak waves, or the integral."""
-        weak = np.abs(r) < WEAK * rest
-        change = self.force(rest + r, constant) - self.force(rest, constant)
-        return np.where(weak, self._integral(rest, np.where(weak, r, 0), constant, 0), change)
-
-    def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
-        """Return the integral of k(rest + s) (r - s)^moment over s from 0 to r.
-
-        All of its terms have one sign, so that nothing cancels.
-        """
-        rest, r, constant = np.broadcast_arrays(rest, r, constant)
-        total = np.zeros(r.shape)
-        for s, weight in self._nodes(rest, r):
-            total = total + weight * self.stiffness(rest + s, constant) * (r - s) ** moment
-        return np.sign(r) * total
-
-    def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield places s between 0 and r, and their weights, of an integral over them.
-
-        Pieces end at kinks, and grow with the distance to them.
-        """
-        ends: list[Any] = [0 * r, r]
-        for kink in self.kinks:
-            far = np.abs(rest - kink)
-            ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
-            growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
-            ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
-        places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
-        for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
-            for node, weight in zip(NODES, WEIGHTS, strict=True):
-                yield begin + node * width, weight * width
-
     def __repr__(self) -> str:
         return self.name
-
-
-def solve_growing(
-    function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
-) -> Array:
-    """Return the x >= 0 at which a function that grows from 0 has this value.
-
-    Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
-    """
-    target = np.asarray(target)
-    with np.errstate(all="ignore"):
-        known = np.isfinite(target) & (target > 0)
-        high = np.where(known, np.maximum(start, 1e-300), 0)
-        while (short := known & np.isfinite(high) & (function(high) < target)).any():
-            high = np.where(short, 2 * high, high)
-        low = np.zeros_like(high)
-        x = high
-        for _ in range(ITERATIONS):
-            off = function(x) - target
-            low = np.where(off < 0, x, low)
-            high = np.where(off < 0, high, x)
-            step = x - off / slope(x)
-            new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
-            if not (known & (np.abs(new - x) > 2 * np.finfo(x.dtype).eps * x)).any():
-                break
-            x = new
-    return np.where(known, new, target)
 
 
 class PowerForce(ContactLaw):

@@ -13,12 +13,13 @@ t         t           time, s, in a ground law
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
+from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 from pydantic import BeforeValidator
 
@@ -26,7 +27,7 @@ from ..errors import InputError, shown
 from ..util.arrays import EPSILON, Array, read_only
 from ..util.caching import cached_property
 from ..util.tables import counted
-from .contact_law import PARTS, ContactLaw, RestingContacts, solve_growing
+from .contact_law import ContactLaw, RestingContacts
 from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse
 
 FORMULA_VARIABLES = ("o", "u", "t")
@@ -56,6 +57,56 @@ NUMPY: dict[str, Any] = {
     "growth": lambda s, p: np.expm1(p * np.log1p(np.maximum(s, -1.0))),
     "__name__": __name__,
 }
+
+
+# Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
+GROWTH = 16.0
+MOST_PIECES = 20
+# Iterations of a solution: bisection alone ends in fewer.
+ITERATIONS = 2000
+# Overlaps, over the largest one, at which the largest stiffness is looked for.
+PARTS = np.linspace(0.0, 1.0, 33)[1:]
+
+
+def _smooth_rule(size: int = 24) -> Array:
+    """Return nodes from 0 to 1 and weights of an integration, (2, size).
+
+    Gauss's nodes crowd at both ends by a step of order 4, so that roots there are integrated too.
+    """
+    nodes, weights = leggauss(size)
+    t = (nodes + 1) / 2
+    step = t**4 * (35 - 84 * t + 70 * t**2 - 20 * t**3)
+    return np.array([step, weights / 2 * 140 * t**3 * (1 - t) ** 3])
+
+
+NODES, WEIGHTS = _smooth_rule()
+
+
+def solve_growing(
+    function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
+) -> Array:
+    """Return the x >= 0 at which a function that grows from 0 has this value.
+
+    Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
+    """
+    target = np.asarray(target)
+    with np.errstate(all="ignore"):
+        known = np.isfinite(target) & (target > 0)
+        high = np.where(known, np.maximum(start, 1e-300), 0)
+        while (short := known & np.isfinite(high) & (function(high) < target)).any():
+            high = np.where(short, 2 * high, high)
+        low = np.zeros_like(high)
+        x = high
+        for _ in range(ITERATIONS):
+            off = function(x) - target
+            low = np.where(off < 0, x, low)
+            high = np.where(off < 0, high, x)
+            step = x - off / slope(x)
+            new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
+            if not (known & (np.abs(new - x) > 2 * np.finfo(x.dtype).eps * x)).any():
+                break
+            x = new
+    return np.where(known, new, target)
 
 
 class Law(ContactLaw):
@@ -164,13 +215,49 @@ class Law(ContactLaw):
             change = self.kernel.change(rest, r, constant, self.parameters)
         return np.broadcast_to(change, np.broadcast_shapes(np.shape(rest), np.shape(r)))
 
-    def _integral(self, rest: Array, r: Array, constant: Array, moment: int) -> Array:
+    def _integral(self, rest: Array, r: Array, constant: Array) -> Array:
         """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
         total = np.zeros(r.shape)
         for s, weight in self._nodes(rest, r):
             total = total + weight * self._change(rest, s, constant)
         return np.sign(r) * total
+
+    def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield places s between 0 and r, and their weights, of an integral over them.
+
+        Pieces end at kinks, and grow with the distance to them.
+        """
+        ends: list[Any] = [0 * r, r]
+        for kink in self.kinks:
+            far = np.abs(rest - kink)
+            ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
+            growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
+            ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
+        places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
+        for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
+            for node, weight in zip(NODES, WEIGHTS, strict=True):
+                yield begin + node * width, weight * width
+
+    def force_change(self, contacts: RestingContacts, r: Array) -> Array:
+        """Return the change of force for a change r of the overlap, (..., N+1) N."""
+        return self._change(contacts.overlap, r, contacts.constant)
+
+    def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
+        """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
+
+        It is the integral of the change of force over r.
+        """
+        return self._integral(contacts.overlap, r, contacts.constant)
+
+    def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
+        """Return by how much more contacts overlap under this additional force, m."""
+        return solve_growing(
+            lambda r: self.force_change(contacts, r),
+            lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
+            np.asarray(force),
+            (force / contacts.constant) ** (1 / self.onset),
+        )
 
     def _numbers(self, contact: int, constant: float = 1.0) -> dict[str, float]:
         """Return the parameters of one contact."""
@@ -461,7 +548,7 @@ class Law(ContactLaw):
             k = np.abs(self.stiffness(rest, constant))
             start = np.sqrt(energy / np.where((k > 0) & np.isfinite(k), k, constant))
             return solve_growing(
-                lambda r: self._integral(rest, side * r, constant, 1),
+                lambda r: self._integral(rest, side * r, constant),
                 lambda r: side * self._change(rest, side * r, constant),
                 energy,
                 start,

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 
 import lmpchain
 from lmpchain import Chain, Damping, Drive, Impulse, InputError, Law, Scene, design
-from lmpchain.engines import Lammps, Native
+from lmpchain.engines import Native
 from lmpchain.measure import energy
 
 
@@ -152,7 +152,6 @@ def test_measures_and_linear_engines_ask_the_law(truths: dict[str, Any]) -> None
 @pytest.mark.parametrize(
     ("refused", "message"),
     [
-        (lambda scene: lmpchain.simulate(scene, Lammps()), "exponent: granular in LAMMPS knows"),
         (lambda scene: lmpchain.simulate(scene, "continuum"), "law: continuum needs a power"),
         (
             lambda scene: design.gradient(scene, design.Momentum([1]), ["masses"]),
