@@ -28,7 +28,7 @@ class DenseRates(NamedTuple):
 
 @inlined
 def passes(chain, clock, begin, end):
-    """Return the first sample in begin < t <= end, 0 if there is none.
+    """Return the first sample in begin < t <= end, or 0 without one.
 
     Samples and times are counted from the last landing. The sample at the next landing is not
     returned, because a step ends there.

@@ -51,7 +51,7 @@ def cut(chain, t, h):
 
 @inlined
 def forced(chain):
-    """Return the index of the body on which a force acts, 0 if there is none."""
+    """Return the index of the body on which a force acts, or 0 without a force."""
     return max(-chain.imposed.wave.body, 0) if chain.imposed.acts else 0
 
 

@@ -64,7 +64,7 @@ def _course(wave, knots, pieces, t, order, inside):
 
 @_kept
 def _corner(wave, knots, t, end, resolution):
-    """Return the time to the next corner before `end`, or 1e300 if there is none."""
+    """Return the time to the next corner before `end`, or 1e300 without one."""
     if wave.knots > 0:
         knots = knots[: wave.knots]
         following = np.searchsorted(knots, t + resolution, "right")
