@@ -43,7 +43,7 @@ class ColumnMeaning(NamedTuple):
             return
         of = "a contact" if "contact" in column else "a grain, the mean of its two contacts"
         rest = "above" if column.startswith("change_") else "including"
-        fault = f"{column} is the force of {of}, {rest} its force at rest"
+        fault = f"{column} is the force of {of}, {rest} its value at rest, not {self.others[0]}"
         raise InputError.at(
             "columns", f"{fault}: choose the column {self.others[0]}, or the matching field"
         )

@@ -49,7 +49,7 @@ class Measured(Excitation):
         file = self.file_kind(**{key: value for key, value in options.items() if value is not None})
         reading, arrays = self._arrays(file)
         if twice := [key for key in (*arrays, "source") if data.get(key) is not None]:
-            cure = "is also in the file: give only one of them"
+            cure = "is in the file already; take it out of one of them"
             raise InputError((key, cure) for key in twice)
         data |= arrays | {"source": reading.text}
         return reading

@@ -496,7 +496,7 @@ FAULTS = {
     "interpolation: must be": lambda: Force(times=[0, 1], force=[0, 1], interpolation="cubic"),
     "times: are 4.9e-324 s apart": lambda: Drive(times=[0.0, 5e-324], displacement=[0.0, 1e-10]),
     "times: are 1e-21 s apart": lambda: Force(times=[0.0, 1e-21, 1e-10], force=[1.0, 2.0, 1.0]),
-    "displacement: must begin with 0, where the wall": lambda: Drive(
+    "displacement: must begin with 0, the position of the wall": lambda: Drive(
         times=[0, 1.0], displacement=[1, 2.0], grain=0
     ),
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),

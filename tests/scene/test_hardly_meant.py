@@ -106,4 +106,4 @@ def test_a_sweep_says_it_once(tmp_path):
     swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
-    assert text.startswith("velocity: a contact is squeezed to 0.012 of the diameter")
+    assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
