@@ -266,11 +266,9 @@ def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
     if not (bottom or top):
         raise InputError.at("bottom", "must be positive, unless top is: give a number of grains")
     if top and chain.gravity > 0:
-        raise InputError.at(
-            "top", "must be 0 under gravity, as it would load the chain: use bottom"
-        )
+        raise InputError.at("top", "would load the chain by its weight: use bottom alone")
     if top and chain.load_grain > 1:
-        raise InputError.at("top", "must be 0 above a load, where it would be loose: use bottom")
+        raise InputError.at("top", "would be loose above the load grain: use bottom alone")
     return sponge.add(chain, int(top), int(bottom))
 
 
