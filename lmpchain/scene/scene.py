@@ -43,7 +43,7 @@ DRAWN_AROUND = 10  # number of resting grains drawn on either side of the excite
 
 
 class Scene(SceneFacts):
-    """A chain, an excitation, and what is recorded.
+    """A chain, its excitation and its recording.
 
     Parameters
     ----------

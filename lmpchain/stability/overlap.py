@@ -21,8 +21,7 @@ def deepest(scene: Scene) -> float:
 
 
 def hertz_excess(strain: ArrayLike) -> Array:
-    """Return the relative excess of Hertz's force over that of spheres, at an overlap strain x
-    diameter.
+    """Return the relative excess of Hertz's force over the force of spheres, at overlap / diameter.
 
     The excess is due to the shape alone, because Hertz's theory replaces spheres by paraboloids:
     ``o = 2 a artanh(a/R)`` and ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; it is about
