@@ -34,7 +34,7 @@ from .file_columns import (
 # sample.
 BEGINS = ("start", "x0", "t0", "hoffset", "xorg", "tstart")
 TRIGGER_POINTS = ("trigger point",)
-FILTER_ORDER = 4  # order of the low pass after its forward and backward passes
+FILTER_ORDER = 4  # order of the low pass, which is applied forward and backward
 # A sample closer to the trigger than this fraction of an interval is at t = 0, because the rest is
 # rounding error.
 SAME_TIME = 1e-6

@@ -47,8 +47,8 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
     norm : str
         "velocity": root of the sum of squares over grains, at the end of the run; "displacement":
         largest error of all samples and grains, relative to the largest displacement; "package":
-        the larger of the errors of displacement and velocity, as in this package; "peak": error of the
-        largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2) for a front of width w.
+        the larger of the errors of displacement and velocity, as in this package; "peak": error of
+        the largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2) for a front of width w.
     exponent : float
         Exponent delta of the contact force.
     grain : int

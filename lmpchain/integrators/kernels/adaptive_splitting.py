@@ -100,7 +100,7 @@ def _advance(chain, method, work, clock, out, landed):
             if not filled:
                 fill_jerk(chain, first, last, rates, beyond)
             keep(chain, first, last, rates)
-            # Wait until neighbouring threads have stored their grains, before these grains move.
+            # All threads must have read neighbouring grains before any grain moves.
             meet(chain.team)
         state.step_begin = state.done
     hold(chain, w)

@@ -156,5 +156,5 @@ def shorten(chain, y, w, pull, openings):
     )
     nearness = _find_nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
     nearness = largest(chain.team, nearness)
-    # For a constant error, the score grows as the 14th power of the factor that shortens the step.
+    # The step of constant local error is proportional to score^(-1/14).
     return min(1.0, openings.shortened * nearness ** (-1 / 14)) if nearness > 0.0 else 1.0

@@ -90,7 +90,7 @@ def _advance(chain, method, work, clock, out, landed):
     step = 0
     steps_before = state.steps
     while step < burst:
-        # Sweep up to the next look; a step with a corner has twice as many rows.
+        # Sweep up to the next observation; a step with a corner has twice as many rows.
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))
