@@ -324,7 +324,7 @@ def _draw(key: str, law: float | Distribution, size: int, rng: np.random.Generat
         message = f"must be a number or a distribution of scipy.stats (got a {name})"
         raise InputError.at(key, message)
     if not (values > 0).all() or not np.isfinite(values).all():
-        message = "must draw finite values above 0 only: use a distribution of positive values"
+        message = "all values must be finite and above 0: use a positive number or distribution"
         raise InputError.at(key, message)
     return values
 

@@ -243,7 +243,7 @@ class Drive(_Acting):
         if not {"trigger", "baseline", "offset", "lowpass"}.isdisjoint(file.given()):
             begin = arrays["displacement"][0]
             arrays["displacement"] = arrays["displacement"] - begin
-            text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
+            text = f"{reading.text}; less {begin:.6g} m, the position at t = 0"
             reading = replace(reading, text=text)
         return reading, arrays
 

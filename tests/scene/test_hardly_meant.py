@@ -34,10 +34,10 @@ def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
         (
             lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0),
             "diameter: ",
-            "to 0.012 of the diameter",
+            "by 0.012 of the diameter",
         ),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
-        (lambda: struck(CHAIN, 20.0), "velocity: ", "to 0.012 of the diameter"),
+        (lambda: struck(CHAIN, 20.0), "velocity: ", "by 0.012 of the diameter"),
         (
             lambda: struck(SPRINGS, 6e3),
             "velocity: ",

@@ -203,8 +203,8 @@ def test_a_packet_that_does_not_fit_is_refused():
     held = uniform(101, bottom="fixed")
     assert not faults(held, grain=52)
     assert [key for key, _ in faults(held, grain=53)] == ["width"]
-    assert faults(grain=102) == [("grain", "must be one that moves, 1 to 101 (got 102)")]
-    assert faults(held, grain=101) == [("grain", "must be one that moves, 1 to 100 (got 101)")]
+    assert faults(grain=102) == [("grain", "must be a grain that moves, 1 to 101 (got 102)")]
+    assert faults(held, grain=101) == [("grain", "must be a grain that moves, 1 to 100 (got 101)")]
     vacuum = Chain(grains=101, diameter=1e-3, gravity=0.0)
     assert faults(vacuum) == [
         ("kind", "there are no linear waves without gravity and load: give a top_load")
