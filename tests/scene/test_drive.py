@@ -481,11 +481,11 @@ def test_a_start_that_does_not_fit():
     for start, said in (
         (
             Profile(velocity=np.ones(5)),
-            "excitation.start.velocity: must have 8 entries, one a grain",
+            "excitation.start.velocity: must have 8 entries",
         ),
         (
             Profile(velocity=np.eye(8)[0]),
-            "excitation.start.velocity: must be 0 for grain 1, which moves as the drive",
+            "excitation.start.velocity: must be 0 for grain 1, because it is driven",
         ),
         (
             Profile(displacement=np.eye(8)[7]),
