@@ -57,7 +57,7 @@ class Profile(Measured):
         """Yield a fault if the arrays do not fit the chain."""
         for key, values in self.fields.items():
             if len(values) != chain.grains:
-                yield key, f"must have {chain.grains} entries, one a grain, not {len(values)}"
+                yield key, f"must have one entry a grain, {chain.grains} in all, not {len(values)}"
             elif chain.bottom == "fixed" and values[-1] != 0:
                 yield key, f"must be 0 for grain {chain.grains}, which is held"
 

@@ -481,7 +481,7 @@ def test_a_start_that_does_not_fit():
     for start, said in (
         (
             Profile(velocity=np.ones(5)),
-            "excitation.start.velocity: must have 8 entries",
+            "excitation.start.velocity: must have one entry a grain",
         ),
         (
             Profile(velocity=np.eye(8)[0]),

@@ -493,7 +493,7 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
         (
             Profile(velocity=np.zeros(8)),
             COLUMN,
-            ("velocity", "must have 9 entries, one a grain, not 8"),
+            ("velocity", "must have one entry a grain, 9 in all, not 8"),
         ),
         (
             Profile(velocity=np.ones(9)),
