@@ -229,8 +229,7 @@ class Pair(NamedTuple):
     exponent: float
 
     def time(self, velocity: float) -> float:
-        """Return the unit of time of a collision at this velocity, (m v^2 / K)^(1/(delta+1)) / v,
-        in s.
+        """Return the unit of time (m v^2 / K)^(1/(delta+1)) / v of a collision at a velocity v, s.
 
         A collision lasts about 3 units.
         """
@@ -251,8 +250,7 @@ def two_spheres(materials: Sequence[Material], diameters: Sequence[float], expon
 
 @lru_cache(maxsize=1024)
 def rebound(viscosity: float, exponent: float) -> float:
-    """Return the coefficient of restitution of two bodies, A in units of `Pair.time`; 0 if they
-    stick.
+    """Return the restitution of two bodies, A in units of `Pair.time`; 0 if they stick.
 
     It is exact to 1e-12, from an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1
     until y returns to 0; the coefficient is the final value of -w.

@@ -218,8 +218,7 @@ def write_out(keys: dict[str, Any]) -> dict[str, Any]:
 
 
 def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
-    """Return a chain with absorbing boundaries: layers of grains with a graded drag are added to
-    it.
+    """Return a chain with absorbing boundaries: additional layers of grains with graded drag.
 
     A layer continues the last cell of up to 8 grains (uniform, dimer, trimer ...), or repeats the
     last grain if there is no cell. The drag grows as x^p, 0 < x < 1 into the layer. The power p (2,

@@ -59,8 +59,7 @@ NOT_PRESSED = "contacts there carry no force at rest, so no wave is linear: give
 
 
 class Layer(NamedTuple):
-    """The last S grains of a chain, counted away from it, and the cell of the periodic chain before
-    them.
+    """The last S grains of a chain, counted away from it, and the cell of the chain before them.
 
     Attributes
     ----------
@@ -103,9 +102,7 @@ class Layer(NamedTuple):
 
 
 def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
-    """Return `grains` grains at the "top" or "bottom" of a chain as a layer with a cell of this
-    length.
-    """
+    """Return the layer of `grains` grains at the "top" or "bottom" of a chain."""
     masses = chain.masses[: chain.movable]
     contacts = slice(0, chain.movable + 1)
     stiffness = chain.contacts.stiffness[contacts]

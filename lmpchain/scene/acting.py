@@ -441,9 +441,7 @@ class Force(OneGrain, _Acting):
         return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
 
     def _pushed(self, chain: Chain) -> tuple[Array, Array]:
-        """Estimate the motion of the forced grain from rest, and 0 for other grains, (N,) m and
-        m/s.
-        """
+        """Estimate the motion of the forced grain from rest, (N,) m and m/s, 0 for others."""
         size = self.waveform.largest()
         mass = chain.masses[self.grain - 1]
         # A force of 0 causes no motion.

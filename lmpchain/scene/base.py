@@ -77,9 +77,7 @@ class Excitation(Checked):
 
     @property
     def waveform(self) -> Waveform | None:
-        """Motion of grain 1 or of the top wall, m, or a force, N, after t = 0; None if nothing
-        acts.
-        """
+        """Motion of grain 1 or of the top wall, m, or a force, N, after t = 0; or None."""
         return None
 
     @property
@@ -156,9 +154,7 @@ class Excitation(Checked):
         return self.replace(**{key: factor * fields[key] for key in self.strength if key in fields})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Return an upper bound on sqrt(2 E), J^(1/2), for the energy E given to a linearised
-        chain.
-        """
+        """Return an upper bound on sqrt(2 E), J^(1/2), for the energy E at t = 0."""
         u, v = self.initial(chain)
         contacts = chain.contacts
         kinetic = (chain.masses * v**2).sum()

@@ -12,8 +12,7 @@ from .trace_file import Reading, TableFile
 
 
 class Measured(Excitation):
-    """An excitation with arrays that may be read from a file, and a record of how the file was
-    read.
+    """An excitation with arrays that may be read from a file, with a record of the reading.
 
     Attributes
     ----------

@@ -106,9 +106,7 @@ class Packet(Excitation):
 
     @staticmethod
     def _hops(chain: Chain, first: int, last: int) -> Array:
-        """Return sqrt(k/m), 1/s, from each grain to the contact below, and from there to the next
-        grain.
-        """
+        """Return sqrt(k/m), 1/s, from each grain to the contact below, and on to the next grain."""
         k = chain.contacts.stiffness[first:last]
         m = chain.masses[first - 1 : last]
         return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()

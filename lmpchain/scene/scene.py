@@ -170,8 +170,7 @@ class Scene(SceneFacts):
 
     @cached_property
     def finer(self) -> int:
-        """Number of fine intervals between two samples in which quantities are accumulated: 1, 2,
-        3, 4, 6 ...
+        """Number of fine intervals between two samples for quantities: 1, 2, 3, 4, 6, 8 ...
 
         Few values are allowed, so that the scenes of a sweep use the same one.
         """
@@ -185,9 +184,7 @@ class Scene(SceneFacts):
 
     @property
     def fine(self) -> Scene:
-        """The scene that engines solve, with the times and grains required for accumulated
-        quantities.
-        """
+        """The scene that engines solve, with the times and grains that quantities require."""
         return self._fine if self.quantities else self
 
     @cached_property

@@ -217,12 +217,12 @@ class Waveform:
 
     @cached_property
     def _band_edge(self) -> float:
-        """Highest frequency of a piecewise cubic, rad/s: the inverse of the smallest time between
-        knots.
+        """Highest frequency of a piecewise cubic, rad/s.
 
-        If the knots are denser than the motion requires, this frequency is halved as long as the
-        spectrum above it adds less than `NEGLIGIBLE_SPEED` to the speed of the motion, or to the
-        speed of a free mass under the force.
+        It is the inverse of the smallest time between knots. If the knots are denser than the
+        motion requires, this frequency is halved as long as the spectrum above it adds less than
+        `NEGLIGIBLE_SPEED` to the speed of the motion, or to the speed of a free mass under the
+        force.
         """
         assert self.spline is not None
         edge = 1 / self.corner_spacing
@@ -258,8 +258,9 @@ class Waveform:
         return self.end if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:
-        """Return the largest value or derivative: an upper bound for a burst, approximate for a
-        spline.
+        """Return the largest value or derivative.
+
+        It is an upper bound for a burst, and approximate for a spline.
         """
         if self.spline is not None:
             return float(np.abs(self.at(self._dense, order)).max())
@@ -273,17 +274,16 @@ class Waveform:
 
     @property
     def gained(self) -> float:
-        """Largest magnitude of the integral from 0: an upper bound for a burst, approximate for a
-        spline.
+        """Largest magnitude of the integral from 0.
+
+        It is an upper bound for a burst, and approximate for a spline.
         """
         if self.spline is not None:
             return float(np.abs(self.spline.antiderivative()(self._dense)).max())
         return 2 * abs(self.amplitude) / self.omega
 
     def area(self, duration: float) -> float:
-        """Return an upper bound on the integral of the magnitude up to a time, s; infinite for a
-        spline.
-        """
+        """Return an upper bound on the integral of |f| up to a time, s; infinite for a spline."""
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)

@@ -18,8 +18,9 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class MeasuredGrowth:
-    """Range of columns for which `growth_rate` was measured;
-    analysis/calibration/predictability.py.
+    """Range of columns for which `growth_rate` was measured.
+
+    The measurement is analysis/calibration/predictability.py.
 
     Attributes
     ----------

@@ -129,8 +129,9 @@ def _growths(integrator: str) -> tuple[Array, Array]:
 
 @cache
 def suspect(integrator: str) -> float:
-    """Return the omega h, up to 2 % above the stability limit, with the fastest growth of an
-    oscillator.
+    """Return the omega h slightly above the stability limit with the fastest growth.
+
+    The search covers 2 % above the limit.
 
     Above the limits of rkn4, rkn6 and kahan-li8 there is a band of unstable steps that is only
     0.16, 0.03 and 1.4 % wide, where a step is about half a period of the fastest grain. Above this
@@ -150,8 +151,9 @@ def suspect(integrator: str) -> float:
 
 
 def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
-    """Measure the longest step with which a scene does not break down, s; infinite if no step
-    fails.
+    """Measure the longest step with which a scene does not break down, s.
+
+    The result is infinite if no step fails.
 
     Steps of equal length are increased by 2 %, and the suspect step of the method is included,
     until a run breaks down, which means that the kinetic energy of a grain exceeds 1.5 times the

@@ -364,10 +364,10 @@ def _back_tile(law, path, memory, rows, tile, span):
 
 @loop
 def _backward(law, steps, stretch, looks, path, memory, contacts):
-    """Propagate adjoints back through some rows, which end at row number `stretch.row` after an
-    observation.
+    """Propagate adjoints back through some rows, the last one first.
 
-    In the reverse pass a row is the drift before a kick, followed by the kick.
+    The last row is number `stretch.row` after an observation. In the reverse pass a row is the
+    drift before a kick, followed by the kick.
     """
     first, last = contacts
     look, row, done = stretch

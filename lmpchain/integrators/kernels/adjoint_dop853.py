@@ -125,8 +125,7 @@ class DampedSystem(NamedTuple):
 
 
 class StageStates(NamedTuple):
-    """Displacements at the stages of one or several steps, (S, W), and p and f of all contacts
-    there.
+    """Displacements at the stages of one or several steps, (S, W), and p and f of contacts.
 
     For a contact that only touches, the stored p is reduced by 1, because its derivatives are
     computed by the formula for compressed contacts.
@@ -217,8 +216,7 @@ class Change(NamedTuple):
 
 
 class Dop853Memory(NamedTuple):
-    """Scratch arrays: stages of some steps, rates of one step, weights, and sums of the reverse
-    pass.
+    """Scratch arrays: stages of some steps, rates, weights, and sums of the reverse pass.
 
     For the tangent, `others` contains the rates of the small changes in place of the sums.
     """

@@ -318,12 +318,11 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
 
     @loop
     def back(span, rows, bodies, above, adjoint, law, kept):
-        """Propagate adjoints back through rows, each a kick and the drift before it, and undo these
-        rows.
+        """Propagate adjoints back through rows, each a kick and the drift before it.
 
-        In arrays of bodies, a contact has the place of the body above it. Every row of a span may
-        begin and end some places earlier than the following row, which makes it independent of that
-        row.
+        The rows are undone if `undo` is given. In arrays of bodies, a contact has the place of the
+        body above it. Every row of a span may begin and end some places earlier than the following
+        row, which makes it independent of that row.
         """
         apart()
         x, momentum, inverse_mass = bodies

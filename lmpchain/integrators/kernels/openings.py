@@ -133,8 +133,7 @@ def _find_nearness(y, rates, bends, links, near):
 
 @inlined
 def shorten(chain, y, w, pull, openings):
-    """Return the next step relative to the scheduled one, given by the contact with the largest
-    score.
+    """Return the factor on the scheduled step that the contact with the largest score requires.
 
     Parameters
     ----------

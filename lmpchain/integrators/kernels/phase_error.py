@@ -59,8 +59,7 @@ STATE = np.dtype([(name, np.float64) for name in PhaseSums._fields])
 
 
 class LinearLinks(NamedTuple):
-    """The linear chain; contact n is above grain n, counted from 0, and the last one below all
-    grains.
+    """The linear chain; contact n is above grain n, from 0, and the last one below all grains.
 
     Attributes
     ----------

@@ -199,8 +199,7 @@ def _sweep_border(chain, end, rows):
 
 @inlined
 def sweep(chain, rows):
-    """Kick and drift the window once for each row; long chains are processed in tiles that fit the
-    cache.
+    """Kick and drift the window once for each row; long chains in tiles that fit the cache.
 
     Every row of a tile ends one cache line above the previous row, so that it does not depend on
     the next tile. If threads share a chain, the rows of each thread also begin one line below the
