@@ -130,7 +130,7 @@ class Packet(Excitation):
         # A turning point is far from the centre, where the packet vanishes, so any real wave number
         # suffices there.
         ratio = np.minimum(omega / (2 * hops), 0.999)
-        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, places a second
+        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, positions per second
         phase = np.append(0.0, np.cumsum(np.arcsin(ratio)))
         arrival = np.append(0.0, np.cumsum(1 / speed))
         # The speed at a position is the geometric mean of the speeds on either side.
