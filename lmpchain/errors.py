@@ -1,4 +1,4 @@
-"""Exceptions, each with a message that names the fault and the cure."""
+"""Exceptions, each with a message that states the fault and the remedy."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ import reprlib
 from collections.abc import Iterable
 from typing import Any
 
-SHOWN_LETTERS = 80  # letters of a value that an error line shows
+SHOWN_LETTERS = 80  # maximum length of a value in a message
 
 
 def short(text: object) -> str:
-    """Return a text for an error line, cut short where it is long.
+    """Return a text for a message, shortened if it is long.
 
     Examples
     --------
@@ -23,19 +23,20 @@ def short(text: object) -> str:
 
 
 def shown(value: object) -> str:
-    """Return a value for an error line, as Python writes it, cut short where it is long.
+    """Return the Python representation of a value for a message, shortened if it is long.
 
     Examples
     --------
     >>> shown(1.5), shown("a"), shown(list(range(10**6)))
     ('1.5', "'a'", '[0, 1, 2, 3, 4, 5, ...]')
     """
-    # lists of a million numbers must not be written out to show six
+    # The representation must be lazy, because a list may contain a million numbers.
     brief = reprlib.Repr()
     brief.maxstring = brief.maxlong = brief.maxother = SHOWN_LETTERS
     try:
         return short(brief.repr(value))
-    # of a number with thousands of digits, or of an object that cannot say what it is
+    # Numbers with thousands of digits and objects with a faulty representation raise exceptions
+    # here.
     except Exception:
         return f"a {type(value).__name__} too long to show"
 
@@ -45,16 +46,16 @@ class LmpchainError(Exception):
 
 
 class InputError(LmpchainError, ValueError):
-    """The input is wrong.
+    """The input is invalid.
 
     Parameters
     ----------
     faults : iterable of (key, message)
-        Every fault found: which key, what is wrong with it and what to do.
+        Every fault found: the key, what is wrong and how to correct it.
     """
 
     def __init__(self, faults: Iterable[tuple[str, str]]):
-        # or a path
+        # Paths are not shortened.
         self.faults = [
             (key if "/" in key[:SHOWN_LETTERS] else short(key), message) for key, message in faults
         ]
@@ -62,7 +63,7 @@ class InputError(LmpchainError, ValueError):
 
     @classmethod
     def at(cls, key: str, message: str) -> InputError:
-        """Return the error of a single key.
+        """Return the error for a single key.
 
         Examples
         --------
@@ -73,16 +74,16 @@ class InputError(LmpchainError, ValueError):
         return cls([(key, message)])
 
     def under(self, prefix: str) -> list[tuple[str, str]]:
-        """Return the faults with their keys moved below `prefix`."""
+        """Return the faults with `prefix` added to their keys."""
         return [(f"{prefix}.{key}" if key else prefix, message) for key, message in self.faults]
 
 
 class EngineUnavailable(LmpchainError):
-    """The engine cannot run on this machine; the text names the cure."""
+    """The engine cannot run on this machine; the message states the remedy."""
 
 
 class RunFailed(LmpchainError):
-    """The run broke down (not a number, a grain passed through another, energy grew)."""
+    """The run broke down (a value was NaN, a grain passed through another, or energy grew)."""
 
 
 class ToleranceNotMet(LmpchainError):
@@ -91,12 +92,12 @@ class ToleranceNotMet(LmpchainError):
     Attributes
     ----------
     trajectory : Trajectory or None
-        What was computed, with its error estimate; None if nothing was run.
+        The computed trajectory with its error estimate; None if no run was made.
     reason : str
-        Why the tolerance was missed and what to do.
+        Why the tolerance was missed and how to proceed.
     known_until : float
-        Time at which round-off that the scene amplifies exceeds the tolerance, s; infinite if that
-        is not the reason.
+        Predictability horizon, s: the time at which amplified rounding errors exceed the tolerance;
+        infinite if the tolerance was missed for another reason.
     """
 
     def __init__(self, reason: str, trajectory: Any = None, known_until: float = math.inf):
@@ -107,7 +108,7 @@ class ToleranceNotMet(LmpchainError):
 
 
 def check_tolerance(tolerance: object) -> None:
-    """Raise `InputError` unless this is a number between 0 and 1."""
+    """Raise `InputError` unless the tolerance is a number between 0 and 1."""
     if isinstance(tolerance, bool) or not (
         isinstance(tolerance, int | float) and 0 < tolerance < 1
     ):

@@ -1,10 +1,9 @@
 """Band edges: the highest eigenfrequency of many linearised chains, compiled.
 
-Laguerre's iteration (B. N. Parlett, Math. Comp. 18, 464, 1964) from a bound above all eigenvalues
-of the dynamical matrix: it falls towards the largest one without passing it, in the end by the
-third power of what is left. The sums that it takes are of positive numbers alone and lose no
-digits. Of 120 grains it takes a tenth of the time of the bisection of LAPACK, which was a
-sixteenth of a sweep.
+Laguerre's iteration (B. N. Parlett, Math. Comp. 18, 464, 1964) starts from an upper bound on all
+eigenvalues of the dynamical matrix. It converges to the largest eigenvalue from above, with third
+order. All terms of its sums are positive, so that cancellation does not occur. For 120 grains it
+takes a tenth of the time of the bisection in LAPACK, which was a sixteenth of the time of a sweep.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import numpy as np
 from ..util.arrays import EPSILON, Array
 from ..util.compilation import compiled_once
 
-ITERATIONS = 200  # at most; some ten are needed
+ITERATIONS = 200  # upper bound; about ten are needed
 
 
 def band_edges(diagonal: Array, coupling: Array) -> Array:
@@ -25,22 +24,23 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
     Parameters
     ----------
     diagonal, coupling : (R, M) and (R, M-1) arrays
-        1/s2, as of `Chain.dynamical_matrix`.
+        Diagonal and off-diagonal of `Chain.dynamical_matrix`, 1/s2.
     """
     edges = np.zeros(len(diagonal))
     _fill_edges(edges, diagonal, coupling)
     return edges
 
 
-# without numba's runtime: it makes no arrays, and compiles in less time
+# The function needs no runtime of numba, because it allocates no arrays; it compiles faster
+# without.
 @compiled_once("the band edge", 2, error_model="numpy", _nrt=False)
 def _fill_edges(edges, diagonal, coupling):
-    """Fill the square roots of the largest eigenvalues, see `band_edges`."""
+    """Compute the square roots of the largest eigenvalues, see `band_edges`."""
     count, size = diagonal.shape
     for row in range(count):
         d = diagonal[row]
         e = coupling[row]
-        # Gershgorin: no eigenvalue exceeds the largest sum of a row
+        # By Gershgorin's theorem no eigenvalue exceeds the largest row sum.
         bound = 0.0
         for n in range(size):
             neighbours = (abs(e[n - 1]) if n > 0 else 0.0) + (abs(e[n]) if n < size - 1 else 0.0)
@@ -48,12 +48,13 @@ def _fill_edges(edges, diagonal, coupling):
         if not 0.0 < bound < math.inf:
             edges[row] = math.sqrt(max(bound, 0.0))
             continue
-        # the shift, in units of the bound; a little above it, where the bound is reached
+        # The shift, in units of the bound. It starts slightly above the bound, because an
+        # eigenvalue may equal it.
         top = 1.0 + 4.0 * EPSILON
         previous_step = 1.0
         for _ in range(ITERATIONS):
-            # of the pivots of top - D: 1 / pivot, slope / pivot, - curvature / pivot; the sums of
-            # 1 / (top - eigenvalue) and of its square are `first` and `second`
+            # The pivots of top - D give 1 / pivot, slope / pivot and - curvature / pivot. The sums
+            # of 1 / (top - eigenvalue) and of its square are `first` and `second`.
             inverse = slope = bend = first = second = 0.0
             for n in range(size):
                 between = e[n - 1] / bound if n > 0 else 0.0
@@ -66,13 +67,13 @@ def _fill_edges(edges, diagonal, coupling):
                 slope = (1.0 + borrowed * slope) * inverse
                 first += slope
                 second += slope * slope + bend
-            # rounding has brought the shift to the eigenvalue, or past it for a long piece of the
-            # chain, where slopes then grow from grain to grain
+            # Rounding has moved the shift onto or below the eigenvalue. In a long chain the slopes
+            # then grow from grain to grain.
             if not (pivot > 0.0 and second < math.inf):
                 break
             spread = math.sqrt((size - 1) * max(size * second - first * first, 0.0))
             step = size / (first + spread)
-            # steps shrink until rounding alone is left of them
+            # The iteration ends when rounding errors dominate the step.
             if step <= EPSILON * top or step > previous_step:
                 break
             top -= step

@@ -1,4 +1,4 @@
-"""Bounds on a chain of grains that are alike but for a few, known before its arrays."""
+"""Bounds on a chain of equal grains with a few impurities, computed without its arrays."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .impurities import Kinds
 from .materials import Material
 from .plausible import LIMITS
 
-# factor on bounds: where all grains are alike they are reached, and rounding would pass them
+# Factor on bounds, because rounding errors would exceed the exact bounds of a uniform chain.
 ROUNDING = 1 + 1e-9
 
 
@@ -21,15 +21,15 @@ class Bounds(NamedTuple):
     Attributes
     ----------
     softest, hardest : float
-        Constants of contacts, N/m^delta.
+        Smallest and largest contact constant, N/m^delta.
     lightest, heaviest : float
-        Masses, kg.
+        Smallest and largest mass, kg.
     narrowest : float
-        Diameter, m.
+        Smallest diameter, m.
     slowest : float
-        Speed of sound in a grain, m/s.
+        Smallest speed of sound in a grain, m/s.
     overlap : float
-        At rest at most, m.
+        Upper bound on the overlap at rest, m.
     law : ContactLaw
     """
 
@@ -44,18 +44,19 @@ class Bounds(NamedTuple):
 
     @property
     def compression(self) -> float:
-        """Overlap over diameter at rest, at most."""
+        """Upper bound on overlap over diameter at rest."""
         return self.overlap / self.narrowest
 
     def struck(self, speed: float) -> float:
-        """Return a bound on overlaps at rest and in the first collision at this speed, m."""
-        # of one grain that meets another at rest; what they share is half of it at most
+        """Return an upper bound on overlaps at rest and in the first collision at this speed, m."""
+        # The kinetic energy of one grain that hits a resting grain; the contact stores at most half
+        # of it.
         energy = self.heaviest * speed * speed / 2
         collision = self.law.approach(energy, self.softest)
         return max(self.overlap, collision) * ROUNDING
 
     def frequency(self, overlap: float) -> float:
-        """Return a bound on the frequency of two grains with this overlap, rad/s."""
+        """Return an upper bound on the frequency of two grains with this overlap, rad/s."""
         stiffness = self.law.stiffness(overlap, self.hardest)
         return math.sqrt(2 * stiffness / self.lightest) * ROUNDING
 
@@ -68,7 +69,7 @@ def bounds(
     gravity: float,
     law: ContactLaw,
 ) -> Bounds | None:
-    """Return the bounds of a chain; None if numbers are too large or too small to say.
+    """Return the bounds of a chain; None if numbers overflow or underflow.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def bounds(
         The common grain and the impurities.
     grains : int
     walls : sequence of Material
-        Those that differ from the grains.
+        Wall materials that differ from the grains.
     top_load, gravity : float
         N and m/s2.
     law : ContactLaw
@@ -84,11 +85,11 @@ def bounds(
     moduli = [*kinds.moduli, *(wall.plane_strain_modulus for wall in walls)]
     narrowest = min(kinds.diameters)
     widest = max(kinds.diameters)
-    # a power of mean diameters has its extremes at the ends
+    # A power of mean diameters has its extremes at the smallest or largest diameter.
     lengths = {narrowest, widest}
     try:
         softest = min([law.constant(min(moduli) / 2, narrowest / 4, d) for d in lengths])
-        # at a wall, whose radius is infinite
+        # The stiffest contact is with a wall, which has an infinite radius.
         hardest = max([law.constant(max(moduli) / 2, widest / 2, d) for d in lengths])
         weight = gravity * (grains * kinds.masses[0] + sum(kinds.masses[1:]))
         extremes = Bounds(
@@ -101,9 +102,9 @@ def bounds(
             overlap=law.overlap(top_load + weight, softest),
             law=law,
         )
-        # written so that what is no number has no bounds either
+        # The comparison is false for NaN.
         computable = extremes.frequency(extremes.overlap) ** 2 < LIMITS.stiffness_over_mass
         return extremes if computable else None
-    # Python's own floats raise where they overflow or are divided by 0
+    # Python floats raise an exception on overflow and on division by 0.
     except ArithmeticError:
         return None

@@ -1,22 +1,22 @@
-"""Dissipation: viscoelastic contacts and drag, and the rebound of two spheres that it leaves.
+"""Dissipation: viscoelastic contacts and drag, and the coefficient of restitution of two spheres.
 
-A closed contact with the overlap o pushes with ``K (1 + A d/dt) o^delta`` (Kuwabara and Kono, Jpn.
-J. Appl. Phys. 26, 1230, 1987; Brilliantov et al., Phys. Rev. E 53, 5382, 1996), and a grain that
-moves is held back with ``m gamma v``. In the place of velocities v,
+A closed contact with the overlap o exerts the force ``K (1 + A d/dt) o^delta`` (Kuwabara and Kono,
+Jpn. J. Appl. Phys. 26, 1230, 1987; Brilliantov et al., Phys. Rev. E 53, 5382, 1996), and drag
+exerts the force ``-m gamma v`` on a grain. With the reduced velocities
 
     w = v - b(x) + gamma x,    b_n = (A_(n-1) F_(n-1) - A_n F_n) / m_n,
 
-where F_n are the elastic forces alone, makes equations of motion whose forces know no velocity:
+in place of v, where F_n are the elastic forces alone, no force depends on a velocity:
 
     x' = w + b(x) - gamma x,    w' = (F_(n-1) - F_n) / m_n + g.
 
 ========  =============  ===============================================
 symbol    variable       meaning
 ========  =============  ===============================================
-A         viscoelastic   time over which a contact relaxes, s
-gamma     drag           rate at which a grain alone comes to rest, 1/s
-w         reduced        the velocity that the method moves, m/s
-b         creep          what viscosity adds to the velocity, m/s
+A         viscoelastic   relaxation time of a contact, s
+gamma     drag           decay rate of the velocity of a single grain, 1/s
+w         reduced        the velocity that the method integrates, m/s
+b         creep          contribution of viscosity to the velocity, m/s
 ========  =============  ===============================================
 """
 
@@ -38,9 +38,9 @@ from .contact_law import power_law
 from .contacts import Contacts, pair_value
 from .materials import Material, one_material, sphere_mass
 
-# relative error of a step of the rebound: its sum stays below 1e-12
+# Relative error of a step of the rebound; the sum of these errors stays below 1e-12.
 COLLISION_ERROR = 1e-13
-# A over the time of a collision: beyond, two spheres practically stick
+# Above this ratio of A to the collision time, two spheres practically stick together.
 STICKS = 1e6
 
 Rates = Annotated[float | Array, BeforeValidator(non_negative)]
@@ -49,21 +49,21 @@ Rates = Annotated[float | Array, BeforeValidator(non_negative)]
 class Damping(Checked):
     """Dissipation of a chain: viscoelastic contacts and a drag on its grains.
 
-    A closed contact pushes with ``K (1 + A d/dt) o^delta``, a grain is held back with ``m gamma
-    v``. What else takes energy (plasticity, adhesion, friction, rotation) is left out.
+    A closed contact exerts the force ``K (1 + A d/dt) o^delta``, and drag exerts ``-m gamma v`` on
+    a grain. Other dissipation (plasticity, adhesion, friction, rotation) is not modelled.
 
     Parameters
     ----------
     viscoelastic : float or (N-1,) array
-        A, s, of all contacts, or of those between grains from the top; a wall has that of the
-        contact next to it.
+        A, s, of all contacts, or of each contact between grains, from the top. A wall contact has
+        the value of the adjacent contact.
     drag : float or (N,) array
         gamma, 1/s, of all grains or of each.
 
     Raises
     ------
     InputError
-        Unless all are numbers from 0.
+        If a value is negative or not finite.
 
     Examples
     --------
@@ -76,12 +76,12 @@ class Damping(Checked):
 
     @cached_property
     def acts(self) -> bool:
-        """Whether it takes energy at all."""
+        """Whether there is any dissipation."""
         return bool(np.any(self.viscoelastic) or np.any(self.drag))
 
     @cached_property
     def longest_time(self) -> float:
-        """The longest A of all contacts, s."""
+        """The largest A of all contacts, s."""
         return float(np.max(self.viscoelastic))
 
     @cached_property
@@ -94,28 +94,28 @@ class Damping(Checked):
         return self.longest_time * omega**2 + self.largest_drag
 
     def fastest_rate(self, omega: float) -> float:
-        """Return the frequency omega, rad/s, or the rate A omega^2 + gamma of its decay, 1/s.
+        """Return the larger of omega, rad/s, and its decay rate A omega^2 + gamma, 1/s.
 
-        The larger of the two bounds the steps of explicit methods.
+        The larger one limits the steps of explicit methods.
         """
         return max(omega, self.decay_rate(omega))
 
     def decay(self, omega: float, time: float) -> float:
-        """Return (A omega^2 + gamma) t / 2, the exponent of the decay of a motion in a time, s."""
+        """Return (A omega^2 + gamma) t / 2, the exponent of the decay of a motion in time t, s."""
         return self.decay_rate(omega) * time / 2
 
     def effect(self, omega: float, duration: float) -> float:
-        """Return about how much of an answer leaving damping out would change, at most 1.
+        """Return an estimate of the relative change of a solution without damping, at most 1.
 
         It is exp(x) - 1 with x = (A omega^2 + gamma) T / 2, in linear theory and relative to the
-        largest damped motion: in the time T a mode of frequency omega falls by exp(-x), all others
-        by less. From 1 on, a lossless answer has nothing to do with the damped one. Where contacts
-        open, frequencies depend on amplitudes, and phases of long runs part sooner.
+        largest damped motion: in the time T a mode of frequency omega decays by exp(-x), and all
+        others decay less. From 1 on, the lossless solution is unrelated to the damped one. If
+        contacts open, frequencies depend on amplitudes, and phases in long runs deviate sooner.
 
         Parameters
         ----------
         omega : float
-            The highest frequency that moves, without damping, rad/s.
+            The highest frequency of the undamped motion, rad/s.
         duration : float
             T, s.
 
@@ -124,11 +124,11 @@ class Damping(Checked):
         >>> round(Damping(viscoelastic=1e-9, drag=10.0).effect(omega=1e6, duration=1e-4), 6)
         0.051797
         """
-        # what more than doubles leaves nothing right
+        # A change of more than a factor of 2 counts as a change of 100 %.
         return math.expm1(min(self.decay(omega, duration), math.log(2.0)))
 
     def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
-        """Yield lists that do not fit a chain of this length."""
+        """Yield faults of arrays whose length does not fit this number of grains."""
         for key, values, length in (
             ("viscoelastic", self.viscoelastic, grains - 1),
             ("drag", self.drag, grains),
@@ -138,13 +138,13 @@ class Damping(Checked):
                 yield f"damping.{key}", f"must be {cure}, not {len(values)}"
 
     def part(self, first: int, last: int) -> Damping:
-        """Return that of grains first ... last."""
+        """Return the damping of grains first ... last."""
         return Damping(
             viscoelastic=_cut(self.viscoelastic, first, last - 1), drag=_cut(self.drag, first, last)
         )
 
     def times(self, grains: int) -> Array:
-        """Return A of every contact of a chain, those with walls included, (N+1,) s."""
+        """Return A of every contact of a chain, wall contacts included, (N+1,) s."""
         between = np.broadcast_to(self.viscoelastic, grains - 1 or 1)
         return read_only(np.concatenate((between[:1], between, between[-1:]))[: grains + 1])
 
@@ -161,14 +161,14 @@ class Damping(Checked):
         diameter: float,
         exponent: float = 1.5,
     ) -> Self:
-        """Return the viscosity with which two equal spheres rebound so at this velocity.
+        """Return the damping that gives two equal spheres this coefficient of restitution.
 
         Parameters
         ----------
         restitution : float
             Relative velocity after the collision over that before it, above 0, at most 1.
         velocity : float
-            That before it, m/s.
+            Relative velocity before the collision, m/s.
         material : Material or name
         diameter : float
             m.
@@ -178,7 +178,7 @@ class Damping(Checked):
         Raises
         ------
         InputError
-            If there is none: a number out of its range.
+            If a number is out of its range, or no viscosity gives this restitution.
 
         Examples
         --------
@@ -211,13 +211,13 @@ def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing:
     overlap, closing : (..., C) arrays
         o, m, and o', m/s.
     """
-    # an open contact gives way freely
+    # An open contact exerts no viscous force.
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
     return np.where(overlap > 0, viscosity * stiffness * closing, 0.0)
 
 
 def _cut(values: float | Array, first: int, last: int) -> float | Array:
-    """Return the values numbered first ... last, or the one that serves for all."""
+    """Return the values numbered first ... last, or the common value."""
     return values[first - 1 : last] if isinstance(values, np.ndarray) else values
 
 
@@ -229,16 +229,16 @@ class Pair(NamedTuple):
     exponent: float
 
     def time(self, velocity: float) -> float:
-        """Return the unit of time of a collision at this velocity, (m v^2 / K)^(1/(delta+1)) / v.
+        """Return the unit of time (m v^2 / K)^(1/(delta+1)) / v of a collision at a velocity v, s.
 
-        In s; a collision takes some 3 of it.
+        A collision lasts about 3 units.
         """
         length = (self.mass * velocity**2 / self.constant) ** (1 / (self.exponent + 1))
         return length / velocity
 
 
 def two_spheres(materials: Sequence[Material], diameters: Sequence[float], exponent: float) -> Pair:
-    """Return two spheres of these materials and diameters, m."""
+    """Return the colliding pair of two spheres with these materials and diameters, m."""
     modulus = pair_value(np.array([material.plane_strain_modulus for material in materials]))
     radius = pair_value(np.array(diameters) / 2)
     densities = np.array([material.density for material in materials])
@@ -250,10 +250,10 @@ def two_spheres(materials: Sequence[Material], diameters: Sequence[float], expon
 
 @lru_cache(maxsize=1024)
 def rebound(viscosity: float, exponent: float) -> float:
-    """Return the restitution of two bodies, A in units of `Pair.time`; 0 where they stick.
+    """Return the restitution of two bodies, A in units of `Pair.time`; 0 if they stick.
 
-    Exact to 1e-12, by an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1 to
-    where y is 0 again: then -w is the restitution.
+    It is exact to 1e-12, from an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1
+    until y returns to 0; the coefficient is the final value of -w.
     """
     from scipy.integrate import solve_ivp
 
@@ -275,14 +275,14 @@ def rebound(viscosity: float, exponent: float) -> float:
     parts.terminal = True  # type: ignore[attr-defined]
     parts.direction = -1  # type: ignore[attr-defined]
     options: dict[str, Any] = {"rtol": COLLISION_ERROR, "atol": 1e-3 * COLLISION_ERROR}
-    # a strong viscosity makes it stiff: implicit steps then are longer
+    # A strong viscosity makes the equation stiff, so that implicit steps are longer.
     method = "DOP853" if viscosity < 100 else "Radau"
     run = solve_ivp(move, (0.0, STICKS), (0.0, 1.0), method=method, events=parts, **options)
     return max(-float(run.y[1, -1]), 0.0)
 
 
 def viscosity_of(restitution: float, exponent: float) -> float:
-    """Return A in units of `Pair.time` with which two bodies rebound so, 0 < restitution <= 1."""
+    """Return A, in units of `Pair.time`, for a coefficient of restitution in 0 ... 1."""
     from scipy.optimize import brentq
 
     if restitution == 1:
@@ -294,7 +294,7 @@ def viscosity_of(restitution: float, exponent: float) -> float:
     while rebound(highest, exponent) > restitution:
         highest *= 2
         if highest > STICKS:
-            raise InputError.at("restitution", f"is too small to be told from 0 ({restitution:g})")
+            raise InputError.at("restitution", f"is too close to 0 (got {restitution:g})")
     root = brentq(lambda a: rebound(a, exponent) - restitution, 0.0, highest, xtol=1e-15)
     return float(root)
 
@@ -305,7 +305,7 @@ def _damping(value: Any) -> Damping:
     if isinstance(value, dict):
         return Damping(**value)
     cure = "give lmpchain.Damping(viscoelastic=..., drag=...), or a table with these keys"
-    raise ValueError(f"is no damping (got {shown(value)}): {cure}")
+    raise ValueError(f"must be a Damping (got {shown(value)}): {cure}")
 
 
 OneDamping = Annotated[Damping, BeforeValidator(_damping)]

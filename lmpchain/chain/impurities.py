@@ -35,7 +35,7 @@ class Impurity(Checked):
         if self.diameter is None and self.material is None and self.mass is None:
             yield (
                 "diameter",
-                "give a diameter, a material or a mass, or it would be a grain like the others",
+                "give a diameter, a material or a mass that differs from the other grains",
             )
 
 
@@ -62,12 +62,12 @@ def misfits(
             )
         elif impurity.grain in [other.grain for other in impurities[:place]]:
             yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
-        # K of the neighbouring contacts would have to change, and they are fixed
+        # Contact constants would have to change with the impurity, but they are given.
         elif constants_given and (impurity.diameter or impurity.material):
             yield (
                 f"impurity.{place}",
-                "may only have a mass of its own where contact_constants are given: "
-                "they would not follow",
+                "may only have its own mass if contact_constants are given, because these do not "
+                "follow from an impurity",
             )
 
 
@@ -77,7 +77,7 @@ def with_impurities(
     own: Callable[[Impurity], float | None],
     grains: int,
 ) -> Any:
-    """Return values (..., N), or the value that all grains share, with those of impurities."""
+    """Return values (..., N) with the values of impurities, or one value if all are equal."""
     if not impurities:
         return values
     changed = np.array(np.broadcast_to(values, (*np.shape(values)[:-1], grains)), dtype=float)
@@ -108,11 +108,11 @@ class Kinds(NamedTuple):
 
 
 def kinds(material: Material, diameter: float, impurities: Sequence[Any]) -> Kinds:
-    """Return the kinds of grains of a chain whose common grain is given."""
+    """Return the kinds of grains of a chain with this common grain."""
     materials = [material, *(impurity.material or material for impurity in impurities)]
     diameters = [diameter, *(impurity.diameter or diameter for impurity in impurities)]
     own_masses = [None, *(impurity.mass for impurity in impurities)]
-    # a power of a Python float raises where it overflows, one of numpy's is infinite
+    # A power of a Python float raises an exception on overflow, but a numpy float becomes infinite.
     with np.errstate(over="ignore"):
         masses = [
             mass or float(sphere_mass(kind.density, np.float64(width)))

@@ -13,7 +13,7 @@ from ..errors import shown
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
-# of grains that may be meant; what is below is given in GPa or g/cm3 as a rule
+# Least plausible values; smaller ones are probably given in GPa or g/cm3.
 LEAST_MODULUS = 1e6  # Pa
 LEAST_DENSITY = 100.0  # kg/m3
 
@@ -30,7 +30,7 @@ class Material(Checked):
     poissons_ratio : float
         Between -1 and 0.5.
     name, source : str
-        What it is called in scene files, and where the numbers come from.
+        Name in scene files, and source of the values.
     """
 
     density: Positive
@@ -65,7 +65,7 @@ class Material(Checked):
 
     @property
     def elastic(self) -> tuple[float, float, float]:
-        """Density, Young's modulus and Poisson's ratio: all that a chain takes of it."""
+        """Density, Young's modulus and Poisson's ratio: all properties that a chain depends on."""
         return self.density, self.youngs_modulus, self.poissons_ratio
 
     @property
@@ -109,7 +109,8 @@ TUNGSTEN_CARBIDE = _material(
     0.21,
     "from the sound speeds of calibration spheres, 6853 and 4171 m/s (Foote 1990)",
 )
-# a manufactured ball differs from its data sheet by a few per cent, in E more than in density
+# The properties of a manufactured ball differ from its data sheet by a few per cent, more in E than
+# in density.
 ALUMINIUM = _material(
     "aluminium",
     2700.0,
@@ -139,7 +140,7 @@ BRONZE = _material(
     0.34,
     "phosphor bronze C51000: density and E of the data sheet of Olin Brass, nu of makeitfrom.com",
 )
-# polymers creep, and are stiffer in an impact of microseconds than on a testing machine
+# Polymers creep, and are stiffer in an impact of microseconds than on a testing machine.
 POM = _material(
     "pom",
     1410.0,
@@ -162,9 +163,9 @@ SODA_LIME_GLASS = _material(
     0.23,
     "float glass, technical bulletin ATS-129 of Pilkington (2013)",
 )
-# Hertz's law holds for rubber at small strains alone: Y. Tatara, J. Eng. Mater. Technol. 113, 285
-# (1991), finds that forces exceed it in large compression; a chain that squeezes a contact to more
-# than 1 % of the diameter warns of that
+# Hertz's law holds for rubber at small strains only. Y. Tatara, J. Eng. Mater. Technol. 113, 285
+# (1991), finds that forces exceed it in large compression. A chain warns if an overlap exceeds 1 %
+# of the diameter.
 RUBBER = _material(
     "rubber",
     1100.0,
@@ -191,7 +192,7 @@ MATERIALS = {
         RUBBER,
     )
 }
-# what else people call them, in small letters without spaces and marks
+# Other names of materials, in lower case without spaces and punctuation.
 SYNONYMS = {
     "aluminum": "aluminium",
     "al": "aluminium",
@@ -226,7 +227,7 @@ def sphere_mass(density: Any, diameter: Any) -> Any:
 
 
 def _letters(name: str) -> str:
-    """Return a name in small letters, without spaces and marks."""
+    """Return a name in lower case, without spaces and punctuation."""
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
@@ -234,7 +235,7 @@ _BY_LETTERS = {_letters(name): name for name in MATERIALS} | SYNONYMS
 
 
 def named(name: object) -> Material | None:
-    """Return the material of this name, whatever its capitals, spaces and marks; None if none is.
+    """Return the material of this name, ignoring case, spaces and punctuation; None if unknown.
 
     Examples
     --------
@@ -247,9 +248,9 @@ def named(name: object) -> Material | None:
     return MATERIALS[known] if known else None
 
 
-# a scene file has names and tables, Python may have materials
+# Scene files contain names and tables; Python may also pass materials.
 def one_material(value: Any) -> Material:
-    """Return a material, or the one of this name or of this table."""
+    """Return a material, given itself, by its name or as a table."""
     if isinstance(value, Material):
         return value
     if isinstance(value, dict):

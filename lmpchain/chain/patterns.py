@@ -1,7 +1,7 @@
-"""Chains whose grains follow a pattern: tapered, periodic, decorated; and ends that absorb.
+"""Chains with a pattern of grains (tapered, periodic, decorated), and absorbing boundaries.
 
-Each function returns a `Chain`; other keywords are passed on to `Chain`. `repeated` and
-`write_out` read the keys `cell` and `taper` of scene files.
+Each function returns a `Chain`, and passes other keywords on to `Chain`. `repeated` and
+`write_out` implement the keys `cell` and `taper` of scene files.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .chain import Chain
 from .materials import GLASS, OneMaterial, OneOrManyMaterials, one_material
 
 __dir__ = listed(__name__)
-IN_FILES = ("cell", "taper")  # keys of a scene file that stand for materials and diameters
+IN_FILES = ("cell", "taper")  # keys of a scene file that define materials and diameters
 
 
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
@@ -35,9 +35,9 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
     grains : int
         N.
     diameter : float
-        Of grain 1, m.
+        Diameter of grain 1, m.
     taper : float
-        Below 1; positive shrinks downward, negative grows downward.
+        Below 1. Grains become smaller downward if it is positive, and larger if it is negative.
     **rest
         As for `Chain`.
 
@@ -64,9 +64,9 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
 def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **rest: Any) -> Chain:
     """Return a decorated chain: large grains, tapered or not, with a small one below each.
 
-    The small grain is `ratio` times as wide as the large one above it. The large ones, 1, 3, 5 ...,
-    shrink by the same share from each to the next, so that d_1, ratio d_1, (1 - taper) d_1, ratio
-    (1 - taper) d_1, ...
+    The diameter of a small grain is `ratio` times that of the large grain above it. The diameters
+    of the large grains 1, 3, 5 ... decrease geometrically, so that the chain is d_1, ratio d_1, (1
+    - taper) d_1, ratio (1 - taper) d_1, ...
 
     Harbola, Rosas, Romero, Esposito and Lindenberg, Pulse propagation in decorated granular chains,
     Phys. Rev. E 80, 051302 (2009).
@@ -74,9 +74,9 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
     Parameters
     ----------
     grains : int
-        N, large and small ones together.
+        N, the number of large and small grains.
     diameter : float
-        Of grain 1, m.
+        Diameter of grain 1, m.
     ratio : float
         Diameter of a small grain over that of the large one above it, at most 1.
     taper : float
@@ -109,7 +109,7 @@ def periodic(
 ) -> Chain:
     """Return a chain that repeats a cell of several kinds of grains (dimer, trimer ...).
 
-    The first cell starts at grain 1; the last one is cut where the chain ends.
+    The first cell starts at grain 1; the last one may be incomplete.
 
     Porter, Daraio, Herbold, Szelengowicz and Kevrekidis, Highly nonlinear solitary waves in
     periodic dimer granular chains, arXiv:0705.3471.
@@ -119,11 +119,11 @@ def periodic(
     grains : int
         N.
     diameters : float or list of float
-        Of each kind, m; one number if they are all as large.
+        Diameter of each kind, m; one number if all are equal.
     materials : Material, name, or list of them
-        Of each kind; one if they are all of the same.
+        Material of each kind; one if all are equal.
     counts : int or list of int
-        How many grains of each kind follow one another in a cell.
+        Number of consecutive grains of each kind in a cell.
     **rest
         As for `Chain`.
 
@@ -145,7 +145,7 @@ def periodic(
     [1.0, 1.0, 2.0, 1.0, 1.0, 2.0, 1.0]
     """
     cell = _Cell(grains=grains, diameters=diameters, materials=materials, counts=counts)
-    # counts beyond the chain would only make arrays that are cut again
+    # Larger counts would only create arrays that are truncated again.
     repeats = np.resize(np.minimum(cell.counts, cell.grains), cell.kinds)
     kind = np.resize(np.repeat(np.arange(cell.kinds), repeats), cell.grains)
     material = cell.materials
@@ -157,17 +157,17 @@ def periodic(
 
 
 def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
-    """Return a chain that repeats a cell of grains, as `cell` and `taper` of a scene file do.
+    """Return a chain that repeats a cell of grains, like `cell` and `taper` in a scene file.
 
     Parameters
     ----------
     grains : int
         N.
     cell : list of materials, names or {material, diameter}
-        A grain each; the first cell starts at grain 1, the last is cut where the chain ends. What a
-        grain leaves open the keywords `material` and `diameter` say.
+        One entry for each grain. The first cell starts at grain 1; the last one may be incomplete.
+        The keywords `material` and `diameter` give the values that an entry does not specify.
     taper : float
-        Below 1: grain n is (1 - taper)^(n-1) times as wide as the cell says.
+        Below 1. The diameter of grain n is that in the cell times (1 - taper)^(n-1).
     **rest
         As for `Chain`.
 
@@ -198,12 +198,12 @@ def write_out(keys: dict[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     keys : dict
-        Of the table `[chain]` of a scene file.
+        Keys of the table `[chain]` of a scene file.
 
     Returns
     -------
     dict
-        The same where there is neither.
+        `keys` itself if it contains neither `cell` nor `taper`.
 
     Raises
     ------
@@ -218,23 +218,24 @@ def write_out(keys: dict[str, Any]) -> dict[str, Any]:
 
 
 def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
-    """Return a chain whose ends absorb: sponges of grains with a drag that grows are added to it.
+    """Return a chain with absorbing boundaries: additional layers of grains with graded drag.
 
-    They go on with the last cell of up to 8 grains (uniform, dimer, trimer ...); where none
-    repeats, with the last grain. The drag goes as x^p, 0 < x < 1 into the sponge, with the p of 2,
-    3 and 4 and the strength that reflect least in the middle 80 % of all bands, for linear waves
-    around the load at rest. A wall, a held grain or a free end stays, behind the sponge.
-    `theory.scattering.reflection` has what comes back; the page on scenes has it for usual chains.
+    A layer continues the last cell of up to 8 grains (uniform, dimer, trimer ...), or repeats the
+    last grain if there is no cell. The drag grows as x^p, 0 < x < 1 into the layer. The power p (2,
+    3 or 4) and the strength minimise the reflection of linear waves around the load at rest, in the
+    middle 80 % of all bands. A wall, a held grain or a free end remains, behind the layer.
+    `theory.scattering.reflection` computes the reflection; the page on scenes lists it for usual
+    chains.
 
-    Under gravity a sponge at the bottom goes on as the column would: the load grows in it, too, and
-    the cell before it is taken as it is at its beginning.
+    Under gravity a layer at the bottom continues the column: the load increases in it, too. The
+    cell before the layer is evaluated with the load at the beginning of the layer.
 
     Parameters
     ----------
     chain : Chain
-        Pressed by a load or gravity; numbers of its grains grow by `top`.
+        Must be compressed by a load or gravity. The numbers of its grains increase by `top`.
     bottom, top : int
-        Grains of the sponges, three cells or more; 0 for none.
+        Numbers of grains of the layers: three cells or more, or 0 for no layer.
 
     Returns
     -------
@@ -243,13 +244,13 @@ def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
     Raises
     ------
     InputError
-        If an end is not pressed, a sponge is too short, or one at the top would weigh on the chain
-        or stand between it and a striker.
+        If an end is not compressed, if a layer is too short, or if a layer at the top would load
+        the chain by its weight or separate it from a striker.
 
     Warns
     -----
     UserWarning
-        If more than 1e-3 of the energy of a wave comes back.
+        If more than 1e-3 of the energy of a wave is reflected.
 
     Examples
     --------
@@ -262,11 +263,11 @@ def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
         if isinstance(grains, bool) or not isinstance(grains, int | np.integer) or grains < 0:
             raise InputError.at(key, f"must be a whole number of grains (got {shown(grains)})")
     if not (bottom or top):
-        raise InputError.at("bottom", "there is no sponge at all: give bottom or top some grains")
+        raise InputError.at("bottom", "must be positive, unless top is: give a number of grains")
     if top and chain.gravity > 0:
-        raise InputError.at("top", "a sponge at the top would weigh on the chain: use bottom alone")
+        raise InputError.at("top", "would load the chain by its weight: use bottom alone")
     if top and chain.load_grain > 1:
-        raise InputError.at("top", "a sponge above the load would be loose: use bottom alone")
+        raise InputError.at("top", "would be loose above the load grain: use bottom alone")
     return sponge.add(chain, int(top), int(bottom))
 
 
@@ -290,16 +291,17 @@ class _Tapered(_Pattern):
 
 
 def _shrunk(diameters: Array, taper: float) -> Array:
-    """Return diameters (N,) that shrink by the same share from each grain to the next, m."""
+    """Return diameters (N,) that decrease geometrically from grain to grain, m."""
     with np.errstate(over="ignore", under="ignore"):
         diameters = diameters * (1 - taper) ** np.arange(diameters.size, dtype=float)
         volumes = diameters**3
     unsound = np.flatnonzero(~((volumes > 0) & (volumes < np.inf)))
-    # a grain whose mass is 0 or infinite would be a fault of `masses`, which nobody gave
+    # The error names `taper`, because a mass of 0 or infinity would be reported as a fault of
+    # `masses`.
     if unsound.size:
         last = int(unsound[-1])
         width = f"grain {last + 1} would be {diameters[last]:.2g} m wide"
-        raise InputError.at("taper", f"{width}: nearer to 0, or fewer grains")
+        raise InputError.at("taper", f"{width}: use a taper nearer to 0, or fewer grains")
     return diameters
 
 
@@ -323,7 +325,7 @@ class _Cell(_Pattern):
 
     @property
     def _lengths(self) -> dict[str, int]:
-        """How many of each are listed."""
+        """Number of listed diameters, materials and counts."""
         materials = self.materials if isinstance(self.materials, tuple) else (self.materials,)
         return {
             "diameters": np.size(self.diameters),
@@ -333,7 +335,7 @@ class _Cell(_Pattern):
 
     @property
     def kinds(self) -> int:
-        """How many kinds of grains a cell has."""
+        """Number of kinds of grains in a cell."""
         return max(self._lengths.values())
 
     def _faults(self) -> Iterator[tuple[str, str]]:
@@ -350,7 +352,7 @@ class CellGrain(Checked):
 
 
 def _cell_grain(item: Any) -> CellGrain:
-    # a table is a grain, or a material by its constants
+    # A table is a grain, unless it contains the constants of a material.
     if isinstance(item, dict) and not item.keys() & {"density", "youngs_modulus", "poissons_ratio"}:
         return CellGrain(**item)
     return CellGrain(material=one_material(item))
@@ -364,7 +366,7 @@ def _cell(value: Any) -> tuple[CellGrain, ...]:
 
 
 class _Repeated(Checked):
-    """A cell, what it leaves open, and the taper."""
+    """A cell, the material and diameter of grains without their own, and the taper."""
 
     grains: Annotated[Whole, Field(ge=1, le=10**8)]
     cell: Annotated[tuple[CellGrain, ...], BeforeValidator(_cell)] = (CellGrain(),)
@@ -381,7 +383,7 @@ class _Repeated(Checked):
                 yield key, "is missing; add it, or give every grain of the cell its own"
 
     def by_grain(self) -> dict[str, Any]:
-        """Return material and diameter of the chain: one for all, or one a grain."""
+        """Return material and diameter of the chain: one value, or one for each grain."""
         materials = [grain.material or self.material or GLASS for grain in self.cell]
         widths = [grain.diameter or self.diameter for grain in self.cell]
         kind = np.arange(self.grains) % len(self.cell)
@@ -390,6 +392,6 @@ class _Repeated(Checked):
         even = not self.taper and len(set(widths)) == 1
         return {
             "material": materials[0] if alike else tuple(materials[k] for k in kind.tolist()),
-            # a chain of one kind of grains needs no arrays
+            # A uniform chain needs no arrays.
             "diameter": widths[0] if even else diameters,
         }

@@ -1,4 +1,4 @@
-"""Table and picture of a chain at rest, as a notebook shows them."""
+"""Table and picture of a chain at rest, as displayed in a notebook."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ..util.plotting import axes_in_units, legend, prefixed
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# longest chain whose arrays a notebook makes just to show it
+# Longest chain whose arrays are computed only for display in a notebook.
 DETAILED_GRAINS = 1_000_000
-DRAWN_POINTS = 2000  # of a curve in a picture
+DRAWN_POINTS = 2000  # maximum number of points in a curve
 
 
 class ChainPicture(Shown):
@@ -36,17 +36,17 @@ class ChainPicture(Shown):
         return super()._picture() if self.grains <= DETAILED_GRAINS else ""
 
     def plot(self: Any, ax: Axes | None = None) -> Axes:
-        """Draw masses and overlaps at rest over their largest values; returns the axes."""
+        """Draw masses and overlaps at rest, relative to their largest values; return the axes."""
         ax = axes_in_units(ax, "", "")
         number = np.arange(1, self.grains + 1)
         every = -(-self.grains // DRAWN_POINTS)
         curves = [
             ("mass", "g", number, 1e3 * self.masses),
-            # a contact lies between two grains
+            # A contact is drawn between its two grains.
             ("overlap at rest", "m", number[:-1] + 0.5, self.equilibrium_overlap),
         ]
         for name, unit, position, values in curves:
-            # nothing is pressed together in the sonic vacuum
+            # All overlaps are 0 in the sonic vacuum.
             if values.any():
                 ax.plot(
                     position[::every],

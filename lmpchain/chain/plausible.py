@@ -1,4 +1,4 @@
-"""Limits of a chain: where numbers, Hertz's law or what is meant end."""
+"""Limits of a chain: floating-point range, Hertz's law, and plausible values."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ class ChainLimits:
     Attributes
     ----------
     least_force : float
-        Smallest top load, N, and gravity, m/s2, besides 0: below, squares of overlaps underflow.
+        Smallest nonzero top load, N, and gravity, m/s2; squares of overlaps underflow below it.
     stiffness_over_mass : float
-        Largest entry of the dynamical matrix, 1/s2: its square is finite.
+        Largest entry of the dynamical matrix with a finite square, 1/s2.
     compression : float
-        Largest overlap over diameter at rest or in the first collision: beyond it Hertz's law no
-        longer describes a contact.
+        Largest overlap over diameter at rest or in the first collision; Hertz's law does not
+        describe a contact beyond it.
     hertz_compression : float
-        Overlap over diameter up to which Hertz's law is good. The contact is then a tenth as wide
-        as the grain, and the theory takes it to be far narrower (K. L. Johnson, Contact Mechanics,
-        Cambridge 1985, section 4.2).
+        Overlap over diameter up to which Hertz's law is accurate. The contact is then a tenth as
+        wide as the grain, but the theory assumes that it is far narrower (K. L. Johnson, Contact
+        Mechanics, Cambridge 1985, section 4.2).
     usual_diameter : float
-        Largest diameter of a grain that is not remarked on, m.
+        Largest diameter of a grain without a remark, m.
     long_chain : int
-        Grains from which on arrays are a burden.
+        Number of grains from which on arrays are expensive.
     """
 
     least_force: float = 1e-100
@@ -49,15 +49,15 @@ LIMITS = ChainLimits()
 
 
 def beyond_hertz(compression: float) -> str:
-    """Return the remark on a contact compressed to this part of the diameter, beyond Hertz."""
+    """Return the remark on an overlap, relative to the diameter, beyond Hertz's law."""
     return (
-        f"a contact is squeezed to {compression:.2g} of the diameter; "
-        f"Hertz's law holds to about {LIMITS.hertz_compression:g}"
+        f"a contact is compressed by {compression:.2g} of the diameter; "
+        f"Hertz's law holds up to about {LIMITS.hertz_compression:g}"
     )
 
 
 def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
-    """Yield what is hardly meant of these diameters, m, and of this overlap over diameter."""
+    """Yield remarks on implausible diameters, m, and on a large overlap over diameter."""
     widest = diameter if isinstance(diameter, float) else diameter.max()
     if widest > LIMITS.usual_diameter:
         yield f"diameter: {widest:g} m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
@@ -70,14 +70,14 @@ def least_compression(
 ) -> float:
     """Return a lower bound on the largest overlap over diameter of a long chain, without arrays.
 
-    0 for a chain whose arrays are no burden.
+    The bound is 0 for a chain with affordable arrays.
     """
     if grains < LIMITS.long_chain:
         return 0.0
-    # of the 2 I + 1 lowest contacts one is between two common grains, and of the grains above it
-    # no more than I are impurities
+    # With I impurities, one of the 2 I + 1 lowest contacts is between two common grains, and at
+    # most I grains above it are impurities.
     above = max(grains - 3 * len(kinds.masses), 0)
-    # numpy's numbers: a Python float raises where it overflows
+    # numpy floats are used, because Python floats raise an exception on overflow.
     diameter: Any = np.float64(kinds.diameters[0])
     mass: Any = np.float64(kinds.masses[0])
     with np.errstate(all="ignore"):
@@ -87,7 +87,7 @@ def least_compression(
 
 
 def too_compressed(compression: str) -> str:
-    """Return the fault of a contact that is compressed too much."""
+    """Return the message about a contact that is compressed too much."""
     than = f"of the diameter, more than {LIMITS.compression:g}"
     cure = "use fewer grains, less gravity or load, or a stiffer material"
     return f"{compression} {than}: {cure}"

@@ -1,9 +1,10 @@
-"""Sponges: grains at an end of a chain whose drag grows so gently that no wave comes back.
+"""Absorbing boundaries: layers of grains at an end of a chain with a drag that grows gently.
 
-The reflection of linear waves is exact: displacement and force are carried from the last grain
-upward, and taken apart into the two waves of the cell that repeats above the sponge.
+The reflection of linear waves is exact: displacement and force are propagated upward from the last
+grain, and decomposed into the two waves of the periodic chain above the layer. The drag of grain j,
+counted away from the chain, is
 
-    gamma_j = gamma_S x_j^p,    x_j = (j - 1/2) / S,    j = 1 ... S away from the chain.
+    gamma_j = gamma_S x_j^p,    x_j = (j - 1/2) / S,    j = 1 ... S.
 """
 
 from __future__ import annotations
@@ -26,22 +27,22 @@ Complex = NDArray[np.complex128]
 
 @dataclass(frozen=True)
 class Grading:
-    """How the drag of a sponge grows; analysis/sponges.py.
+    """Candidates for the drag of an absorbing layer; see analysis/sponges.py.
 
     Attributes
     ----------
     powers : tuple of int
-        p to choose from: short sponges are best with the first, long ones with the last.
+        Candidates for p; short layers are best with the first, long ones with the last.
     weakest, strongest : float
-        gamma_S over the highest frequency of the cell, between which to search.
+        Range of gamma_S over the highest frequency of the cell.
     middle : float
-        Part of every band, in its middle, in which the largest reflection is made small.
+        Central fraction of every band in which the largest reflection is minimised.
     frequencies : int
-        In each band.
+        Number of frequencies in each band.
     longest_cell : int
-        Grains of a cell that is looked for.
+        Largest number of grains in a cell that is detected.
     remarked : float
-        Share of the energy that may come back without a remark.
+        Fraction of the energy above which a reflection causes a warning.
     """
 
     powers: tuple[int, ...] = (2, 3, 4)
@@ -54,18 +55,19 @@ class Grading:
 
 
 GRADING = Grading()
-NOT_PRESSED = "contacts there carry nothing at rest, so that nothing is linear: give a top load"
+NOT_PRESSED = "contacts there carry no force at rest, so no wave is linear: give a top load"
 
 
 class Layer(NamedTuple):
-    """The last grains of a chain, S of them, counted away from it, and the cell that repeats there.
+    """The last S grains of a chain, counted away from it, and the cell of the chain before them.
 
     Attributes
     ----------
     masses, stiffness, viscosity : (S,) arrays
-        Of each grain, kg, and of the contact beyond it, N/m and s; stiffness 0 of no contact.
+        Mass of each grain, kg, and stiffness, N/m, and viscosity, s, of the contact beyond it; 0 if
+        there is no contact.
     cell : int
-        P: the first P grains and contacts repeat before the sponge.
+        P: the first P grains and contacts are the cell that repeats before the layer.
     """
 
     masses: Array
@@ -83,7 +85,7 @@ class Layer(NamedTuple):
             matrix = np.diag(k + np.roll(k, 1))
             for n in range(self.cell):
                 below = (n + 1) % self.cell
-                # the last grain of the cell touches the first of the next one
+                # The last grain of the cell touches the first grain of the next cell.
                 coupling = k[n] * (turn if below == 0 else 1.0)
                 matrix[n, below] -= coupling
                 matrix[below, n] -= coupling
@@ -100,7 +102,7 @@ class Layer(NamedTuple):
 
 
 def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
-    """Return so many grains at the "top" or "bottom" of a chain, and the period of their cell."""
+    """Return the layer of `grains` grains at the "top" or "bottom" of a chain."""
     masses = chain.masses[: chain.movable]
     contacts = slice(0, chain.movable + 1)
     stiffness = chain.contacts.stiffness[contacts]
@@ -115,13 +117,13 @@ def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
 
 
 def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
-    """Return the amplitude that comes back of a wave of amplitude 1, (F,), without time's phase.
+    """Return the reflected amplitude of a wave of amplitude 1, (F,), without its phase in time.
 
     Parameters
     ----------
     sponge : Layer
     drag : (S,) array
-        gamma of its grains, 1/s.
+        gamma of the grains of the layer, 1/s.
     frequency : (F,) array
         rad/s, within the bands of the cell.
     """
@@ -131,7 +133,7 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
         k * (1 - 1j * a * frequency)
         for k, a in zip(sponge.stiffness, sponge.viscosity, strict=True)
     ]
-    # from a displacement of 1 of the last grain, and the force on what holds it
+    # Start with displacement 1 of the last grain, and the force on the wall or grain beyond it.
     displacement = np.ones(frequency.shape, complex)
     force = springs[-1] * displacement
     last = sponge.cell - 1
@@ -139,11 +141,12 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     for mass, spring in zip(inertia[::-1], before[::-1], strict=True):
         force = force - mass * displacement
         displacement = displacement + force / spring
-        # the ratio of the two alone matters
+        # Only the ratio of displacement and force matters, so both are normalised.
         size = np.abs(displacement) + np.abs(force / spring)
         displacement = displacement / size
         force = force / size
-    # one cell up without losses: a matrix with the determinant 1, whose eigenvectors are the waves
+    # Transfer matrix of one cell without losses; it has determinant 1, and its eigenvectors are the
+    # two waves.
     a = np.ones(frequency.shape)
     b = np.zeros(frequency.shape)
     c = np.zeros(frequency.shape)
@@ -154,7 +157,7 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
         a = a + c / sponge.stiffness[n - 1 if n else last]
         b = b + d / sponge.stiffness[n - 1 if n else last]
     turn = np.sqrt(np.maximum(1 - ((a + d) / 2) ** 2, 0.0))
-    # of the two the one that carries energy away from the chain
+    # The eigenvalue of the wave that carries energy away from the chain.
     onward = (a + d) / 2 - 1j * np.sign(b) * turn
     share = displacement / b
     outgoing = force + (a - onward.conj()) * share
@@ -163,12 +166,12 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
 
 
 def drag_profile(size: int, strongest: float, power: int) -> Array:
-    """Return the drag of a sponge of S grains away from the chain, (S,) 1/s."""
+    """Return the drag of the S grains of a layer, counted away from the chain, (S,) 1/s."""
     return strongest * ((np.arange(size) + 0.5) / size) ** power
 
 
 def match_drag(sponge: Layer) -> Array:
-    """Return the drag, (S,) 1/s, that reflects least in the middle of all bands of the cell."""
+    """Return the drag, (S,) 1/s, with the least reflection in the middle of all bands."""
     from scipy.optimize import minimize_scalar
 
     frequency = sponge.middle
@@ -189,8 +192,8 @@ def match_drag(sponge: Layer) -> Array:
 
 
 def period(chain: Chain, end: str) -> int:
-    """Return the period of the grains at an end; 1 if none repeats, of the last grain alone."""
-    # that of a sponge which is there already repeats nothing
+    """Return the period of the grains at an end; 1 if they are not periodic."""
+    # The drag of an existing absorbing layer is not periodic, so it is ignored.
     fields = _values_of_all(chain) | {"drag": 0.0}
     rows = [row for row in fields.values() if isinstance(row, tuple | np.ndarray)]
     window = 2 * GRADING.longest_cell
@@ -202,7 +205,7 @@ def period(chain: Chain, end: str) -> int:
 
 
 def add(chain: Chain, top: int, bottom: int) -> Chain:
-    """Return `patterns.absorbing` of these numbers of grains."""
+    """Return `patterns.absorbing` for these numbers of grains."""
     cells = {"top": period(chain, "top"), "bottom": period(chain, "bottom")}
     sizes = {"top": top, "bottom": bottom}
     longer = _longer(chain, sizes, cells)
@@ -221,24 +224,24 @@ def add(chain: Chain, top: int, bottom: int) -> Chain:
         if end == "top":
             drag[:size] += gamma[::-1]
         else:
-            # a grain that is held has no use for drag
+            # A held grain has no drag.
             drag[longer.movable - gamma.size : longer.movable] += gamma
     return longer.replace(damping=Damping(viscoelastic=longer.damping.viscoelastic, drag=drag))
 
 
 def _remark(end: str, size: int, ending: Layer, drag: Array) -> None:
-    """Warn if much of a wave comes back."""
+    """Warn if a large part of a wave is reflected."""
     share = float(np.abs(reflection(ending, drag, ending.middle)).max() ** 2)
     if share > GRADING.remarked:
         warn(
-            f"{end}: of the energy {100 * share:.2g} % comes back from {size} grains, in the "
-            "middle of the bands: give the sponge more",
+            f"{end}: an absorbing layer of {size} grains reflects {100 * share:.2g} % of the "
+            "energy in the middle of the bands: use more grains",
             stacklevel=4,
         )
 
 
 def _values_of_all(chain: Chain) -> dict[str, Any]:
-    """Return what a chain has of all grains or contacts, or lists for each."""
+    """Return the fields of a chain that have one value for all grains or contacts, or lists."""
     fields = chain.given()
     keys = ("material", "diameter", "masses", "contact_constants")
     lists = {key: fields[key] for key in keys if key in fields}
@@ -246,7 +249,7 @@ def _values_of_all(chain: Chain) -> dict[str, Any]:
 
 
 def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain:
-    """Return a chain that goes on as it ends, by these numbers of grains."""
+    """Return a chain that continues its pattern by these numbers of grains."""
     top = sizes["top"]
 
     def go_on(values: Any) -> Any:

@@ -30,16 +30,19 @@ class Ensemble(StreamedAverages, Tabular):
     Attributes
     ----------
     scene : Scene
-        With the ordered chain.
+        The scene with the ordered chain.
     m : float
+        Shape parameter of the distribution, as for `factors`.
     seed : int
+        Seed of the random numbers.
     law, of : str
         As for `disordered`.
     engine : str
+        Name of the engine.
     equation : int
         Number in the paper of the equation solved.
     realisations : int
-        R, how many chains.
+        R, the number of chains.
     time : (T,) array
         s.
     grains : (G,) array
@@ -47,12 +50,12 @@ class Ensemble(StreamedAverages, Tabular):
     displacement, velocity : (T, G) arrays
         Means over the chains, m and m/s, positive downward.
     displacement_error, velocity_error : (T, G) arrays
-        Their standard errors, the spread over sqrt(R); NaN for a single chain.
+        Standard errors of the means: the standard deviation over sqrt(R); NaN for a single chain.
     model_error, solver_error : float
-        The largest of any chain, as defined for a trajectory: the first says how far from linear it
-        was.
+        Largest errors of any chain, as defined for a trajectory. The model error shows how
+        nonlinear the motion was.
     squeezed : int
-        Chains with a contact that is compressed by more than a tenth of the diameter at rest.
+        Number of chains with a contact whose overlap at rest exceeds a tenth of the diameter.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -73,7 +76,7 @@ class Ensemble(StreamedAverages, Tabular):
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
         """Draw the mean velocity against grain number at one sample, and return the axes.
 
-        A band of two standard errors is around it.
+        A band around the mean shows two standard errors.
         """
         from ..util.plotting import axes_in_units, legend, prefixed, set_title
 
@@ -101,25 +104,24 @@ def ensemble(
 ) -> Ensemble:
     """Simulate a scene for many disordered chains and average.
 
-    Only running means and variances are held, whatever the number of chains. Chain i is that of
-    `realisation` and is answered with the same bits however many others there are.
+    Memory contains only running means and variances, for any number of chains. Chain i is that of
+    `realisation`; its solution is the same to the last bit, independent of the number of chains.
 
     Parameters
     ----------
     scene : Scene
-        With the ordered chain.
+        The scene with the ordered chain.
     m : float
         As for `factors`.
     realisations : int
-        How many chains.
+        Number of chains.
     seed : int
-        0 or more; the same one gives the same bytes.
+        0 or more; the same seed gives the same bytes.
     engine : str or Engine
         "chebyshev" or "modes" for Eq. (3), "native" for Eq. (1), or one of these as an object with
         options.
     tolerance : float
-        Largest relative solver error of any chain; none is enforced for an engine with a given
-        step.
+        Largest relative solver error of any chain; not enforced for an engine with a given step.
     law, of : str
         As for `disordered`.
     progress : bool
@@ -133,9 +135,9 @@ def ensemble(
     Raises
     ------
     InputError
-        If an option is wrong, or the engine cannot do such a chain.
+        If an option is wrong, or the engine cannot solve the scene with random chains.
     ToleranceNotMet
-        If shorter steps do not help.
+        If shorter steps do not reduce the error below the tolerance.
     RunFailed
         If an integration breaks down at a given step.
 
@@ -174,14 +176,15 @@ def at_the_end(
     Parameters
     ----------
     scene : Scene
-    orders : M values of m
+    orders : sequence of M float
+        Values of m.
     realisations, seed, progress
-        As for `ensemble`, but two chains or more, so that the averages have standard errors.
+        As for `ensemble`, but at least two chains, so that the averages have standard errors.
 
     Returns
     -------
     (N,) array and list of M Ensemble
-        m/s; of all grains at two samples, the start and the end.
+        Velocities, m/s, and averages of all grains at two samples, the start and the end.
 
     Raises
     ------
@@ -191,6 +194,6 @@ def at_the_end(
     check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)
     averages = [ensemble(end, m, realisations, seed, progress=progress) for m in orders]
-    # the averages say how far from linear the chains are
+    # Warnings are not repeated, because the averages contain the model error.
     with warnings_aside():
         return simulate(end, "chebyshev").velocity[-1], averages

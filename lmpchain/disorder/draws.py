@@ -1,11 +1,11 @@
 """Chains with random contacts or random grains.
 
-The contacts of a disordered chain are those of the ordered one times independent factors zeta_n
-drawn from Dyson's distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J.
-Dyson, Phys. Rev. 92, 1331, 1953), which narrows to order as m grows. Masses, diameters and moduli
-of grains are drawn alike. Eq. (23) as printed has a power too many, hence shape m + 1, mean 1 + 1/m
-and variance (m+1)/m^2; the mean of 1/zeta is then 1 for every m, so that disorder does not change
-the speed of the longest waves.
+The stiffness of each contact of a disordered chain is that of the ordered chain times an
+independent factor zeta_n from Dyson's distribution: a gamma distribution of shape m, mean 1 and
+variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which approaches order as m grows. Masses,
+diameters and moduli of grains are drawn in the same way. Eq. (23) as printed has an additional
+power of zeta, and therefore shape m + 1, mean 1 + 1/m and variance (m+1)/m^2. The mean of 1/zeta is
+then 1 for every m, so that disorder does not change the speed of the longest waves.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ from ..util.validation import make_unchecked
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant", "mass", "diameter", "youngs_modulus"]
 OF_CONTACTS = ("stiffness", "constant")
-# smallest factor, drawn once in 10^9 at m = 0.1: at 0 there would be no contact
-MOST_CHAINS = 10**6  # to average over: a mean is then known to a thousandth of its scatter
+# Largest number of chains in an average; the standard error is then 1e-3 of the scatter.
+MOST_CHAINS = 10**6
+# Smallest factor, drawn once in 10^9 at m = 0.1; a factor of 0 would remove the contact.
 SOFTEST = 1e-90
 
 
@@ -38,11 +39,12 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     Parameters
     ----------
     m : float
-        Order of Eq. (23), above 0 and not necessarily whole; large m means order.
+        Order of Eq. (23), above 0 and not necessarily an integer; large m means little disorder.
     size : int
+        Number of factors.
     rng : numpy.random.Generator
     law : "dyson" or "paper"
-        Of mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, of mean 1 + 1/m
+        Mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, with mean 1 + 1/m
         and variance (m+1)/m^2, `theory.dyson.weight`.
 
     Returns
@@ -52,7 +54,7 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     Raises
     ------
     InputError
-        If m is not a number above 0, or there is no such law.
+        If m is not a number above 0, or the law is unknown.
 
     Examples
     --------
@@ -69,22 +71,22 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
 def disordered(
     chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness"
 ) -> Chain:
-    """Return a chain like this one, with every contact or every grain changed by a random factor.
+    """Return a copy of a chain in which every contact or every grain is changed by a random factor.
 
     Parameters
     ----------
     chain : Chain
-        Load and kinds of ends are kept, and so is all that does not follow from what is drawn; the
-        equilibrium follows it. A wall keeps its proportion to the contact next to it if contacts
-        are drawn, and so shares its factor.
+        The ordered chain. Load and kinds of ends stay the same, as do all quantities that do not
+        depend on the drawn ones; the equilibrium is recomputed. If contacts are drawn, a wall
+        contact has the factor of the adjacent contact.
     m, rng, law
         As for `factors`.
     of : str
-        What is multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and (23);
-        under a given force it goes as K^(1/delta), so K_n becomes K_n zeta_n^delta. "constant": the
-        contact constant K_n itself; the stiffness then changes by zeta_n^(1/delta) only. Or one
-        factor a grain: "mass"; "diameter", with mass and contacts that follow from it; or
-        "youngs_modulus", with its contacts.
+        The quantity multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and
+        (23); at a given force it is proportional to K^(1/delta), so K_n becomes K_n zeta_n^delta.
+        "constant": the contact constant K_n itself; the stiffness then changes by zeta_n^(1/delta)
+        only. With one factor for each grain: "mass"; "diameter", with the masses and contacts that
+        follow from it; or "youngs_modulus", with the contacts that follow from it.
 
     Returns
     -------
@@ -93,10 +95,9 @@ def disordered(
     Raises
     ------
     InputError
-        If an option is wrong; if the stiffness of a sonic vacuum is asked for, which is 0; if
-        contact constants are given, which then do not follow from diameters or moduli; or if a
-        contact came out so soft that it is compressed by more than a tenth of the diameter, where
-        Hertz's law no longer holds.
+        If an option is wrong; if "stiffness" is drawn in a sonic vacuum, where it is 0; if contact
+        constants are given, which do not follow from diameters or moduli; or if a drawn contact is
+        so soft that its overlap exceeds a tenth of the diameter, where Hertz's law does not hold.
 
     Examples
     --------
@@ -113,11 +114,11 @@ def disordered(
 def realisation(
     scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness"
 ) -> Scene:
-    """Return the scene with the chain number `index` (from 0) of the sequence of this seed.
+    """Return the scene with realisation number `index` (from 0) of the random chain for this seed.
 
-    It depends on seed and index only, not on how many others are drawn. Unlike `disordered` it lets
-    contacts be as soft as they come out, for dropping such chains would change the distribution;
-    `Ensemble.squeezed` counts them.
+    The realisation depends only on seed and index, not on the number of other ones. Unlike
+    `disordered`, this function accepts arbitrarily soft contacts, because rejecting such chains
+    would change the distribution; `Ensemble.squeezed` counts them.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def realisation(
     Raises
     ------
     InputError
-        As `disordered`, but for contacts that are too soft.
+        As `disordered`, except for soft contacts.
 
     Examples
     --------
@@ -173,8 +174,8 @@ def _check_draw(chain: Chain, seed: int, index: int, of: Of) -> None:
 
 
 def _draw(chain: Chain, m: float, seed: int, index: int, law: Law, of: Of) -> Array:
-    """Return the random factors of a realisation, one a contact or one a grain."""
-    # a stream of its own for each index: it does not matter which others are drawn
+    """Return the random factors of a realisation, one for each contact or each grain."""
+    # Each index has its own random stream, so a realisation does not depend on the other ones.
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     return factors(m, _count(chain, of), rng, law)
 
@@ -184,20 +185,20 @@ def _count(chain: Chain, of: Of) -> int:
 
 
 def _change(chain: Chain, zeta: Array, of: Of) -> Array:
-    """Return the factors on contact constants for random factors zeta."""
-    # at a given force k goes as K^(1/delta)
+    """Return the factors on contact constants that correspond to random factors zeta."""
+    # At a given force the stiffness is proportional to K^(1/delta).
     return zeta ** chain.law.power_of("disorder of stiffnesses") if of == "stiffness" else zeta
 
 
 def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
-    """Return the fields of a chain whose contacts or grains are changed by these factors."""
+    """Return the fields of a chain whose contacts or grains are multiplied by these factors."""
     fields = chain.given() | {"masses": chain.masses}
     if of in OF_CONTACTS:
         fields["contact_constants"] = chain.contact_constants * _change(chain, zeta, of)
     elif of != "youngs_modulus":
-        # a grain of another diameter keeps its density
+        # A grain with a changed diameter keeps its density.
         fields["masses"] = chain.masses * (zeta**3 if of == "diameter" else zeta)
-    # impurities do not go with given constants: their grains are given one by one
+    # Impurities cannot be combined with given constants, so all grains are given one by one.
     impure = fields.pop("impurity", ())
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
@@ -223,13 +224,13 @@ Fault = tuple[str, str] | None
 
 
 def check(*faults: Fault) -> None:
-    """Raise `InputError` with the faults there are."""
+    """Raise `InputError` with the given faults, if there are any."""
     if present := [fault for fault in faults if fault]:
         raise InputError(present)
 
 
 def fault_of_whole(key: str, value: object, low: int, most: int = 2**63 - 1) -> Fault:
-    """Return the fault of a value that is no whole number from `low` to `most`, if it has one."""
+    """Return the fault of a value that is not an integer from `low` to `most`, else None."""
     integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if integer and low <= int(value) <= most:  # type: ignore[call-overload]
         return None
@@ -238,7 +239,7 @@ def fault_of_whole(key: str, value: object, low: int, most: int = 2**63 - 1) -> 
 
 
 def fault_of_count(value: object, low: int) -> Fault:
-    """Return the fault of a number of chains to average over, if it has one."""
+    """Return the fault of a number of chains in an average, else None."""
     return fault_of_whole("realisations", value, low, MOST_CHAINS)
 
 
@@ -247,10 +248,10 @@ def _fault_of_choice(key: str, value: object, options: Sequence[str]) -> Fault:
 
 
 def _check_of(chain: Chain, of: Of) -> None:
-    """Raise `InputError` unless this can be drawn for a chain."""
+    """Raise `InputError` unless this quantity can be drawn for a chain."""
     check(_fault_of_choice("of", of, get_args(Of)))
     if of == "stiffness" and not chain.compressed:
-        reason = "without gravity and load contacts have no stiffness at rest to be random"
+        reason = "without gravity and load the stiffness of contacts at rest is 0"
         cure = f'{reason}; use of="constant"'
         raise InputError.at("gravity", cure)
     if of in ("diameter", "youngs_modulus") and chain.given_contact_constants is not None:

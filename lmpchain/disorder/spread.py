@@ -24,23 +24,24 @@ if TYPE_CHECKING:
 class Spreading(StreamedAverages, Tabular):
     """Spreading of energy in disordered chains of one scene: means and their standard errors.
 
-    The energy of a grain is its kinetic energy, half of that of its contacts with other grains, and
-    that of its contact with a wall.
+    The energy of a grain is its kinetic energy, half of the energy of its contacts with other
+    grains, and the energy of its contact with a wall.
 
     Attributes
     ----------
     scene : Scene
-        With the ordered chain.
+        The scene with the ordered chain.
     m, seed, law, of, engine, equation, realisations
         As for `Ensemble`.
     time : (T,) array
         s.
     second_moment, second_moment_error : (T,) arrays
-        Mean square distance of the energy from where it was at t = 0, grains squared.
+        Mean square distance of the energy from its centre at t = 0, grains squared.
     participation, participation_error : (T,) arrays
-        1 / sum of the squared shares of the grains: over how many of them the energy is spread.
+        Participation number, 1 / sum of the squared fractions of the energy: the number of grains
+        over which the energy is spread.
     transmitted, transmitted_error : (T, N) arrays
-        Share of the energy that is below each grain.
+        Fraction of the energy below each grain.
     model_error, solver_error, squeezed
         As for `Ensemble`.
     """
@@ -62,31 +63,32 @@ class Spreading(StreamedAverages, Tabular):
     participation_error: Array
     transmitted: Array
     transmitted_error: Array
-    # sums of the second moments of every sixteenth chain
+    # Sums of the second moments of groups that contain every sixteenth chain.
     groups: Array = field(repr=False)
 
     @property
     def profile(self) -> Array:
-        """Mean share of the energy that each grain has, (T, N)."""
+        """Mean fraction of the energy in each grain, (T, N)."""
         return -np.diff(self.transmitted, axis=1, prepend=1.0)
 
     def growth(self, start: float = 0.0, end: float = np.inf) -> tuple[float, float]:
-        """Return the power of time with which the second moment grows, and its standard error.
+        """Return the exponent of the growth of the second moment in time, and its standard error.
 
-        A least-squares slope of the logarithms from `start` to `end`, s, all octaves of time alike;
-        the error is that of a jackknife over groups of chains, NaN for a single chain.
+        The exponent is the least-squares slope of the logarithms from `start` to `end`, s, with
+        equal weight for all octaves of time. The error is that of a jackknife over groups of
+        chains, NaN for a single chain.
 
         Raises
         ------
         InputError
-            If fewer than three samples lie between.
+            If the interval contains fewer than three samples.
         """
         within = (self.time >= start) & (self.time <= end) & (self.time > 0)
         if within.sum() < 3:
             message = f"must leave three samples or more up to the end (got {shown(start)})"
             raise InputError.at("start", message)
         logarithm = np.log(self.time[within])
-        # samples are evenly spaced in time, and crowd in the last octave
+        # Samples are evenly spaced in time, so the last octave contains most of them.
         weight = np.sqrt(np.gradient(logarithm))
 
         def slope(moment: Array) -> float:
@@ -108,7 +110,7 @@ class Spreading(StreamedAverages, Tabular):
             ("second_moment", "second moment (grains²)"),
             ("participation", "participation (grains)"),
         ):
-            # the first sample is at t = 0, which a logarithm cannot show
+            # The first sample, at t = 0, is omitted on a logarithmic axis.
             error = getattr(self, f"{name}_error")[1:]
             draw_mean(ax, self.time[1:], getattr(self, name)[1:], error, label)
         ax.set(xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
@@ -134,20 +136,19 @@ def spreading(
 ) -> Spreading:
     """Return the spreading of the energy of an excitation, averaged over many disordered chains.
 
-    In a random linear chain the second moment grows as t^(3/2) after a strike and as t^(1/2) after
-    a displacement while the participation stays finite: S. Lepri, R. Schilling and S. Aubry, Phys.
-    Rev. E 82, 056602 (2010); for granular chains see A. J. Martinez, P. G. Kevrekidis and M. A.
-    Porter, Phys. Rev. E 93, 022902 (2016). Running means alone are held, whatever the number of
-    chains.
+    In a random linear chain the second moment grows as t^(3/2) after an impulse and as t^(1/2)
+    after a displacement, while the participation remains finite: S. Lepri, R. Schilling and S.
+    Aubry, Phys. Rev. E 82, 056602 (2010); for granular chains see A. J. Martinez, P. G. Kevrekidis
+    and M. A. Porter, Phys. Rev. E 93, 022902 (2016). Memory contains only running means, for any
+    number of chains.
 
     Parameters
     ----------
     scene : Scene
-        With the ordered chain, long enough that nothing comes to its ends; whatever it records, all
-        grains are.
+        The scene with the ordered chain, long enough that no energy reaches its ends. All grains
+        are used, independent of the recording.
     m, realisations, seed, engine, tolerance, law, of, progress
-        As for `ensemble`. "chebyshev" and "modes" follow Eq. (3), and energies are those of its
-        springs.
+        As for `ensemble`. "chebyshev" and "modes" solve Eq. (3), with the energies of its springs.
 
     Returns
     -------
@@ -169,11 +170,11 @@ def spreading(
     ((5,), (5, 61), '1.000')
     """
     if scene.at_rest or scene.excitation.does_work:
-        message = "must give the chain energy at t = 0 and leave it alone from then on"
+        message = "must give the chain energy at t = 0 and must not act afterwards"
         raise InputError.at("excitation", message)
     check(fault_of_count(realisations, 1))
     scene = scene.replace(grains="all")
-    # the scatter of 16 groups of chains gives the error of an exponent
+    # The scatter of 16 groups of chains gives the error of an exponent.
     groups = np.zeros((min(16, realisations), scene.samples))
     first = _Spread(
         *np.zeros((2, 2 + scene.chain.grains, scene.samples)),
@@ -197,7 +198,7 @@ def spreading(
 
 @dataclass(eq=False)
 class _Spread(Average):
-    """Means of the second moment, the participation and the shares below each grain, (2 + N, T)."""
+    """Means of the second moment, participation and fractions below each grain, (2 + N, T)."""
 
     groups: Array = field(kw_only=True)
     linear: bool = field(kw_only=True)
@@ -206,11 +207,12 @@ class _Spread(Average):
         start = self._energy(scene, *scene.initial())
         number = np.arange(1, start.size + 1)
         energy = self._energy(scene, displacement, velocity)
-        # shares of the energy at every sample, whatever round-off makes of its sum
+        # Fractions are normalised at every sample, so that rounding errors of the total energy
+        # cancel.
         share = energy / energy.sum(1)[:, None]
-        # distances are those from the centre of the energy that the excitation gives
+        # Distances are measured from the centre of the initial energy.
         moment = share @ (number - start @ number / start.sum()) ** 2
-        # summed from the bottom: small shares far below keep their digits
+        # Summation from the bottom keeps the digits of small fractions far below.
         below = np.cumsum(share[:, :0:-1], axis=1)[:, ::-1]
         return np.concatenate(([moment, 1 / (share**2).sum(1)], below.T, np.zeros((1, len(share)))))
 
@@ -222,6 +224,6 @@ class _Spread(Average):
         contacts = scene.chain.contacts
         closer = contacts.closer(displacement)
         elastic = contacts.stiffness / 2 * closer**2 if self.linear else contacts.energy(closer)
-        # two grains share their contact; a wall has no energy
+        # Two grains share their contact equally; the energy of a wall contact belongs to its grain.
         elastic[..., 1:-1] /= 2
         return scene.chain.masses / 2 * velocity**2 + elastic[..., :-1] + elastic[..., 1:]

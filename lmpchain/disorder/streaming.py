@@ -1,4 +1,4 @@
-"""Running means over many random chains, batch by batch: the memory of a few serves any number."""
+"""Running means over many random chains, computed in batches with constant memory."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from .draws import Law, Of, check, fault_of_count, realisation
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BATCH = 16  # chains at a time
+BATCH = 16  # number of chains in a batch
 
 
 class Draw(NamedTuple):
-    """Random chains of a scene, numbered as by `realisation`."""
+    """The random chains of a scene, numbered as by `realisation`."""
 
     scene: Scene
     m: float
@@ -37,7 +37,7 @@ class Draw(NamedTuple):
     of: Of
 
     def number(self, index: int) -> Scene:
-        """Return the scene with this chain."""
+        """Return the scene with random chain number `index`."""
         return realisation(self.scene.ungathered, self.m, self.seed, index, self.law, self.of)
 
 
@@ -45,8 +45,8 @@ class Draw(NamedTuple):
 class Average:
     """Running means and sums of squared deviations of Q quantities of random chains, (Q, T, ...).
 
-    By default these are displacement and velocity, (2, T, G). B. P. Welford, Technometrics 4, 419
-    (1962).
+    The default quantities are displacement and velocity, (2, T, G). The method is that of B. P.
+    Welford, Technometrics 4, 419 (1962).
     """
 
     mean: Array
@@ -57,21 +57,22 @@ class Average:
     squeezed: int = 0
 
     def measure(self, scene: Scene, displacement: Array, velocity: Array) -> Array:
-        """Return the quantities of a chain, (Q, t, ...), by its motion at some samples, (t, G)."""
+        """Return the quantities of a chain, (Q, t, ...), from its motion at t samples, (t, G)."""
         return np.stack((displacement, velocity))
 
     def keep(self, number: int, samples: slice, value: Array) -> None:
-        """Take note of the quantities of one chain beyond their share in the mean."""
+        """Store quantities of one chain that are not part of the mean; nothing by default."""
 
     def add(self, run: Run, scenes: Sequence[Scene], bar: ProgressBar) -> None:
-        """Take in the first chains of a batch, one after the other."""
+        """Add the first chains of a batch to the average, one after the other."""
         for block in run.blocks():
             if block.samples.start < block.samples.stop:
                 mean = self.mean[:, block.samples]
                 square = self.square[:, block.samples]
                 for number, scene in enumerate(scenes):
                     value = self.measure(scene, block.displacement[number], block.velocity[number])
-                    # Welford: with the mean before and after, squares lose no digits
+                    # Welford's method uses the mean before and after, so that squared deviations do
+                    # not cancel.
                     deviation = value - mean
                     mean += deviation / (self.count + number + 1)
                     square += deviation * (value - mean)
@@ -108,7 +109,7 @@ class StreamedAverages(Shown):
 def draw_mean(
     ax: Axes, x: Array, mean: Array, error: Array, label: str, band_label: str | None = None
 ) -> None:
-    """Draw a mean over chains in a band of two standard errors, unless there are none."""
+    """Draw a mean over chains in a band of two standard errors, if these are known."""
     (line,) = ax.plot(x, mean, label=label)
     if not np.isnan(error).all():
         shade: dict[str, Any] = {"color": line.get_color(), "alpha": 0.25, "lw": 0}
@@ -127,8 +128,13 @@ def take_average(
 
     Parameters
     ----------
+    draw : Draw
+    realisations : int
+        Number of chains.
+    engine, tolerance, progress
+        As for `ensemble`.
     first : Average
-        Of no chain, to begin with.
+        An average over no chain, to start from.
 
     Raises
     ------
@@ -140,7 +146,7 @@ def take_average(
     solver = engines.get(engine)
     if not solver.batches:
         names = ", ".join(name for name in engines.names() if engines.get(name).batches)
-        message = f"random chains are for {names} (got {shown(solver.name)})"
+        message = f"must be one of {names} for random chains (got {shown(solver.name)})"
         raise InputError.at("engine", message)
     if reasons := solver.refuses(draw.number(0)):
         raise InputError(reasons)
@@ -151,12 +157,13 @@ def take_average(
         "fewer realisations or a shorter duration takes less",
     )
     average = first
-    # a block of a batch holds 2^24 numbers at most
+    # A block of a batch contains at most 2^24 numbers.
     batch = max(1, min(BATCH, 2**24 // (16 * draw.scene.chain.grains)))
     with ProgressBar(realisations, f"m = {draw.m:g}", " chains", shown=progress) as bar:
         while average.count < realisations:
             count = min(batch, realisations - average.count)
-            # one step per full batch, so that results do not depend on the size of the ensemble
+            # Every full batch has one step size, so that results do not depend on the size of the
+            # ensemble.
             size = batch if solver.equation == 1 else count
             scenes = [draw.number(index) for index in range(average.count, average.count + size)]
             average = _add_batch(solver, scenes, count, tolerance, average, bar)
@@ -180,14 +187,15 @@ def _add_batch(
     before: Average,
     bar: ProgressBar,
 ) -> Average:
-    """Return the average with the first scenes of a batch, at steps short enough for all of it."""
+    """Return the average after adding a batch, with steps that suffice for all its scenes."""
     proposals = [engine.propose(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposals, key=lambda proposal: proposal.cost_s)
     adaptive = any(proposal.steps.adaptive for proposal in proposals)
     proposal = hardest._replace(steps=hardest.steps._replace(adaptive=adaptive))
 
     def collect(run: Run) -> Average:
-        # steps that turn out too long are taken again, from what there was before
+        # Each attempt starts from the previous average, because steps that are too long are
+        # repeated.
         average = deepcopy(before)
         average.add(run, scenes[:count], bar)
         return average

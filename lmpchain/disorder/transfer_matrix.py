@@ -1,19 +1,21 @@
 """Localisation and density of states of long random linear chains, by transfer matrices.
 
 In the chain m_n u_n'' = k_(n-1) (u_(n-1) - u_n) - k_n (u_n - u_(n+1)), Eq. (3) without its ends,
-the force below a grain over its displacement, z_n = k_n (u_n - u_(n+1)) / (m_n u_n), follows from
-that of the grain above. At omega
+the ratio of the force below a grain to its displacement, z_n = k_n (u_n - u_(n+1)) / (m_n u_n),
+follows from the ratio of the grain above. At the frequency omega
 
     u_(n+1) / u_n = 1 - z_n / a_n,    z_(n+1) = omega^2 + b_n z_n / (a_n - z_n),    a_n = k_n / m_n,
     b_n = k_n / m_(n+1)
 
-so that nothing grows with the length of the chain. The mean of log|u_(n+1) / u_n| is the Lyapunov
-exponent, the inverse of the localisation length; the share of negative ratios is the integrated
-density of states (F. J. Dyson, Phys. Rev. 92, 1331, 1953; H. Schmidt, Phys. Rev. 105, 425, 1957).
+so that no quantity grows with the length of the chain. The mean of log|u_(n+1) / u_n| is the
+Lyapunov exponent, the inverse of the localisation length. The fraction of negative ratios is the
+integrated density of states (F. J. Dyson, Phys. Rev. 92, 1331, 1953; H. Schmidt, Phys. Rev. 105,
+425, 1957).
 
-In a chain shorter than its localisation length all waves end at about the same phase, and log|u|
-and the count of nodes with it, so that their means were off by more than their scatter. At the two
-ends the amplitude and the phase of the wave in the mean chain take the place of u and of nodes.
+In a chain shorter than its localisation length all waves end at about the same phase, and so do
+log|u| and the number of nodes, so that the bias of their means would exceed their scatter.
+Therefore, at both ends, the amplitude and the phase of the wave in the mean chain replace u and
+the number of nodes.
 """
 
 from __future__ import annotations
@@ -37,11 +39,12 @@ from .draws import check, fault_of_whole
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-PIECE = 2**16  # grains drawn at a time
-# share of each chain before counting begins, where the ratios still depend on its top
-# analysis/calibration/transfer_matrices.py
+PIECE = 2**16  # number of grains drawn at a time
+# Initial fraction of each chain that is not counted, because the ratios still depend on its top
+# (analysis/calibration/transfer_matrices.py).
 WARM_UP = 0.1
-# of 2 - 2 cos(q), q being the wave number in the mean chain: from rest to just below the band edge
+# Range of 2 - 2 cos(q), from rest to just below the band edge; q is the wave number in the mean
+# chain.
 EDGES = (1e-300, 3.96)
 
 
@@ -49,12 +52,12 @@ class Distribution(Protocol):
     """A frozen distribution of `scipy.stats`."""
 
     def rvs(self, *, size: int, random_state: np.random.Generator) -> Any:
-        """Draw values."""
+        """Return `size` random values."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Localisation(Shown, Tabular):
-    """Lyapunov exponent of the waves of a random chain against frequency.
+    """Lyapunov exponent of the waves in a random chain against frequency.
 
     Attributes
     ----------
@@ -92,7 +95,7 @@ class DensityOfStates(Shown, Tabular):
     frequency : (F,) array
         rad/s.
     integrated, error : (F,) arrays
-        Share of the modes that lie below each frequency, and its standard error.
+        Fraction of the modes below each frequency, and its standard error.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "integrated": "", "error": ""}
@@ -103,7 +106,7 @@ class DensityOfStates(Shown, Tabular):
 
     @property
     def density(self) -> Array:
-        """Share of the modes per rad/s between each frequency and the next, (F-1,) s."""
+        """Fraction of the modes per rad/s between each frequency and the next, (F-1,) s."""
         return np.diff(self.integrated) / np.diff(self.frequency)
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -131,27 +134,27 @@ def lyapunov(
     frequency : (F,) array_like
         rad/s.
     stiffness, masses : float or distribution
-        Of contacts, N/m, and grains, kg: a number, or a frozen distribution of `scipy.stats`, drawn
-        anew for each.
+        Stiffness of contacts, N/m, and masses of grains, kg: a number, or a frozen distribution of
+        `scipy.stats` from which each value is drawn.
     ratios : distribution, optional
-        In their place: that of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly
-        solvable chain.
+        Distribution of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly solvable chain;
+        replaces stiffness and masses.
     grains, chains : int
         Length of each chain, and number of chains; the spread between them gives the error.
     seed : int
-        0 or more; the same one gives the same bits.
+        0 or more; the same seed gives the same bits.
     progress : bool
         Whether to show a progress bar.
 
     Returns
     -------
     Localisation
-        The exponent a grain at each frequency, with its error.
+        The exponent per grain at each frequency, with its error.
 
     Raises
     ------
     InputError
-        If an option is wrong, or a stiffness or mass came out that is not above 0.
+        If an option is wrong, or if a drawn stiffness or mass is not above 0.
 
     Examples
     --------
@@ -168,7 +171,7 @@ def lyapunov(
         frequency, stiffness, masses, ratios, grains, chains, seed, progress
     )
     exponent, error = _mean(growth)
-    # of chains far shorter than a localisation length the mean may scatter below 0
+    # In chains far shorter than a localisation length the mean may scatter below 0.
     return Localisation(omega, np.maximum(exponent, 0.0), error)
 
 
@@ -185,7 +188,7 @@ def density_of_states(
 ) -> DensityOfStates:
     """Return the integrated density of states of a random linear chain.
 
-    Arguments and errors are those of `lyapunov`.
+    Arguments and errors are as for `lyapunov`.
 
     Parameters
     ----------
@@ -203,11 +206,11 @@ def density_of_states(
     Returns
     -------
     DensityOfStates
-        The share of the modes below each frequency, with its error.
+        The fraction of the modes below each frequency, with its error.
 
     Examples
     --------
-    Dyson's chain with exponential ratios, beside his exact result:
+    Dyson's chain with exponential ratios, compared with his exact result:
 
     >>> from scipy.stats import expon
     >>> from lmpchain.theory import dyson
@@ -232,11 +235,11 @@ def _transfer(
     seed: int,
     progress: bool,
 ) -> tuple[Array, Array, Array]:
-    """Return frequencies (F,), and growth and share of nodes a grain of each chain, (R, F)."""
+    """Return frequencies (F,), and growth and nodes per grain of each chain, (R, F)."""
     omega = np.atleast_1d(numbers(frequency, "frequency"))
     valid = omega.ndim == 1 and omega.size and (omega >= 0).all() and np.isfinite(omega).all()
     check(
-        None if valid else ("frequency", "must be rad/s, 0 or more"),
+        None if valid else ("frequency", "must be finite numbers from 0, in rad/s"),
         fault_of_whole("grains", grains, 100),
         fault_of_whole("chains", chains, 2),
         fault_of_whole("seed", seed, 0),
@@ -245,7 +248,7 @@ def _transfer(
     growth, nodes = np.zeros((2, chains, omega.size))
     with ProgressBar(chains * grains, "transfer matrices", " grains", shown=progress) as bar:
         for chain in range(chains):
-            # nothing is above the first grain: the force below is all that accelerates it
+            # The first grain is accelerated only by the force below it.
             z = omega**2
             begin = z
             position = 0
@@ -253,7 +256,7 @@ def _transfer(
             rng = np.random.default_rng([seed, chain])
             for a, b in _pieces(stiffness, masses, ratios, grains, rng):
                 slowness += (1 / a).sum()
-                # grains of the warm-up move z on, and their growth is thrown away
+                # Grains of the warm-up advance z, but their growth is discarded.
                 skip = min(max(warm_up - position, 0), a.size)
                 _pass(a[:skip], b[:skip], omega**2, z, np.empty(omega.size), np.empty(omega.size))
                 if position <= warm_up < position + a.size:
@@ -268,21 +271,22 @@ def _transfer(
 
 
 def _wave(z: Array, omega2: Array, slowness: float) -> tuple[Array, Array]:
-    """Return log of the amplitude over |u|, and the phase, of the wave in the mean chain.
+    """Return the logarithm of amplitude over |u|, and the phase, of the wave in the mean chain.
 
-    There ``u_n = A cos(q n + phi)``, so that ``u_n^2 + t^2 - 2 cos(q) u_n t = A^2 sin(q)^2`` with
-    ``t = u_(n+1)``.
+    In the mean chain ``u_n = A cos(q n + phi)``, so that
+    ``u_n^2 + t^2 - 2 cos(q) u_n t = A^2 sin(q)^2`` with ``t = u_(n+1)``.
 
     Parameters
     ----------
     z, omega2 : (F,) arrays
-        omega2 is the square of the frequency.
+        Ratio of force to displacement, and square of the frequency, 1/s2.
     slowness : float
         Mean of m_n / k_n, s2.
     """
-    # 2 - 2 cos(q), below its value at the band edge: beyond, waves are short, and any phase does
+    # 2 - 2 cos(q) is limited to its value below the band edge; localised waves beyond it are short,
+    # and their phase is irrelevant.
     turn = np.clip(omega2 * slowness, EDGES[0], EDGES[1])
-    # 1 - t / u_n
+    # The slope is 1 - t / u_n.
     slope = z * slowness
     amplitude = np.log(slope**2 + turn * (1 - slope)) / 2
     phase = np.arctan((slope - turn / 2) / np.sqrt(turn * (1 - turn / 4)))
@@ -297,7 +301,7 @@ def _pieces(
     rng: np.random.Generator,
 ) -> Iterator[tuple[Array, Array]]:
     """Yield k_n / m_n and k_n / m_(n+1) of a chain, piece by piece."""
-    # the last grain of a piece is the first of the next
+    # The last grain of a piece is the first grain of the next piece.
     mass = _draw("masses", masses, 1, rng)
     for first in range(0, grains, PIECE):
         size = min(PIECE, grains - first)
@@ -320,14 +324,14 @@ def _draw(key: str, law: float | Distribution, size: int, rng: np.random.Generat
         message = f"must be a number or a distribution of scipy.stats (got a {name})"
         raise InputError.at(key, message)
     if not (values > 0).all() or not np.isfinite(values).all():
-        message = "must be above 0 and finite, in every draw: use a distribution of positive values"
+        message = "all values must be finite and above 0: use a positive number or distribution"
         raise InputError.at(key, message)
     return values
 
 
 @compiled_once("transfer matrices", 2, error_model="numpy")
 def _pass(a: Array, b: Array, omega2: Array, z: Array, growth: Array, nodes: Array) -> None:
-    """Pass a piece of chain at every frequency: z moves on, growth and nodes are added up."""
+    """Advance z through a piece of chain at every frequency, and add up growth and nodes."""
     for f in range(omega2.size):
         ratio = z[f]
         product = 1.0
@@ -335,11 +339,12 @@ def _pass(a: Array, b: Array, omega2: Array, z: Array, growth: Array, nodes: Arr
         count = 0
         for n in range(a.size):
             step = 1.0 - ratio / a[n]
-            # a node on a grain, as near as rounding can tell
+            # A node on a grain, within rounding errors.
             if abs(step) < EPSILON:
                 step = EPSILON
             count += step < 0
-            # a logarithm of many factors at once: one of each would take most of the time
+            # One logarithm serves many factors, because a logarithm for each factor would dominate
+            # the cost.
             product *= abs(step)
             if product > 1e100 or product < 1e-100:
                 total += math.log(product)

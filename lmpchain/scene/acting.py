@@ -25,19 +25,20 @@ from .waveform import Interpolation, Waveform
 
 @dataclass(frozen=True)
 class WaveformLimits:
-    """Limits of waveforms, beyond which nobody means SI units, or numbers overflow.
+    """Limits of waveforms; values beyond them are not in SI units, or numbers overflow.
 
     Attributes
     ----------
     frequency : float
-        Highest frequency, and one over the least time between two points, rad/s.
+        Highest frequency, and inverse of the smallest time between two points, rad/s.
     value : float
         Largest displacement or force, m or N.
     spacing : float
-        Least time between two points over the time of the last one.
+        Smallest time between two points, relative to the time of the last point.
     overshoot : float
-        By how much a spline may leave the range of its points, over that range: what it makes of a
-        step or of noise has nothing to do with what was measured.
+        Largest distance by which a spline may leave the range of its points, relative to that
+        range. A spline through a step or through noise exceeds this limit and does not represent
+        the data.
     """
 
     frequency: float = 1e20
@@ -50,7 +51,7 @@ LIMITS = WaveformLimits()
 
 
 class _Acting(Measured):
-    """A motion or a force over time, by a formula or through points."""
+    """A motion or a force over time, given by a formula or by points."""
 
     does_work: ClassVar[bool] = True
     file_kind: ClassVar[type[TraceFile]] = TraceFile
@@ -70,21 +71,19 @@ class _Acting(Measured):
         name = cls.strength[1]
         reading = file.read([ColumnMeaning(name, cls.unit)], from_zero=True)
         if reading.time[0] < 0:
-            begins = f"the trace begins at {reading.time[0]:g} s"
-            cure = (
-                "say which of its times is t = 0, such as trigger = 0.0: what is before is left out"
-            )
+            begins = f"the trace begins at {reading.time[0]:g} s, before t = 0"
+            cure = "set trigger to its time of t = 0, for example 0.0, to drop earlier samples"
             raise InputError.at("trigger", f"{begins}: {cure}")
         return reading, {"times": reading.time, name: reading.values[:, 0]}
 
     @property
     def acts_on(self) -> int:
-        """Number of the grain that it moves or pushes; 0 for the top wall."""
+        """Number of the grain that is driven or forced; 0 for the top wall."""
         return self.grain
 
     @cached_property
     def waveform(self) -> Waveform:
-        """Course of the motion, m, or of the force, N, over time."""
+        """The motion, m, or the force, N, over time."""
         if self.times is not None:
             values = getattr(self, self.strength[1])
             return Waveform.through(self.times, values, self.interpolation, self.holds)
@@ -92,36 +91,36 @@ class _Acting(Measured):
 
     @property
     def numbers(self) -> Array:
-        """Numbers that the course depends on: the values at points, or amplitude and frequency."""
+        """Parameters of the waveform: the values at points, or amplitude and frequency."""
         if self.times is not None:
             return np.asarray(getattr(self, self.strength[1]))
         return np.array([self.amplitude, self.frequency or 0.0])
 
     def _begin(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) at t = 0, as the start has them."""
+        """Return displacement and velocity (N,) at t = 0, as given by `start`."""
         if self.start is None:
             return np.zeros(chain.grains), np.zeros(chain.grains)
         return self.start.initial(chain)
 
     def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults of the displacement and velocity that it begins with."""
+        """Yield the faults of the displacement and velocity at t = 0."""
         if self.start is not None:
             for key, message in self.start.faults(chain, duration):
                 yield f"start.{key}", message
 
     def scaled(self, factor: float) -> Self:
-        """Return the course, so many times as strong, with its start."""
+        """Return the excitation, and its start, multiplied by a factor."""
         scaled = super().scaled(factor)
         return scaled if self.start is None else scaled.replace(start=self.start.scaled(factor))
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E) by that at t = 0 and what is added later."""
+        """Return an upper bound on sqrt(2 E): its initial value plus the largest increase."""
         initial = 0.0 if self.start is None else self.start.energy_norm(chain, duration)
         return initial + self._added_norm(chain, duration)
 
     @abstractmethod
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Bound the sqrt(2 E) that it adds to a linearised chain, J^(1/2)."""
+        """Return an upper bound on the increase of sqrt(2 E) of a linear chain, J^(1/2)."""
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
@@ -132,16 +131,17 @@ class _Acting(Measured):
         elif self.times is not None:
             yield from self._point_faults(values, getattr(self, values))
         elif not self.waveform.fastest < LIMITS.frequency:
-            # a burst of few cycles or a short push is fast by its envelope: that is to blame then
+            # The envelope of a burst of few cycles or of a short push may be fast; the error then
+            # names it.
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
-                # of a burst, of a push or of a piston
+                # These fields set the envelope of a burst, a half-sine or a piston.
                 key = next(key for key in ("cycles", "duration", "rise") if key in fields)
-            frequency = f"makes for {self.waveform.fastest:.2g} rad/s"
-            yield key, f"{frequency}, too fast to compute with: use SI units"
+            frequency = f"corresponds to {self.waveform.fastest:.2g} rad/s"
+            yield key, f"{frequency}, which is too fast to compute: use SI units"
 
     def _ways(self, values: str) -> list[set[str]]:
-        """Return the sets of fields that describe a course over time."""
+        """Return the sets of fields that define a waveform."""
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
 
     def _words(self, values: str) -> str:
@@ -149,26 +149,26 @@ class _Acting(Measured):
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
-        """Yield the faults of points that a curve is to go through."""
+        """Yield the faults of the points of a curve."""
         if (np.abs(values) > LIMITS.value).any():
-            yield key, f"must be at most {LIMITS.value:g} in size"
+            yield key, f"must be at most {LIMITS.value:g} in magnitude"
             return
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
             return
         steps = np.diff(self.times)
-        # the curve through points that lie much closer than others overflows
+        # The curve overflows if some points are much closer to each other than others.
         if self.times[0] < 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
             smallest = f"{LIMITS.spacing:g} of the last"
-            yield "times", f"must be 0 or more and increase, each by more than {smallest}"
+            yield "times", f"must be 0 or more, and increase by more than {smallest}"
         elif (steps < 1 / LIMITS.frequency).any():
             apart = f"are {steps.min():.2g} s apart"
-            yield "times", f"{apart}, too little to compute with: use SI units"
+            yield "times", f"{apart}, which is too little to compute: use SI units"
         elif self.interpolation == "spline":
             yield from self._overshoot(values)
 
     def _overshoot(self, values: Array) -> Iterator[tuple[str, str]]:
-        """Yield a fault of a spline that leaves the range of its points."""
+        """Yield a fault if the spline leaves the range of its points."""
         low, high = self.waveform.range
         slack = LIMITS.overshoot * np.ptp(values)
         if low < values.min() - slack or high > values.max() + slack:
@@ -184,29 +184,30 @@ class Drive(_Acting):
     Parameters
     ----------
     amplitude, frequency : float
-        m and Hz, for ``phi_1 = A sin(2 pi f t)``,
+        A, m, and f, Hz, of a sine ``phi_1 = A sin(2 pi f t)``.
     cycles : float, optional
-        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and rest
-        afterwards; or else
+        Number of cycles of a Hann tone burst ``A sin(2 pi f t) sin(pi f t / cycles)^2``, followed
+        by rest.
     shape, velocity, rise
-        "piston": after a smooth start the constant speed ``velocity``, m/s, for ever, reached in
-        the time ``rise``, s, with an acceleration that grows and falls along straight lines, so
-        that the position is ``velocity (t - rise / 2)`` then; or else
+        For ``shape = "piston"``, in place of amplitude and frequency: a motion at the constant
+        ``velocity``, m/s, after a smooth start during the time ``rise``, s. The acceleration grows
+        and falls linearly during the start, so that the position is ``velocity (t - rise / 2)``
+        afterwards.
     times, displacement : arrays
-        s and m: a curve through these points. Before the first of them it rests, after the last it
-        holds still.
+        Points of a curve, s and m, given in place of amplitude and frequency. The body rests before
+        the first point, and keeps its position after the last point.
     interpolation : "pchip", "linear" or "spline"
-        The curve: monotone from point to point (SciPy's PCHIP), straight lines, or a cubic spline
+        The curve: monotone between points (SciPy's PCHIP), straight lines, or a cubic spline
         (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
     file : path, optional
-        In place of times and displacement: a file of an instrument, with its options columns,
+        A file of an instrument, given in place of times and displacement, with its options columns,
         skip, time_scale, scale (m/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
-        With one of offset, baseline, trigger and lowpass it counts from where it is at t = 0.
+        With one of offset, baseline, trigger and lowpass, displacements are measured from the
+        position at t = 0.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
     start : Profile, optional
-        Displacement and velocity at t = 0 of the grains that it does not move; at rest unless
-        given.
+        Displacement and velocity at t = 0 of the other grains; at rest by default.
 
     Examples
     --------
@@ -238,11 +239,11 @@ class Drive(_Acting):
     @classmethod
     def _arrays(cls, file: TraceFile) -> tuple[Reading, dict[str, Array]]:
         reading, arrays = super()._arrays(file)
-        # an instrument shows distances from somewhere
+        # An instrument may measure displacements from an arbitrary origin.
         if not {"trigger", "baseline", "offset", "lowpass"}.isdisjoint(file.given()):
             begin = arrays["displacement"][0]
             arrays["displacement"] = arrays["displacement"] - begin
-            text = f"{reading.text}; less {begin:.6g} m, where it is at t = 0"
+            text = f"{reading.text}; less {begin:.6g} m, the position at t = 0"
             reading = replace(reading, text=text)
         return reading, arrays
 
@@ -250,51 +251,52 @@ class Drive(_Acting):
         return [*super()._ways(values), {"shape", "velocity", "rise"}]
 
     def _words(self, values: str) -> str:
-        # the words end with points, which a file may hold
+        # The alternatives end with points, because a file may contain these.
         return f'shape = "piston", velocity and rise, or {super()._words(values)}'
 
     @cached_property
     def waveform(self) -> Waveform:
-        """Course of the motion over time, m."""
+        """The motion over time, m."""
         if self.shape is not None:
             return Waveform.piston(self.velocity, self.rise)
         return super().waveform
 
     @property
     def numbers(self) -> Array:
-        """Numbers that the course depends on, as for every course; of a piston its speed."""
+        """Parameters of the waveform: as for every motion; for a piston, its velocity."""
         return super().numbers if self.shape is None else np.array([self.velocity])
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._point_faults(key, values)
         if values[0] != 0:
-            yield key, f"must begin with 0, where {'grain 1' if self.grain else 'the wall'} rests"
+            body = "grain 1" if self.grain else "the wall"
+            yield key, f"must begin with 0, the position of {body} at rest"
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults that it has on this chain for so long, s."""
+        """Yield the faults of the drive for this chain and duration, s."""
         if self.grain == 0 and chain.top != "wall":
             cure = 'use top = "wall", or drive grain 1'
-            yield "grain", f"0 moves the top wall, and there is none: {cure}"
+            yield "grain", f"0 moves the top wall, but the chain has no top wall: {cure}"
         if self.grain == 1 and chain.movable < 2:
-            yield "kind", "with grain 1 driven nothing is left to move: use more grains"
+            yield "kind", "no other grain can move if grain 1 is driven: use more grains"
         yield from self._start_faults(chain, duration)
 
     def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         faults = list(super()._start_faults(chain, duration))
         yield from faults
-        # a profile of the wrong length may have no first entry
+        # The arrays of a profile with a wrong length may be empty.
         for key, values in self.start.fields.items() if self.start and not faults else ():
             if self.grain and values[0]:
-                yield f"start.{key}", "must be 0 for grain 1, which moves as the drive says"
+                yield f"start.{key}", "must be 0 for grain 1, because it is driven"
 
     @property
     def driven(self) -> int:
-        """Number of grains that it moves; the wall is none."""
+        """Number of driven grains; a driven wall is not counted."""
         return self.grain
 
     @property
     def wall(self) -> Waveform | None:
-        """Motion of the top wall, m; None if it stands still."""
+        """Motion of the top wall, m; None if the wall does not move."""
         return None if self.grain else self.waveform
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
@@ -305,9 +307,9 @@ class Drive(_Acting):
         return u, v
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the largest displacement and velocity (N,): those of the start, and of the drive.
+        """Return the largest displacement and velocity (N,) of the start and of the drive.
 
-        Grain 1 has those of what is driven, itself or the wall that pushes it.
+        The values of grain 1 include the motion of the driven body, grain 1 or the wall above it.
         """
         fields = self._begin(chain)
         for order, values in enumerate(fields):
@@ -315,11 +317,11 @@ class Drive(_Acting):
         return fields
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return grain 1, as the first, and the last that moves at t = 0."""
+        """Return grain 1, and the last grain that is displaced or moves at t = 0."""
         return 1, 1 if self.start is None else self.start.reach(chain)[1]
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the drive of these grains: it moves grain 1, which must be among them."""
+        """Return the drive of grains first ... last, which must include grain 1."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
@@ -331,14 +333,14 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Bound it by the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
+        """Return an upper bound from the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
         stiffness = chain.contacts.stiffness[self.grain]
         return float(np.sqrt(stiffness) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
-        """Return the push that keeps it on its path: forces of its contacts, inertia of a grain."""
+        """Return the external force that maintains the prescribed motion."""
         motion = self.motion(time)[1], self.acceleration(time)
-        # the wall passes on the force of contact 0; the contacts 0 and 1 push grain 1 back
+        # A driven wall transmits the force of contact 0; contacts 0 and 1 act on a driven grain 1.
         if not self.grain:
             return Push(force[:, 0], rate[:, 0], *motion, 0.0, False)
         force = force[:, 1] - force[:, 0]
@@ -352,24 +354,25 @@ class Force(OneGrain, _Acting):
     Parameters
     ----------
     grain : int
+        Number of the grain.
     amplitude, frequency : float
-        N and Hz, for ``A sin(2 pi f t)``,
+        A, N, and f, Hz, of a sine ``A sin(2 pi f t)``.
     cycles : float, optional
-        with as many cycles a Hann tone burst, ``A sin(2 pi f t) sin(pi f t / cycles)^2``, and
-        nothing afterwards; or
+        Number of cycles of a Hann tone burst ``A sin(2 pi f t) sin(pi f t / cycles)^2``, without a
+        force afterwards.
     shape, amplitude, duration
-        "half-sine": ``A sin(pi t / duration)``, N and s, as of a hammer, and nothing afterwards; or
-        else
+        For ``shape = "half-sine"``: the force ``A sin(pi t / duration)``, N and s, as exerted by a
+        hammer, without a force afterwards.
     times, force : arrays
-        s and N: a curve through these points. Before the first of them there is no force; after the
-        last it falls to 0 within the time between the last two.
+        Points of a curve, s and N. There is no force before the first point; after the last point
+        the force falls to 0 within the time between the last two points.
     file : path, optional
-        In place of times and force: a file of an instrument, with its options columns, skip,
+        A file of an instrument, given in place of times and force, with its options columns, skip,
         time_scale, scale (N/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
     interpolation : "pchip", "linear" or "spline"
         See `Drive`.
     start : Profile, optional
-        Displacement and velocity of every grain at t = 0; at rest unless given.
+        Displacement and velocity of every grain at t = 0; at rest by default.
 
     Examples
     --------
@@ -403,13 +406,13 @@ class Force(OneGrain, _Acting):
 
     @cached_property
     def waveform(self) -> Waveform:
-        """Course of the force over time, N."""
+        """The force over time, N."""
         if self.shape is not None:
             return Waveform.half_sine(self.amplitude, self.duration)
         return super().waveform
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults that it has on this chain for so long, s."""
+        """Yield the faults of the force for this chain and duration, s."""
         yield from super().faults(chain, duration)
         yield from self._start_faults(chain, duration)
 
@@ -418,45 +421,45 @@ class Force(OneGrain, _Acting):
         return self._begin(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the first and the last grain that moves at t = 0 or is pushed."""
+        """Return the first and the last grain that moves at t = 0 or is forced."""
         first, last = (self.grain, self.grain) if self.start is None else self.start.reach(chain)
         return min(first, self.grain), max(last, self.grain)
 
     def part(self, first: int, last: int) -> Excitation:
-        """Return the force on these grains, among which all are that move at t = 0."""
+        """Return the force on grains first ... last, which must include all that move at t = 0."""
         cut = super().part(first, last)
         return cut if self.start is None else cut.replace(start=self.start.part(first, last))
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Estimate displacement and velocity of its grain, as its contacts and inertia allow.
+        """Estimate displacement and velocity of the forced grain from its contacts and inertia.
 
-        Those of all grains are at least what the start says; of what the chain does later nothing
-        is known.
+        The values of all grains are at least those at t = 0. The later motion of other grains is
+        not estimated.
         """
         displacement, velocity = (np.abs(x) for x in self._begin(chain))
         pushed = self._pushed(chain)
         return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
 
     def _pushed(self, chain: Chain) -> tuple[Array, Array]:
-        """Estimate the motion of its grain from rest, and 0 for the others, (N,) m and m/s."""
+        """Estimate the motion of the forced grain from rest, (N,) m and m/s, 0 for others."""
         size = self.waveform.largest()
         mass = chain.masses[self.grain - 1]
-        # no force, no scale of its motion
+        # A force of 0 causes no motion.
         if not size:
             return np.zeros(chain.grains), np.zeros(chain.grains)
         contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
         distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
-        # the speed that its impulse gives a free grain, or its work over that distance
+        # The speed is limited by the impulse on a free grain, and by the work over that distance.
         speed = min(self.waveform.gained / mass, float(np.sqrt(2 * size * distance / mass)))
         displacement = self.at_grain(chain, speed * np.sqrt(mass * distance / size))
         return displacement, self.at_grain(chain, speed)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Bound it by its impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
+        """Return an upper bound from the impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
         return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
-        """Return the push on its grain, which is the force itself."""
+        """Return the applied force as the external force on the grain."""
         n = self.grain
         applied = self.waveform.at(time)
         acceleration = (applied + force[:, n - 1] - force[:, n]) / chain.masses[n - 1]

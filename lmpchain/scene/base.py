@@ -1,4 +1,4 @@
-"""Properties of every excitation, so that nothing else needs to know which one it is."""
+"""The interface of an excitation, on which engines and measures depend."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Number = Annotated[Whole, Field(ge=1)]
 
 
 class Push(NamedTuple):
-    """The force of the outside world on a grain or the top wall, beyond what balances at rest.
+    """The external force on a grain or on the top wall, less its value at rest.
 
     Attributes
     ----------
     force, rate : (T,) arrays
-        N and N/s; without what the inertia of a driven grain takes, its mass times the
-        acceleration.
+        N and N/s, without the inertial force of a driven grain, its mass times the acceleration.
     speed, acceleration : (T,) arrays
-        Of the body, m/s and m/s2.
+        Motion of the body, m/s and m/s2.
     inertia : float
         Mass of the grain if it is driven, kg, else 0.
     on_grain : bool
-        Whether it acts on a grain, else on the wall, which hands it on by its contact.
+        Whether it acts on a grain; otherwise it acts on the wall, which transmits it by its
+        contact.
     """
 
     force: Array
@@ -42,22 +42,22 @@ class Push(NamedTuple):
 
 
 class Excitation(Checked):
-    """How the chain is set in motion.
+    """The cause of the motion of a chain.
 
-    What stands here holds for initial data, after which nothing acts on the chain; others override
-    it.
+    The defaults apply to initial data, after which no external force acts on the chain; other
+    excitations override them.
 
     Attributes
     ----------
     kind : str
-        Its name in scene files.
+        Name of the excitation in scene files.
     strength : tuple of str
-        Fields that the motion of a linear chain is proportional to, the first of them the one to
-        blame if too strong.
+        Fields to which the motion of a linear chain is proportional. The first one is named in
+        messages about an excitation that is too strong.
     does_work : bool
         Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
     of_chain : bool
-        Whether the motion that it imposes follows from masses and contacts of the chain, too.
+        Whether the imposed motion also depends on masses and contacts of the chain.
     """
 
     kind: ClassVar[str]
@@ -67,31 +67,31 @@ class Excitation(Checked):
 
     @property
     def driven(self) -> int:
-        """Number of grains, from the top, whose motion it prescribes."""
+        """Number of grains, from the top, with a prescribed motion."""
         return 0
 
     @property
     def acts_on(self) -> int:
-        """Number of the grain that it moves or pushes after t = 0; 0 for the top wall, or none."""
+        """Number of the grain that is driven or forced after t = 0, else 0."""
         return 0
 
     @property
     def waveform(self) -> Waveform | None:
-        """Course after t = 0 of the motion of grain 1 or of the top wall, m, or of a force, N."""
+        """Motion of grain 1 or of the top wall, m, or a force, N, after t = 0; or None."""
         return None
 
     @property
     def wall(self) -> Waveform | None:
-        """Motion of the top wall, m; None if it stands still."""
+        """Motion of the top wall, m; None if the wall does not move."""
         return None
 
     def smooth_until(self, duration: float) -> bool:
-        """Return whether its third derivative jumps up to a time, s, only where a step can end."""
+        """Return whether the third derivative jumps only at ends of steps, up to a time, s."""
         return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property
     def corner_spacing(self) -> float:
-        """Least time between corners, at which adaptive steps end, s; infinite if it has none."""
+        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
         return np.inf if self.waveform is None else self.waveform.corner_spacing
 
     @property
@@ -101,22 +101,22 @@ class Excitation(Checked):
 
     @property
     def linear(self) -> bool:
-        """Whether engines of the linearised chain know its solution: all but that of a spline."""
+        """Whether engines of the linearised chain can solve it: true except for a spline."""
         return self.waveform is None or self.waveform.spline is None
 
     @property
     def strike_velocity(self) -> float:
-        """Velocity given to one grain at t = 0, m/s; 0 if it is anything else."""
+        """Velocity given to one grain at t = 0, m/s; 0 for other excitations."""
         return 0.0
 
     @property
     def strikes_top(self) -> bool:
-        """Whether it is a velocity given to grain 1."""
+        """Whether the excitation is a velocity of grain 1 at t = 0."""
         return False
 
     @property
     def label(self) -> str:
-        """Name in the title of a picture."""
+        """Name of the excitation in the title of a picture."""
         return f"a {self.kind}"
 
     @abstractmethod
@@ -125,36 +125,36 @@ class Excitation(Checked):
 
     @abstractmethod
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults, key and message, that it has on this chain for so long, s."""
+        """Yield key and message of each fault for this chain and duration, s."""
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
-        """Return the largest displacement (N,) m and velocity (N,) m/s that it imposes."""
+        """Return the largest imposed displacement (N,) m and velocity (N,) m/s."""
         return self.initial(chain)
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
-        """Return the largest displacement and speed that it imposes on any grain, m and m/s."""
+        """Return the largest imposed displacement and speed of any grain, m and m/s."""
         displacement, velocity = self.largest(chain)
         return float(np.abs(displacement).max()), float(np.abs(velocity).max())
 
     def energy(self, chain: Chain) -> float:
-        """Return the energy above rest, J: that at t = 0, or infinite if it does work later."""
+        """Return the energy above rest at t = 0, J; infinite if the excitation does work later."""
         return np.inf if self.does_work else float(chain.excess_energy(*self.initial(chain)))
 
     @abstractmethod
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the first and the last grain that it moves."""
+        """Return the first and the last grain that is moved directly."""
 
     @abstractmethod
     def part(self, first: int, last: int) -> Excitation:
-        """Return the excitation of `Chain.part(first, last)`, which has all that it moves."""
+        """Return the excitation of `Chain.part(first, last)`, which includes all excited grains."""
 
     def scaled(self, factor: float) -> Self:
-        """Return the excitation, so many times as strong."""
+        """Return the excitation multiplied by a factor."""
         fields = self.given()
         return self.replace(**{key: factor * fields[key] for key in self.strength if key in fields})
 
     def energy_norm(self, chain: Chain, duration: float) -> float:
-        """Bound sqrt(2 E), J^(1/2), of the energy E that it puts into the linearised chain."""
+        """Return an upper bound on sqrt(2 E), J^(1/2), for the energy E at t = 0."""
         u, v = self.initial(chain)
         contacts = chain.contacts
         kinetic = (chain.masses * v**2).sum()
@@ -163,36 +163,36 @@ class Excitation(Checked):
     def push(
         self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array
     ) -> Push | None:
-        """Return the push from outside at these times, (T,) s; None if nothing acts after t = 0.
+        """Return the external force at these times, (T,) s; None if nothing acts after t = 0.
 
         Parameters
         ----------
         force, rate : (T, N+1) arrays
-            Force of every contact less that at rest, N, and its rate, N/s.
+            Force of every contact less its force at rest, N, and its rate, N/s.
         velocity : (T, N) array
-            Of every grain, m/s.
+            Velocity of every grain, m/s.
         """
         return None
 
 
 class OneGrain(Excitation):
-    """An excitation of one grain, to be chosen."""
+    """An excitation of one grain, with its number as a field."""
 
     grain: Number
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the chain has no such grain, or holds it."""
+        """Yield a fault if the chain has no such grain, or if this grain is held."""
         if self.grain > chain.grains:
             yield "grain", f"there is no grain {self.grain}: the chain has {chain.grains}"
         elif self.grain > chain.movable:
             yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the grain that it moves, as the first and the last."""
+        """Return the number of the excited grain, as the first and the last."""
         return self.grain, self.grain
 
     def part(self, first: int, last: int) -> Excitation:
-        """Return the excitation with its grain as it is numbered among grains first ... last."""
+        """Return the excitation with the grain renumbered within grains first ... last."""
         return self if first == 1 else self.replace(grain=self.grain - first + 1)
 
     def at_grain(self, chain: Chain, value: float) -> Array:

@@ -36,26 +36,26 @@ class Impulse(OneGrain):
         return np.zeros(chain.grains), self.at_grain(chain, self.velocity)
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
-        """Return the largest displacement and speed, m and m/s, those of the struck grain."""
+        """Return the largest displacement, 0 m, and speed of the struck grain, m/s."""
         return 0.0, abs(self.velocity)
 
     def energy(self, chain: Chain) -> float:
-        """Return the energy of the grain that is struck, J."""
+        """Return the kinetic energy of the struck grain, J."""
         return 0.5 * chain.masses.item(self.grain - 1) * self.velocity**2
 
     @property
     def strike_velocity(self) -> float:
-        """Velocity of the grain that is struck, m/s."""
+        """Velocity of the struck grain, m/s."""
         return self.velocity
 
     @property
     def strikes_top(self) -> bool:
-        """Whether it is grain 1 that is struck."""
+        """Whether grain 1 is struck."""
         return self.grain == 1
 
     @property
     def label(self) -> str:
-        """Name and strength in words."""
+        """Name and strength of the excitation in words."""
         size = abs(self.velocity)
         factor, unit = (
             (1.0, "m/s") if size >= 1 else (1e3, "mm/s") if size >= 1e-5 else (1e6, "µm/s")

@@ -1,4 +1,4 @@
-"""Which column of a file holds which quantity, by its header, or by what the user says."""
+"""Assignment of the columns of a file to quantities, by the header or by the user's choice."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from ..errors import InputError, shown
 from ..util.number_tables import NumberTable
 from ..util.units import unit_of
 
-# names of columns in the files of instruments: of the time, and of what counts the samples
+# Names of columns in the files of instruments: times, and counters of samples.
 TIMES = ("time", "t", "x", "x-axis", "x_value")
 COUNTER = re.compile(r"(sequence|samples?|index|nr|no|points?|#)[\s_.]*(#|nr|no|number|index)?\.?")
-# how files call the interval of samples that have no times, and its inverse
+# Names of the sampling interval and of the sampling rate in files without times.
 INTERVALS = (
     *("increment", "sample interval", "delta_x", "sampling interval", "tinc", "hresolution"),
     *("xinc", "tinterval", "dt", "sampling period", "sample period"),
 )
 RATES = ("sample rate", "samplerate", "sampling rate", "sampling frequency", "fs")
-# names of the units of all columns, in the files of Tektronix, LabVIEW and Yokogawa
+# Names of the units of all columns in files of Tektronix, LabVIEW and Yokogawa.
 VALUE_UNITS = ("vertical units", "y_unit_label", "vunit")
 TIME_UNITS = ("horizontal units", "x_unit_label", "hunit", "xunits")
-# part of an interval by which the times of a column may be off
+# Largest relative deviation of a time step from the mean interval.
 OFF_GRID = 0.01
-# names that the tables of this package alone give: of forces above rest, and in contacts
+# Column names that only tables of this package use: forces above rest, and contact forces.
 OWN_NAMES = re.compile(r"(change_(force|contact)|force_contact)_\d+")
 
 
 class ColumnMeaning(NamedTuple):
-    """What a column is to hold: its name in a header, its unit in SI, and names that go first."""
+    """The expected content of a column: its name in a header, its SI unit, and preferred names."""
 
     name: str
     unit: str
     others: tuple[str, ...] = ()
 
     def check_not_another(self, column: str) -> None:
-        """Raise `InputError` if the name of a column says that it holds another force."""
+        """Raise `InputError` if the name of a column denotes another kind of force."""
         if not self.others or column in (self.name, *self.others) or not OWN_NAMES.match(column):
             return
         of = "a contact" if "contact" in column else "a grain, the mean of its two contacts"
-        rest = "above that at rest" if column.startswith("change_") else "with that at rest"
-        fault = f"{column} is the force of {of}, {rest}, not {self.others[0]}"
+        rest = "above" if column.startswith("change_") else "including"
+        fault = f"{column} is the force of {of}, {rest} its value at rest, not {self.others[0]}"
         raise InputError.at(
-            "columns", f"{fault}: name that column, or the field and the place of this"
+            "columns", f"{fault}: choose the column {self.others[0]}, or the matching field"
         )
 
 
@@ -53,13 +53,13 @@ INSTANT = ColumnMeaning("time", "s")
 
 
 def time_factor(table: NumberTable, place: int) -> float:
-    """Return the unit of times that a file says for a column without any, in s."""
+    """Return the unit of time, s, that a file states for a column without its own unit."""
     unit = unit_of(table.word(place, *TIME_UNITS))
     return unit.factor if unit and unit.base == "s" else 1.0
 
 
 def interval_of(table: NumberTable, place: int) -> float | None:
-    """Return the time between two samples that a file says for a column, s, or None."""
+    """Return the sampling interval that a file states for a column, s, or None."""
     if (interval := table.fact(place, *INTERVALS)) is not None:
         return time_factor(table, place) * interval
     rate = table.fact(place, *RATES)
@@ -67,10 +67,10 @@ def interval_of(table: NumberTable, place: int) -> float | None:
 
 
 def is_counter(table: NumberTable, place: int) -> bool:
-    """Return whether a column counts samples, and so has no unit of time.
+    """Return whether a column counts samples, and therefore has no unit of time.
 
-    Its name or unit says so, or its numbers do: whole ones that follow one another, which nothing
-    calls times.
+    A column is a counter if its name or unit shows it, or if it contains consecutive integers and
+    neither its name nor a unit denotes times.
     """
     column = table.columns[place]
     if _in_seconds(table, place) or _is_named_counter(table, place):
@@ -84,7 +84,7 @@ def is_counter(table: NumberTable, place: int) -> bool:
 
 
 def _is_named_counter(table: NumberTable, place: int) -> bool:
-    """Return whether the name or the unit of a column says that it counts samples."""
+    """Return whether the name or the unit of a column denotes a counter of samples."""
     return any(COUNTER.fullmatch(word.lower()) for word in table.columns[place][:2])
 
 
@@ -97,17 +97,17 @@ def _in_seconds(table: NumberTable, place: int) -> bool:
 def find_columns(
     table: NumberTable, quantities: Sequence[ColumnMeaning], columns: Any
 ) -> list[int | None]:
-    """Return the places of quantities that columns or the header name; None of others."""
+    """Return the places of quantities named by `columns` or the header, None for others."""
     if columns is None:
         return [_by_name(table, *quantity.others, quantity.name) for quantity in quantities]
     names = [quantity.name for quantity in quantities]
     if isinstance(columns, dict):
         if strange := columns.keys() - set(names):
             known = ", ".join(names)
-            raise InputError.at("columns", f"{shown(min(strange))} is none of {known}")
+            raise InputError.at("columns", f"{shown(min(strange))} is not one of {known}")
         return [_place(table, columns[name]) if name in columns else None for name in names]
     if len(columns) != len(names):
-        message = f"must name {len(names)} columns, for {', '.join(names)}"
+        message = f"must name {len(names)} columns: {', '.join(names)}"
         raise InputError.at("columns", f"{message} (got {len(columns)})")
     return [_place(table, column) for column in columns]
 
@@ -120,18 +120,18 @@ def find_time_and_columns(
     Raises
     ------
     InputError
-        If the file does not tell, or has not all.
+        If columns are ambiguous or missing.
     """
     everything = [INSTANT, *quantities]
     if columns is None:
         return _find_by_header(table, everything)
-    # times may follow from the interval of the samples
+    # Times may follow from the sampling interval.
     alone = not isinstance(columns, dict) and len(columns) == len(quantities)
     places = find_columns(table, quantities if alone else everything, columns)
     places = [None, *places] if alone else places
     for quantity, place in zip(quantities, places[1:], strict=True):
         if place is None:
-            raise InputError.at("columns", f"has no {quantity.name}: add it")
+            raise InputError.at("columns", f"has no entry for {quantity.name}: add it")
     if places[0] is None:
         places[0] = _own_times(table, [place for place in places[1:] if place is not None])
     return places
@@ -140,26 +140,26 @@ def find_time_and_columns(
 def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
     """Return the place of the times of columns that were named without them, or None.
 
-    They are the nearest column to the left that its name or unit calls times, or that counts the
-    samples, or whose numbers are as far apart as the interval that the file says.
+    The column of times is the nearest column to the left with a name or unit of time, with a
+    counter of samples, or with steps equal to the stated sampling interval.
 
     Raises
     ------
     InputError
-        If the columns have times of their own, which differ.
+        If the columns have different times.
     """
     times = _times_among(table, [place for place in table.numeric if place not in values])
     nearest = [max((t for t in times if t < place), default=None) for place in values]
     if len(times) > 1 and len({*nearest}) > 1:
         used = table.values([t for t in nearest if t is not None])
         if None in nearest or (used != used[:, :1]).any():
-            fault = f"{table.path}: these columns have times of their own"
+            fault = f"{table.path}: these columns have different times"
             raise InputError.at("columns", f"{fault}: read them one by one, or name one for all")
     return nearest[0] if nearest[0] is not None else next(iter(times), None)
 
 
 def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
-    """Return the columns of times among these: by name, else by unit, else by their numbers."""
+    """Return the columns of times among these: by name, else by unit, else by numbers."""
     for kind in (_named_times, _in_seconds, _on_grid):
         if times := [place for place in places if kind(table, place)]:
             return times
@@ -167,14 +167,14 @@ def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
 
 
 def _named_times(table: NumberTable, place: int) -> bool:
-    """Return whether a column has a name of times, and no unit of anything else."""
+    """Return whether a column has a name of times, and no other unit."""
     column = table.columns[place]
     fits = _in_seconds(table, place) or not unit_of(column.unit)
     return fits and column.name.lower() in TIMES
 
 
 def _on_grid(table: NumberTable, place: int) -> bool:
-    """Return whether a column counts samples, or has the interval that the file says."""
+    """Return whether a column counts samples, or has the stated sampling interval."""
     column = table.columns[place]
     if unit_of(column.unit):
         return False
@@ -186,7 +186,7 @@ def _on_grid(table: NumberTable, place: int) -> bool:
 
 
 def _find_by_header(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> list[int | None]:
-    """Return the places of time and quantities by the header, or because there are no others."""
+    """Return the places of time and quantities by the header, or by elimination."""
     places = find_columns(table, quantities, None)
     if places[0] is None:
         places[0] = _time_place(table)
@@ -204,14 +204,14 @@ def _find_by_header(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> 
 
 
 def _has_interval(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
-    """Return whether a file says the interval of its samples in place of their times."""
+    """Return whether a file states the sampling interval in place of times."""
     names = [table.columns[place].name for place in rest]
     interval = interval_of(table, table.numeric[-1])
     return interval is not None and (len(rest) < missing or any(names))
 
 
 def _by_name(table: NumberTable, *names: str) -> int | None:
-    """Return the place of the only column with the first of these names that is there."""
+    """Return the place of the only column with the first of these names that exists."""
     for name in names:
         places = [
             place
@@ -220,7 +220,7 @@ def _by_name(table: NumberTable, *names: str) -> int | None:
             in (table.columns[place].name.lower(), table.columns[place].cell.lower())
         ]
         if len(places) > 1:
-            cure = "say which by its number in columns"
+            cure = "choose one by its number in columns"
             raise InputError.at("columns", f"{table.path} has {len(places)} columns {name}: {cure}")
         if places:
             return places[0]
@@ -228,7 +228,7 @@ def _by_name(table: NumberTable, *names: str) -> int | None:
 
 
 def _time_place(table: NumberTable) -> int | None:
-    """Return the place of the only column of times, by its name or its unit, or that counts."""
+    """Return the place of the only column of times or counts, by its name or its unit."""
     named = _by_name(table, *TIMES)
     if named is not None:
         return named
@@ -239,7 +239,7 @@ def _time_place(table: NumberTable) -> int | None:
 
 
 def _place(table: NumberTable, column: int | str) -> int:
-    """Return the place of a column by its number or its name."""
+    """Return the place of a column given by its number or its name."""
     place = _by_name(table, column) if isinstance(column, str) else column - 1
     if place is None or place not in table.numeric:
         raise InputError.at(
@@ -249,12 +249,12 @@ def _place(table: NumberTable, column: int | str) -> int:
 
 
 def _list(table: NumberTable) -> str:
-    """Return the columns of numbers of a table in words."""
+    """Return a description of the numeric columns of a table."""
     return "it has " + ", ".join(map(table.describe, table.numeric))
 
 
 def ambiguous(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> InputError:
-    """Return the error of a file whose columns are not told apart."""
+    """Return the error for a file with columns that cannot be identified."""
     names = ", ".join(quantity.name for quantity in quantities)
-    cure = f"say which are {names} by columns = [number or name, ...]"
-    return InputError.at("columns", f"{table.path} does not tell: {_list(table)}; {cure}")
+    cure = f"name {names} by columns = [number or name, ...]"
+    return InputError.at("columns", f"{table.path} is ambiguous: {_list(table)}; {cure}")

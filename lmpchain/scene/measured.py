@@ -1,4 +1,4 @@
-"""Excitations that files of instruments describe."""
+"""Excitations with arrays that may be read from files of instruments."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from .trace_file import Reading, TableFile
 
 
 class Measured(Excitation):
-    """An excitation whose arrays may come from a file, which keeps what was understood of it.
+    """An excitation with arrays that may be read from a file, with a record of the reading.
 
     Attributes
     ----------
     file_kind : type
-        What reads the file: a `TableFile` with its options.
+        Class that reads the file: a `TableFile` with its options.
     source : str, optional
-        What was understood of the file; equal excitations may come from different ones.
+        How the file was read; ignored when excitations are compared.
     """
 
     file_kind: ClassVar[type[TableFile]]
@@ -27,7 +27,7 @@ class Measured(Excitation):
         source: str
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Take the options of the file as arguments."""
+        """Add the options of the file to the arguments of the class."""
         super().__init_subclass__(**options)
         if "file_kind" in vars(cls):
             cls.other_arguments = tuple(cls.file_kind.arguments)
@@ -40,11 +40,11 @@ class Measured(Excitation):
             note(reading.text)
 
     def _read(self, options: dict[str, Any], data: dict[str, Any]) -> Reading:
-        """Fill in the arrays of a file, and what was understood of it."""
+        """Add the arrays of a file, and a description of how it was read, to the data."""
         if unknown := [key for key in data if key not in self.arguments]:
             raise InputError((key, self._unknown(key)) for key in unknown)
         if options.get("file") is None:
-            raise InputError((key, "goes with a file: name it") for key in options)
+            raise InputError((key, "requires a file: give file") for key in options)
         file = self.file_kind(**{key: value for key, value in options.items() if value is not None})
         reading, arrays = self._arrays(file)
         if twice := [key for key in (*arrays, "source") if data.get(key) is not None]:
@@ -55,11 +55,14 @@ class Measured(Excitation):
 
     @classmethod
     def _arrays(cls, file: Any) -> tuple[Reading, dict[str, Any]]:
-        """Read a file, and return the fields that its columns fill."""
+        """Read a file, and return the fields that its columns define."""
         raise NotImplementedError
 
     def replace(self, **changes: Any) -> Self:
-        """Return a checked copy with these fields changed, which is not what the file says."""
+        """Return a checked copy with these fields changed.
+
+        The copy has no `source` if its arrays differ from those in the file.
+        """
         described = {"grain", "start", "interpolation", "source"}
         source = {} if changes.keys() <= described else {"source": None}
         return super().replace(**source | changes)

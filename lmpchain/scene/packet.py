@@ -21,9 +21,9 @@ class Extent:
     Attributes
     ----------
     inside : float
-        Must lie in the chain: the packet is 1.5e-8 of its height there.
+        This part must fit into the chain; the envelope is 1.5e-8 of its height at its ends.
     cut : float
-        Beyond, the packet is nothing.
+        The packet is truncated at this distance.
     """
 
     inside: float = 6.0
@@ -37,27 +37,26 @@ class Packet(Excitation):
     """A Gaussian packet of linear waves of one frequency that travels downward.
 
     Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at
-    whole and half numbers: the chain is a row of both in turn, each of which drives its neighbours,
-    so waves that go down differ from those that go up in wave number. The local wave number q
-    follows from ``w = 2 sqrt(k/m) sin(q/2)`` contact by contact, the amplitude from the energy that
-    flows, the envelope from the travel time (WKB). On a uniform chain the part that goes up is what
-    is left of the Gaussian in q below 0 and above pi: in amplitude some ``exp(-(q width)^2/2)`` and
-    ``exp(-((pi - q) width)^2/2)``. Where stiffness and mass change it is what the chain reflects on
-    the way, and what a change within a wavelength adds.
+    integer and half-integer positions. The chain is an alternating row of both, in which each
+    drives its neighbours, so that upgoing and downgoing waves differ in wave number. The local wave
+    number q follows from ``w = 2 sqrt(k/m) sin(q/2)`` for each contact, the amplitude from a
+    constant energy flow, the envelope from the travel time (WKB). On a uniform chain the upgoing
+    part is the tail of the Gaussian at q below 0 and above pi, with amplitudes of about ``exp(-(q
+    width)^2/2)`` and ``exp(-((pi - q) width)^2/2)``. If stiffness and mass vary, the chain also
+    reflects a part of the wave, and variations within a wavelength add an error.
 
     Parameters
     ----------
     frequency : float
         Hz.
     width : float
-        Standard deviation of the envelope ``exp(-x^2 / (2 width^2))``, in grains, where its middle
-        is.
+        Standard deviation of the envelope ``exp(-x^2 / (2 width^2))`` at its centre, in grains.
     grain : int
-        Its middle.
+        Number of the grain at the centre.
     amplitude : float
-        Height of the envelope of displacements in its middle, m, where the wave itself is 0 and
-        velocities have their crest: no grain need be displaced as far. Linear theory holds if it is
-        small.
+        Height of the envelope of displacements at its centre, m. The wave itself is 0 there, and
+        velocities have their maximum; the largest displacement of a grain may be smaller. Linear
+        theory holds if the amplitude is small.
 
     Examples
     --------
@@ -76,32 +75,32 @@ class Packet(Excitation):
     amplitude: Real
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the packet does not fit into the chain, or cannot travel there."""
+        """Yield a fault if the packet does not fit into the chain, or cannot propagate there."""
         if self.grain > chain.movable:
-            yield "grain", f"must be one that moves, 1 to {chain.movable} (got {self.grain})"
+            yield "grain", f"must be a grain that moves, 1 to {chain.movable} (got {self.grain})"
         elif chain.loose_grains:
-            yield "chain.load_grain", f"a packet is linear, and {chain.loose}"
+            yield "chain.load_grain", f"a packet requires a linear chain, but {chain.loose}"
         elif not chain.compressed:
             yield "kind", "there are no linear waves without gravity and load: give a top_load"
         else:
             first, last = self._within(chain, EXTENT.inside)
             if first < 1 or last > chain.movable:
-                length = f"{EXTENT.inside:g} widths long on either side"
-                yield "width", f"the packet is {length}, which does not fit in the chain"
+                length = f"{EXTENT.inside:g} widths to either side"
+                yield "width", f"the packet extends {length} and does not fit into the chain"
                 return
             hops = self._hops(chain, first, last)
-            # w = 2 sqrt(k/m) sin(q/2) has a real wave number below 2 sqrt(k/m) only
+            # A real wave number exists only below 2 sqrt(k/m), because w = 2 sqrt(k/m) sin(q/2).
             if (2 * np.pi * self.frequency >= 2 * hops).any():
                 limit = f"{float(hops.min() / np.pi):.4g} Hz"
-                # two hops a grain
+                # There are two hops for each grain.
                 slowest = first + int(hops.argmin()) // 2
                 yield (
                     "frequency",
-                    f"must be below the highest that travels at grain {slowest}, {limit}",
+                    f"must be below the cut-off frequency at grain {slowest}, {limit}",
                 )
 
     def _within(self, chain: Chain, widths: float) -> tuple[int, int]:
-        """Return the first and the last grain so many widths around the middle."""
+        """Return the first and the last grain within a number of widths around the centre."""
         far = int(min(np.ceil(widths * self.width), chain.grains))
         return self.grain - far, self.grain + far
 
@@ -118,7 +117,7 @@ class Packet(Excitation):
         return max(1, first), min(chain.movable, last)
 
     def part(self, first: int, last: int) -> Packet:
-        """Return the packet with its middle as it is numbered among grains first ... last."""
+        """Return the packet with its centre renumbered within grains first ... last."""
         return self.replace(grain=self.grain - first + 1)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
@@ -126,24 +125,25 @@ class Packet(Excitation):
         first, last = self.reach(chain)
         omega = 2 * np.pi * self.frequency
         hops = self._hops(chain, first, last)
-        # places are those of the row of grains and contacts in turn
+        # Positions count grains and contacts alternately.
         middle = 2 * (self.grain - first)
-        # a turning point lies far out, where the packet is nothing: any real wave number does there
+        # A turning point is far from the centre, where the packet vanishes, so any real wave number
+        # suffices there.
         ratio = np.minimum(omega / (2 * hops), 0.999)
-        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, places a second
+        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, positions per second
         phase = np.append(0.0, np.cumsum(np.arcsin(ratio)))
         arrival = np.append(0.0, np.cumsum(1 / speed))
-        # at a place, the geometric mean of the speeds on either side
+        # The speed at a position is the geometric mean of the speeds on either side.
         local_speed = np.sqrt(np.append(speed[:1], speed) * np.append(speed, speed[-1:]))
         distance = (arrival - arrival[middle]) * local_speed[middle] / (2 * self.width)
         envelope = np.exp(-(distance**2) / 2)
-        # the flow of energy, its density times the speed, is the same everywhere (WKB)
+        # The energy flow, energy density times speed, is constant (WKB).
         flow = chain.masses[self.grain - 1] * local_speed[middle]
         height = self.amplitude * omega * np.sqrt(flow / local_speed)
         wave = height * envelope * np.cos(phase - phase[middle])
         v = wave[::2] / np.sqrt(chain.masses[first - 1 : last])
         strain = wave[1::2] / np.sqrt(chain.contacts.stiffness[first:last])
-        # no net strain, or the grains beyond one end would be displaced for good
+        # The net strain must be 0, otherwise grains beyond one end would be displaced permanently.
         strain -= strain.sum() * envelope[1::2] / envelope[1::2].sum()
         u = np.append(np.cumsum(strain[::-1])[::-1], 0.0)
         fields = np.zeros((2, chain.grains))

@@ -17,16 +17,17 @@ from .trace_file import Reading, TableFile
 
 
 class Profile(Measured):
-    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0, by default zero.
+    """Displacement (N,) m and velocity (N,) m/s of every grain at t = 0, zero by default.
 
     Parameters
     ----------
     displacement, velocity : (N,) arrays, optional
-        m and m/s, one or both of them;
+        m and m/s; one or both of them.
     file : path
-        or a text file with a row a grain, and columns of these names.
+        A text file with one row for each grain and columns of these names, given in place of
+        arrays.
     columns, skip, scale, offset, optional
-        How to read it, see `TableFile`.
+        Options of the file, see `TableFile`.
     """
 
     kind: ClassVar[str] = "profile"
@@ -43,7 +44,7 @@ class Profile(Measured):
 
     @property
     def fields(self) -> dict[str, Array]:
-        """Its arrays by name."""
+        """The given arrays by name."""
         arrays = {"displacement": self.displacement, "velocity": self.velocity}
         return {name: values for name, values in arrays.items() if values is not None}
 
@@ -53,16 +54,16 @@ class Profile(Measured):
             yield "displacement", cure
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield the faults of arrays that do not fit the chain."""
+        """Yield a fault if the arrays do not fit the chain."""
         for key, values in self.fields.items():
             if len(values) != chain.grains:
-                yield key, f"must have one entry a grain, {chain.grains}, not {len(values)}"
+                yield key, f"must have one entry a grain, {chain.grains} in all, not {len(values)}"
             elif chain.bottom == "fixed" and values[-1] != 0:
                 yield key, f"must be 0 for grain {chain.grains}, which is held"
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
-        # copies: a drive writes that of grain 1 into them
+        # The arrays are copied, because a drive overwrites the values of grain 1.
         displacement, velocity = (
             np.zeros(chain.grains) if values is None else values.copy()
             for values in (self.displacement, self.velocity)
@@ -70,7 +71,7 @@ class Profile(Measured):
         return displacement, velocity
 
     def __add__(self, other: Profile) -> Profile:
-        """Return the sum of two, such as two solitary waves that will meet."""
+        """Return the sum of two profiles, for example two solitary waves that will collide."""
         if not isinstance(other, Profile):
             return NotImplemented
         given = [*self.fields.values(), *other.fields.values()]
@@ -84,7 +85,7 @@ class Profile(Measured):
         return Profile(displacement=add("displacement"), velocity=add("velocity"))
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the first and the last grain that it moves; grain 1 if there is none."""
+        """Return the first and the last grain that is moved; grain 1 for an empty profile."""
         moved = np.flatnonzero(np.any(self.initial(chain), axis=0))
         return (int(moved[0]) + 1, int(moved[-1]) + 1) if moved.size else (1, 1)
 

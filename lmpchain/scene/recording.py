@@ -1,4 +1,4 @@
-"""The recording of a run: its times and its grains."""
+"""The recording of a run: its times, grains and quantities."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _selection(value: Any) -> Any:
     """Check grains to record: "all", "1:200" or a list of numbers."""
     cure = 'must be "all", a range such as "1:200", or a list of grains'
     if isinstance(value, str):
-        # numbers of more digits than any chain has grains are none
+        # Numbers with more digits than any chain has grains are rejected.
         if value != "all" and not re.fullmatch("[0-9]{1,18}:[0-9]{1,18}", value):
             raise ValueError(f"{cure} (got {shown(value)})")
         return value
@@ -29,26 +29,27 @@ def _selection(value: Any) -> Any:
         numbers = [plain(number) for number in value]
     except TypeError:
         numbers = []
-    # True is an int of Python, and no grain
+    # True is an integer in Python, but not a grain number.
     if not numbers or any(type(number) is not int for number in numbers):
         raise ValueError(cure)
     return tuple(numbers)
 
 
-# quantities that are gathered of every recorded grain, and those of a contact, as "force:40"
+# Quantities that are accumulated for every recorded grain, and for one contact, as "force:40".
 OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")
 OF_CONTACTS = ("peak_force", "force")
 
 
 def contact_of(name: str) -> int | None:
-    """Return the contact that a quantity names, 40 of "force:40"; None if it names none."""
+    """Return the contact number in the name of a quantity, 40 of "force:40", or None."""
     number = name.partition(":")[2]
-    # one way to write a number, or "force:07" and "force:7" were two arrays of one contact
+    # Only one spelling is allowed, otherwise "force:07" and "force:7" would be two arrays of one
+    # contact.
     return int(number) if re.fullmatch("0|[1-9][0-9]{0,17}", number) else None
 
 
 def _quantities(value: Any) -> Any:
-    """Check quantities to gather: names, those of a contact with its number."""
+    """Check the names of accumulated quantities, with contact numbers where required."""
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if not names:
         raise ValueError(
@@ -68,9 +69,9 @@ def _quantities(value: Any) -> Any:
 
 
 class Recording(Checked):
-    """When and which grains are recorded: `samples` times from 0 to `duration`, both included.
+    """Recorded times and grains: `samples` times from 0 to `duration`, both included.
 
-    Besides, `quantities` are gathered all along the run, between the samples too.
+    `quantities` are accumulated during the whole run, also between samples.
     """
 
     duration: Annotated[Positive, Field(le=1e12)]
@@ -79,10 +80,10 @@ class Recording(Checked):
     quantities: Annotated[tuple[str, ...], BeforeValidator(_quantities)] = ()
 
     def faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield the faults of times, grains and contacts that the chain does not allow."""
+        """Yield the faults of times, grains and contacts for this chain."""
         if self.duration < (self.samples - 1) * sys.float_info.min:
             samples = f"{self.samples} samples in {self.duration:g} s"
-            fault = f"{samples} are too close for numbers of full precision"
+            fault = f"{samples} are too close together for double precision"
             yield "duration", f"{fault}: record for longer"
         first, last = self._ends(chain)
         if not 1 <= first <= last <= chain.grains:
@@ -94,7 +95,7 @@ class Recording(Checked):
             yield from self._contact_faults(chain)
 
     def _contact_faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield the first contact that is asked for and is not one of the chain."""
+        """Yield the first requested contact that the chain does not have."""
         existing = np.flatnonzero(chain.contacts.exists)
         if missing := [number for number in self.contacts.values() if number not in existing]:
             numbers = "there is no contact"
@@ -104,7 +105,7 @@ class Recording(Checked):
 
     @property
     def contacts(self) -> dict[str, int]:
-        """Numbers of the contacts of those quantities that are gathered of one, by name."""
+        """Contact numbers of the quantities that are accumulated for one contact, by name."""
         return {
             name: number for name in self.quantities if (number := contact_of(name)) is not None
         }
@@ -119,7 +120,7 @@ class Recording(Checked):
         return min(self.grains), max(self.grains)
 
     def count(self, chain: Chain) -> int:
-        """Return how many grains are recorded."""
+        """Return the number of recorded grains."""
         first, last = self._ends(chain)
         return len(self.grains) if isinstance(self.grains, tuple) else last - first + 1
 

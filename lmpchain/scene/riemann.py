@@ -14,22 +14,22 @@ from .base import Excitation, Number
 
 
 class Riemann(Excitation):
-    """A step of velocity and compression between two grains at t = 0, of which shocks are born.
+    """A step of velocity and compression between two grains at t = 0, from which shocks develop.
 
-    Shock waves and rarefactions leave the step on both sides. The ends of the chain stand still or
-    are free, and send waves of their own: put the step far from them. Positions of grains are
-    counted from the bottom, where nothing moves if the strain on the right is 0.
+    Shock waves and rarefactions propagate from the step to both sides. The ends of the chain are
+    held or free and emit waves, too, so place the step far from them. Positions of grains are
+    measured from the bottom, which does not move if the strain on the right is 0.
 
     Parameters
     ----------
     velocity : (left, right)
-        m/s, of grains 1 ... grain, and of those below; "left" is towards grain 1.
+        Velocities of grains 1 ... grain, and of the grains below, m/s; "left" is towards grain 1.
     strain : (left, right)
-        By how much contacts 1 ... grain, and those below, are closer than at rest, over the mean
-        diameter of the two grains; positive is compression, and less than the overlap at rest over
-        the diameter, negative, a gap.
+        Additional overlap of contacts 1 ... grain, and of the contacts below, over the mean
+        diameter of the two grains. Positive values are compression. Negative values beyond the
+        overlap at rest over the diameter are gaps.
     grain : int
-        The last one of the left side; contact ``grain`` below it is on the left, too.
+        Last grain on the left side; contact ``grain`` below it also belongs to the left side.
 
     Examples
     --------
@@ -54,9 +54,9 @@ class Riemann(Excitation):
                 yield key, f"must have two entries, left and right of the step, not {count}"
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault if there is no grain below the step, or if one that moves is held."""
+        """Yield a fault if no grain is below the step, or if a held grain would move."""
         if self.grain >= chain.grains:
-            below = f"the step lies below it, and the chain has {chain.grains} grains"
+            below = f"the step is below this grain, and the chain has {chain.grains} grains"
             yield "grain", f"must be at most {chain.grains - 1}: {below}"
         elif chain.bottom == "fixed" and self.velocity[1]:
             yield "velocity", f"must be 0 on the right, where grain {chain.grains} is held"
@@ -67,14 +67,14 @@ class Riemann(Excitation):
         velocity = np.where(left, self.velocity[0], self.velocity[1])
         strain = np.where(left, self.strain[0], self.strain[1])
         closer = strain * chain.contact_lengths[1:]
-        # there is no contact below a grain that is held, nor below one at a free end
+        # No contact exists below a held grain or below a free end.
         closer[-1] *= chain.bottom == "wall"
         return np.cumsum(closer[::-1])[::-1].copy(), velocity
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return grain 1, as the first, and the last grain that it moves."""
+        """Return grain 1, and the last grain that is displaced or moves."""
         return 1, chain.grains if self.strain[1] or self.velocity[1] else self.grain
 
     def part(self, first: int, last: int) -> Riemann:
-        """Return the step as it is numbered among grains first ... last."""
+        """Return the step renumbered within grains first ... last."""
         return self if first == 1 else self.replace(grain=self.grain - first + 1)

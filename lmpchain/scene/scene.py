@@ -1,4 +1,4 @@
-"""The scene: a chain, how it is struck and what is recorded, whatever method solves it."""
+"""The scene: a chain, its excitation and its recording, independent of the engine."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ from .facts import SceneFacts
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-LONGEST_DURATION = 3600.0  # s: of one that may be meant
-# s and m: of one that may be meant where grains are as narrow, in which a wave takes microseconds
+LONGEST_DURATION = 3600.0  # s: longer runs are probably given in other units
+# Longest plausible duration, s, for grains narrower than NARROW, m, in which a wave takes
+# microseconds.
 DURATION_OF_NARROW = 1.0
 NARROW = 0.05
-DASHPOT = 10.0  # A omega beyond which a contact hardly gives way in a period
-# omega h at most of the times at which quantities are gathered: then 1e-6 of the fastest motion is
-# known between them
+DASHPOT = 10.0  # A omega above which a contact hardly deforms within a period
+# Largest omega h of the times at which quantities are accumulated; they resolve the fastest motion
+# to 1e-6.
 GATHERING_TURN = 0.5
-# strike numbers at which linear theory errs by so much in the velocities after 100 us
+# Strike numbers at which the velocities of linear theory have this error after 100 us.
 ERRS_BY_1_PERCENT = 0.037
 ERRS_BY_10_PERCENT = 0.4
-DRAWN_AROUND = 10  # grains at rest drawn on either side of those that are moved
+DRAWN_AROUND = 10  # number of resting grains drawn on either side of the excited ones
 
 
 class Scene(SceneFacts):
-    """A chain, an excitation, and what is recorded.
+    """A chain, its excitation and its recording.
 
     Parameters
     ----------
@@ -51,19 +52,19 @@ class Scene(SceneFacts):
     duration : float
         s.
     samples : int
-        Number of recorded times, t = 0 and t = duration included.
+        Number of recorded times, including t = 0 and t = duration.
     grains : "all", "first:last" or list of int
         Recorded grains.
     quantities : list of str, optional
-        What is gathered all along the run, also between the samples, without keeping more of these;
-        the answer has it as `Trajectory.gathered`, each with its error: "peak_displacement",
-        "peak_velocity" and "arrival_time" of every recorded grain, "peak_force:40" and "force:40"
-        of contact 40, the latter at times so close that no motion hides between them.
+        Quantities that are accumulated during the whole run, also between samples, without more
+        recorded samples: "peak_displacement", "peak_velocity" and "arrival_time" of every recorded
+        grain, "peak_force:40" and "force:40" of contact 40. The times of "force:40" resolve every
+        motion. `Trajectory.gathered` contains each quantity with its error.
 
     Raises
     ------
     InputError
-        With every fault found.
+        Lists every fault.
 
     Examples
     --------
@@ -80,7 +81,7 @@ class Scene(SceneFacts):
     def _faults(self) -> Iterator[tuple[str, str]]:
         misfits = list(self.excitation.faults(self.chain, self.duration))
         yield from misfits
-        # how far an excitation squeezes a chain that it does not fit cannot be computed
+        # Compression by an excitation that does not fit the chain cannot be computed.
         if not misfits and not self._gentle:
             yield from self.strike_faults()
         yield from self.faults(self.chain)
@@ -95,17 +96,18 @@ class Scene(SceneFacts):
         if self.chain.damped:
             turn = self.chain.damping.longest_time * self.fastest_motion
             if turn > DASHPOT:
-                cure = "A is in seconds, 1e-9 to 1e-6 for most grains"
-                yield f"chain.damping.viscoelastic: A omega is {turn:.2g}, a dashpot; {cure}"
+                cure = "A is given in seconds, 1e-9 to 1e-6 for most grains"
+                rigid = f"A omega is {turn:.2g}, so that contacts act as rigid dashpots"
+                yield f"chain.damping.viscoelastic: {rigid}; {cure}"
         if not self._gentle:
             yield from self._strike_remarks()
 
     def _strike_remarks(self) -> Iterator[str]:
-        """Yield remarks on overlaps beyond Hertz's law, and on grains faster than sound in them."""
+        """Yield remarks on overlaps beyond Hertz's law, and on grains faster than sound."""
         chain = self.chain
         _, compression = self.first_squeeze
         limit = LIMITS.hertz_compression
-        # a chain that is squeezed so at rest says it of itself
+        # A chain that is compressed to this degree at rest has its own remark.
         if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
             yield f"{self._strength}: {beyond_hertz(compression)}"
         first, near = self._surroundings
@@ -137,7 +139,7 @@ class Scene(SceneFacts):
         return super()._picture() if self.chain.grains <= DETAILED_GRAINS else ""
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the excitation over time, or what it gives the grains at t = 0; returns the axes."""
+        """Draw the excitation over time, or the initial state of the grains; return the axes."""
         waveform = getattr(self.excitation, "waveform", None)
         if waveform:
             name = self.excitation.strength[1]
@@ -149,7 +151,7 @@ class Scene(SceneFacts):
         return self._plot_start(axes_in_units(ax, "", ""))
 
     def _plot_start(self, ax: Axes) -> Axes:
-        """Draw displacements and velocities at t = 0 of the grains around those that have any."""
+        """Draw initial displacements and velocities of the excited grains and their neighbours."""
         first, last = self.excitation.reach(self.chain)
         top = max(1, first - DRAWN_AROUND)
         near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)
@@ -159,7 +161,7 @@ class Scene(SceneFacts):
             ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
         ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
         if len(excited) == 1:
-            # which then names the axis
+            # A single quantity is named on the axis.
             name, unit, _ = excited[0]
             ax.set_ylabel(f"{name} at t = 0, downward")
             return axes_in_units(ax, "", unit)
@@ -168,21 +170,21 @@ class Scene(SceneFacts):
 
     @cached_property
     def finer(self) -> int:
-        """Intervals from sample to sample that quantities are gathered in: 1, 2, 3, 4, 6, 8 ...
+        """Number of fine intervals between two samples for quantities: 1, 2, 3, 4, 6, 8 ...
 
-        Few numbers are allowed, so that the scenes of a sweep share theirs.
+        Few values are allowed, so that the scenes of a sweep use the same one.
         """
         if not self.quantities:
             return 1
         needed = self.sampling_phase / GATHERING_TURN
         power = 2 ** max(0, math.ceil(math.log2(needed)))
-        # between two powers of 2, half as much again as the smaller one
+        # The value 1.5 times the smaller power of 2 is used if it suffices.
         between = 3 * power // 4
         return between if power >= 4 and between >= needed else power
 
     @property
     def fine(self) -> Scene:
-        """The scene that engines answer, with times and grains that gathering quantities takes."""
+        """The scene that engines solve, with the times and grains that quantities require."""
         return self._fine if self.quantities else self
 
     @cached_property
@@ -198,7 +200,7 @@ class Scene(SceneFacts):
 
     @property
     def ungathered(self) -> Scene:
-        """The scene with samples alone, for studies of the methods and not of the answer."""
+        """The scene without accumulated quantities, for studies of methods."""
         return self.replace(quantities=None) if self.quantities else self
 
     def initial(self) -> tuple[Array, Array]:
@@ -207,12 +209,12 @@ class Scene(SceneFacts):
 
     @property
     def drive(self) -> Drive | None:
-        """The prescribed motion of grain 1 or of the top wall, if there is one."""
+        """The prescribed motion of grain 1 or of the top wall, or None."""
         return self.excitation if isinstance(self.excitation, Drive) else None
 
     @property
     def damping_remark(self) -> str:
-        """What leaving damping out would change, in words; none without damping."""
+        """The effect of neglecting damping, in words; empty without damping."""
         if not self.chain.damped:
             return ""
         effect = self.damping_effect
@@ -220,7 +222,10 @@ class Scene(SceneFacts):
         return f"leaving it out would change the answer by {size}"
 
     def until(self, time: float) -> Self:
-        """Return the scene to the last sample before a time, s; itself where that is t = 0."""
+        """Return the scene up to the last sample before a time, s.
+
+        The scene itself is returned if that sample is t = 0 or its last one.
+        """
         if time > self.duration:
             return self
         last = int(np.searchsorted(self.time, time)) - 1
@@ -230,22 +235,22 @@ class Scene(SceneFacts):
 
     @classmethod
     def from_toml(cls, path: str | PathLike[str]) -> Self:
-        """Read a scene file; raises `InputError` with every fault in it."""
+        """Read a scene file; raise `InputError` with every fault in it."""
         return cls(**toml_file.read_fields(path))
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
-        """Make a scene from the tables of a scene file with CSV files in `folder`.
+        """Make a scene from the tables of a scene file, with CSV files in `folder`.
 
-        Raises `InputError` with every fault. Without a folder the tables may name no files.
+        Raises `InputError` with every fault. Without a folder, tables must not name files.
         """
         return cls(**toml_file.fields(tables, folder))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a file that names no other file.
+        """Make a scene from the text of a scene file that names no other file.
 
-        Raises `InputError`, or `ValueError` if it is not TOML.
+        Raises `InputError`, or `ValueError` if the text is not TOML.
         """
         return cls.from_dict(tomllib.loads(text), None)
 
@@ -260,7 +265,7 @@ class Scene(SceneFacts):
         return tomli_w.dumps(self.to_dict())
 
     def to_toml(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write a scene file that `from_toml` reads back equal.
+        """Write a scene file; `from_toml` reads an equal scene from it.
 
         A file that lmpchain did not write is replaced only if `overwrite` is true; otherwise
         `InputError` is raised.
@@ -270,16 +275,16 @@ class Scene(SceneFacts):
 
 
 def check_scene(scene: object, key: str = "scene") -> None:
-    """Raise `InputError` with this key unless this is a scene."""
+    """Raise `InputError` with this key unless the argument is a scene."""
     if not isinstance(scene, Scene):
         cure = "make one, or read its file with Scene.from_toml"
         raise InputError.at(key, f"must be a Scene (got {shown(scene)}): {cure}")
 
 
 def _verdict(strike_number: float) -> str:
-    """Return in words what a strike number says of linear theory."""
+    """Return the validity of linear theory for a strike number, in words."""
     if strike_number == math.inf:
-        return "no contact is pressed: there is no linear theory"
+        return "no contact is compressed: linear theory does not apply"
     if strike_number > ERRS_BY_10_PERCENT:
         return "too strong for linear theory"
     if strike_number < ERRS_BY_1_PERCENT:

@@ -30,27 +30,30 @@ from .file_columns import (
     time_factor,
 )
 
-# what a file says of the sampling in place of a column: first time, first sample
+# Facts about the sampling in the header, in files without times: first time, number of the trigger
+# sample.
 BEGINS = ("start", "x0", "t0", "hoffset", "xorg", "tstart")
 TRIGGER_POINTS = ("trigger point",)
-FILTER_ORDER = 4  # of the low pass, which runs forward and backward
-# a sample as near to the trigger, in intervals, is at t = 0: the rest is round-off
+FILTER_ORDER = 4  # order of the low pass, which is applied forward and backward
+# A sample closer to the trigger than this fraction of an interval is at t = 0, because the rest is
+# rounding error.
 SAME_TIME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """What a file says, in SI units.
+    """The content of a file, in SI units.
 
     Attributes
     ----------
     time : (R,) array
-        s; empty where rows are no instants.
+        s; empty if rows are not times.
     values : (R, K) array
+        Values of the K quantities.
     text : str
-        What was understood, in a line.
+        Description of how the file was read, in one line.
     names : list of str
-        Of the K quantities.
+        Names of the K quantities.
     """
 
     time: Array
@@ -67,7 +70,7 @@ def _file(value: Any) -> Path:
 
 
 def _columns(value: Any) -> Any:
-    """Return columns as a list of numbers and names, or as such a mapping."""
+    """Check columns: a list of numbers and names, or a mapping to these."""
     columns = [value] if isinstance(value, int | str) else value
     if not isinstance(columns, list | tuple | dict):
         raise ValueError(f"must be numbers, from 1, or names of columns (got {shown(value)})")
@@ -83,7 +86,7 @@ def _columns(value: Any) -> Any:
 
 
 def _each(value: Any) -> Array:
-    """Return a number, or one for each column, as an array."""
+    """Return a number, or a sequence with one number for each column, as an array."""
     array = np.atleast_1d(numbers(value))
     if array.ndim != 1 or not array.size or not np.isfinite(array).all():
         raise ValueError("must be a finite number, or one for each column of values")
@@ -93,7 +96,7 @@ def _each(value: Any) -> Array:
 def _scale(value: Any) -> Array:
     array = _each(value)
     if not array.all():
-        raise ValueError("must not be 0: it is what one unit of the file stands for")
+        raise ValueError("must not be 0: it is the value of one unit of the file")
     return array
 
 
@@ -105,22 +108,23 @@ def _two_times(value: Any) -> Array:
 
 
 class TableFile(Checked):
-    """A text file with a column for each quantity, of any layout.
+    """A text file with a column for each quantity, in any layout.
 
     Parameters
     ----------
     file : path
-        Text: delimiter, decimal comma, lines above the table and units in its header are
-        recognised. Or arrays of NumPy, MATLAB, HDF5, Excel, or of a universal file (dataset 58).
+        Text: delimiter, decimal comma, lines above the table and units in its header are detected.
+        Files with arrays of NumPy, MATLAB, HDF5 or Excel, and universal files (dataset 58), are
+        read, too.
     columns : list of int or str, or mapping, optional
-        Numbers, from 1, or names of the columns, in the order of the quantities, or by their names;
-        needed where headers do not tell.
+        Numbers, from 1, or names of the columns, in the order of the quantities or by their names.
+        Required if the header is ambiguous.
     skip : int
-        Lines at the beginning that are not looked at.
+        Number of lines at the beginning that are ignored.
     scale : float or (K,) sequence, optional
-        What one unit of a column stands for: of volts N/V, m/V or (m/s)/V, else a factor.
+        Value of one unit of a column: N/V, m/V or (m/s)/V for volts, otherwise a factor.
     offset : float or (K,) sequence, optional
-        Taken off the columns before, in their unit (V of mV).
+        Value that is subtracted from a column before scaling, in its unit (V for mV).
     """
 
     file: Annotated[Path, BeforeValidator(_file)]
@@ -130,12 +134,12 @@ class TableFile(Checked):
     offset: Annotated[Array, BeforeValidator(_each)] = NOT_GIVEN
 
     def read(self, quantities: Sequence[ColumnMeaning]) -> Reading:
-        """Return the columns of some of these quantities, those that the file has.
+        """Return the columns of those quantities that the file contains.
 
         Raises
         ------
         InputError
-            If it cannot be read, or does not tell which columns these are.
+            If the file cannot be read, or if its columns are ambiguous.
         """
         table = read_table(self.file, self.skip)
         places = find_columns(table, quantities, self.columns)
@@ -160,7 +164,7 @@ class TableFile(Checked):
         present: Sequence[tuple[ColumnMeaning, Any]],
         base: Array | None = None,
     ) -> tuple[Array, list[str]]:
-        """Return the values of columns in SI units, and in words how they came about."""
+        """Return the values of columns in SI units, and a description of the conversion."""
         values = table.values([place for _, place in present])
         scales = _spread(self.scale, len(present), "scale")
         offsets = _spread(self.offset, len(present), "offset")
@@ -183,7 +187,7 @@ class TableFile(Checked):
         return values, words
 
     def _text(self, table: NumberTable, words: Sequence[str]) -> str:
-        """Return what was understood in a line."""
+        """Return a description of how the file was read, in one line."""
         line = "row" if table.arrays is not None else "line"
         rows = f"{counted(len(table.numbers), 'row')} from {line} {table.numbers[0]}"
         layout = f", {table.layout.words}" if len(table.numeric) > 1 else ""
@@ -191,23 +195,23 @@ class TableFile(Checked):
 
 
 class TraceFile(TableFile):
-    """A text file with values over time, as an instrument writes it.
+    """A text file with values over time, as written by an instrument.
 
     Parameters
     ----------
     time_scale : float, optional
-        s for each unit of the column of times, by default what its header says, or 1; between two
-        samples where there is no such column, or it counts the samples.
+        Length of one unit of the column of times, s; by default the unit in its header, or 1 s. If
+        the file has no times or counts its samples, the sampling interval, s.
     baseline : (2,) sequence, optional
-        Times of the file, s, between which the mean is taken off, in place of an offset.
+        Two times of the file, s; the mean between them is subtracted, in place of an offset.
     trigger : float, optional
-        Time of the file, s, that is t = 0. What is before is dropped.
+        Time of the file, s, that becomes t = 0. Earlier samples are dropped.
     lowpass : float, optional
-        Hz: a Butterworth filter of fourth order, run forward and backward so that it delays
-        nothing, halves the amplitude of this frequency and takes higher ones out.
+        Cut-off frequency, Hz, of a Butterworth filter of fourth order, applied forward and backward
+        without delay. It halves the amplitude at this frequency.
     every : int, optional
-        Keep the first sample and every so manieth after it, for a trace that is sampled more
-        densely than the motion needs.
+        Keep the first sample and every n-th sample after it, for a trace that is sampled more
+        densely than the motion requires.
     """
 
     time_scale: Positive = NOT_GIVEN
@@ -218,27 +222,26 @@ class TraceFile(TableFile):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         if self.baseline is not None and self.offset is not None:
-            yield "baseline", "is an offset that the trace tells: take one of both out"
+            yield "baseline", "cannot be combined with offset: remove one of them"
 
     def read(self, quantities: Sequence[ColumnMeaning], from_zero: bool = False) -> Reading:
         """Return the times and the values of all quantities.
 
         Parameters
         ----------
-        quantities : K Quantity
+        quantities : K ColumnMeaning
         from_zero : bool
-            Whether the trace is to begin at t = 0 if `trigger` is between two samples: then with
-            the value on the line between them.
+            Whether a sample at t = 0 is interpolated linearly if `trigger` is between two samples.
 
         Raises
         ------
         InputError
-            If it cannot be read, or does not tell which columns these are.
+            If the file cannot be read, or if its columns are ambiguous.
         """
         table = read_table(self.file, self.skip, 1 + len(quantities))
         if len(table.numbers) < 2:
             names = ", ".join(["time", *(quantity.name for quantity in quantities)])
-            raise InputError.at("file", f"{self.file} has not two lines of numbers: {names}")
+            raise InputError.at("file", f"{self.file} needs two lines of numbers: {names}")
         time_place, *places = find_time_and_columns(table, quantities, self.columns)
         time, word = self._time(table, time_place, [place for place in places if place is not None])
         present = list(zip(quantities, places, strict=True))
@@ -252,30 +255,30 @@ class TraceFile(TableFile):
             words.append(f"t = 0 at {self.trigger:g} s, {counted(before, 'row')} before it dropped")
         if self.every > 1:
             if not len(time) > self.every:
-                fault = f"must be below {len(time)}, the samples that there are"
+                fault = f"must be below {len(time)}, the number of samples"
                 raise InputError.at("every", f"{fault} (got {self.every})")
             time, values = time[:: self.every], values[:: self.every]
-            words.append(f"every {self.every} samples one, {len(time)} of them")
+            words.append(f"1 of {self.every} samples kept, {len(time)} in total")
         text = self._text(table, words)
         return Reading(time, values, text, [quantity.name for quantity in quantities])
 
     def _time(
         self, table: NumberTable, place: int | None, values: Sequence[int]
     ) -> tuple[Array, str]:
-        """Return the times of a trace, s, and in words where they are from."""
+        """Return the times of a trace, s, and a description of their origin."""
         scale: float | None = self.time_scale
         if place is not None and scale is not None and not self._names_times(len(values)):
             place, scale = self._times_beside(table, place)
         samples = np.arange(float(len(table.numbers)))
         if place is not None:
             samples = table.values([place])[:, 0]
-        # a column with a factor of its own is one of times, unless its header says that it counts
+        # A column with its own factor contains times, unless its header denotes a counter.
         if place is None or is_counter(table, place):
             time, word = self._counted_times(table, place, values, samples, scale)
         else:
             factor = self._time_unit(table, place, scale)
             time = factor * samples
-            # the unit in the header says it already
+            # A unit in the header is already part of the description.
             word = f"time: {table.describe(place)}"
             if scale is not None or not table.columns[place].unit:
                 word += f", times {factor:g} s" if factor != 1 else " in s"
@@ -294,7 +297,7 @@ class TraceFile(TableFile):
         samples: Array,
         scale: float | None,
     ) -> tuple[Array, str]:
-        """Return the times of counted samples, s, by the interval of these columns, and words."""
+        """Return the times of counted samples, s, from the sampling interval; and a description."""
         step = scale or _step(table, values)
         if step is None:
             cure = "give the column of the times by columns, or the interval as time_scale"
@@ -304,8 +307,8 @@ class TraceFile(TableFile):
             raise InputError.at("time_scale", f"{fault}: {cure}")
         if place is None and len(set(np.diff(table.numbers))) > 1:
             after = table.numbers[int(np.argmax(np.diff(table.numbers)))]
-            fault = f"{self.file}, line {after + 1}: is empty, where lines count the samples"
-            raise InputError.at("file", f"{fault}: fill it in, or take it out")
+            fault = f"{self.file}, line {after + 1}: is empty, but lines are counted as samples"
+            raise InputError.at("file", f"{fault}: fill it in or remove it")
         factor = time_factor(table, values[0])
         begin = table.fact(values[0], *BEGINS)
         if begin is None:
@@ -316,7 +319,7 @@ class TraceFile(TableFile):
         return time, f"time: from {time[0]:g} s by intervals of {step:g} s"
 
     def _names_times(self, values: int) -> bool:
-        """Return whether `columns` names the column of the times, or leaves all to the header."""
+        """Return whether `columns` names the column of the times, or is left to the header."""
         if self.columns is None or isinstance(self.columns, dict):
             return self.columns is None or "time" in self.columns
         return len(self.columns) > values
@@ -324,8 +327,8 @@ class TraceFile(TableFile):
     def _times_beside(self, table: NumberTable, place: int) -> tuple[int | None, float | None]:
         """Return the column of times beside a value that was named alone, and its scale, s.
 
-        The scale that was given may be the interval of the samples, as where there are no times: a
-        column that has this interval needs no scale, and one that contradicts it is left out.
+        The given scale may be the sampling interval, as in files without times. A column with this
+        interval needs no scale, and a column that contradicts the scale is ignored.
         """
         unit = unit_of(table.unit(place, *TIME_UNITS))
         factor = unit.factor if unit and unit.base == "s" else None
@@ -337,7 +340,7 @@ class TraceFile(TableFile):
         return place, self.time_scale
 
     def _time_unit(self, table: NumberTable, place: int, scale: float | None) -> float:
-        """Return how many seconds one unit of the column of times is."""
+        """Return the length of one unit of the column of times, s."""
         text = table.unit(place, *TIME_UNITS)
         unit = unit_of(text)
         header = f"the header of {self.file} says {shown(text)}"
@@ -346,32 +349,32 @@ class TraceFile(TableFile):
                 return 1.0
             if unit is None or unit.base != "s":
                 cure = "give time_scale, in s, or the column of the times by columns"
-                raise InputError.at("time_scale", f"{header}, which is no time: {cure}")
+                raise InputError.at("time_scale", f"{header}, which is not a unit of time: {cure}")
             return unit.factor
         if unit and unit.base == "s" and not np.isclose(unit.factor, scale, 1e-9):
-            cure = "leave time_scale out, or the header by skip"
+            cure = "omit time_scale, or skip the header"
             raise InputError.at("time_scale", f"{header}, not {scale:g} s: {cure}")
         return scale
 
     def _window(self, time: Array) -> Array | None:
-        """Return which samples are in the window of the baseline; None without one."""
+        """Return a mask of the samples in the window of the baseline; None without a baseline."""
         if self.baseline is None:
             return None
         inside = (time >= self.baseline[0]) & (time <= self.baseline[1])
         if not inside.any():
-            extent = f"which goes from {time[0]:g} to {time[-1]:g} s"
-            raise InputError.at("baseline", f"has no sample of the trace in it, {extent}")
+            extent = f"which covers {time[0]:g} to {time[-1]:g} s"
+            raise InputError.at("baseline", f"contains no sample of the trace, {extent}")
         return inside
 
     def _from_trigger(
         self, time: Array, values: Array, from_zero: bool
     ) -> tuple[Array, Array, int]:
-        """Return times and values since the trigger, and how many rows are before it."""
+        """Return times and values since the trigger, and the number of rows before it."""
         if not time[0] <= self.trigger < time[-1]:
-            extent = f"which goes from {time[0]:g} to {time[-1]:g} s"
+            extent = f"which covers {time[0]:g} to {time[-1]:g} s"
             raise InputError.at("trigger", f"must be within the trace, {extent}")
         slack = SAME_TIME * np.diff(time).min()
-        # of the first row behind the trigger, and the last one before it or at it
+        # Index of the first row after the trigger, and of the last row at or before it.
         first = int(np.argmax(time > self.trigger + slack))
         last = first - 1
         since = time[first:] - self.trigger
@@ -385,7 +388,7 @@ class TraceFile(TableFile):
 
 
 def smooth(time: Array, values: Array, lowpass: float) -> Array:
-    """Return values (R, K) without frequencies above one, Hz, and without delay.
+    """Return values (R, K) without frequencies above the cut-off, Hz, and without delay.
 
     Raises
     ------
@@ -400,9 +403,9 @@ def smooth(time: Array, values: Array, lowpass: float) -> Array:
         fault = f"needs evenly spaced times (they are {steps.min():g} to {steps.max():g} s apart)"
         raise InputError.at("lowpass", f"{fault}: leave it out")
     if not lowpass < 0.5 / step:
-        fault = f"must be below {0.5 / step:g} Hz, half the rate of the samples"
+        fault = f"must be below {0.5 / step:g} Hz, half the sampling rate"
         raise InputError.at("lowpass", f"{fault} (got {lowpass:g})")
-    # the amplitude is halved by two passes
+    # The two passes halve the amplitude at the cut-off.
     sections = butter(FILTER_ORDER, 2 * step * lowpass, output="sos")
     fewest = 3 * (2 * len(sections) + 1)
     if len(time) <= fewest:
@@ -411,16 +414,16 @@ def smooth(time: Array, values: Array, lowpass: float) -> Array:
 
 
 def _step(table: NumberTable, values: Sequence[int]) -> float | None:
-    """Return the interval of the samples in these columns, s; None if the file says none."""
+    """Return the sampling interval of these columns, s; None if the file does not state it."""
     steps = {interval_of(table, place) for place in values}
     if len(steps) > 1:
-        fault = f"{table.path} has columns with intervals of their own"
+        fault = f"{table.path} has columns with different intervals"
         raise InputError.at("columns", f"{fault}: read them one by one")
     return steps.pop()
 
 
 class Calibration(NamedTuple):
-    """From the numbers of a column to SI: its unit, what that is in SI, and what one of it is."""
+    """Conversion of a column to SI: factor of its unit, SI unit, scale, and unit of the scale."""
 
     unit: float
     base: str
@@ -431,7 +434,7 @@ class Calibration(NamedTuple):
 def _calibrate(
     table: NumberTable, place: int, quantity: ColumnMeaning, scale: float | None
 ) -> Calibration:
-    """Return how the numbers in a column become those of a quantity."""
+    """Return the conversion of a column to a quantity in SI units."""
     text = table.unit(place, *VALUE_UNITS)
     unit = unit_of(text)
     same = unit is not None and unit.base == quantity.unit
@@ -444,19 +447,19 @@ def _calibrate(
     if not unit:
         return Calibration(1.0, "", scale, quantity.unit)
     if not same:
-        # (m/s)/V
+        # The unit of the scale is written as (m/s)/V.
         name = f"({quantity.unit})" if "/" in quantity.unit else quantity.unit
         return Calibration(unit.factor, unit.base, scale, f"{name}/{unit.base}")
     if unit.factor != 1 and not np.isclose(unit.factor, scale, 1e-9):
-        cure = "leave scale out, or the header by skip"
-        raise InputError.at("scale", f"{header}, to which it would come on top: {cure}")
+        cure = "omit scale, or skip the header"
+        raise InputError.at("scale", f"{header}, and scale would be a second factor: {cure}")
     return Calibration(1.0, unit.base, scale, "")
 
 
 def _spread(values: Array | None, count: int, key: str) -> list[float | None]:
-    """Return a number for each of so many columns."""
+    """Return one number for each of `count` columns."""
     if values is None:
         return [None] * count
     if values.size not in (1, count):
-        raise InputError.at(key, f"must be one number, or {count}, one a column of values")
+        raise InputError.at(key, f"must be one number, or {count} numbers, one for each column")
     return np.broadcast_to(values, count).tolist()

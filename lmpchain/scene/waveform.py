@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 Interpolation = Literal["pchip", "linear", "spline"]
-ROUNDED = 4 * EPSILON  # of a time, by which sample times may be off
-# Largest speed that frequencies above the highest one of a curve may have, over its largest speed.
+ROUNDED = 4 * EPSILON  # relative rounding error of sample times
+# Largest speed by frequencies above the band edge of a curve, relative to its largest speed.
 NEGLIGIBLE_SPEED = 1e-3
-# Most samples whose spectrum is computed.
+# Longest record, in samples, for which a spectrum is computed.
 SPECTRUM_SAMPLES = 2**20
 
 
 def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
-    """Return the piecewise cubic through points, and what comes before and after them.
+    """Return the piecewise cubic through points, continued before and after them.
 
-    Before the first point it is 0; if that is no 0, it gets there within the time to the second
-    point, or since t = 0. After the last point a motion holds still, and a force falls to 0 within
-    the time between the last two points.
+    Before the first point the curve is 0. A first point that is not 0 is reached linearly within
+    the time to the second point, or since t = 0. After the last point a motion keeps its value, and
+    a force falls to 0 within the time between the last two points.
 
     Parameters
     ----------
@@ -34,10 +34,10 @@ def curve_through(times: Array, values: Array, interpolation: Interpolation, hol
         s, from 0 on, increasing.
     values : (P, ...) array
     interpolation : "pchip", "linear" or "spline"
-        Monotone from point to point (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238 (1980)), by
-        straight lines, or a cubic spline (not-a-knot), which may leave the range of the points.
+        Monotone between points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238 (1980)), straight
+        lines, or a cubic spline (not-a-knot), which may leave the range of the points.
     holds : bool
-        Whether it holds its last value.
+        Whether the curve keeps its last value.
     """
     from scipy.interpolate import CubicSpline, PchipInterpolator, PPoly
 
@@ -46,10 +46,10 @@ def curve_through(times: Array, values: Array, interpolation: Interpolation, hol
     else:
         make = PchipInterpolator if interpolation == "pchip" else CubicSpline
         curve = make(times, values)
-    # a sample at the last point is one of the curve, also where rounding made it a little later
+    # A sample at the last point belongs to the curve, even if rounding shifted it slightly later.
     behind = times[-1] * (1 + ROUNDED)
     last = curve(behind)[None]
-    # the last piece goes on for ever, so that it is constant
+    # The last piece is extrapolated without end, so it must be constant.
     ends = behind + (times[-1] - times[-2]) * np.arange(2 if holds else 3)
     rest = [last, last] if holds else [last, 0 * last, 0 * last]
     pieces = [
@@ -63,7 +63,7 @@ def curve_through(times: Array, values: Array, interpolation: Interpolation, hol
 
 
 def _rise(times: Array, values: Array) -> list[PPoly]:
-    """Return what comes before a first point that is later than t = 0: rest, and a rise to it."""
+    """Return the pieces before a first point later than t = 0: rest, and a linear rise."""
     if times[0] == 0:
         return []
     begin = max(2 * times[0] - times[1], 0.0)
@@ -92,13 +92,13 @@ class Waveform:
     amplitude : float
         A.
     omega, envelope : float
-        w and e, rad/s; without an envelope, 0, the second factor is left out.
+        w and e, rad/s; the second factor is omitted if e is 0.
     end : float
-        s; infinite if it goes on.
+        Time after which the function is 0, s; may be infinite.
     spline : PPoly, optional
-        In place of all that, a piecewise cubic.
+        A piecewise cubic, in place of the sine.
     holds : bool
-        Whether a piecewise cubic is a motion, which holds its last value, and not a force.
+        Whether a piecewise cubic is a motion, which keeps its last value, and not a force.
     """
 
     amplitude: float = 0.0
@@ -130,22 +130,23 @@ class Waveform:
 
     @classmethod
     def piston(cls, velocity: float, rise: float) -> Waveform:
-        """Return a motion at constant speed after a smooth start, whose acceleration is a hat."""
+        """Return a motion at constant speed after a smooth start with a triangular acceleration."""
         from scipy.interpolate import PPoly
 
         half = rise / 2
         jerk = 4 * velocity / rise**2
-        # cubic, square, linear and constant terms of rise, second half of it, and constant speed
+        # Cubic, square, linear and constant terms of the first and second half of the rise, and of
+        # the motion at constant speed.
         pieces = [
             [jerk / 6, 0.0, 0.0, 0.0],
             [-jerk / 6, velocity / rise, velocity / 2, velocity * rise / 12],
             [0.0, 0.0, velocity, velocity * half],
         ]
-        # the last piece goes on for ever
+        # The last piece is extrapolated without end.
         return cls(spline=PPoly(np.transpose(pieces), [0.0, half, rise, 2 * rise]))
 
     def at(self, t: float | Array, order: int = 0) -> Array:
-        """Return its values at these times, s, or its derivatives of order 1 to 3."""
+        """Return the values at these times, s, or derivatives of order 1 to 3."""
         t = numbers(t, "t")
         if self.spline is not None:
             return self.spline(t, order)
@@ -153,7 +154,7 @@ class Waveform:
         return value if np.isinf(self.end) else np.where(t < self.end, value, 0.0)
 
     def _sine(self, t: Array, order: int) -> Array:
-        """Return ``A sin(w t)``, or a derivative of it."""
+        """Return ``A sin(w t)``, or its derivative."""
         w = self.omega
         value = self.amplitude * np.sin(w * t)
         slope = self.amplitude * w * np.cos(w * t)
@@ -165,7 +166,7 @@ class Waveform:
         e = self.envelope
         sin = np.sin(w * t)
         cos = np.cos(w * t)
-        # of h, the first two derivatives; the third is -4 e^2 of the first
+        # First two derivatives of h; the third derivative is -4 e^2 times the first.
         hann = np.sin(e * t) ** 2
         slope = e * np.sin(2 * e * t)
         bend = 2 * e**2 * np.cos(2 * e * t)
@@ -176,33 +177,34 @@ class Waveform:
         return self.amplitude * (sin * hann, first, second, third)[order]
 
     def integral(self, t: float | Array) -> Array:
-        """Return its integral from 0 to these times, s."""
+        """Return the integral from 0 to these times, s."""
         t = numbers(t, "t")
         if self.spline is not None:
             return np.asarray(self.spline.antiderivative()(t))
         until = np.minimum(t, self.end)
-        # 1 - cos x in this form keeps its digits; a side band of one cycle has no frequency
+        # This form of 1 - cos x avoids cancellation. A side band of a burst of one cycle has zero
+        # frequency and adds nothing.
         parts = [2 * a / w * np.sin(w * until / 2) ** 2 for a, w in self.sines if w]
         return np.asarray(sum(parts, np.zeros(until.shape)))
 
     @property
     def sines(self) -> tuple[tuple[float, float], ...]:
-        """Amplitude and frequency, rad/s, of the sines that it is the sum of up to its end."""
+        """Amplitude and frequency, rad/s, of the sines whose sum is the function before its end."""
         a = self.amplitude
         w = self.omega
         e = self.envelope
-        # the product of a sine and sin^2 is the carrier and its two side bands
+        # The product of a sine and sin^2 is the carrier and its two side bands.
         return ((a / 2, w), (-a / 4, w + 2 * e), (-a / 4, w - 2 * e)) if e else ((a, w),)
 
     @property
     def corners(self) -> tuple[float, ...]:
-        """Times, s, after which another formula holds: its end, or the knots of a spline."""
+        """Times, s, at which the formula changes: the end, or the knots of a spline."""
         if self.spline is not None:
             return tuple(self.spline.x.tolist())
         return () if np.isinf(self.end) else (self.end,)
 
     def smooth_until(self, duration: float) -> bool:
-        """Return whether it has no corners up to a time, s, but one at which a step can end."""
+        """Return whether there is no corner before a time, s, except where a step can end."""
         return self.spline is None or bool(self.spline.x[1] >= duration)
 
     @property
@@ -210,20 +212,21 @@ class Waveform:
         """Highest frequency that a step must resolve, rad/s."""
         if self.spline is not None:
             return self._band_edge
-        # the upper side band of a burst
+        # The upper side band of a burst.
         return float(self.omega + 2 * self.envelope)
 
     @cached_property
     def _band_edge(self) -> float:
-        """The highest frequency of a piecewise cubic, rad/s: one over the least time between knots.
+        """Highest frequency of a piecewise cubic, rad/s.
 
-        If the knots are denser than the motion needs, it is the lowest frequency, by halving that
-        one, above which the spectrum adds less than `NEGLIGIBLE_SPEED` to the speed: that of a
-        motion, or that of a free mass under a force.
+        It is the inverse of the smallest time between knots. If the knots are denser than the
+        motion requires, this frequency is halved as long as the spectrum above it adds less than
+        `NEGLIGIBLE_SPEED` to the speed of the motion, or to the speed of a free mass under the
+        force.
         """
         assert self.spline is not None
         edge = 1 / self.corner_spacing
-        # a curve holds its last value, or is 0, in its last piece
+        # In its last piece a curve is constant, so that piece is excluded.
         end = self.spline.x[-2]
         intervals = end * edge
         if not 1 < intervals < SPECTRUM_SAMPLES:
@@ -251,52 +254,59 @@ class Waveform:
 
     @property
     def corner_spacing(self) -> float:
-        """Least time between corners, at which adaptive steps end, s; infinite if it has none."""
+        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
         return self.end if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:
-        """Return the largest value or derivative: of a burst a bound, of a spline nearly."""
+        """Return the largest value or derivative.
+
+        It is an upper bound for a burst, and approximate for a spline.
+        """
         if self.spline is not None:
             return float(np.abs(self.at(self._dense, order)).max())
         return float(abs(self.amplitude) * (self.omega + self.envelope) ** order)
 
     @property
     def range(self) -> tuple[float, float]:
-        """Smallest and largest value of a curve through points, nearly."""
+        """Smallest and largest value of a curve through points, approximately."""
         values = self.at(self._dense)
         return float(values.min()), float(values.max())
 
     @property
     def gained(self) -> float:
-        """Largest size of its integral from 0 on, of a burst a bound, of a spline nearly so."""
+        """Largest magnitude of the integral from 0.
+
+        It is an upper bound for a burst, and approximate for a spline.
+        """
         if self.spline is not None:
             return float(np.abs(self.spline.antiderivative()(self._dense)).max())
         return 2 * abs(self.amplitude) / self.omega
 
     def area(self, duration: float) -> float:
-        """Bound the integral of its size up to a time, s; infinite for a spline."""
+        """Return an upper bound on the integral of |f| up to a time, s; infinite for a spline."""
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)
         if self.envelope:
-            # the mean of sin^2 is 1/2 over the whole burst, and below 1 over a beginning of it
+            # The mean of sin^2 is 1/2 over the whole burst, and less than 1 over a part of it.
             return abs(self.amplitude) * until / 2 * (1 if until == self.end else 2)
-        # each arch of a sine has the area 2 A/w; round-off must not begin another one
+        # Each arch of a sine has the area 2 A/w; rounding errors must not add another arch.
         arches = np.ceil(self.omega * until / np.pi * (1 - 1e-12))
         return float(abs(self.amplitude) * min(2 * arches / self.omega, until))
 
     def path(self, duration: float) -> float:
-        """Bound the integral of its absolute derivative up to a time, s."""
+        """Return an upper bound on the integral of the absolute derivative up to a time, s."""
         if self.spline is not None:
             return np.inf
         until = min(duration, self.end)
-        # four quarters a period, one that may have begun, and the rise and fall of an envelope
+        # A period has four quarters; one more quarter may have begun, and an envelope adds a rise
+        # and a fall.
         quarters = 1 + 4 * self.omega / (2 * np.pi) * until + (2 if self.envelope else 0)
         return float(abs(self.amplitude) * quarters)
 
     @property
     def _dense(self) -> Array:
-        """Eight times from knot to knot."""
+        """Eight evenly spaced times between every two knots."""
         assert self.spline is not None
         knots = self.spline.x
         return np.interp(np.arange(8 * len(knots)) / 8, np.arange(len(knots)), knots)

@@ -1,4 +1,4 @@
-"""Where methods fail on a scene: a module for each cause; `stability` goes through all of them."""
+"""Limits of methods on a scene, with a module for each cause; `stability` evaluates all of them."""
 
 from ..util.lazy import attributes, listed
 

@@ -1,8 +1,8 @@
-"""Limits of methods on a scene, by laws and by runs, and where the scene itself lies.
+"""Limits of methods on a scene, predicted by laws and measured by runs.
 
-`step_limit` (too long a step, energy error), `roundoff`, `predictability` (chaos), `linear_theory`
-and `overlap` hold the laws and the measurements; this module goes through all of them for one
-scene. Maps over many scenes are drawn by `analysis/stability_map.py`.
+`step_limit` (unstable step, energy error), `roundoff`, `predictability` (chaos), `linear_theory`
+and `overlap` contain the laws and the measurements; this module evaluates all of them for one
+scene. `analysis/stability_map.py` draws maps over many scenes.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ from .result import TOLERANCE, Boundary, Curve, Stability
 from .roundoff import floor, long_double, measured_floor
 from .step_limit import blow_up, energy_error, limit
 
-LONGEST_S = 20.0  # that one measurement may be expected to take
-PERIODS = 1000.0  # of the band edge, for which the energy is followed
-DIVISIONS = 40.0  # Steps in each of these periods, which are far below every stability limit.
-STRENGTHS = np.logspace(-8, 2, 11)  # of the strike, over that of the scene
-# engines and diameters that differ in round-off
+LONGEST_S = 20.0  # longest expected duration of a measurement that is made
+PERIODS = 1000.0  # duration of energy measurements, in periods of the band edge
+DIVISIONS = 40.0  # number of steps in each period, far below every stability limit
+STRENGTHS = np.logspace(-8, 2, 11)  # strength of the excitation relative to the scene
+# Engines and diameters with different rounding errors.
 ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))
 
 
 def stability(scene: Scene, *, progress: bool = False) -> Stability:
     """Find the limits of all methods on a scene.
 
-    Limits that would take longer than some seconds to measure are predicted only.
+    Limits that would take longer than some seconds to measure are only predicted.
 
     Parameters
     ----------
@@ -74,7 +74,8 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
                         boundaries.append(item)
                     else:
                         curves.append(item)
-            # one cause is enough, without the key of a field that nobody gave
+            # Only the first fault is shown, without its key, because the user did not set this
+            # field.
             except InputError as error:
                 left_out.append(f"{name}: {error.faults[0][1]}")
             except LmpchainError as error:
@@ -83,7 +84,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
 
 
 def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary | Curve]]]]:
-    """Yield all causes of failure by name, and functions that yield their limits."""
+    """Yield all causes of failure by name, with functions that yield their limits."""
     for integrator in METHODS:
         yield f"longest step, {integrator}", partial(_step, scene, "native", integrator)
     yield "longest step, lammps", partial(_step, scene, "lammps", "verlet")
@@ -100,7 +101,7 @@ def _tasks(scene: Scene) -> Iterator[tuple[str, Callable[[], Iterator[Boundary |
 
 
 def _expected_s(scene: Scene) -> float:
-    """Return about how long the longest measurements take together, s."""
+    """Return the expected duration of all long measurements, s."""
     searches = [_search_s(scene, engines.get("native"), name) for name in METHODS]
     searches.append(_search_s(scene, engines.get("lammps"), "verlet"))
     follows = [_follow_s(scene, name) for name in METHODS]
@@ -108,14 +109,14 @@ def _expected_s(scene: Scene) -> float:
 
 
 def _search_s(scene: Scene, solver: Engine, integrator: str) -> float:
-    """Return about how long the search for the longest step takes, s: some 60 runs."""
+    """Return the expected duration of the search for the longest step, s: about 60 runs."""
     steps = scene.duration / limit(scene, integrator)
     work = METHODS[integrator].evaluations * steps * scene.chain.grains
     return 60 * work * solver.seconds_per_grain_step
 
 
 def _follow_s(scene: Scene, integrator: str) -> float:
-    """Return about how long it takes to follow the energy, s."""
+    """Return the expected duration of an energy measurement, s."""
     work = METHODS[integrator].evaluations * PERIODS * DIVISIONS * scene.chain.grains
     return work * engines.get("native").seconds_per_grain_step
 
@@ -131,13 +132,14 @@ def _step(scene: Scene, engine: str, integrator: str) -> Iterator[Boundary]:
 
 def _energy(scene: Scene, integrator: str) -> Iterator[Curve]:
     if scene.excitation.does_work:
-        raise InputError.at("kind", "a drive does work: the energy is not that of the start")
+        raise InputError.at("kind", "the energy is not conserved, because the excitation does work")
     if not scene.chain.compressed:
-        raise InputError.at("gravity", "without gravity and load there is no period to count by")
+        raise InputError.at("gravity", "a chain without gravity and load has no band edge")
     step = 2 * math.pi / scene.highest_frequency / DIVISIONS
     if _follow_s(scene, integrator) > LONGEST_S:
         raise InputError.at("grains", "too many to follow the energy for a thousand periods")
-    # of a run that is far longer than the scene: its energy is asked for, not its motion
+    # Warnings are suppressed, because only the energy of this very long run is used, not its
+    # motion.
     with warnings_aside():
         energy = energy_error(scene, integrator, step, PERIODS, samples=401)
     yield Curve("energy", integrator, energy.time, np.abs(energy.error))
@@ -181,7 +183,7 @@ def _linear(scene: Scene) -> Iterator[Boundary]:
 
 def _overlap(scene: Scene) -> Iterator[Boundary]:
     strain = deepest(scene)
-    # there is no bound where a drive does work
+    # The bound is infinite for a forced scene.
     beyond = LIMITS.compression < strain < math.inf
     name = "Hertz's law: overlap over diameter"
     yield Boundary(name, "Eq. (1)", "", LIMITS.compression, here=strain, beyond=beyond)

@@ -1,8 +1,8 @@
-"""Limits of linear theory: laws for its error after a strike on the top of a column.
+"""Limits of linear theory: laws for its error after an impulse on the top of a column.
 
-They are for columns of equal grains, in the paper's variables: tau, depths h in grains, strike
+The laws hold for columns of equal grains, in the paper's variables: tau, depths h in grains, strike
 numbers v0*. They give relative errors, each in the norm that it names; `laws.theory_errors`
-measures them. Constants are not fitted, unless a law says so.
+measures them. Constants are not fitted, unless a law states it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
-WEAK = 1e-6  # strike number at which no contact comes near to opening
-# norm: error of the linear theory over (delta - 1) v0* for weak strikes, and where it saturates;
-# largest exponent for which the first holds: analysis/calibration/linear_model_error.py
+WEAK = 1e-6  # strike number far below the opening of any contact
+# For each norm: the error of linear theory over (delta - 1) v0* for weak strikes, and its
+# saturation value. STEEPEST is the largest exponent for which the first one holds
+# (analysis/calibration/linear_model_error.py).
 LINEAR = {
     "velocity": (0.54, 2**0.5),
     "displacement": (0.186, 0.45),
@@ -28,16 +29,16 @@ STEEPEST = 2.2
 
 
 def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: int = 20) -> float:
-    """Return the error of Eq. (3) after a strike on the top of a column.
+    """Return the error of Eq. (3) after an impulse on the top of a column.
 
-    It is x / (1 + x / limit) with x = c (delta - 1) v0*. A contact that is compressed by the
-    fraction s of its overlap is stiffer, and the wave faster by (delta - 1) s / 4. The strain falls
-    faster than 1/h, so that the lead is won at the first grains and stays: for tau above 6 the
-    error depends neither on gravity nor on time, as long as the wave is on its way down. The
-    constants c are those of perturbation theory to second order in v0*, right within 10 % for delta
-    from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed bottom keeps a compression
-    one, the free top turns it around: in ten passages of the column the error stays within a factor
-    of 2.
+    The error is x / (1 + x / limit) with x = c (delta - 1) v0*. A contact that is compressed
+    further by the fraction s of its overlap is stiffer, and the wave is faster by (delta - 1) s /
+    4. The strain decreases faster than 1/h, so that the phase error arises at the first grains and
+    then remains constant: for tau above 6 the error depends neither on gravity nor on time, until
+    the wave is reflected. The constants c are those of perturbation theory to second order in v0*,
+    accurate to 10 % for delta from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed
+    bottom reflects a compression as a compression, and the free top inverts it: during ten passages
+    of the column the error stays within a factor of 2.
 
     Parameters
     ----------
@@ -45,13 +46,13 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
         v0*.
     norm : str
         "velocity": root of the sum of squares over grains, at the end of the run; "displacement":
-        largest over all samples and grains, relative to the largest there; "package": the larger of
-        that of displacement and of velocity, the error of this package; "peak": largest velocity of
-        a grain, from grain 3 on, with x ~ w^(-3/2), w being the width of the front.
+        largest error of all samples and grains, relative to the largest displacement; "package":
+        the larger of the errors of displacement and velocity, as in this package; "peak": error of
+        the largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2) for a front of width w.
     exponent : float
-        Delta, of the contact force.
+        Exponent delta of the contact force.
     grain : int
-        For the norm "peak".
+        Number of the grain for the norm "peak".
 
     Returns
     -------
@@ -61,7 +62,7 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
     Raises
     ------
     InputError
-        If there is no such norm.
+        If the norm is unknown.
     """
     slope, limit = _linear_constants(norm, exponent, grain)
     return slope * strike_number / (1 + slope * strike_number / limit)
@@ -73,7 +74,7 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
     Parameters
     ----------
     error : float
-        Relative, above 0.
+        Relative error, above 0.
     norm : str
         As for `linear_law`.
     exponent, grain : float, int
@@ -94,15 +95,15 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 
 
 def strike_number_where(error: float, scene: Scene) -> float:
-    """Return the strike number at which Eq. (3) would have this error, in a scene like this one.
+    """Return the strike number at which Eq. (3) has this error, in a scene like this one.
 
-    By `linear_law` for a column struck at its top, for any other scene by the estimate from its
-    linear wave.
+    `linear_law` gives it for a column struck at its top; for other scenes it follows from the error
+    estimate of the linear wave.
 
     Parameters
     ----------
     error : float
-        Relative, above 0.
+        Relative error, above 0.
     scene : Scene
 
     Returns
@@ -120,7 +121,7 @@ def strike_number_where(error: float, scene: Scene) -> float:
         estimate = Chebyshev().look(weaker.reached).error
         if not estimate:
             return np.inf
-        # the estimate grows with the strike, or with its square
+        # The estimate is proportional to the strike number or to its square.
         number *= error / estimate
     return number
 
@@ -128,8 +129,8 @@ def strike_number_where(error: float, scene: Scene) -> float:
 def struck_column(scene: Scene) -> bool:
     """Return whether a scene is a uniform column under gravity alone, struck at its top.
 
-    It lasts for ten passages of the wave at most, and its exponent is at most 2.2: `linear_law`
-    was measured up to there.
+    The duration must be at most ten passages of the wave, and the exponent at most 2.2, because
+    `linear_law` was measured within these limits.
 
     Parameters
     ----------

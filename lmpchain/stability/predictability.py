@@ -1,4 +1,4 @@
-"""Predictability time: growth of a small change (Lyapunov exponent), law and measurement."""
+"""Predictability horizon: growth of a small change (Lyapunov exponent), law and measurement."""
 
 from __future__ import annotations
 
@@ -18,16 +18,19 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class MeasuredGrowth:
-    """Columns for which `growth_rate` was measured; analysis/calibration/predictability.py.
+    """Range of columns for which `growth_rate` was measured.
+
+    The measurement is analysis/calibration/predictability.py.
 
     Attributes
     ----------
     opening : float
         Strike number above which many contacts open.
     flying : float
-        Strike number over N below which the top grain does not fly away with most of the energy.
+        Upper bound on strike number over N; above it the top grain flies away with most of the
+        energy.
     fewest, most : int
-        Grains.
+        Smallest and largest number of grains.
     """
 
     opening: float = 30.0
@@ -37,18 +40,18 @@ class MeasuredGrowth:
 
 
 MEASURED = MeasuredGrowth()
-# change at t = 0 that grows as all rounding of a run does: measured median, 1e-15.4 to 1e-12.4
-# analysis/calibration/amplified_rounding.py
+# Change at t = 0 that grows like all rounding errors of a run; the measured median is 1e-14, the
+# range 1e-15.4 to 1e-12.4 (analysis/calibration/amplified_rounding.py).
 SEED = 1e-14
-CHANGE = 10 * SEED  # at t = 0, whose growth is measured
+CHANGE = 10 * SEED  # change at t = 0 whose growth is measured
 
 
 def reflection_time(scene: Scene) -> float:
     """Return the time of a strong pulse from the top to the floor and back, s.
 
-    The solitary wave that a grain makes of its velocity v0 in a chain without load moves by
-    0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains a second; A. Chatterjee, Phys. Rev. E 59, 5912
-    (1999), and numbers computed for this package (analysis/calibration/predictability.py).
+    A grain with the velocity v0 in a chain without load excites a solitary wave that travels
+    0.907470 (K/m)^(2/5) (0.681632 v0)^(1/5) grains per second; A. Chatterjee, Phys. Rev. E 59, 5912
+    (1999), and values computed for this package (analysis/calibration/predictability.py).
 
     Parameters
     ----------
@@ -62,10 +65,10 @@ def reflection_time(scene: Scene) -> float:
     Raises
     ------
     InputError
-        If the exponent is not 1.5 or the scene is no impulse.
+        If the exponent is not 1.5 or the excitation is not an impulse.
     """
     if scene.chain.law.power != 1.5 or not scene.strike_velocity:
-        message = "a reflection time is known for a strike on a chain of exponent 1.5"
+        message = "must be an impulse on a chain with exponent 1.5"
         raise InputError.at("excitation", message)
     chain = scene.chain
     gamma = float(chain.contact_constants.mean() / chain.masses.mean())
@@ -74,12 +77,12 @@ def reflection_time(scene: Scene) -> float:
 
 
 def growth_rate(scene: Scene) -> float:
-    """Predict the Lyapunov exponent of a column struck at the top, in decades a second.
+    """Predict the Lyapunov exponent of a column struck at the top, in decades per second.
 
-    Measured: 0.9 (1 - exp(-N / 20)) decades while a pulse runs down and up, whatever the strike and
-    gravity, for N = 6 ... 40, v0* = 30 to 50 N, 0.1 to 100 g, within a factor of 1.5. A weaker
-    strike opens few contacts, a stronger one has most of its energy in a top grain that flies.
-    analysis/calibration/predictability.py.
+    The measured growth is 0.9 (1 - exp(-N / 20)) decades during one reflection time, independent of
+    strike and gravity, for N = 6 ... 40, v0* = 30 to 50 N and 0.1 to 100 g, within a factor of 1.5
+    (analysis/calibration/predictability.py). A weaker strike opens few contacts. After a stronger
+    strike the top grain flies away with most of the energy.
 
     Parameters
     ----------
@@ -88,13 +91,13 @@ def growth_rate(scene: Scene) -> float:
     Returns
     -------
     float
-        Decades a second.
+        Decades per second.
     """
     return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
 
 
 def amplifies(scene: Scene) -> bool:
-    """Return whether `growth_rate` holds: a strike on the top of few grains that opens contacts.
+    """Return whether `growth_rate` applies: a strike on top of few grains that opens contacts.
 
     Parameters
     ----------
@@ -112,7 +115,7 @@ def amplifies(scene: Scene) -> bool:
 
 
 def predicted_time(scene: Scene, tolerance: float) -> float:
-    """Predict the predictability time from `growth_rate`, s; it may lie beyond the duration.
+    """Predict the predictability horizon from `growth_rate`, s; it may exceed the duration.
 
     Parameters
     ----------
@@ -132,8 +135,8 @@ def growth(
 ) -> tuple[Array, Array]:
     """Measure the growth of a small change at t = 0 by two native runs with the same steps.
 
-    All grains are moved, down and up by turns, by this part of the largest velocity (displacement,
-    amplitude).
+    Grains are shifted alternately down and up, by this fraction of the largest velocity (or
+    displacement, or amplitude).
 
     Parameters
     ----------
@@ -146,13 +149,13 @@ def growth(
     Returns
     -------
     two (T,) arrays
-        Times, s, and the distance of the two runs relative to the largest value, the larger of
+        Times, s, and the distance of the two runs relative to the largest value, the larger one of
         displacement and velocity.
 
     Raises
     ------
     ToleranceNotMet
-        If round-off alone is above `accuracy`, the error of the runs without any growth.
+        If rounding errors alone exceed `accuracy`, even without growth.
     """
     proposal = Native("rkn6").propose(scene.reached, accuracy)
     return scene.time, divergence(scene, proposal, perturbation)
@@ -161,21 +164,21 @@ def growth(
 def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
     """Return the relative distance of a run and a perturbed one at every sample, (T,).
 
-    Both have the integrator and the steps of the proposal. What remains is the change, rounding,
-    and what the scene makes of them.
+    Both runs use the integrator and the steps of the proposal. Their distance is therefore due to
+    the change, to rounding, and to the amplification of both.
 
     Parameters
     ----------
     scene : Scene
     proposal : Proposal
-        Of the native engine.
+        A proposal of the native engine.
     change : float
         Relative size of the perturbation.
 
     Returns
     -------
     (T,) array
-        Relative to the largest value, the larger of displacement and velocity.
+        Relative to the largest value, the larger one of displacement and velocity.
 
     Raises
     ------
@@ -186,15 +189,15 @@ def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
         scene.reached, (change,), BY_NAME[proposal.integrator], proposal.steps.sampled
     )[0]
     if not np.isfinite(distance).all():
-        raise RunFailed("two runs that begin a little apart broke down: use a shorter step")
+        raise RunFailed("a run with a small initial perturbation broke down: use a shorter step")
     return distance
 
 
 def predictability_time(scene: Scene, tolerance: float) -> float:
-    """Measure the predictability time in double precision, s; infinite beyond the duration.
+    """Measure the predictability horizon in double precision, s; infinite beyond the duration.
 
-    Rounding grows like a change of 1e-14 at t = 0, within a factor of 30: at four decades a
-    millisecond, as in columns of glass beads of 1 mm, that is 0.4 ms.
+    Rounding errors grow like a change of 1e-14 at t = 0, within a factor of 30. At four decades per
+    millisecond, as in columns of glass beads of 1 mm, this factor corresponds to 0.4 ms.
 
     Parameters
     ----------
@@ -210,18 +213,18 @@ def predictability_time(scene: Scene, tolerance: float) -> float:
 
 
 def predictability_time_of(times: Array, apart: Array, tolerance: float) -> float:
-    """Return the predictability time from a growth measured for the default change, s.
+    """Return the predictability horizon from a growth measured for the default change, s.
 
     Parameters
     ----------
     times, apart : (T,) arrays
-        As `growth` returns them.
+        As returned by `growth`.
     tolerance : float
 
     Returns
     -------
     float
-        s.
+        s; infinite if the distance stays below the tolerance.
     """
     beyond = np.flatnonzero(apart > tolerance * CHANGE / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf

@@ -1,4 +1,4 @@
-"""The boundaries of a scene: table, numbers and picture."""
+"""The limits of methods on a scene: table, numbers and picture."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from ..util.ticks import UnitFormatter
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TOLERANCE = 1e-6  # of the predictability time
+TOLERANCE = 1e-6  # tolerance that defines the predictability horizon
 
 
 @dataclass(frozen=True)
 class Boundary:
-    """A limit of a method on a scene; numbers that are not known are NaN.
+    """A limit of a method on a scene; unknown numbers are NaN.
 
     Attributes
     ----------
@@ -43,14 +43,15 @@ class Boundary:
     method : str
         Engine or integrator.
     unit : str
+        Unit of the numbers; empty for ratios.
     predicted : float
-        By a law.
+        The limit predicted by a law.
     measured : float
-        On this scene.
+        The limit measured on this scene.
     here : float
-        Of the scene; NaN where the user chooses.
+        The value of the scene; NaN if the user chooses it.
     beyond : bool
-        Whether the scene lies beyond the boundary.
+        Whether the scene exceeds the limit.
     """
 
     what: str
@@ -64,13 +65,16 @@ class Boundary:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A measured curve, for the picture.
+    """A measured curve for the picture.
 
     Attributes
     ----------
     panel : "energy", "growth" or "strength"
+        Panel of the picture in which the curve is drawn.
     name : str
+        Label of the curve.
     x, y : arrays
+        Values of the axes of the panel.
     """
 
     panel: str
@@ -81,7 +85,7 @@ class Curve:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stability(Shown, Tabular):
-    """The boundaries of a scene.
+    """The limits of all methods on a scene.
 
     Attributes
     ----------
@@ -89,7 +93,7 @@ class Stability(Shown, Tabular):
     boundaries : tuple of Boundary
     curves : tuple of Curve
     left_out : tuple of str
-        What could not be measured, and why.
+        Measurements that could not be made, each with the reason.
     """
 
     scene: Scene
@@ -98,7 +102,7 @@ class Stability(Shown, Tabular):
     left_out: tuple[str, ...]
 
     def table(self) -> str:
-        """Return the boundaries as a table; what the scene lies beyond bears a mark."""
+        """Return the limits as a table; limits that the scene exceeds are marked."""
         return "\n".join(align(self._summary()))
 
     def _summary(self) -> Iterator[Sequence[str]]:
@@ -119,17 +123,17 @@ class Stability(Shown, Tabular):
         return {"rows": rows, "curves": curves, "left_out": list(self.left_out)}
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes:
-        """Draw longest steps, energy error, divergence of two runs, and errors over the strength.
+        """Draw longest steps, energy error, divergence of two runs, and errors against strength.
 
         Parameters
         ----------
         ax : axes, or four of them, optional
-            In one the longest steps alone are drawn; by default all in a figure of their own.
+            One axes for the longest steps alone, or four for all panels; a new figure by default.
 
         Returns
         -------
         Axes
-            Those of the longest steps.
+            The axes of the longest steps.
         """
         steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
         _draw_steps(steps, self)

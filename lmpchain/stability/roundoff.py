@@ -1,4 +1,4 @@
-"""Round-off floor of double precision: its law, and its measurement by runs in long double."""
+"""Rounding floor of double precision: its law, and its measurement by runs in long double."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 
 Long = np.longdouble
-STEP = 0.3  # highest frequency times the step of rkn6, whose own error is some 1e-9 there
+STEP = 0.3  # omega h of rkn6, at which its truncation error is about 1e-9
 
 
 def floor(
     scene: Scene, engine: str = "native", diameter: str = "physical", force: str = "auto"
 ) -> float:
-    """Predict the relative error from round-off alone, at steps of rkn6 with omega h = 0.3.
+    """Predict the relative error by rounding alone, for steps of rkn6 with omega h = 0.3.
 
-    The laws are those of the engines, `typical_round_off`. Measured over 13 decades, on 70 random
-    scenes, LAMMPS with both diameters: half of the floors are within a factor of 1.7 of it, nine in
-    ten within 6 (analysis/calibration/roundoff.py).
+    The laws are those of the engines, `typical_round_off`. They were compared with 70 random scenes
+    over 13 decades, with LAMMPS for both diameters: half of the measured floors agree within a
+    factor of 1.7, and nine in ten within a factor of 6 (analysis/calibration/roundoff.py).
 
     Parameters
     ----------
     scene : Scene
     engine : "native" or "lammps"
     diameter : "physical" or "gauge"
-        Of lammps.
+        Option of lammps.
     force : "auto", "exact" or "plain"
-        Of native.
+        Option of native.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def floor(
     Raises
     ------
     InputError
-        If the engine is neither, or an option is none of its own.
+        If the engine or an option is unknown.
     """
     cone = scene.reached
     solver = _engine(engine, diameter, force)
@@ -80,10 +80,9 @@ def measured_floor(
     force: str = "auto",
     exact: tuple[Array, Array] | None = None,
 ) -> float:
-    """Measure the round-off floor of an engine against the same steps in NumPy's long double.
+    """Measure the rounding floor of an engine against the same steps in NumPy's long double.
 
-    The error of the method is the same in both, whether contacts open or not. `exact` is
-    `long_double(scene)`, where that is known already.
+    The truncation error is equal in both runs, even if contacts open.
 
     Parameters
     ----------
@@ -91,6 +90,7 @@ def measured_floor(
     engine, diameter, force : str
         As for `floor`.
     exact : two (T, N) arrays, optional
+        The result of `long_double(scene)`, if it is already known.
 
     Returns
     -------
@@ -100,10 +100,10 @@ def measured_floor(
     Raises
     ------
     InputError
-        As `floor`; and if the chain is driven, or the engine cannot do it.
+        As `floor`; and if the scene is forced, or if the engine cannot solve it.
     """
     if scene.excitation.does_work:
-        raise InputError.at("kind", "the floor of round-off is not measured for a driven chain")
+        raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")
     cone = scene.ungathered.reached
     steps = _steps(cone)
     h = cone.duration / steps * (1 + 1e-9)
@@ -132,12 +132,12 @@ def _engine(
 
 
 def _steps(scene: Scene) -> int:
-    """Return the steps with omega h = 0.3 that a scene takes."""
+    """Return the number of steps with omega h = 0.3 for a scene."""
     return scene.intervals * math.ceil(scene.sampling_phase / STEP)
 
 
 def _speed(scene: Scene) -> float:
-    """Return about the largest velocity, m/s."""
+    """Return an estimate of the largest velocity, m/s."""
     u, v = scene.imposed
     return max(v, u * scene.highest_frequency) or scene.chain.length_scale / scene.chain.time_scale
 
@@ -149,7 +149,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     constant: Any = chain.contacts.constant.astype(Long)
     weight = Long(chain.gravity) * np.cumsum(mass)
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
-    # changes of the forces of other laws have the accuracy of doubles
+    # For other contact laws, changes of forces are only computed in double precision.
     exponent: Any = Long(chain.law.power_of("measured round-off"))
     law = PowerForce(exponent)
     contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), law)

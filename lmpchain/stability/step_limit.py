@@ -1,4 +1,4 @@
-"""Limits of the step: the longest stable one, and the drift of the energy."""
+"""Limits of the step: the longest stable step, and the energy drift."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from ..util.lazy import listed
 
 __dir__ = listed(__name__)
 
-BROKEN = 1.5  # kinetic energy over all the energy, beyond which the engines call a run broken
-SCAN = 1.02  # ratio of steps that are tried until a run breaks, and width of a band above the limit
-BLOCKS = 50  # stretches of time whose means make a trend
+BROKEN = 1.5  # ratio of kinetic to total energy above which an engine rejects a run
+SCAN = 1.02  # ratio of consecutive trial steps; upper end of the band above the limit
+BLOCKS = 50  # number of time intervals whose means determine a trend
 
 
 def struck_frequency(scene: Scene) -> float:
-    """Return the highest frequency, rad/s, that the chain has at any moment of the motion.
+    """Return an estimate of the highest frequency during the motion, rad/s.
 
-    A contact that is squeezed to the overlap o has the stiffness delta K o^(delta-1), so a chain
-    that is struck is stiffer for a while than at rest. Of the energy E of the strike, contacts hold
-    2 E / (delta + 3) in the mean (the virial theorem); it is shared by n neighbours, whatever n
-    makes the frequency highest, which among n equal springs is
-    sqrt([2 + 2 cos(pi / (n + 1))] k / m). Held against the eigenfrequencies of the exact motion at
-    every moment, for strike numbers from 0.01 to 1e4, it is right to 3 % in loaded chains and
-    columns of Hertz contacts, to 7 % for exponent 2. A drive puts in no energy that is known
-    beforehand: there it is `Scene.highest_frequency`.
+    A contact with the overlap o has the stiffness delta K o^(delta-1), so a chain is temporarily
+    stiffer after a strike than at rest. The mean elastic energy is 2 E / (delta + 3) of the strike
+    energy E (virial theorem). It is assumed to be shared by n neighbouring contacts, with the n
+    that maximises the frequency; the highest frequency of n equal springs is sqrt([2 + 2 cos(pi /
+    (n + 1))] k / m). Compared with the eigenfrequencies of the exact motion at every moment, for
+    strike numbers from 0.01 to 1e4, the estimate is accurate to 3 % in loaded chains and columns of
+    Hertz contacts, and to 7 % for exponent 2. The energy of a forced scene is not known beforehand,
+    so `Scene.highest_frequency` is returned.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def struck_frequency(scene: Scene) -> float:
     inertia[1 : chain.movable + 1] = 1 / chain.masses[: chain.movable]
 
     def worst(energy: float) -> float:
-        """Return the highest squared frequency of up to 8 neighbours that share an energy."""
+        """Return the highest squared frequency if up to 8 neighbouring contacts share an energy."""
         highest = 0.0
         for n in range(1, 9):
             stiffness = contacts.stiffness_bound(contacts.overlap_bound(energy / n))
@@ -70,18 +70,17 @@ def struck_frequency(scene: Scene) -> float:
 
 
 def limit(scene: Scene, integrator: str) -> float:
-    """Return the longest step, s, with which a scene is expected to keep its energy to its end.
+    """Return the longest step, s, with which a scene is expected to conserve energy to its end.
 
-    The stability limit of the method for an oscillator (`Method.stability_limit`) over the highest
-    frequency that the strike brings about. Of a method whose oscillators grow at every step, as
-    Gear's do, it is no longer than the step with which those at rest would gain half their energy
-    within the duration. In the sonic vacuum, where nothing is stable or not at rest, the same law
-    is h ~ E^(-(delta-1)/(2 delta+2)).
+    It is the stability limit of the method for an oscillator (`Method.stability_limit`) over the
+    highest frequency after the strike. If oscillators grow at every step, as with Gear's methods,
+    the step is also limited such that oscillators at rest gain at most half of their energy within
+    the duration. In the sonic vacuum the same law gives h ~ E^(-(delta-1)/(2 delta+2)).
 
-    Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break at this
-    multiple of it: 0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02 dop853 (a step of which
-    spans a whole blow), 1.3 to 1.6 rkn4, 2.5 to 3.1 rkn6 and 1 to 1.5 kahan-li8 (see `suspect`),
-    1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
+    Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break down at
+    the following multiples of this limit: 0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02
+    dop853 (one step spans a whole collision), 1.3 to 1.6 rkn4, 2.5 to 3.1 rkn6 and 1 to 1.5
+    kahan-li8 (see `suspect`), 1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
 
     Parameters
     ----------
@@ -106,7 +105,7 @@ def limit(scene: Scene, integrator: str) -> float:
     method = METHODS[integrator]
     edge = scene.reached.chain.band_edge
     highest = struck_frequency(scene)
-    # without a frequency nothing moves, and nothing is pressed
+    # Without a frequency no contact is compressed and nothing moves.
     longest = method.stability_limit / highest if highest else math.inf
 
     def gain(reach: float) -> float:
@@ -122,7 +121,7 @@ def limit(scene: Scene, integrator: str) -> float:
 
 @cache
 def _growths(integrator: str) -> tuple[Array, Array]:
-    """Return steps omega h below the stability limit, and the growth of an oscillator in each."""
+    """Return steps omega h below the stability limit, and the growth of an oscillator per step."""
     method = METHODS[integrator]
     reaches = method.stability_limit * np.geomspace(1e-3, 0.999, 100)
     return reaches, np.array([method.growth(reach) for reach in reaches])
@@ -130,11 +129,13 @@ def _growths(integrator: str) -> tuple[Array, Array]:
 
 @cache
 def suspect(integrator: str) -> float:
-    """Return the omega h up to 2 % above the stability limit at which an oscillator grows fastest.
+    """Return the omega h slightly above the stability limit with the fastest growth.
 
-    Beyond the limits of rkn4, rkn6 and kahan-li8 lies a band of unstable steps only 0.16, 0.03 and
-    1.4 % wide, where half a period or so of the fastest grain is one step; behind it they are
-    stable again up to 5.0, 6.3 and 5.6.
+    The search covers 2 % above the limit.
+
+    Above the limits of rkn4, rkn6 and kahan-li8 there is a band of unstable steps that is only
+    0.16, 0.03 and 1.4 % wide, where a step is about half a period of the fastest grain. Above this
+    band, steps are stable again up to 5.0, 6.3 and 5.6.
 
     Parameters
     ----------
@@ -150,12 +151,14 @@ def suspect(integrator: str) -> float:
 
 
 def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
-    """Measure the longest step with which a scene does not break down, s; infinite if none does.
+    """Measure the longest step with which a scene does not break down, s.
 
-    Steps of one length are tried ever longer, by 2 % and at those of which the method is suspected,
-    until a run breaks: a grain moves with more than one and a half times all the energy there is.
-    Then the step is bisected. The steps are given to `Engine.start` as a proposal, past the check
-    that refuses steps that are unstable at rest.
+    The result is infinite if no step fails.
+
+    Steps of equal length are increased by 2 %, and the suspect step of the method is included,
+    until a run breaks down, which means that the kinetic energy of a grain exceeds 1.5 times the
+    total energy. The step is then bisected. Steps are passed to `Engine.start` as a proposal, which
+    bypasses the check that refuses steps that are unstable at rest.
 
     Parameters
     ----------
@@ -171,7 +174,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     Raises
     ------
     InputError
-        If the engine cannot do the scene.
+        If the engine cannot solve the scene.
     """
     scene = scene.ungathered
     expected = limit(scene, integrator)
@@ -181,7 +184,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
     suspected = suspect(integrator) / edge if edge else math.inf
 
     def survives(step: float) -> bool:
-        # of at most 2000 samples
+        # The number of samples is limited to 2000.
         steps = math.ceil(scene.duration / step / 2000)
         samples = max(1, int(scene.duration / step / steps))
         trial = scene.replace(duration=samples * steps * step, samples=samples + 1)
@@ -201,7 +204,7 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
         low = high
         if low > scene.duration / 2:
             return math.inf
-    # to 2 % / 2^7
+    # Bisection reduces the uncertainty from 2 % to 2 % / 2^7.
     for _ in range(7):
         middle = math.sqrt(low * high)
         if survives(middle):
@@ -213,16 +216,16 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
 
 @dataclass(frozen=True, eq=False)
 class EnergyError:
-    """The error of the energy of a run.
+    """The energy error of a run over time.
 
     Attributes
     ----------
     time : (T,) array
         s.
     error : (T,) array
-        Energy above rest over that at t = 0, less 1.
+        Energy above rest over its value at t = 0, less 1.
     step : float
-        Of the run, s.
+        Step of the run, s.
     """
 
     time: Array
@@ -230,18 +233,19 @@ class EnergyError:
     step: float
 
     def trend(self) -> tuple[float, float]:
-        """Return the drift rate, 1/s, and the half-width of its interval of 99 % confidence.
+        """Return the drift rate, 1/s, and the half-width of its 99 % confidence interval.
 
-        A straight line through the means of fifty stretches of time. As energy wanders slowly from
-        mode to mode, each resembles the one before: they count for as many as their correlation r
-        leaves, n (1 - r) / (1 + r); B. D. Santer et al., J. Geophys. Res. 105, 7337 (2000).
+        The drift is the slope of a straight line through the means of fifty time intervals. Energy
+        moves slowly between modes, so that consecutive means are correlated; with the correlation
+        r, their effective number is n (1 - r) / (1 + r); B. D. Santer et al., J. Geophys. Res. 105,
+        7337 (2000).
         """
         from scipy import stats
 
         used = self.time.size // BLOCKS * BLOCKS
         time, error = (x[-used:].reshape(BLOCKS, -1).mean(1) for x in (self.time, self.error))
         line = stats.linregress(time, error)
-        # a drift that slows down is no resemblance
+        # A parabola is subtracted, because a drift that slows down is not a correlation.
         residual = error - np.polynomial.Polynomial.fit(time, error, 2)(time)
         correlation = max(0.0, float(residual[1:] @ residual[:-1] / (residual @ residual)))
         count = max(3.0, BLOCKS * (1 - correlation) / (1 + correlation))
@@ -252,10 +256,10 @@ class EnergyError:
 def energy_error(
     scene: Scene, integrator: str, step: float, periods: float, samples: int = 2001
 ) -> EnergyError:
-    """Return the error of the energy of a native run over periods of the band edge.
+    """Return the energy error of a native run over many periods of the band edge.
 
-    Energies are differences from rest, in displacements: `Chain.excess_energy`, which keeps the
-    digits of the weakest wave.
+    Energies are computed as differences from rest, in displacements, by `Chain.excess_energy`,
+    which avoids cancellation for weak waves.
 
     Parameters
     ----------
@@ -270,7 +274,7 @@ def energy_error(
     Returns
     -------
     EnergyError
-        Over time, relative to the energy at t = 0.
+        The error over time, relative to the energy at t = 0.
 
     Raises
     ------
@@ -279,7 +283,7 @@ def energy_error(
     RunFailed
         If the run breaks down.
     """
-    # the interface of runs may ask this module for a warning
+    # This import is local, because the simulation room imports warnings of this room.
     from ..simulation.api import simulate
 
     duration = periods * 2 * math.pi / scene.chain.band_edge

@@ -95,7 +95,7 @@ def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
 
 
 def test_a_chain_goes_on_as_it_ends():
-    with pytest.warns(UserWarning, match="comes back from [67] grains"):
+    with pytest.warns(UserWarning, match="layer of [67] grains reflects"):
         absorbs = patterns.absorbing(DIMER, bottom=7, top=6)
     names = [material.name for material in absorbs.material]
     assert names == ["steel", "ptfe"] * 27
@@ -109,7 +109,7 @@ def test_a_chain_goes_on_as_it_ends():
         contact_constants=constants,
         damping={"viscoelastic": 1e-9, "drag": np.full(30, 2.0)},
     )
-    with pytest.warns(UserWarning, match="comes back from 9 grains"):
+    with pytest.warns(UserWarning, match="layer of 9 grains reflects"):
         longer = patterns.absorbing(listed, bottom=9)
     assert np.array_equal(longer.masses[30:], np.resize(np.roll(masses[-3:], 0), 9))
     assert np.array_equal(longer.contact_constants[29:], np.resize(constants[-3:], 9))
@@ -125,7 +125,7 @@ def test_a_column_under_gravity_absorbs_at_its_bottom():
     absorbs = patterns.absorbing(column, bottom=100)
     assert absorbs.equilibrium_force[:98] == pytest.approx(column.equilibrium_force[:98])
     assert scattering.reflection(absorbs, 100).reflected.max() < 1e-4
-    with pytest.raises(InputError, match="would weigh on the chain"):
+    with pytest.raises(InputError, match="would load the chain by its weight"):
         patterns.absorbing(column, top=60)
 
 
@@ -140,11 +140,11 @@ def test_a_striker_keeps_its_side_of_the_chain():
 @pytest.mark.parametrize(
     ("chain", "sizes", "message"),
     [
-        (UNIFORM, {"bottom": 0}, "no sponge at all"),
+        (UNIFORM, {"bottom": 0}, "must be positive, unless top is"),
         (UNIFORM, {"bottom": 2.5}, "whole number of grains"),
         (UNIFORM, {"bottom": -1}, "whole number of grains"),
         (DIMER, {"bottom": 5}, "three cells or more, 6 grains"),
-        (UNIFORM.replace(top_load=0.0), {}, "carry nothing at rest"),
+        (UNIFORM.replace(top_load=0.0), {}, "carry no force at rest"),
     ],
 )
 def test_what_cannot_absorb_is_refused(chain, sizes, message):

@@ -597,12 +597,12 @@ FAULTY = {  # what is given, the key that must be named and some of what must be
     "size beside own constants": (
         OWN | {"impurity": [{"grain": 2, "diameter": 2e-3}]},
         "impurity.0",
-        "they would not follow",
+        "do not follow from an impurity",
     ),
     "material beside own constants": (
         OWN | {"impurity": [{"grain": 2, "material": "ptfe"}]},
         "impurity.0",
-        "may only have a mass of its own",
+        "may only have its own mass",
     ),
     "no wall above": (
         {"top_material": "steel"},

@@ -61,7 +61,7 @@ def test_what_is_no_damping(damping, key, words):
 
 def test_a_dashpot_is_remarked_on():
     damped = Chain(grains=5, diameter=1e-3, damping={"viscoelastic": 1e-4})
-    with pytest.warns(UserWarning, match="A omega is 32, a dashpot"):
+    with pytest.warns(UserWarning, match="A omega is 32, so that contacts act as rigid dashpots"):
         Scene(chain=damped, excitation=Impulse(velocity=1e-6), duration=1e-5)
 
 

@@ -195,11 +195,11 @@ def test_faults_of_patterns_say_their_numbers():
         ),
         (
             lambda: tapered(1000, 1e-3, 0.9),
-            ("taper", "grain 1000 would be 0 m wide: nearer to 0, or fewer grains"),
+            ("taper", "grain 1000 would be 0 m wide: use a taper nearer to 0, or fewer grains"),
         ),
         (
             lambda: tapered(200, 1e-3, -9.0),
-            ("taper", "grain 200 would be 1e+196 m wide: nearer to 0, or fewer grains"),
+            ("taper", "grain 200 would be 1e+196 m wide: use a taper nearer to 0, or fewer grains"),
         ),
         (
             lambda: periodic(5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"]),

@@ -32,8 +32,8 @@ def test_a_load_beyond_hertz_is_remarked_on(alike: bool) -> None:
     width = {} if alike else {"diameter": [1e-3] * 4}
     assert not remarks(top_load=0.999 * most, **width)
     said = (
-        "diameter: at rest a contact is squeezed to 0.02 of the diameter; "
-        "Hertz's law holds to about 0.01"
+        "diameter: at rest a contact is compressed by 0.02 of the diameter; "
+        "Hertz's law holds up to about 0.01"
     )
     assert remarks(top_load=2**1.5 * most, **width) == [said]
     assert not remarks(top_load=2**1.5 * most, exponent=1.6, **width)

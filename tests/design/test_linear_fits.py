@@ -323,7 +323,7 @@ def test_a_table_of_numbers_needs_two_whole_lines(tmp_path: Path):
     np.testing.assert_array_equal(traces.time, [0.0, 1e-6, 4e-6])
     np.testing.assert_array_equal(traces.values, [[1.0], [2.0], [5.0]])
     path.write_text("0.0,1.0\n")
-    with pytest.raises(InputError, match="has not two lines of numbers: time, velocity_4"):
+    with pytest.raises(InputError, match="needs two lines of numbers: time, velocity_4"):
         Traces.from_csv(path, [4])
     path.write_text("0.0,1.0\n0.5,2.0\n")
     assert Traces.from_csv(path, [4]).time.size == 2

@@ -440,7 +440,7 @@ def test_what_is_kept_with_the_averages():
         ensemble(column(), 5, 5, seed=1, tolerance=1e-17)
     with pytest.raises(
         InputError,
-        match=r"^engine: random chains are for native, modes, chebyshev \(got 'bessel'\)",
+        match=r"^engine: must be one of native, modes, chebyshev for random chains \(got 'bes",
     ):
         ensemble(column(), 5, 5, seed=1, engine="bessel")
 

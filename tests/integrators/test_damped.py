@@ -138,7 +138,7 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
 @pytest.mark.parametrize(
     ("viscoelastic", "drag"), [(1e-8, 0.0), (3e-7, 0.0), (0.0, 3e4), (1e-7, 1e4), (1e-6, 0.0)]
 )
-@pytest.mark.filterwarnings("ignore:.*a dashpot")
+@pytest.mark.filterwarnings("ignore:.*rigid dashpots")
 def test_a_mode_decays_as_it_must(viscoelastic, drag):
     """Under one viscosity and one drag modes keep their shape, also where they are overdamped."""
     chain = damped_chain(

@@ -489,14 +489,14 @@ FAULTS = {
     ),
     "shape: must be": lambda: Force(amplitude=1.0, shape="square", duration=1.0),
     "force: must have one entry": lambda: Force(times=[0.0, 1.0], force=[1.0]),
-    "times: must be 0 or more and increase": lambda: Force(times=[-0.5, 1.0], force=[1.0, 2.0]),
+    "times: must be 0 or more, and increase": lambda: Force(times=[-0.5, 1.0], force=[1.0, 2.0]),
     "interpolation: the spline goes from": lambda: Force(
         times=[0, 2e-5, 4e-5, 4e-4], force=[0.0, 10.0, 0.0, 0.0], interpolation="spline"
     ),
     "interpolation: must be": lambda: Force(times=[0, 1], force=[0, 1], interpolation="cubic"),
     "times: are 4.9e-324 s apart": lambda: Drive(times=[0.0, 5e-324], displacement=[0.0, 1e-10]),
     "times: are 1e-21 s apart": lambda: Force(times=[0.0, 1e-21, 1e-10], force=[1.0, 2.0, 1.0]),
-    "displacement: must begin with 0, where the wall": lambda: Drive(
+    "displacement: must begin with 0, the position of the wall": lambda: Drive(
         times=[0, 1.0], displacement=[1, 2.0], grain=0
     ),
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
@@ -512,7 +512,7 @@ FAULTS = {
         grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
     ),
     "grains: a single grain": lambda: Chain(grains=1, diameter=1e-3),
-    "width: the packet is 6 widths": lambda: scene_of(LOADED, Packet(1e4, 2.0, 4, 1e-12)),
+    "width: the packet extends 6 widths": lambda: scene_of(LOADED, Packet(1e4, 2.0, 4, 1e-12)),
     "kind: there are no linear waves": lambda: scene_of(
         Chain(grains=30, diameter=1e-3, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12)
     ),

@@ -479,10 +479,13 @@ def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path:
 def test_a_start_that_does_not_fit():
     chain = loaded()
     for start, said in (
-        (Profile(velocity=np.ones(5)), "excitation.start.velocity: must have one entry a grain"),
+        (
+            Profile(velocity=np.ones(5)),
+            "excitation.start.velocity: must have one entry a grain",
+        ),
         (
             Profile(velocity=np.eye(8)[0]),
-            "excitation.start.velocity: must be 0 for grain 1, which moves as the drive",
+            "excitation.start.velocity: must be 0 for grain 1, because it is driven",
         ),
         (
             Profile(displacement=np.eye(8)[7]),

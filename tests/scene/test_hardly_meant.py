@@ -34,10 +34,10 @@ def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
         (
             lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0),
             "diameter: ",
-            "to 0.012 of the diameter",
+            "by 0.012 of the diameter",
         ),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
-        (lambda: struck(CHAIN, 20.0), "velocity: ", "to 0.012 of the diameter"),
+        (lambda: struck(CHAIN, 20.0), "velocity: ", "by 0.012 of the diameter"),
         (
             lambda: struck(SPRINGS, 6e3),
             "velocity: ",
@@ -106,4 +106,4 @@ def test_a_sweep_says_it_once(tmp_path):
     swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
-    assert text.startswith("velocity: a contact is squeezed to 0.012 of the diameter")
+    assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")

@@ -196,15 +196,15 @@ def test_a_packet_that_does_not_fit_is_refused():
     (fault,) = faults(grain=48)
     assert fault == (
         "width",
-        "the packet is 6 widths long on either side, which does not fit in the chain",
+        "the packet extends 6 widths to either side and does not fit into the chain",
     )
     assert not faults(grain=53)
     assert [key for key, _ in faults(grain=54)] == ["width"]
     held = uniform(101, bottom="fixed")
     assert not faults(held, grain=52)
     assert [key for key, _ in faults(held, grain=53)] == ["width"]
-    assert faults(grain=102) == [("grain", "must be one that moves, 1 to 101 (got 102)")]
-    assert faults(held, grain=101) == [("grain", "must be one that moves, 1 to 100 (got 101)")]
+    assert faults(grain=102) == [("grain", "must be a grain that moves, 1 to 101 (got 102)")]
+    assert faults(held, grain=101) == [("grain", "must be a grain that moves, 1 to 100 (got 101)")]
     vacuum = Chain(grains=101, diameter=1e-3, gravity=0.0)
     assert faults(vacuum) == [
         ("kind", "there are no linear waves without gravity and load: give a top_load")
@@ -213,7 +213,7 @@ def test_a_packet_that_does_not_fit_is_refused():
     heavy = uniform(101, impurity=[{"grain": 61, "mass": 2 * chain.masses[0]}])
     assert not faults(heavy, frequency=0.9999 * limit / np.sqrt(2))
     (fault,) = faults(heavy, frequency=1.0001 * limit / np.sqrt(2))
-    text = f"must be below the highest that travels at grain 60, {limit / np.sqrt(2):.4g} Hz"
+    text = f"must be below the cut-off frequency at grain 60, {limit / np.sqrt(2):.4g} Hz"
     assert fault == ("frequency", text)
     assert not faults(
         uniform(101, impurity=[{"grain": 99, "mass": 2 * chain.masses[0]}]), frequency=0.99 * limit

@@ -88,7 +88,7 @@ def test_piston_needs_speed_and_rise() -> None:
     """A piston without a start is refused, and what else would do is named."""
     with pytest.raises(InputError, match='give shape = "piston", velocity and rise'):
         Drive(shape="piston", velocity=0.1)
-    with pytest.raises(InputError, match="rise: makes for"):
+    with pytest.raises(InputError, match="rise: corresponds to"):
         Drive(shape="piston", velocity=0.1, rise=1e-25)
 
 

@@ -198,11 +198,11 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
     (text,) = remarks(chain, Impulse(velocity=1.1 * limit, grain=4))
     said = f"{0.01 * 1.1**0.8:.2g}"
     assert (
-        text == f"velocity: a contact is squeezed to {said} of the diameter; "
-        "Hertz's law holds to about 0.01"
+        text == f"velocity: a contact is compressed by {said} of the diameter; "
+        "Hertz's law holds up to about 0.01"
     )
     (text,) = remarks(chain, Force(grain=4, amplitude=300.0, frequency=1.0))
-    assert text.startswith("kind: a contact is squeezed to ")
+    assert text.startswith("kind: a contact is compressed by ")
     soft = Chain(
         grains=9, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 9
     )

@@ -241,7 +241,7 @@ def test_traces_of_several_places(tmp_path: Path):
 REFUSED = {  # what the file holds, options, the key and what is said of it
     "nothing": ("", {}, "file", "no table of numbers"),
     "a picture": ("\x89PNG\0\0", {}, "file", "is no text"),
-    "two channels": ("t,A,B\n0,1,2\n1,2,3\n", {}, "columns", "does not tell"),
+    "two channels": ("t,A,B\n0,1,2\n1,2,3\n", {}, "columns", "is ambiguous"),
     "two forces": ("t,force,force\n0,1,2\n1,2,3\n", {}, "columns", "2 columns force"),
     "no such column": ("t,A\n0,1\n1,2\n", {"columns": [1, 3]}, "columns", "no column 3"),
     "no such name": ("t,A\n0,1\n1,2\n", {"columns": ["t", "B"]}, "columns", "no column 'B'"),
@@ -250,14 +250,19 @@ REFUSED = {  # what the file holds, options, the key and what is said of it
     "too many columns": ("t,A\n0,1\n1,2\n", {"columns": [1, 2, 3]}, "columns", "must name 2"),
     "volts": ("t,A (V)\n0,1\n1,2\n", {}, "scale", "give it in N for each V"),
     "counts": ("t,A [counts]\n0,1\n1,2\n", {}, "scale", "for each counts"),
-    "times in volts": ("time (V),force\n0,1\n1,2\n", {}, "time_scale", "which is no time"),
+    "times in volts": (
+        "time (V),force\n0,1\n1,2\n",
+        {},
+        "time_scale",
+        "not a unit of time",
+    ),
     "another time unit": (
         "t (ms),F\n0,1\n1,2\n",
         {"time_scale": 1e-6},
         "time_scale",
         "says 'ms', not 1e-06 s",
     ),
-    "scale on top": ("t,F (mN)\n0,1\n1,2\n", {"scale": 2.0}, "scale", "on top"),
+    "scale on top": ("t,F (mN)\n0,1\n1,2\n", {"scale": 2.0}, "scale", "a second factor"),
     "scale of 0": ("t,F\n0,1\n1,2\n", {"scale": 0.0}, "scale", "must not be 0"),
     "NaN": ("t,F\n0,1\n1,NaN\n2,3\n", {}, "file", "line 3: 'NaN' in column 2"),
     "NaN first": ("t,F\n0,NaN\n1,1\n2,3\n", {}, "file", "line 2: 'NaN' in column 2"),
@@ -268,14 +273,14 @@ REFUSED = {  # what the file holds, options, the key and what is said of it
     "backwards": ("t,F\n0,1\n2,2\n1,3\n", {}, "file", "line 4: time does not increase"),
     "twice": ("t,F\n0,1\n0,2\n1,3\n", {}, "file", "line 3: time does not increase"),
     "before t = 0": ("t,F\n-1,1\n0,2\n1,3\n", {}, "trigger", "begins at -1 s"),
-    "trigger outside": ("t,F\n0,1\n1,2\n", {"trigger": 2.0}, "trigger", "from 0 to 1 s"),
-    "baseline outside": ("t,F\n0,1\n1,2\n", {"baseline": [2, 3]}, "baseline", "from 0 to 1 s"),
+    "trigger outside": ("t,F\n0,1\n1,2\n", {"trigger": 2.0}, "trigger", "covers 0 to 1 s"),
+    "baseline outside": ("t,F\n0,1\n1,2\n", {"baseline": [2, 3]}, "baseline", "covers 0 to 1 s"),
     "baseline backwards": ("t,F\n0,1\n1,2\n", {"baseline": [1, 0]}, "baseline", "two times"),
     "baseline and offset": (
         "t,F\n0,1\n1,2\n",
         {"baseline": [0, 1], "offset": 1.0},
         "baseline",
-        "take one",
+        "remove one",
     ),
     "no times": ("force\n1.5\n2.5\n", {"columns": [1]}, "time_scale", "has no times"),
     "units that fit no column": ("time (us) CH 1 (V)\n0,1\n1,2\n", {}, "file", "has units"),
@@ -298,7 +303,7 @@ def test_what_a_file_does_not_tell_is_refused(
 
 
 def test_options_of_a_file_go_with_one(tmp_path: Path):
-    with pytest.raises(InputError, match="scale: goes with a file"):
+    with pytest.raises(InputError, match="scale: requires a file"):
         Force(grain=1, times=[0, 1], force=[0, 1], scale=2.0)
     with pytest.raises(InputError, match="No such file"):
         Force(grain=1, file=tmp_path / "none.csv")

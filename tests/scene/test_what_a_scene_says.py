@@ -141,7 +141,7 @@ def test_samples_and_durations_have_limits() -> None:
     least = np.finfo(float).tiny
     assert scene_of(Impulse(velocity=1e-6), duration=10.001 * least).samples == 11
     with pytest.raises(
-        InputError, match=r"11 samples in .* s are too close for numbers of full precision"
+        InputError, match=r"11 samples in .* s are too close together for double precision"
     ):
         scene_of(Impulse(velocity=1e-6), duration=9.99 * least)
     assert Scene(chain=COLUMN, excitation=Impulse(velocity=1e-6), duration=1e-5).samples == 101
@@ -390,15 +390,15 @@ POINTS = {"times": [0.0, 1e-4], "displacement": [0.0, 1e-12]}
 REFUSED = {
     "too swift": (
         {"kind": "drive", "amplitude": 1e-12, "frequency": 1.6e19},
-        ("frequency", "makes for 1e+20 rad/s, too fast to compute with: use SI units"),
+        ("frequency", "corresponds to 1e+20 rad/s, which is too fast to compute: use SI units"),
     ),
     "too short a burst": (
         {"kind": "drive", "amplitude": 1e-12, "frequency": 1e19, "cycles": 0.1},
-        ("cycles", "makes for 6.9e+20 rad/s, too fast to compute with: use SI units"),
+        ("cycles", "corresponds to 6.9e+20 rad/s, which is too fast to compute: use SI units"),
     ),
     "too short a blow": (
         {"kind": "force", "amplitude": 1e-12, "shape": "half-sine", "duration": 3e-20},
-        ("duration", "makes for 1e+20 rad/s, too fast to compute with: use SI units"),
+        ("duration", "corresponds to 1e+20 rad/s, which is too fast to compute: use SI units"),
     ),
     "nothing": (
         {"kind": "drive", "amplitude": 1e-12},
@@ -419,7 +419,7 @@ REFUSED = {
     ),
     "too large": (
         {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0, -1.1e100]},
-        ("displacement", "must be at most 1e+100 in size"),
+        ("displacement", "must be at most 1e+100 in magnitude"),
     ),
     "too few": (
         {"kind": "drive", "times": [0.0, 1e-4], "displacement": [0.0]},
@@ -427,23 +427,23 @@ REFUSED = {
     ),
     "before the strike": (
         {"kind": "drive", "times": [-1e-9, 1e-4], "displacement": [0.0, 0.0]},
-        ("times", "must be 0 or more and increase, each by more than 1e-12 of the last"),
+        ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
     ),
     "too close": (
         {"kind": "drive", "times": [0.0, 0.99e-16, 1e-4], "displacement": [0.0, 0.0, 0.0]},
-        ("times", "must be 0 or more and increase, each by more than 1e-12 of the last"),
+        ("times", "must be 0 or more, and increase by more than 1e-12 of the last"),
     ),
     "in other units": (
         {"kind": "drive", "times": [0.0, 0.9e-20], "displacement": [0.0, 0.0]},
-        ("times", "are 9e-21 s apart, too little to compute with: use SI units"),
+        ("times", "are 9e-21 s apart, which is too little to compute: use SI units"),
     ),
     "begins elsewhere": (
         {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0]},
-        ("displacement", "must begin with 0, where grain 1 rests"),
+        ("displacement", "must begin with 0, the position of grain 1 at rest"),
     ),
     "wall elsewhere": (
         {"kind": "drive", "times": [0.0, 1e-4], "displacement": [1e-12, 0.0], "grain": 0},
-        ("displacement", "must begin with 0, where the wall rests"),
+        ("displacement", "must begin with 0, the position of the wall at rest"),
     ),
 }
 
@@ -472,12 +472,12 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
         (
             Drive(**WAVE, grain=0),
             COLUMN,
-            ("grain", '0 moves the top wall, and there is none: use top = "wall", or'),
+            ("grain", '0 moves the top wall, but the chain has no top wall: use top = "wall", or'),
         ),
         (
             Drive(**WAVE),
             one,
-            ("kind", "with grain 1 driven nothing is left to move: use more grains"),
+            ("kind", "no other grain can move if grain 1 is driven: use more grains"),
         ),
         (
             Impulse(velocity=1e-6, grain=10),
@@ -493,7 +493,7 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
         (
             Profile(velocity=np.zeros(8)),
             COLUMN,
-            ("velocity", "must have one entry a grain, 9, not 8"),
+            ("velocity", "must have one entry a grain, 9 in all, not 8"),
         ),
         (
             Profile(velocity=np.ones(9)),
@@ -627,7 +627,7 @@ def test_a_notebook_shows_what_a_scene_is() -> None:
     for velocity, verdict in words.items():
         assert verdict in scene_of(Impulse(velocity=velocity))._repr_html_()
     loose = Chain(grains=5, diameter=1e-3, gravity=0.0)
-    assert "there is no linear theory" in scene_of(Impulse(velocity=1e-4), loose)._repr_html_()
+    assert "linear theory does not apply" in scene_of(Impulse(velocity=1e-4), loose)._repr_html_()
     assert rows["excitation"][0].startswith("Impulse(")
     assert rows["chain"][0].startswith("Chain(")
     assert "data:image/png" in html

@@ -146,7 +146,7 @@ def test_scenes_without_a_round_off_floor_are_refused():
         duration=1e-5,
         samples=3,
     )
-    with pytest.raises(InputError, match="driven"):
+    with pytest.raises(InputError, match="forced"):
         measured_floor(driven)
 
 

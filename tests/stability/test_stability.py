@@ -104,7 +104,7 @@ def test_what_cannot_be_measured_is_said(tmp_path: Path):
         chain=FEW, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11
     )
     found = stability(driven)
-    assert any("a drive does work" in line for line in found.left_out)
+    assert any("the excitation does work" in line for line in found.left_out)
     assert all(math.isnan(row.measured) for row in by_method(found, "smallest error").values())
     for name in ("vacuum.png", "driven.png"):
         found.plot().figure.savefig(tmp_path / name)
@@ -126,7 +126,7 @@ def test_a_step_that_holds_at_rest_only():
 
 def test_a_scene_that_outlasts_its_predictability_time():
     (said,) = pre_run_warnings(BOUNCING, Native(), 1e-6)
-    assert "amplify round-off beyond 1e-06 at about" in said
+    assert "amplify rounding errors beyond 1e-06 at about" in said
     assert not list(pre_run_warnings(STRUCK, Native(), 1e-6))
 
 
@@ -136,7 +136,7 @@ def test_deep_overlaps():
     chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)
     (said,) = pre_run_warnings(scene, Native(), 1e-6)
-    assert said.startswith("contacts may be squeezed to")
+    assert said.startswith("contacts may be compressed by")
 
 
 def test_the_warning_of_a_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

@@ -76,7 +76,9 @@ def test_a_force_on_a_grain_is_not_read_as_one_of_a_contact(run, tmp_path: Path,
     with pytest.raises(InputError, match="not change_force_5"):
         Traces.from_csv(path, [5], field="force", **named)
     contact.contacts(run, [4]).to_csv(path)
-    with pytest.raises(InputError, match="of a contact, with that at rest, not change_contact_4"):
+    with pytest.raises(
+        InputError, match="of a contact, including its value at rest, not change_contact_4"
+    ):
         Traces.from_csv(path, [4], field="contact", columns=["time", "force_contact_4"])
     # but the force of a wall is that of its contact
     traces.gather(run, force=["wall"], above_rest=True).to_csv(path)

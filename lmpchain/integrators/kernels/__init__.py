@@ -1,1 +1,1 @@
-"""Compiled loops; each is compiled anew when its module, or one that it imports, changes."""
+"""Compiled loops; each is recompiled when its module, or a module that it imports, changes."""

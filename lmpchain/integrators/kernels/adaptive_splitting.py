@@ -1,6 +1,6 @@
 """Kick-drift splittings with an adaptive step size around contacts that open or close, compiled.
 
-How much shorter the steps there are, `openings` says.
+`openings` computes by which factor the steps near an opening are shorter.
 """
 
 from __future__ import annotations
@@ -28,15 +28,17 @@ from .window import look, watch, widen
 
 @inlined
 def _finish_kick(chain, margin, rates):
-    """Complete the kick of the step before; forces and accelerations are left in `rates`.
+    """Complete the last kick of the previous step.
 
-    Returns what `fill_jerk` asks for of the forces.
+    Stores forces and accelerations in `rates`, and returns the index offset of these forces that
+    `fill_jerk` needs.
     """
     state = chain.state
     widen(chain, margin)
     meet(chain.team)
     first, last = share(chain)
-    # one grain further on either side: how near contacts are to opening depends on it, too
+    # Include one more grain on either side, because the distance of a contact from opening depends
+    # on the accelerations of both of its grains.
     above = max(first - 1, state.first)
     accelerate(chain, chain.x, above, min(last + 1, state.last), rates.force, rates.pull)
     speeds = chain.v[first:last]
@@ -50,7 +52,7 @@ def _finish_kick(chain, margin, rates):
 
 @inlined
 def _fill_passed(chain, rates, clock, out, beyond):
-    """Fill the samples that the step before has passed; return whether it took jerks (W,)."""
+    """Fill the samples inside the previous step; return whether jerks (W,) were computed."""
     state = chain.state
     first, last = share(chain)
     if clock.dense == 0 or passes(chain, clock, state.step_begin, state.done) == 0:
@@ -62,7 +64,7 @@ def _fill_passed(chain, rates, clock, out, beyond):
 
 @pasted
 def _advance(chain, method, work, clock, out, landed):
-    """Complete the last kick, and take one step."""
+    """Complete the last kick of the previous step, and take one step."""
     (kicks, drifts, reach), openings = method
     rows, rates = work
     pull = rates.pull
@@ -73,7 +75,7 @@ def _advance(chain, method, work, clock, out, landed):
     t = clock.begin + state.done
     if not landed:
         recall(chain, t)
-        # before the forces, like all that is imposed
+        # Impose velocities before the forces are computed, like all imposed quantities.
         impose_velocity(chain, w, PAD, t)
     beyond = _finish_kick(chain, stages + 1, rates)
     filled = _fill_passed(chain, rates, clock, out, beyond)
@@ -89,7 +91,7 @@ def _advance(chain, method, work, clock, out, landed):
         clock.length - state.done,
         ahead(chain, t, clock.begin + clock.length, RESOLUTION * clock.step),
     )
-    # steps of one length up to the next landing or corner, but for openings
+    # Steps are equal up to the next landing or corner, unless an opening shortens them.
     h = clock.step * shorten(chain, y, w, pull, openings)
     done = end_of_step(chain, clock, remaining, h)
     h = done - state.done
@@ -98,7 +100,7 @@ def _advance(chain, method, work, clock, out, landed):
             if not filled:
                 fill_jerk(chain, first, last, rates, beyond)
             keep(chain, first, last, rates)
-            # before the grains next to these move
+            # All threads must have read neighbouring grains before any grain moves.
             meet(chain.team)
         state.step_begin = state.done
     hold(chain, w)
@@ -113,7 +115,7 @@ def _advance(chain, method, work, clock, out, landed):
         rows.kick[stage] = kicks[stage + 1] * h
         rows.drift[stage] = drifts[stage + 1] * h
     sweep(chain, rows)
-    # the last kick waits for the forces that the next step begins with
+    # The last kick is completed at the next step, which computes the forces that it needs.
     state.done = done
     state.pending = kicks[stages] * h
     impose(chain, y, clock.begin + state.done, clock.begin + state.done)
@@ -123,10 +125,10 @@ def _advance(chain, method, work, clock, out, landed):
 def make_work(
     chains: Chains, method: tuple[SplittingStages, Shortening]
 ) -> tuple[Rows, DenseRates]:
-    """Return what a thread works in."""
+    """Allocate the scratch arrays of one thread."""
     rows = make_rows(method[0].drifts.size - 1, chains.batch.acts)
     return rows, DenseRates(*np.zeros((4, chains.x.shape[1])))
 
 
-# `method` is `layout.Stages` and `layout.Shortening`
+# `method` is (`layout.SplittingStages`, `layout.Shortening`).
 march = compiled_march()(sample_loop(_advance, False))

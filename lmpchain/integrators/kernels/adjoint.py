@@ -1,17 +1,18 @@
-"""A kick-drift splitting with what its derivatives need, its adjoint, and its tangent, compiled.
+"""A kick-drift splitting that records values for its derivatives, and its adjoint, compiled.
 
-The force of a contact less that at rest is ``f = F [c s + c p + s p]`` with ``s = r / length`` and
-``p = (c + s)^(delta-1) - c``, nothing where c + s < 0; c is 1 where the contact is pressed at rest
-(F its force then, the length its overlap) and 0 where it only touches (F = K, length 1 m).
-Derivatives with respect to r, and to the force at rest and the constant K of a pressed contact,
-follow from p and f without cancellation, for waves of any strength:
+The force of a contact less its force at rest is ``f = F [c s + c p + s p]`` with
+``s = r / length`` and ``p = (c + s)^(delta-1) - c``; an open contact (c + s < 0) exerts no force.
+For a contact that is compressed at rest, c is 1, F its force at rest and the length its overlap;
+for a contact that only touches, c is 0, F = K and the length is 1 m. Derivatives with respect to r,
+and to the force at rest and the constant K of a compressed contact, follow from p and f without
+cancellation, for waves of any strength:
 
     df/dr = delta F (c + p) / length,   df/dF = p at fixed K,   df/dK = (f - c F p) / K at fixed F.
 
-For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that p is all that the way back must
-know of a contact. Chains lie in rows of W bodies as in `layout`; a contact has the index of the
-body below it. A row of the run is a kick and a drift; the last kick of a step and the first of the
-next are one, but where grains are looked at between them.
+For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that the reverse pass needs only p of
+each contact. Chains are stored in rows of W bodies as in `layout`; a contact has the index of the
+body below it. A row of the run is a kick and a drift. The last kick of a step and the first kick
+of the next step form one row, unless grains are observed between them.
 """
 
 from __future__ import annotations
@@ -41,9 +42,9 @@ from .right_hand_side import sweep
 from .sample_loop import chain_of
 from .window import watch, widen
 
-# rows between two updates of the window, but on the way forth as many as there is room for
+# Largest number of rows between two updates of the window; the forward pass uses longer bursts.
 BURST = 32
-# bodies that stay in the nearest cache while the rows of a burst pass over them
+# Number of bodies that fit into the innermost cache while the rows of a burst pass over them.
 INNER_TILE = 384
 
 
@@ -53,13 +54,13 @@ class Pieces(NamedTuple):
     Attributes
     ----------
     starts : (P+1,) array
-        Their first rows.
+        Number of the first row of each piece.
     looks, rows : (P+1,) arrays
-        The looks before these, and the rows in between.
+        Number of the last observation before each piece, and the number of rows since then.
     states : (P+1, 2, W) array
-        Displacements and velocities there.
+        Displacements and velocities at the start of each piece.
     windows : (P, 2) array
-        First body of the window and the one behind its last at the end of each piece.
+        First body of the window, and the body after its last one, at the end of each piece.
     """
 
     starts: NDArray[np.int64]
@@ -72,7 +73,8 @@ class Pieces(NamedTuple):
 class ImposedPath(NamedTuple):
     """The imposed motion or force in each row, and derivatives with respect to it.
 
-    `body` is the one that is driven, or less than 0 the one that is pushed; 0 if none is.
+    `body` is the index of the driven body, minus the index of the forced body, or 0 if neither
+    exists.
     """
 
     body: int
@@ -81,19 +83,21 @@ class ImposedPath(NamedTuple):
 
 
 class Memory(NamedTuple):
-    """Arrays for the way back.
+    """Scratch arrays of the reverse pass.
 
     Attributes
     ----------
     bodies, adjoint : Bodies and Adjoint of (W + PAD,) arrays
-        Each body one place further on, where what a contact moves begins a cache line, but not the
-        sums over contacts.
+        Arrays of bodies are shifted by one place, so that the body below a contact begins a cache
+        line; sums over contacts are not shifted.
     above : Above of (W,) arrays
+        Properties of the contact above each body.
     powers, forces : (rows, W) arrays
-        p and f of contacts that are kept.
+        Stored p and f of contacts.
     tops : (2, rows) array
-        Those of a first contact that only touches.
+        p and f of a contact with the top wall that only touches.
     room : (5, BURST) array, or longer
+        Kicks, drifts and values at the border of a tile, for each row of a burst.
     """
 
     bodies: Bodies
@@ -111,13 +115,13 @@ class Tile(NamedTuple):
     Attributes
     ----------
     begin, end : int
-        From the first to the one behind the last, in the first row that is done.
+        First contact, and the contact after the last one, in the first processed row.
     sooner, shorter : int
-        By how many places they begin and end earlier with every row that is done.
+        Number of places by which the begin and the end move up with every processed row.
     top, final : bool
-        Whether there is no tile above, or none below.
+        Whether the tile is the uppermost one, and whether it is the lowest one.
     touches : bool
-        Whether the first contact is one that only touches.
+        Whether the first contact touches the top wall without compression.
     """
 
     begin: int
@@ -131,9 +135,10 @@ class Tile(NamedTuple):
 
 @loop
 def _tile(first, last, number, touching):
-    """Return the tile of this number of the contacts first ... last-1."""
-    # every row of a tile lies a cache line above the one before, so that it needs nothing of the
-    # tile below; the last tile takes what would be too short for one
+    """Return tile `number` of the contacts first ... last-1."""
+    # Every row of a tile is one cache line above the previous row, so that the tile does not depend
+    # on the tile below. The last tile also contains a remainder that is too short for a tile of its
+    # own.
     single = last - first <= 2 * INNER_TILE
     begin = first + number * INNER_TILE
     top = number == 0
@@ -145,7 +150,7 @@ def _tile(first, last, number, touching):
 
 @loop
 def _forward(chain, steps, room, path, stretch, looks):
-    """Move a chain by some rows as the native engine does."""
+    """Advance a chain by some rows with the loops of the native engine."""
     look, row, count = stretch
     done = 0
     while done < count:
@@ -155,7 +160,7 @@ def _forward(chain, steps, room, path, stretch, looks):
             kick=room[0, :burst], drift=room[1, :burst], carried=room[2, :burst], path=imposed
         )
         fill_rows(steps, look, row, rows.kick, rows.drift)
-        # each row reaches one grain further
+        # Each row extends the motion by one grain.
         widen(chain, burst + 1)
         sweep(chain, rows)
         row += burst
@@ -170,10 +175,10 @@ def _forward(chain, steps, room, path, stretch, looks):
 
 @compiled_gradient()
 def forward(chains, steps, room, path, pieces, numbers, looks):
-    """Move the chain of a batch of one through the pieces numbers[0] ... numbers[1]-1 of its run.
+    """Advance the chain of a batch of one through pieces numbers[0] ... numbers[1]-1 of its run.
 
-    The loops are those of the native engine. `path` is what is imposed in each row, if anything is,
-    and `room` is (5, BURST) or longer.
+    The loops are those of the native engine. `path` is the imposed motion or force in each row, or
+    empty, and `room` is (5, BURST) or longer.
     """
     chain = chain_of(chains, 0, 0)
     starts = pieces.starts
@@ -196,7 +201,7 @@ def forward(chains, steps, room, path, pieces, numbers, looks):
 
 @loop
 def _keep_top(law, memory, kick, index):
-    """Kick grain 1 by a contact with the top wall that only touches, and keep p and f of it."""
+    """Kick grain 1 by a contact with the top wall that only touches, and store its p and f."""
     x, v, inverse_mass = memory.bodies
     p, f = touch(x[PAD] - x[PAD + 1], law.touching, law.less)
     memory.tops[0, index] = p
@@ -206,7 +211,7 @@ def _keep_top(law, memory, kick, index):
 
 @loop
 def _keep_tile(law, path, memory, tile, row, index):
-    """Move the bodies of a tile by a row, and keep p of their contacts in the row `index`."""
+    """Advance the bodies of a tile by one row, and store p of their contacts in row `index`."""
     x, v, im = memory.bodies
     il, st, stiff = memory.above
     kick = memory.room[0, row]
@@ -237,7 +242,7 @@ def _keep_tile(law, path, memory, tile, row, index):
 
 @loop
 def _keep(law, steps, stretch, path, memory, contacts):
-    """Move a chain by some rows within its window, and keep p of all contacts."""
+    """Advance a chain by some rows within its window, and store p of all contacts."""
     first, last = contacts
     look, row, count = stretch
     done = 0
@@ -259,14 +264,14 @@ def _keep(law, steps, stretch, path, memory, contacts):
 
 @loop
 def _kept_rows(memory, begin):
-    """Return p and f that are kept, from a place on."""
+    """Return the stored p and f from the place `begin` on."""
     width = memory.powers.shape[1]
     return KeptRows(at(memory.powers[0], 0), at(memory.forces[0], 0), begin, width)
 
 
 @loop
 def _take_looks(looks, look, bodies, adjoint):
-    """Take in the derivatives by what was seen at a look."""
+    """Add the derivatives with respect to observed values to the adjoint."""
     for n in range(looks.bodies.size):
         body = looks.bodies[n] + 1
         adjoint.x[body] += looks.values[0, look, n]
@@ -275,7 +280,7 @@ def _take_looks(looks, look, bodies, adjoint):
 
 @loop
 def _back_push(body, kick, index, path, memory):
-    """Take adjoints back through the kick by which a body is pushed."""
+    """Propagate adjoints back through the kick by an external force on a body."""
     weight = kick * memory.adjoint.pull[body]
     path.derivative[index] = weight
     memory.adjoint.mass[body] += weight * path.imposed[index]
@@ -284,7 +289,7 @@ def _back_push(body, kick, index, path, memory):
 
 @loop
 def _back_top(law, kick, index, memory):
-    """Take adjoints back through the kick by a contact with the top wall that only touches."""
+    """Propagate adjoints back through the kick by a top wall that only touches grain 1."""
     adjoint = memory.adjoint
     p = memory.tops[0, index]
     f = memory.tops[1, index]
@@ -299,7 +304,7 @@ def _back_top(law, kick, index, memory):
 
 @loop
 def _fill_back(steps, look, row, room, burst):
-    """Return kicks and the drifts before them of some rows, with room for their borders."""
+    """Return kicks and the preceding drifts of some rows, with scratch arrays for tile borders."""
     kick = room[0]
     drift = room[1]
     before = room[4]
@@ -312,11 +317,10 @@ def _fill_back(steps, look, row, room, burst):
 
 @loop
 def _back_tile(law, path, memory, rows, tile, span):
-    """Take adjoints back through the contacts of a tile in some rows.
+    """Propagate adjoints back through the contacts of a tile in some rows.
 
-    `span` is the last of these rows, and how many.
-
-    Where something is imposed, or the first contact only touches, rows are done one by one.
+    `span` is the last of these rows, and their number. Rows are processed one by one if a motion or
+    a force is imposed, or if the first contact only touches.
     """
     x, momentum, im = memory.bodies
     il, st, stiff = memory.above
@@ -324,7 +328,7 @@ def _back_tile(law, path, memory, rows, tile, span):
     width = memory.powers.shape[1] if law.way > Way.UNDONE_SHORT else 0
     body = path.body
     last, burst = span
-    # a call for all rows costs less, but leaves no moment at which to add a push
+    # One call for all rows is cheaper, but does not allow a push between two rows.
     single = body != 0 or tile.touches
     for turn in range(0, burst, 1 if single else burst):
         row = burst - 1 - turn
@@ -360,9 +364,10 @@ def _back_tile(law, path, memory, rows, tile, span):
 
 @loop
 def _backward(law, steps, stretch, looks, path, memory, contacts):
-    """Take adjoints back by some rows, from that of a number after a look.
+    """Propagate adjoints back through some rows, the last one first.
 
-    A row is the drift before a kick, and the kick, here.
+    The last row is number `stretch.row` after an observation. In the reverse pass a row is the
+    drift before a kick, followed by the kick.
     """
     first, last = contacts
     look, row, done = stretch
@@ -384,10 +389,10 @@ def _backward(law, steps, stretch, looks, path, memory, contacts):
 
 @compiled_gradient()
 def backward(law, steps, pieces, numbers, looks, path, memory):
-    """Take adjoints back through some pieces of a run, the last one first.
+    """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is undone from its end, or made once more from its begin. `looks` has derivatives by
-    what was seen; the rest is as in `forward`.
+    A piece is either undone from its end, or recomputed from its begin. `looks` contains
+    derivatives with respect to the observed values; other arguments are as in `forward`.
     """
     x, v, im = memory.bodies
     width = pieces.states.shape[2]
@@ -402,15 +407,16 @@ def backward(law, steps, pieces, numbers, looks, path, memory):
         drift = drift_before(steps, back.look, back.row) if undone else 0.0
         for n in range(width):
             v[n + 1] = state_v[n]
-            # momenta, of which a row that is undone takes its impulses back as they are
+            # Rows are undone in momenta, because impulses are then subtracted without a factor.
             if undone:
                 v[n + 1] = state_v[n] / im[n + 1] if im[n + 1] > 0.0 else 0.0
-        # a row begins with a drift on the way back: the one before the checkpoint is undone first
+        # In the reverse pass a row begins with a drift, so the drift before the checkpoint is
+        # undone here.
         for n in range(width):
             x[n + 1] = state_x[n] - drift * state_v[n]
         first = pieces.windows[piece, 0]
         last = pieces.windows[piece, 1]
-        # the contact below the last body is one of them, unless that is held
+        # The contact below the last body of the window is included, unless that body is held.
         contacts = first, last + PAD if im[last] > 0.0 else last
         rows = slice(begin, begin + count)
         of_piece = ImposedPath(path.body, path.imposed[rows], path.derivative[rows])

@@ -1,13 +1,14 @@
 """A run of a damped chain by DOP853, its adjoint, and its tangent, compiled.
 
-Chains are moved in displacements and reduced velocities, see `dop853`: a stage is at
+Chains are advanced in displacements and reduced velocities, see `dop853`: stage i is at
 
     z_i = x + c_i h w + sum over j < i of (h^2 (A^2)_ij a_j + h A_ij d_j),
 
-with accelerations a_j and creep d_j at z_j, and a step ends likewise. Derivatives go back through
-these sums one by one. Forces of contacts and their derivatives are as in `adjoint`; a contact has
-the index of the body below it. Velocities are looked at, and reduced at t = 0, by the creep of the
-first stage of a step; behind the last step there is such a stage more.
+with accelerations a_j and creep d_j at z_j, and the end of a step is a similar sum. Derivatives
+are propagated back through these sums one by one. Forces of contacts and their derivatives are as
+in `adjoint`; a contact has the index of the body below it. The creep of the first stage of a step
+converts between velocities and reduced velocities, at observations and at t = 0. Therefore one
+more first stage is evaluated after the last step.
 """
 
 from __future__ import annotations
@@ -34,10 +35,11 @@ class Tableau(NamedTuple):
     Attributes
     ----------
     nodes : (S,) array
+        Times of the stages, as fractions of a step.
     inner : (S, S) array
         A^2.
     weights : (2, S) array
-        Of a step in displacement and velocity.
+        Weights of the accelerations in the displacement and in the velocity at the end of a step.
     rates : (S, S) array
         A.
     """
@@ -49,14 +51,15 @@ class Tableau(NamedTuple):
 
 
 class StepsAndLooks(NamedTuple):
-    """Steps of a run, and where it is looked at.
+    """Steps of a run, and the observations between them.
 
     Attributes
     ----------
     lengths : (K,) array
-        s.
+        Lengths of the steps, s.
     look : (K+1,) array
-        Number of the look before each step, and behind the last; less than 0 where there is none.
+        Number of the observation before each step, and after the last step; negative if there is
+        none.
     """
 
     lengths: Array
@@ -69,11 +72,12 @@ class Dop853Pieces(NamedTuple):
     Attributes
     ----------
     starts : (P+1,) array
-        Their first steps.
+        Number of the first step of each piece.
     states : (P+1, 2, W) array
-        Displacements and reduced velocities there, but velocities at a look.
+        Displacements and reduced velocities at the start of each piece; complete velocities at an
+        observation.
     windows : (P, 2) array
-        First body of the window and the one behind its last at the end of each piece.
+        First body of the window, and the body after its last one, at the end of each piece.
     """
 
     starts: NDArray[np.int64]
@@ -87,9 +91,9 @@ class Damped(NamedTuple):
     Attributes
     ----------
     inverse_mass, drag : arrays
-        1/kg and 1/s of each body.
+        1 / mass, 1/kg, and drag, 1/s, of each body.
     inverse_length, strength, stiffness, viscosity : arrays
-        Of the contact above each body: as in `adjoint_rows.Above`, and A, s.
+        Properties of the contact above each body: as in `adjoint_rows.Above`, and A, s.
     """
 
     inverse_mass: Array
@@ -101,16 +105,16 @@ class Damped(NamedTuple):
 
 
 class DampedSystem(NamedTuple):
-    """How a damped chain is moved.
+    """Equation of motion of a damped chain, and the method that integrates it.
 
     Attributes
     ----------
     law, damped, tableau : Law, Damped, Tableau
-        Of its contacts, its bodies, and the method.
+        Contact law, bodies and contacts, and coefficients of the method.
     creeps : bool
-        Whether creep is something else than
+        Whether creep needs arrays of its own; otherwise it is `lag` times the acceleration.
     lag : float
-        this time, s, by the acceleration.
+        Ratio of creep to acceleration, s.
     """
 
     law: Any
@@ -121,10 +125,10 @@ class DampedSystem(NamedTuple):
 
 
 class StageStates(NamedTuple):
-    """Stages of a step, (S, W), or of some: displacements, and p and f of all contacts there.
+    """Displacements at the stages of one or several steps, (S, W), and p and f of contacts.
 
-    The p of a contact that only touches is less by 1, which its derivatives take for p of one that
-    is pressed.
+    For a contact that only touches, the stored p is reduced by 1, because its derivatives are
+    computed by the formula for compressed contacts.
     """
 
     x: Array
@@ -135,7 +139,7 @@ class StageStates(NamedTuple):
 class StageRates(NamedTuple):
     """Accelerations and creep at the stages of a step, or their derivatives, (S, W).
 
-    `rows` are those of both, (2 S, W), where they are rows of one array.
+    `rows`, (2 S, W), is the array that contains both.
     """
 
     slopes: Array
@@ -144,28 +148,28 @@ class StageRates(NamedTuple):
 
 
 def rates_of(rows: Array) -> StageRates:
-    """Return rows (2 S, W) as accelerations and creep."""
+    """Return views of the rows (2 S, W) as accelerations and creep."""
     stages = len(rows) // 2
     return StageRates(rows[:stages], rows[stages:], rows)
 
 
 class AdjointSums(NamedTuple):
-    """Derivatives of an answer, (W,) arrays, and arrays to work in.
+    """Derivatives of an objective, (W,) arrays, and scratch arrays.
 
     Attributes
     ----------
     x, w : arrays
-        By displacements and reduced velocities.
+        Derivatives with respect to displacements and reduced velocities.
     power, force, viscosity : arrays
-        Sums over all stages of y p, y f and of f times the derivative by the viscous part; y is the
-        derivative by the force of a contact.
+        Sums over all stages of y p, of y f, and of f times the derivative with respect to the
+        viscous part; y is the derivative with respect to the force of a contact.
     mass, drag : arrays
-        What slopes do by the mass, and creep by the drag.
+        Derivatives with respect to the mass, by the accelerations, and to the drag, by the creep.
     stages : (S, W) array
-        By the displacements of the stages.
+        Derivatives with respect to the displacements of the stages.
     pull, creep, pressed, bend : arrays
-        By accelerations of a stage over the mass, by creep, by that over the mass, and by the
-        distance of two bodies.
+        Derivatives with respect to accelerations of a stage, over the mass; to creep; to creep,
+        over the mass; and to the distance of two bodies.
     """
 
     x: Array
@@ -183,19 +187,20 @@ class AdjointSums(NamedTuple):
 
 
 class Change(NamedTuple):
-    """D small changes of bodies and of what the motion depends on, (D, W) arrays.
+    """D small changes of bodies and of the parameters of the motion, (D, W) arrays.
 
     Attributes
     ----------
     x, w : arrays
-        Of displacements, m, and reduced velocities, m/s, but of velocities at first; overwritten.
+        Changes of displacements, m, and of reduced velocities, m/s (of velocities at first);
+        overwritten.
     mass, constant, force, viscosity, drag : arrays
-        Of masses, by a part of them; of constants, N/m^delta, forces at rest, N, viscosities, s,
-        and drags, 1/s.
+        Relative changes of masses; changes of constants, N/m^delta, forces at rest, N, viscosities,
+        s, and drags, 1/s.
     path : (D, rows) array
-        Of what is imposed.
+        Changes of the imposed motion or force.
     inverse_constant, at_rest : (W,) arrays
-        1 / constant of the contacts, and what they carry at rest, N.
+        1 / constant of the contacts, and their forces at rest, N.
     """
 
     x: Array
@@ -211,9 +216,9 @@ class Change(NamedTuple):
 
 
 class Dop853Memory(NamedTuple):
-    """Arrays to work in: stages of some steps, rates of one and weights, and sums of the way back.
+    """Scratch arrays: stages of some steps, rates, weights, and sums of the reverse pass.
 
-    On the way of small changes, the rates of these take the place of the sums.
+    For the tangent, `others` contains the rates of the small changes in place of the sums.
     """
 
     stages: StageStates
@@ -229,7 +234,7 @@ def _evaluate(law, inverse_length, strength, x, p, f):
     c = law.pressed
     for n in range(p.size):
         s = (x[n] - x[n + 1]) * inverse_length[n]
-        # an open contact is one that is just closed
+        # An open contact is treated as one that has just closed.
         s = s if s > -c else -c
         p[n] = hertz_power(s, c) if law.way == Way.HERTZ else power(s, c, law.less)
         f[n] = strength[n] * (c * (s + p[n]) + s * p[n])
@@ -266,9 +271,9 @@ def _add_four_to_both(sums, other_sums, weights, other_weights, a, b, c, d):
 
 @loop
 def _add_rows_to_both(sums, other_sums, weighted, count, rows, window):
-    """Add the first `count` weighted rows, in a window of them, to two sums.
+    """Add the first `count` weighted rows, restricted to a window, to two sums.
 
-    Weights of the second behind those of the first; see `dop853.add_rows`.
+    The weights of the second sum follow those of the first; see `dop853.add_rows`.
     """
     weights, numbers = weighted
     half = weights.size // 2
@@ -306,20 +311,20 @@ def _drift(out, x, reach, w):
 
 @loop
 def _stages_of(stages, step):
-    """Return the stages of one of some steps."""
+    """Return the stages of one step."""
     return StageStates(stages.x[step], stages.powers[step], stages.forces[step])
 
 
 @loop
 def _path_of(path, index, count):
-    """Return what is imposed in the stages of a step, from a row on; nothing if nothing is."""
+    """Return the imposed values in the stages of a step; an empty path if nothing is imposed."""
     rows = slice(index, index + count)
     return ImposedPath(path.body, path.imposed[rows], path.derivative[rows])
 
 
 @loop
 def _fill_stage(chain, system, path, stages, stage, rates):
-    """Fill what belongs to a stage, whose displacements are known in the window."""
+    """Compute forces and rates of a stage from its displacements in the window."""
     law = system.law
     damped = system.damped
     first = chain.state.first
@@ -329,7 +334,7 @@ def _fill_stage(chain, system, path, stages, stage, rates):
     z = stages.x[stage]
     p = stages.powers[stage]
     f = stages.forces[stage]
-    # nothing moves outside of the window
+    # Bodies outside of the window are at rest.
     z[first - 1] = chain.x[first - 1]
     z[last] = chain.x[last]
     if path.body > 0:
@@ -362,7 +367,7 @@ def _fill_stage(chain, system, path, stages, stage, rates):
 
 @loop
 def _begin_step(chain, system, path, stages, rates, unreduced):
-    """Fill the first stage of a step; velocities that are `unreduced` are reduced then."""
+    """Compute the first stage of a step; if `unreduced`, reduce the velocities afterwards."""
     bodies = slice(chain.state.first, chain.state.last)
     w = chain.v[bodies]
     _drift(stages.x[0, bodies], chain.x[bodies], 0.0, w)
@@ -373,7 +378,7 @@ def _begin_step(chain, system, path, stages, rates, unreduced):
 
 @loop
 def _end_step(chain, system, h, path, stages, memory):
-    """Fill the other stages of a step, and take it."""
+    """Compute the other stages of a step, and advance the bodies to its end."""
     rates = memory.rates
     weigh = memory.weigh
     tableau = system.tableau
@@ -409,10 +414,10 @@ def _end_step(chain, system, h, path, stages, memory):
 
 @loop
 def _back_contacts(law, stiffness, viscosity, p, f, adjoints, sums):
-    """Take adjoints of bodies (C+1,) back through the forces of the contacts (C,) between them.
+    """Propagate adjoints of bodies (C+1,) back through the contacts (C,) between them.
 
-    `adjoints` are pull and pressed, and what is wanted, by distances; `sums` those of power, force
-    and viscosity.
+    `adjoints` are pull, pressed, and the result: derivatives with respect to distances; `sums` are
+    the sums of power, force and viscosity.
     """
     apart()
     pull, pressed, bend = adjoints
@@ -428,10 +433,10 @@ def _back_contacts(law, stiffness, viscosity, p, f, adjoints, sums):
 
 @loop
 def _back_bodies(drag, viscosity, x, f, adjoints, sums):
-    """Take adjoints back to bodies x (B,), between the contacts with forces f (B+1,).
+    """Propagate adjoints back to bodies x (B,), between the contacts with forces f (B+1,).
 
-    `adjoints` are pull, creep, pressed and bend, and what is wanted, by x; `sums` are those of mass
-    and drag.
+    `adjoints` are pull, creep, pressed, bend, and the result: derivatives with respect to x; `sums`
+    are the sums of mass and drag.
     """
     apart()
     pull, creep, pressed, bend, by_x = adjoints
@@ -445,7 +450,10 @@ def _back_bodies(drag, viscosity, x, f, adjoints, sums):
 
 @loop
 def _back_stage(window, system, path, stages, stage, sums):
-    """Take adjoints back through a stage, from `sums.pull`, not yet over masses, and `creep`."""
+    """Propagate adjoints back through a stage.
+
+    `sums.pull`, not yet divided by masses, and `sums.creep` are the adjoints of its rates.
+    """
     law = system.law
     damped = system.damped
     first, last = window
@@ -457,7 +465,7 @@ def _back_stage(window, system, path, stages, stage, sums):
     for n in range(first, last):
         sums.pull[n] *= damped.inverse_mass[n]
         sums.pressed[n] = sums.creep[n] * damped.inverse_mass[n]
-    # nothing moves what is outside
+    # Bodies outside of the window do not move.
     for n in (first - 1, last):
         sums.pull[n] = 0.0
         sums.pressed[n] = 0.0
@@ -498,7 +506,7 @@ def _back_stage(window, system, path, stages, stage, sums):
 
 @loop
 def _weigh(pull, creep, x, w, weight_x, weight_w):
-    """Fill adjoints of the rates of a stage from those of the end of its step."""
+    """Compute the adjoints of the rates of a stage from the adjoints at the end of the step."""
     apart()
     for n in range(pull.size):
         pull[n] = weight_x * x[n] + weight_w * w[n]
@@ -507,7 +515,7 @@ def _weigh(pull, creep, x, w, weight_x, weight_w):
 
 @loop
 def _back_step(window, system, h, path, stages, memory):
-    """Take adjoints back through a step."""
+    """Propagate adjoints back through a step."""
     sums = memory.others
     weigh = memory.weigh
     tableau = system.tableau
@@ -526,7 +534,7 @@ def _back_step(window, system, h, path, stages, memory):
             weigh.weights[terms] = tableau.inner[later, stage] * h * h
             weigh.weights[count + terms] = tableau.rates[later, stage] * h
             weigh.rows[terms] = later
-            # many weights are 0
+            # Terms with two zero weights are skipped, and there are many.
             terms += weigh.weights[terms] != 0.0 or weigh.weights[count + terms] != 0.0
         _add_rows_to_both(pull, creep, weigh, terms, sums.stages, bodies)
         _back_stage(window, system, path, stages, stage, sums)
@@ -542,12 +550,12 @@ def _back_step(window, system, h, path, stages, memory):
 
 @loop
 def _back_creep(window, system, path, stages, sums):
-    """Take adjoints `sums.creep` of the creep in the first stage of a step back to where it is."""
+    """Propagate `sums.creep`, adjoints of the creep in the first stage, back to the bodies."""
     first, last = window
     around = slice(first - 1, last + 1)
     for n in range(first, last):
         sums.pull[n] = 0.0
-    # creep knows no push
+    # Creep does not depend on an external force.
     moved = ImposedPath(max(path.body, 0), path.imposed, path.derivative)
     _back_stage(window, system, moved, stages, 0, sums)
     _drift(sums.x[around], sums.x[around], 1.0, sums.stages[0, around])
@@ -555,7 +563,7 @@ def _back_creep(window, system, path, stages, sums):
 
 @loop
 def _back_look(window, system, path, stages, sums, looks, look):
-    """Take in the derivatives by what was seen at a look."""
+    """Add the derivatives with respect to observed values to the adjoint."""
     first, last = window
     for n in range(first, last):
         sums.creep[n] = 0.0
@@ -570,11 +578,11 @@ def _back_look(window, system, path, stages, sums, looks, look):
 
 @compiled_gradient()
 def backward(chains, system, steps, pieces, numbers, path, looks, memory):
-    """Take adjoints back through some pieces of a run, the last one first.
+    """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is made once more from its begin. `path` is what is imposed in each stage of the pieces
-    numbers[0] ... numbers[1]-1, and in that behind the last step; `looks` has derivatives by what
-    was seen.
+    A piece is recomputed from its begin. `path` contains the imposed values in each stage of the
+    pieces numbers[0] ... numbers[1]-1, and in the stage after the last step; `looks` contains the
+    derivatives with respect to observed values.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.rates
@@ -593,7 +601,8 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
         for step in range(start, stop):
             of_step = _path_of(path, (step - begin) * count, count)
             stages = _stages_of(memory.stages, step - start)
-            # velocities are complete at a look, where the march may have stopped
+            # Velocities are complete if the piece begins at an observation, where the march may
+            # have stopped.
             complete = step == start and steps.look[step] >= 0
             _begin_step(chain, system, of_step, stages, rates, complete)
             _end_step(chain, system, steps.lengths[step], of_step, stages, memory)
@@ -607,7 +616,7 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
             of_step = _path_of(path, (step - begin) * count, count)
             stages = _stages_of(memory.stages, step - start)
             _back_step(window, system, steps.lengths[step], of_step, stages, memory)
-            # what is seen at t = 0 is the start itself
+            # The observation at t = 0 shows the initial state itself, without a stage.
             if steps.look[step] > 0:
                 _back_look(window, system, of_step, stages, sums, looks, steps.look[step])
             elif step == 0:
@@ -618,16 +627,16 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
 
 @loop
 def _change_forces(system, z, p, f, of_contacts, changes):
-    """Fill changes (C,) of the forces of contacts between bodies (C+1,) whose change is z.
+    """Compute changes (C,) of the forces of contacts between bodies (C+1,) with the changes z.
 
-    `of_contacts` are their stiffness, 1 / constant and force at rest, and the changes of constant
-    and force at rest.
+    `of_contacts` are stiffness, 1 / constant and force at rest of the contacts, and the changes of
+    constant and force at rest.
     """
     apart()
     c = system.law.pressed
     stiffness, inverse_constant, at_rest, by_constant, by_force = of_contacts
     for n in range(p.size):
-        # df/dK = (f - c F p) / K, see `adjoint`
+        # See `adjoint`: df/dK = (f - c F p) / K.
         soften = (f[n] - at_rest[n] * p[n]) * inverse_constant[n]
         slope = stiffness[n] * (c + p[n])
         changes[n] = slope * (z[n] - z[n + 1]) + p[n] * by_force[n] + soften * by_constant[n]
@@ -635,10 +644,10 @@ def _change_forces(system, z, p, f, of_contacts, changes):
 
 @loop
 def _change_rates(x, z, f, changes, of_bodies, of_contacts, rates):
-    """Fill changes of slope and creep (B,) for changes z of bodies x, and `changes` of forces f.
+    """Compute changes of slope and creep (B,) for changes z of bodies x, and `changes` of forces f.
 
-    `of_bodies` are 1 / mass and drag, and the changes of mass and drag; `of_contacts` viscosity and
-    its change.
+    `of_bodies` are 1 / mass and drag, and the changes of mass and drag; `of_contacts` are viscosity
+    and its change.
     """
     apart()
     inverse_mass, drag, by_mass, by_drag = of_bodies
@@ -656,9 +665,10 @@ def _change_rates(x, z, f, changes, of_bodies, of_contacts, rates):
 
 @loop
 def _change_stage(system, path, stages, stage, d, change, rates):
-    """Fill changes of the rates of a stage, in direction d, for those of its bodies.
+    """Compute changes of the rates of a stage, in direction d, from the changes of its bodies.
 
-    These are the last row of `rates.slopes`; that of `rates.creeps` is for the forces.
+    The last row of `rates.slopes` contains the changes of the bodies; the last row of
+    `rates.creeps` is scratch space for the changes of the forces.
     """
     damped = system.damped
     z = rates.slopes[-1]
@@ -698,14 +708,14 @@ def _change_stage(system, path, stages, stage, d, change, rates):
         (rates.slopes[stage, bodies], rates.creeps[stage, bodies]),
     )
     if body < 0:
-        # a push gives way as the mass grows
+        # A force on a body accelerates it less if its mass grows.
         push = change.path[d, stage] - path.imposed[stage] * change.mass[d, -body]
         rates.slopes[stage, -body] += damped.inverse_mass[-body] * push
 
 
 @loop
 def _change_step(system, h, path, stages, d, change, rates):
-    """Take small changes in direction d through the other stages of a step, and to its end."""
+    """Advance small changes in direction d through the other stages of a step to its end."""
     tableau = system.tableau
     count = tableau.nodes.size
     x = change.x[d]
@@ -732,7 +742,7 @@ def _change_step(system, h, path, stages, d, change, rates):
 
 @loop
 def _change_path(change, index, count):
-    """Return the changes with those of what is imposed in the stages of a step alone."""
+    """Return the changes, with the imposed values restricted to the stages of a step."""
     rows = slice(index, index + count)
     return Change(
         x=change.x,
@@ -750,10 +760,10 @@ def _change_path(change, index, count):
 
 @compiled_gradient()
 def tangent(chains, system, steps, span, path, looks, memory, change):
-    """Move a chain, and small changes of it, by the steps span[0] ... span[1]-1 of its run.
+    """Advance a chain, and small changes of it, by the steps span[0] ... span[1]-1 of its run.
 
-    The window is the whole chain. `looks` takes changes of what is seen; the rest is as in
-    `backward`.
+    The window is the whole chain. `looks` stores the changes of observed values; other arguments
+    are as in `backward`.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.others

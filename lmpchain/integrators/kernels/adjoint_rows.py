@@ -1,6 +1,6 @@
 """One row, a kick and a drift, of a run and of its adjoint: the inner loops of `adjoint`, compiled.
 
-The force of a contact and its derivatives are as explained there.
+`adjoint` defines the force of a contact and its derivatives.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from .course import loop
 
 
 class Way(IntEnum):
-    """Ways back through a row.
+    """Methods of the reverse pass through a row.
 
-    Where all contacts are pressed at rest, rows are undone: delta = 3/2 in strong and in any waves,
-    any delta in weak waves and in the weakest. Elsewhere p is kept: delta = 3/2 where nothing is
-    pressed, in strong and in any waves; for any other delta f is kept, too.
+    If all contacts are compressed at rest, rows are undone: UNDONE_PLAIN and UNDONE_EXACT for
+    delta = 3/2 in strong waves and in waves of any strength, UNDONE_SERIES and UNDONE_SHORT for any
+    delta in weak and in very weak waves. Otherwise p is stored: for delta = 3/2, VACUUM if nothing
+    is compressed, PLAIN in strong waves and HERTZ in waves of any strength; OTHER, for any other
+    delta, stores f, too.
     """
 
     UNDONE_PLAIN = 0
@@ -36,7 +38,7 @@ class Way(IntEnum):
 
 
 class AdjointForce(NamedTuple):
-    """The force of the contacts as the way back takes it.
+    """Parameters of the contact force in the reverse pass.
 
     Attributes
     ----------
@@ -45,7 +47,7 @@ class AdjointForce(NamedTuple):
     pressed : float
         c: 1 or 0.
     touching : float
-        N/m^delta: the constant of a first contact that only touches, else 0.
+        Constant of a first contact that only touches, N/m^delta, else 0.
     less : float
         delta - 1.
     terms : (4,) or (6,) array
@@ -60,7 +62,7 @@ class AdjointForce(NamedTuple):
 
 
 class Bodies(NamedTuple):
-    """Displacements, m, velocities, m/s (or momenta, where rows are undone), and 1 / mass."""
+    """Displacements, m, velocities, m/s (or momenta if rows are undone), and 1 / mass."""
 
     x: Any
     v: Any
@@ -68,7 +70,7 @@ class Bodies(NamedTuple):
 
 
 class Above(NamedTuple):
-    """Of the contact above each body 1 / length, strength, and delta strength / length."""
+    """Properties of the contact above each body: 1 / length, strength, delta strength / length."""
 
     inverse_length: Any
     strength: Any
@@ -76,17 +78,17 @@ class Above(NamedTuple):
 
 
 class Adjoint(NamedTuple):
-    """Derivatives of an answer, body by body and contact by contact.
+    """Derivatives of an objective, body by body and contact by contact.
 
     Attributes
     ----------
     x, pull : arrays
-        Its derivative by x, and that by v over the mass.
+        Derivative with respect to x, and derivative with respect to v over the mass.
     power, force : arrays
-        Sums over all rows of y p, times the stiffness (not in the vacuum), and of y f; y is the
-        derivative by the force of a contact.
+        Sums over all rows of y p, times the stiffness (not in the sonic vacuum), and of y f; y is
+        the derivative with respect to the force of a contact.
     mass : array
-        What kicks do by the mass.
+        Derivative with respect to the mass, by all kicks.
     """
 
     x: Any
@@ -97,7 +99,7 @@ class Adjoint(NamedTuple):
 
 
 class KeptRows(NamedTuple):
-    """p and f of all contacts in rows of some width, from the place `begin` on."""
+    """Stored p and f of all contacts in rows of `width`, from the place `begin` on."""
 
     powers: Any
     forces: Any
@@ -106,7 +108,7 @@ class KeptRows(NamedTuple):
 
 
 class BackRows(NamedTuple):
-    """Kicks, the drifts before them, and the impulse and its derivative at the border of a span."""
+    """Kicks, preceding drifts, impulses and their derivatives at a tile border, by row."""
 
     kicks: Any
     drifts: Any
@@ -115,18 +117,18 @@ class BackRows(NamedTuple):
 
 
 class AdjointSpan(NamedTuple):
-    """Rows and contacts in a call of the way back.
+    """Rows and contacts in one call of the reverse pass.
 
     Attributes
     ----------
     last, rows : int
-        The last row, and how many.
+        The last row, and the number of rows.
     first, stop : int
-        Contacts of the last row.
+        First contact of the last row, and the contact after its last one.
     sooner, shorter : int
-        By how many places each row before begins and ends earlier.
+        Number of places by which each preceding row begins and ends earlier.
     top : bool
-        Whether nothing above moves.
+        Whether no body above the span moves.
     """
 
     last: int
@@ -140,7 +142,7 @@ class AdjointSpan(NamedTuple):
 
 @llvm
 def at(typing: Any, array: Any, n: Any) -> Any:
-    """Return where number n of an array lies, which takes less time to pass on than a slice."""
+    """Return a pointer to element n of an array; a pointer is cheaper to pass than a slice."""
 
     def place(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         return builder.gep(
@@ -150,13 +152,13 @@ def at(typing: Any, array: Any, n: Any) -> Any:
     return types.CPointer(array.dtype)(array, types.intp), place
 
 
-# no branch in what follows: a loop of conditional values is made of vector instructions
+# The following loops contain no branch, because the compiler vectorises conditional values.
 
 
 @loop
 def hertz_power(s, c):
     """Return p for delta = 3/2, with the digits that 1 + s loses."""
-    # one step of Newton's method for the root
+    # One step of Newton's method restores the digits that the root has lost.
     p = math.sqrt(c + s) - c
     return p + 0.5 * c * ((s - 2.0 * p) - p * p)
 
@@ -164,7 +166,7 @@ def hertz_power(s, c):
 @loop
 def power(s, c, less):
     """Return p for any delta; `less` is delta - 1."""
-    # the logarithm of 0 is none
+    # The logarithm of 0 must be avoided.
     shut = c + s > 1e-90
     inside = s if shut else 1.0 - c
     y = c + inside
@@ -181,7 +183,8 @@ def touch(r, constant, less):
     return p, constant * r * p
 
 
-# p and f of a contact from s = r / length, which is no less than -c, or from r in the vacuum
+# The next functions return p and f of a contact from s = r / length (at least -c), or from r in the
+# sonic vacuum.
 
 
 @loop
@@ -212,11 +215,11 @@ def _other(s, strength, law):
 
 
 def _keep(evaluate: Callable[..., Any], scaled: bool = True, force: bool = False) -> Any:
-    """Make the loop of kick and drift that keeps p, and f if it does not follow from p."""
+    """Make the loop of kick and drift that stores p, and f if it does not follow from p."""
 
     @loop
     def keep(count, bodies, above, kick, drift, impulse, law, kept):
-        """Kick and drift C = `count` bodies x (C+1,) and v (C,); the force above is `impulse`."""
+        """Kick and drift `count` bodies x (C+1,) and v (C,); `impulse` is the force from above."""
         apart()
         x, v, inverse_mass = bodies
         before = impulse
@@ -250,8 +253,8 @@ keep_row = by_form(
 )
 
 
-# p, kick f and its derivative by r, times y, of a contact that is undone: from s, `impulse`, which
-# is kick F, and `at_rest`, which is y kick times the stiffness at rest
+# The next functions return p, kick f, and y times the derivative of kick f by r, of a contact that
+# is undone. `impulse` is kick F, and `at_rest` is y kick times the stiffness at rest.
 
 
 @loop
@@ -285,7 +288,8 @@ def _undo_short(s, impulse, at_rest, terms):
     return p, linear + (impulse + linear) * p, at_rest + at_rest * p
 
 
-# kick f and its derivative by r, times y, of a contact whose p is kept; `closer` is y
+# The next functions return kick f, and y times its derivative by r, of a contact with stored p;
+# `closer` is y.
 
 
 @loop
@@ -305,16 +309,20 @@ def _recall_other(p, f, kick, impulse, at_rest, closer, c):
 
 
 def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: bool = False) -> Any:
-    """Make the loop of the way back: rows are undone, or p is kept, and f if it does not follow."""
-    # known when the loop is compiled: what is not asked for is left out of it
+    """Make the loop of the reverse pass.
+
+    Rows are undone if `undo` is given; otherwise p is read, and f if it does not follow from p.
+    """
+    # These values are constant at compile time, so that the compiler removes unused branches.
     undone = undo is not None
 
     @loop
     def back(span, rows, bodies, above, adjoint, law, kept):
-        """Take adjoints back through rows, each a kick and the drift before it, and undo these.
+        """Propagate adjoints back through rows, each a kick and the drift before it.
 
-        A contact has the place of the body above it in what belongs to bodies. Every row of a span
-        may begin and end some places before the one after it, which it needs nothing of then.
+        The rows are undone if `undo` is given. In arrays of bodies, a contact has the place of the
+        body above it. Every row of a span may begin and end some places earlier than the following
+        row, which makes it independent of that row.
         """
         apart()
         x, momentum, inverse_mass = bodies
@@ -326,7 +334,7 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
             drift = rows.drifts[row]
             f_before = rows.impulses[row]
             g_before = rows.slopes[row]
-            # nothing moves what is outside
+            # Bodies above the window do not move.
             if span.top:
                 adjoint.pull[first] = 0.0
                 f_before = 0.0
@@ -347,7 +355,8 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
                     f = kept.forces[begin + n] if force else 0.0
                     f, g = recall(p, f, kick, impulse, at_rest, closer, law.pressed)
                     push = f_before - f
-                # in the vacuum no force at rest asks for a sum over p
+                # In the sonic vacuum the sum over p is not needed, because no force at rest depends
+                # on it.
                 if not vacuum:
                     adjoint.power[n] += at_rest * p
                 adjoint.force[n] += closer * f
@@ -357,7 +366,7 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
                 adjoint.pull[n] += drift * inverse_mass[n] * by_x
                 f_before = f
                 g_before = g
-            # where the tile below goes on in this row
+            # Store the values at the border, from which the tile below continues this row.
             rows.impulses[row] = f_before
             rows.slopes[row] = g_before
             first -= span.sooner

@@ -13,16 +13,16 @@ from .layout import PAD
 
 
 class ForceResponse(NamedTuple):
-    """How the force of every contact answers to small changes, (W,) arrays.
+    """Contact forces and their derivatives, (W,) arrays.
 
     Attributes
     ----------
     power, force, slope : arrays
-        p, f, and the derivative of f by r.
+        p, f, and the derivative of f with respect to r.
     soften : array
-        What the constant does to f.
+        Derivative of f with respect to the constant.
     inverse_constant, at_rest : arrays
-        1 / constant, and what the contact carries at rest, N.
+        1 / constant, and the force of the contact at rest, N.
     """
 
     power: Array
@@ -34,16 +34,16 @@ class ForceResponse(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """D directions: small changes of bodies, and of what the motion depends on.
+    """Small changes of bodies and of the parameters of the motion, in D directions.
 
     Attributes
     ----------
     x, v : (D, W) arrays
-        Of displacements, m, and velocities, m/s; overwritten.
+        Changes of displacements, m, and velocities, m/s; overwritten.
     mass, constant, force : (D, W) arrays
-        Relative of masses; of constants, and of forces at rest, N.
+        Relative changes of masses; changes of constants, N/m^delta, and of forces at rest, N.
     path : (D, rows) array
-        Of what is imposed.
+        Changes of the imposed motion or force.
     """
 
     x: Array
@@ -56,12 +56,12 @@ class Directions(NamedTuple):
 
 @loop
 def _evaluate(x, law, above, response):
-    """Fill slope, p, f of the contacts, and what the constant does."""
+    """Compute p, f, the slope of f, and the derivative by the constant of all contacts."""
     c = law.pressed
     last = x.size
     for n in range(PAD, last):
         s = (x[n - 1] - x[n]) * above.inverse_length[n]
-        # an open contact is one that is just closed: p = -c, and no slope
+        # An open contact is treated as one that has just closed: p = -c, and the slope is 0.
         s = s if s > -c else -c
         p = hertz_power(s, c) if law.less == 0.5 else power(s, c, law.less)
         response.power[n] = p
@@ -72,7 +72,7 @@ def _evaluate(x, law, above, response):
         response.power[PAD] = p
         response.force[PAD] = f
         response.slope[PAD] = (law.less + 1.0) * law.touching * p
-    # df/dK = (f - c F p) / K, see `adjoint`
+    # See `adjoint`: df/dK = (f - c F p) / K.
     for n in range(PAD, last):
         off = response.force[n] - response.at_rest[n] * response.power[n]
         response.soften[n] = off * response.inverse_constant[n]
@@ -91,12 +91,12 @@ def _move(bodies, force, kick, drift):
 
 @loop
 def _change(bodies, response, change, kick, drift):
-    """Kick and drift small changes of the bodies x (C+1,) but the last, as fast as v (C,)."""
+    """Kick and drift small changes of velocities v (C,) and of all bodies x (C+1,) but the last."""
     apart()
     x, v, inverse_mass = bodies
     power, force, slope, soften = response
     by_mass, by_constant, by_force = change
-    # the first body has no contact above it
+    # The first body has no contact above it.
     above = 0.0
     f_above = 0.0
     for n in range(v.size):
@@ -110,7 +110,7 @@ def _change(bodies, response, change, kick, drift):
 
 @loop
 def _change_row(im, response, change, path, index, kick, drift):
-    """Kick and drift small changes of bodies with these inverse masses by a row."""
+    """Kick and drift small changes of bodies with inverse masses `im` by one row."""
     first = PAD
     last = im.size
     body = path.body
@@ -123,7 +123,7 @@ def _change_row(im, response, change, path, index, kick, drift):
         response.soften[contacts],
     )
     for d in range(change.x.shape[0]):
-        # a body that is driven is where its path is; a push gives way as the mass grows
+        # A driven body follows its path; a force accelerates a body less if its mass grows.
         if body > 0:
             change.x[d, body] = change.path[d, index]
         elif body < 0:
@@ -136,10 +136,10 @@ def _change_row(im, response, change, path, index, kick, drift):
 
 @compiled_gradient()
 def tangent(bodies, law, steps, stretch, path, memory, change, looks):
-    """Move bodies (W,), and small changes of them, by some rows as `forward` does.
+    """Advance bodies (W,), and small changes of them, by some rows as `forward` does.
 
-    `memory` is `Above`, room for a `ForceResponse`, and (2, BURST). `looks` takes changes of what
-    is seen.
+    `memory` is an `Above`, scratch space for a `ForceResponse`, and a (2, BURST) array. `looks`
+    stores the changes of observed values.
     """
     x, v, im = bodies
     above, response, room = memory
@@ -158,7 +158,8 @@ def tangent(bodies, law, steps, stretch, path, memory, change, looks):
             if body > 0:
                 x[body] = path.imposed[index]
             _evaluate(x, law, above, response)
-            # deviations before bodies: both take the forces that the row begins with
+            # Changes are advanced before bodies, because both need the forces at the begin of the
+            # row.
             _change_row(im, response, change, path, index, kick[n], drift[n])
             if body < 0:
                 v[-body] += kick[n] * im[-body] * path.imposed[index]

@@ -25,22 +25,22 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .compiling import STRICT, compiled
 
-SPAN = 10.0  # w t for which one series serves all times in between
+SPAN = 10.0  # largest w t covered by one series
 
 
 class SeriesLimits(NamedTuple):
-    """Limits below which a series does not change, and its storage.
+    """Thresholds below which terms of a series are negligible, and its block size.
 
     Attributes
     ----------
     motion : float
-        Grains that move less than this part of the largest motion are not yet reached.
+        Grains that move less than this fraction of the largest motion count as at rest.
     weight : float
-        A polynomial with a smaller weight changes nothing.
+        Polynomials with a smaller weight are negligible.
     argument : float
-        J_0 of less is 1, and all others make no difference.
+        For arguments below this value J_0 is 1, and all other Bessel functions are negligible.
     chunk : int
-        Polynomials that are held at a time.
+        Number of polynomials that are stored at a time.
     """
 
     motion: float = 1e-25
@@ -63,7 +63,7 @@ class LinearChain(NamedTuple):
     mobility : (n,) array
         1/kg.
     oscillator : float
-        Square of the frequency of the first grain, 1/s2, 0 if it is none.
+        Square of the frequency of a driven first grain, 1/s2; 0 if it is not driven.
     """
 
     stiffness: Array
@@ -72,7 +72,7 @@ class LinearChain(NamedTuple):
 
 
 class Answers(NamedTuple):
-    """Displacements and velocities at T times, (T, N), and the grains reached by then, (T, 2)."""
+    """Displacements and velocities at T times, (T, N), and the range of grains reached, (T, 2)."""
 
     u: Array
     v: Array
@@ -90,7 +90,7 @@ def _largest(x):
 
 @compiled_series()
 def terms(z):
-    """Return the number of polynomials for ``w t = z``, whose sum is right to 1e-16."""
+    """Return the number of polynomials that sum to 1e-16 for ``w t = z``."""
     return math.ceil(z / 2 + 5.4 * z ** (1 / 3) + 6)
 
 
@@ -98,9 +98,10 @@ def terms(z):
 def bessel(z, orders):
     """Return J_0(z) ... J_(orders-1)(z), (orders, T), by Miller's backward recurrence.
 
-    More orders than the largest z.
+    `orders` must exceed the largest z.
     """
-    # so far beyond the largest argument that what it begins with is forgotten at the first order
+    # The recurrence starts at an order far beyond the largest argument, so that its arbitrary
+    # initial values are negligible at the first order returned.
     start = orders + int(20 + 10 * _largest(z) ** (1 / 3))
     start += start % 2
     values = np.zeros((orders, z.size))
@@ -120,7 +121,8 @@ def bessel(z, orders):
             above[i] = current[i]
             current[i] = below
             largest = max(largest, abs(below))
-        # the recurrence grows without bounds: only ratios count
+        # The recurrence grows without bounds, and only ratios matter, so all values are scaled
+        # down.
         if largest > 1e250:
             for i in range(z.size):
                 if abs(current[i]) > 1e200:
@@ -129,7 +131,7 @@ def bessel(z, orders):
                     total[i] *= 1e-250
                     for order in range(n, orders):
                         values[order, i] *= 1e-250
-    # scaled so that J_0 + 2 (J_2 + J_4 + ...) = 1
+    # Normalise such that J_0 + 2 (J_2 + J_4 + ...) = 1.
     for i in range(z.size):
         values[0, i] = current[i]
         total[i] += current[i]
@@ -141,20 +143,26 @@ def bessel(z, orders):
 
 @compiled_series(fastmath=STRICT)
 def series(x, chain, scale, of_t, of_w, reach):
-    """Return sums of ``T_0 x, 2 T_1 x ...`` by of_t (S, K), and of ``W_0 x, W_1 x ...`` by of_w.
+    """Return sums of ``T_0 x, 2 T_1 x ...`` weighted by of_t (S, K), and of ``W_0 x ...`` by of_w.
 
     Parameters
     ----------
-    x : (n,) array, zero but for reach[0] ... reach[1]-1
+    x : (n,) array
+        Zero outside of reach[0] ... reach[1]-1.
     chain : LinearChain
-    scale : w, 1/s
+    scale : float
+        w, 1/s.
+    of_t, of_w : (S, K) arrays
+        Weights of the polynomials in each sum.
+    reach : pair of int
+        First grain that moves, and the grain after the last one.
     """
     grains = x.size
     orders = of_t.shape[1]
     first, last = reach
     tiny = LIMITS.motion * _largest(x)
     double = np.empty(grains)  # 2 T_k x
-    total = np.zeros(grains + 2)  # W_k x between two grains that stand still
+    total = np.zeros(grains + 2)  # W_k x between two grains at rest
     chunk = min(orders, LIMITS.chunk)
     pull = np.empty(grains)
     ts = np.zeros((chunk, grains))
@@ -168,8 +176,8 @@ def series(x, chain, scale, of_t, of_w, reach):
     for k in range(orders):
         row = k % chunk
         if k > 0:
-            # one grain further, but not beyond all motion, where numbers are so small that they are
-            # slow
+            # Each term reaches one grain further. Grains with negligible motion are skipped,
+            # because subnormal numbers are slow.
             first = max(first - 1, 0)
             last = min(last + 1, grains)
             double[0] -= 4 * chain.oscillator / (scale * scale) * total[1]
@@ -191,7 +199,7 @@ def series(x, chain, scale, of_t, of_w, reach):
             while last > first and abs(double[first]) < tiny and abs(total[first + 1]) < tiny:
                 double[first] = total[first + 1] = 0.0
                 first += 1
-        # products of matrices are faster than sums of one polynomial at a time
+        # A product of matrices is faster than adding one polynomial at a time.
         if row == chunk - 1 or k == orders - 1:
             sum_t += np.ascontiguousarray(of_t[:, k - row : k + 1]) @ ts[: row + 1]
             if of_w.shape[0]:
@@ -203,7 +211,7 @@ def series(x, chain, scale, of_t, of_w, reach):
 
 @compiled_series()
 def moving(u, v):
-    """Put grains that hardly move to rest; return the first other one, and that behind the last."""
+    """Set grains that hardly move to rest; return the first other grain, and one after the last."""
     still_u = LIMITS.motion * _largest(u)
     still_v = LIMITS.motion * _largest(v)
     first = 0
@@ -223,9 +231,10 @@ def moving(u, v):
 def _weights(scale, times, now):
     """Return weights of ``T_k phi``, (2 T, K+1), and of ``W_k v``, (T, K+1).
 
-    The first are those in phi and, below these, those in v; the second are in phi.
+    The first array contains the weights in phi, followed by the weights in v; the second array
+    contains the weights in phi.
     """
-    # the times ascend: the last one takes the most terms
+    # Times ascend, so the last time needs the most terms.
     z = np.empty(times.size)
     for i in range(times.size):
         z[i] = scale * (times[i] - now)
@@ -251,7 +260,7 @@ def _weights(scale, times, now):
 
 @compiled_series()
 def _march(u, v, chain, squares, reach, times, answers):
-    """Move u and v (n,) through the times and keep the answers; return the terms it took."""
+    """Advance u and v (n,) through the times and store the answers; return the number of terms."""
     us, vs, reached = answers
     first, last = reach
     now = 0.0
@@ -262,7 +271,7 @@ def _march(u, v, chain, squares, reach, times, answers):
         b = last
         end = begin
         scale = -1.0
-        # a wider reach may hold stiffer contacts, which take more terms
+        # A wider range may contain stiffer contacts, which need more terms.
         while b > a:
             needed = max(math.sqrt(_largest(squares[a:b])), 1e-300)
             if needed <= scale:
@@ -281,7 +290,7 @@ def _march(u, v, chain, squares, reach, times, answers):
         links = LinearChain(chain.stiffness[a : b + 1], chain.mobility[a:b], oscillator)
         moves = first - a, last - a
         new_v, new_u = series(v[a:b], links, scale, of_t[: end - begin], of_w, moves)
-        # right after a strike nothing is displaced
+        # Directly after an impulse all displacements are 0.
         if _largest(u[first:last]) > 0.0:
             summand, _ = series(u[a:b], links, scale, of_t, of_w[:0], moves)
             for i in range(end - begin):
@@ -307,26 +316,26 @@ def _march(u, v, chain, squares, reach, times, answers):
 
 
 class Propagator:
-    """A linear chain that is moved forward.
+    """A linear chain that is advanced in time.
 
     Parameters
     ----------
     stiffness : (N+1,) array
-        Of every contact, walls included, N/m.
+        Stiffness of every contact, walls included, N/m.
     mobility : (N,) array
-        1/m of every grain, 0 for one that is held or driven, 1/kg.
+        1/m of every grain, 0 for a grain that is held or driven, 1/kg.
     drive : float
-        Frequency of grain 1 if it is driven, rad/s, else 0.
+        Angular frequency of grain 1 if it is driven, rad/s, else 0.
     u, v : (N,) arrays
         Displacement and velocity, m and m/s; changed in place.
     """
 
     def __init__(self, stiffness: Array, mobility: Array, drive: float, u: Array, v: Array):
-        # bounds on frequencies (Gershgorin); grain 1, if driven, is an oscillator that pulls the
-        # others and is not pulled
+        # Bounds on squared frequencies (Gershgorin). A driven grain 1 is an oscillator that pulls
+        # its neighbours and is not pulled by them.
         self._squares = 2 * (stiffness[:-1] + stiffness[1:]) * mobility
         self._squares[0] = max(self._squares[0], drive**2)
-        # a copy, for what is read-only would be compiled for anew
+        # The stiffness is copied, because a read-only array would need another compilation.
         self._chain = LinearChain(np.array(stiffness), mobility, drive**2)
         self.u = u
         self.v = v
@@ -334,9 +343,10 @@ class Propagator:
         self._reach = moving(u, v)
 
     def advance(self, times: Array) -> Answers:
-        """Move forward by these times, (T,) s, 0 or later and later ones.
+        """Advance the chain to these times, (T,) s after the current time, in ascending order.
 
-        Grains are reached from the first to the one before the last of these two.
+        `reached` of the result contains the first grain that moves, and the grain after the last
+        one.
         """
         us, vs = np.zeros((2, times.size, self.u.size))
         answers = Answers(us, vs, np.zeros((times.size, 2), np.intp))

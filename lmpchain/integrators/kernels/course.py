@@ -1,7 +1,7 @@
-"""Steps of a run by a splitting as rows, each a kick and a drift, and its looks, compiled.
+"""Steps of a run by a splitting as rows, each a kick and a drift, and its observations, compiled.
 
-The last kick of a step and the first of the next are one row, but where grains are looked at
-between them.
+The last kick of a step and the first kick of the next step form one row, unless grains are observed
+between them. An observation is called a look.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from ...util.arrays import Array
 from ...util.compilation import Ingredient, compiled_once
 
-# multiplications and additions may be fused: unlike those of a run, bits of derivatives need not
-# agree between loops that share a chain out in other ways. Without numba's runtime, see
-# `compiling`.
+# Multiplications and additions may be fused, because derivatives, unlike runs, need not have the
+# same bits for every partition of a chain. See `compiling` about numba's runtime.
 OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": {"nnan", "ninf", "nsz", "contract"},
@@ -31,16 +30,16 @@ compiled_gradient = partial(
 
 
 class Course(NamedTuple):
-    """Steps of a run, and how many of them are made before each look.
+    """Steps of a run, and the number of steps before each observation.
 
     Attributes
     ----------
     kicks, drifts : (S+1,) and (S,) arrays
         Fractions of a step.
     lengths : (K,) array
-        Of all steps, s.
+        Lengths of all steps, s.
     begun : (looks+1,) array
-        Steps before each look.
+        Number of steps before each observation.
     """
 
     kicks: Array
@@ -50,7 +49,7 @@ class Course(NamedTuple):
 
 
 class Stretch(NamedTuple):
-    """Some `size` rows, from that of number `row` after a look on."""
+    """`size` consecutive rows, which begin `row` rows after observation number `look`."""
 
     look: int
     row: int
@@ -58,9 +57,10 @@ class Stretch(NamedTuple):
 
 
 class Looks(NamedTuple):
-    """Bodies (G,) that are looked at, and a displacement and a velocity of each, (2, looks+1, G).
+    """Observed bodies (G,), and a displacement and a velocity of each, (2, looks+1, G).
 
-    Or derivatives with respect to these, or (D, 2, looks+1, G) changes of them.
+    `values` may also contain derivatives with respect to these, or their changes, (D, 2, looks+1,
+    G).
     """
 
     bodies: NDArray[np.int64]
@@ -69,13 +69,13 @@ class Looks(NamedTuple):
 
 @loop
 def fill_rows(steps, look, row, kick, drift):
-    """Fill kick and drift (Q,), s, of the rows from that of this number after a look on."""
+    """Compute kick and drift (Q,), s, of the rows that begin `row` rows after an observation."""
     kicks, drifts, lengths, begun = steps
     stages = drifts.size
     step = begun[look] + row // stages
     stage = row % stages
     for n in range(kick.size):
-        # the last kick before a look stands alone
+        # The last kick before an observation forms a row of its own.
         if step == begun[look + 1]:
             kick[n] = kicks[stages] * lengths[step - 1]
             drift[n] = 0.0
@@ -92,7 +92,10 @@ def fill_rows(steps, look, row, kick, drift):
 
 @loop
 def drift_before(steps, look, row):
-    """Return the drift, s, of the row before that of this number after a look; 0 right after it."""
+    """Return the drift, s, of the row before row number `row` after an observation.
+
+    The drift is 0 directly after the observation.
+    """
     if row == 0:
         return 0.0
     stages = steps.drifts.size
@@ -102,5 +105,5 @@ def drift_before(steps, look, row):
 
 @loop
 def count_rows(steps, look):
-    """Return the number of rows from a look to the next."""
+    """Return the number of rows from one observation to the next."""
     return steps.drifts.size * (steps.begun[look + 1] - steps.begun[look]) + 1

@@ -1,7 +1,8 @@
 """The map of an explicit Runge-Kutta method on a damped chain, and its tangent, compiled.
 
-The motion is that of `chain.damping`: in displacements and reduced velocities w no force depends on
-a velocity, x' = w + b(x) - gamma x and w' = a(x). So is the tangent exact for the steps taken.
+The equation of motion is that of `chain.damping`: in displacements and reduced velocities w no
+force depends on a velocity, x' = w + b(x) - gamma x and w' = a(x). The tangent is therefore exact
+for the steps taken.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ class RungeKutta(NamedTuple):
 
 
 class Body(NamedTuple):
-    """What N grains are and lose.
+    """Masses and damping of N grains.
 
     Attributes
     ----------
@@ -44,9 +45,9 @@ class Body(NamedTuple):
 
 
 class ImposedStages(NamedTuple):
-    """What is imposed on a body: its index, whether it is a force, and values (K, S) at the stages.
+    """The motion or force imposed on a body: its index, the kind, and values (K, S) at the stages.
 
-    In m or N; no values if nothing is.
+    `pushes` is true for a force. Values are in m or N; `values` is empty if nothing is imposed.
     """
 
     body: int
@@ -55,7 +56,7 @@ class ImposedStages(NamedTuple):
 
 
 class StageSlopes(NamedTuple):
-    """Rates of change of x and w at the stages, (S, N), and of deviations of both, (S, N, C)."""
+    """Rates of change of x and w at the stages, (S, N), and of their deviations, (S, N, C)."""
 
     x: Array
     w: Array
@@ -65,14 +66,14 @@ class StageSlopes(NamedTuple):
 
 @pasted
 def _gather(sums, begin, slopes, weights, h):
-    """Fill sums (N, C) with begin + h sum_j w_j slopes_j, without the weights that are 0."""
+    """Fill sums (N, C) with begin + h sum_j w_j slopes_j, and skip the weights that are 0."""
     used = np.flatnonzero(weights)
     for n in range(begin.shape[0]):
         total = sums[n]
         start = begin[n]
         for c in range(total.size):
             total[c] = start[c]
-        # two at once, so that the sums are read and written less often
+        # Two terms are added at once, so that the sums are read and written less often.
         for first in range(0, used.size, 2):
             one = used[first]
             other = used[min(first + 1, used.size - 1)]
@@ -86,12 +87,15 @@ def _gather(sums, begin, slopes, weights, h):
 
 @inlined
 def _fill_slopes(body, x, w, response, force, pushed, slopes, stage):
-    """Fill the rates of change of x and w, both (W,), at a stage; a `force` acts on one grain."""
+    """Compute the rates of change of x and w, both (W,), at a stage.
+
+    `force` acts on the body with the index `pushed`.
+    """
     f = response.force
     viscosity = body.viscosity
     for n in range(body.drag.size):
         mobility = body.inverse_mass[PAD + n]
-        # one that is held or driven stays where it is
+        # A held or driven grain keeps its place.
         if mobility == 0.0:
             slopes.x[stage, n] = 0.0
             slopes.w[stage, n] = 0.0
@@ -106,7 +110,7 @@ def _fill_slopes(body, x, w, response, force, pushed, slopes, stage):
 
 @inlined
 def _fill_deviations(body, x, w, response, stretch, slopes, stage):
-    """Fill the rates of change of deviations x and w (N, C) at a stage."""
+    """Compute the rates of change of deviations x and w (N, C) at a stage."""
     stiffness = response.stiffness
     viscosity = body.viscosity
     grains, columns = x.shape
@@ -121,7 +125,7 @@ def _fill_deviations(body, x, w, response, stretch, slopes, stage):
             continue
         above = mobility * stiffness[n]
         below = mobility * stiffness[n + 1]
-        # a body beyond the ends does not deviate
+        # Bodies beyond the ends have no deviation.
         upper = above if n > 0 else 0.0
         lower = below if n < grains - 1 else 0.0
         slower = above * viscosity[n] + below * viscosity[n + 1] + body.drag[n]
@@ -148,22 +152,22 @@ def march(batch, body, motion, deviations, method, lengths, course, states):
     Parameters
     ----------
     batch : BatchArrays
-        Of a batch of this chain alone.
+        Arrays of a batch that contains only this chain.
     body : Body
-    motion : Motion
-        With reduced velocities; overwritten.
+    motion : BodyRow
+        Displacements and reduced velocities; overwritten.
     deviations : Deviations
         Overwritten.
-    method : Method
+    method : RungeKutta
     lengths : (K,) array
-        Of steps, s.
-    course : Course
+        Lengths of the steps, s.
+    course : ImposedStages
     states : (2, K+1, N) array
         Filled with displacements and reduced velocities between the steps.
 
     Notes
     -----
-    Sums over steps are compensated, as those of `tangent`.
+    Sums over steps are compensated, as in `tangent`.
     """
     links = links_of(batch, 0)
     x, w = motion

@@ -1,6 +1,6 @@
-"""Velocity Verlet of a chain that loses energy, as LAMMPS has it, compiled.
+"""Velocity Verlet for a dissipative chain, as implemented in LAMMPS, compiled.
 
-Forces that depend on velocities see the velocity that the last acceleration predicts.
+Forces that depend on velocities use the velocity predicted from the last acceleration.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from .window import look, watch, widen
 
 @inlined
 def _accelerate(chain, work, t):
-    """Fill `chain.history` with the accelerations of bodies and velocities as they are now."""
+    """Compute accelerations from the current bodies and velocities, in `chain.history[0]`."""
     force, pull, rate = work
     first = chain.state.first
     last = chain.state.last
@@ -38,7 +38,7 @@ def _accelerate(chain, work, t):
 
 @inlined
 def _note(chain, work, h):
-    """Add what a step of h takes and gives, by the powers at its begin and at its end."""
+    """Add the dissipated energy and the work of a step h, by the trapezoidal rule."""
     force, _, rate = work
     state = chain.state
     first = state.first
@@ -81,7 +81,7 @@ def _advance(chain, method, work, clock, out, landed):
     widen(chain, 2)
     a = chain.history[0]
     middle = chain.history[1]
-    # later ones are known from the end of the step before
+    # At later steps the accelerations are known from the end of the previous step.
     if state.steps == 0:
         _accelerate(chain, work, now)
         if balanced:
@@ -104,11 +104,11 @@ def _advance(chain, method, work, clock, out, landed):
 
 
 def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Array]:
-    """Return what a thread works in: forces, accelerations, and rates of the forces."""
+    """Allocate the scratch arrays of one thread: forces, accelerations, and force rates."""
     force, pull, third = np.zeros((3, chains.x.shape[1]))
     return force, pull, third
 
 
-# `method` holds the lead of the velocities that forces see, in steps. `chains.history` holds the
-# accelerations, and the velocities in the middle of a step
+# `method` contains the time, in steps, by which the velocity in the forces is predicted ahead.
+# `chains.history` contains the accelerations, and the velocities in the middle of a step.
 march = compiled_march()(sample_loop(_advance, True))

@@ -1,9 +1,9 @@
-"""Samples that steps pass over, by Hermite interpolation (dense output), compiled.
+"""Samples inside steps, by Hermite interpolation (dense output), compiled.
 
-The polynomial of degree 7 in time has the displacement u, the velocity v, the acceleration a and
-the jerk j at both ends of a step; its error falls like h^8, that of its rate like h^7, faster than
-what the steps leave. Where something is imposed, whose corners a polynomial does not know, steps
-end on every sample instead.
+The polynomial of degree 7 in time matches the displacement u, the velocity v, the acceleration a
+and the jerk j at both ends of a step. Its error is of order h^8, and the error of its rate is of
+order h^7, both higher than the order of the steps. With an imposed motion or force, steps end on
+every sample instead, because interpolation fails at kinks of the forcing.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class DenseRates(NamedTuple):
 
 @inlined
 def passes(chain, clock, begin, end):
-    """Return the first sample in begin < t <= end, 0 if there is none.
+    """Return the first sample in begin < t <= end, or 0 without one.
 
-    Samples and times are counted from the last landing; on the sample of the next one a step
-    lands.
+    Samples and times are counted from the last landing. The sample at the next landing is not
+    returned, because a step ends there.
     """
     before = chain.state.sample
     stride = clock.dense
@@ -46,7 +46,7 @@ def passes(chain, clock, begin, end):
 def fill_rates(chain, first, last, force, rate, beyond):
     """Fill rate (W,) with dF/dt of the elastic forces of the contacts of bodies first ... last-1.
 
-    `force` holds that of the contact below body n at n - beyond, less what it carries at rest.
+    `force[n - beyond]` is the force of the contact below body n, less its force at rest.
     """
     x = chain.x
     v = chain.v
@@ -63,7 +63,7 @@ def fill_rates(chain, first, last, force, rate, beyond):
 
 @inlined
 def fill_jerk(chain, first, last, rates, beyond):
-    """Fill jerk of the bodies first ... last-1 from the forces, see `fill_rates`."""
+    """Compute jerks of the bodies first ... last-1 from the forces, see `fill_rates`."""
     fill_rates(chain, first, last, rates.force, rates.rate, beyond)
     for n in range(first, last):
         rates.jerk[n] = chain.inverse_mass[n] * (rates.rate[n - 1] - rates.rate[n])
@@ -71,7 +71,7 @@ def fill_jerk(chain, first, last, rates, beyond):
 
 @inlined
 def keep(chain, first, last, rates):
-    """Note where the bodies first ... last-1 are, as a step begins over which samples lie."""
+    """Store the state of the bodies first ... last-1 at the begin of a step that passes samples."""
     history = chain.history
     for n in range(first, last):
         history[0, n] = chain.x[n]
@@ -82,7 +82,7 @@ def keep(chain, first, last, rates):
 
 @inlined
 def fill_samples(chain, clock, first, last, rates, out):
-    """Put the bodies first ... last-1 into all samples that the step that ends here has passed."""
+    """Interpolate the bodies first ... last-1 at all samples inside the completed step."""
     history = chain.history
     begin = chain.state.step_begin
     end = chain.state.done
@@ -102,8 +102,8 @@ def fill_samples(chain, clock, first, last, rates, out):
         q = 1.0 - s
         s3 = s * s * s
         q3 = q * q * q
-        # weights of u, v, a and j at the beginning (0) and the end (1) of the step, for u: that of
-        # u at the end is 1 less `along`, so that grains at rest stay there
+        # Weights of u, v, a and j at the begin (0) and the end (1) of the step, for u. The weight
+        # of u at the end is 1 - `along`, so that grains at rest keep their place exactly.
         along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))
         v1 = -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))
@@ -111,7 +111,7 @@ def fill_samples(chain, clock, first, last, rates, out):
         a1 = h * h / 2 * q * q * s3 * s * (1.0 + 4.0 * q)
         j0 = h * h * h / 6 * s3 * q3 * q
         j1 = -h * h * h / 6 * q3 * s3 * s
-        # and those of the rate: its degree is 6
+        # Weights for v, the derivative of this polynomial, of degree 6.
         rise = 140.0 / h * s3 * q3
         w0 = q3 * (1.0 + s * (3.0 + s * (6.0 - 70.0 * s)))
         w1 = s3 * (1.0 + q * (3.0 + q * (6.0 - 70.0 * q)))
@@ -123,7 +123,7 @@ def fill_samples(chain, clock, first, last, rates, out):
         u_row = out.u[number - out.first, first - PAD :]
         v_row = out.v[number - out.first, first - PAD :]
         grains = min(last - first, u_row.size)
-        # one row at a time, for then the compiler makes vectors of it
+        # One loop for each row, because the compiler then vectorises it.
         for n in range(grains):
             u = fma(along, u_0[n] - u_1[n], u_1[n])
             u = fma(v0, v_0[n], fma(v1, v_1[n], u))
@@ -131,7 +131,7 @@ def fill_samples(chain, clock, first, last, rates, out):
         for n in range(grains):
             v = fma(w0, v_0[n], fma(w1, v_1[n], rise * (u_1[n] - u_0[n])))
             v_row[n] = fma(k0, j_0[n], fma(k1, j_1[n], fma(b0, a_0[n], fma(b1, a_1[n], v))))
-        # longer rows are made as zeros, of which those outside the window cost no memory
+        # Longer rows are allocated as zeros, so that pages outside the window cost no memory.
         if out.u.shape[1] <= WHOLE_ROWS:
             u_rest = out.u[number - out.first]
             v_rest = out.v[number - out.first]

@@ -1,7 +1,7 @@
 """The Runge-Kutta method DOP853 on the same contact forces, compiled.
 
-A chain that loses energy is moved in displacements and the reduced velocities w of `chain.damping`,
-in which no force depends on a velocity: x' = w + d, w' = a, with the creep d = b - gamma x.
+A dissipative chain is advanced in displacements and the reduced velocities w of `chain.damping`, in
+which no force depends on a velocity: x' = w + d, w' = a, with the creep d = b - gamma x.
 """
 
 from __future__ import annotations
@@ -19,19 +19,20 @@ from .right_hand_side import accelerate, ahead, course, forced, impose, impose_v
 from .sample_loop import end_of_step, sample_loop
 from .window import look, rest_ahead, watch, widen
 
-# of `state.pending`: the velocities of a damped chain are reduced ones, between its steps
+# Value of `state.pending` between the steps of a damped chain, when `v` contains reduced
+# velocities.
 REDUCED = 1.0
 
 
 @inlined
 def put(values, others):
-    """Put others in the place of values: a slice that is assigned would be copied twice."""
+    """Copy others into values; assigning to a slice would copy twice."""
     for n in range(values.size):
         values[n] = others[n]
 
 
 class Weighted(NamedTuple):
-    """Weights and numbers of rows, (R,), the first of which are summed."""
+    """Weights and numbers of rows, (R,), of which the first ones are summed."""
 
     weights: Array
     rows: NDArray[np.int64]
@@ -39,16 +40,19 @@ class Weighted(NamedTuple):
 
 @inlined
 def note(weighted, count, weight, row):
-    """Note a weighted row behind the `count` before it, unless it adds nothing; return how many."""
+    """Append a weighted row to a sum of `count` rows, unless its weight is 0.
+
+    Returns the new number of rows.
+    """
     weighted.weights[count] = weight
     weighted.rows[count] = row
-    # many weights are 0
+    # Many weights are 0.
     return count + 1 if weight != 0.0 else count
 
 
 @compiled
 def _drift(out, x, reach, speeds):
-    """Fill out with x moved on by speeds for a time `reach`."""
+    """Fill out with x advanced at constant speeds for a time `reach`."""
     apart()
     for n in range(out.size):
         out[n] = x[n] + reach * speeds[n]
@@ -56,7 +60,7 @@ def _drift(out, x, reach, speeds):
 
 @compiled
 def _add_four(sums, weights, a, b, c, d):
-    """Add four weighted arrays to the sums, one by one as if in as many passes through memory."""
+    """Add four weighted arrays to the sums, with the rounding of four separate passes."""
     apart()
     for n in range(sums.size):
         total = sums[n] + weights[0] * a[n]
@@ -75,7 +79,7 @@ def _add_one(sums, weight, values):
 
 @inlined
 def add_rows(sums, weighted, count, rows, window):
-    """Add the first `count` weighted rows, in a window of them, to the sums."""
+    """Add the first `count` weighted rows, restricted to a window, to the sums."""
     weights, numbers = weighted
     for n in range(0, count - 3, 4):
         _add_four(
@@ -92,7 +96,7 @@ def add_rows(sums, weighted, count, rows, window):
 
 @compiled
 def _fill_creep(creep, inverse_mass, force, viscosity, drag, x):
-    """Fill creep (B,) of bodies x between contacts with these forces and viscosities (B+1,)."""
+    """Compute creep (B,) of bodies x between contacts with forces and viscosities (B+1,)."""
     apart()
     for n in range(creep.size):
         pressed = viscosity[n] * force[n] - viscosity[n + 1] * force[n + 1]
@@ -101,12 +105,12 @@ def _fill_creep(creep, inverse_mass, force, viscosity, drag, x):
 
 @inlined
 def fill_creep(chain, y, force, creep):
-    """Fill creep (W,) with the rates d at which contacts and drag move the bodies of the window.
+    """Compute creep (W,): the rates d at which viscous contacts and drag move bodies of the window.
 
     Parameters
     ----------
     y, force : (W,) arrays
-        Displacements, m, and the forces that `accelerate` has found there, N.
+        Displacements, m, and the forces that `accelerate` has computed there, N.
     """
     first = chain.state.first
     last = chain.state.last
@@ -123,12 +127,12 @@ def fill_creep(chain, y, force, creep):
 
 @inlined
 def _complete(chain, clock, now, force, creep, reduced):
-    """Fill the creep and the reduced velocities (W,) of the window, and complete the velocities."""
+    """Compute the creep and the reduced velocities (W,) of the window, and the velocities."""
     state = chain.state
     v = chain.v
     fill_creep(chain, chain.x, force, creep)
     for n in range(state.first, state.last):
-        # between two steps the chain has reduced ones
+        # Between two steps `v` contains reduced velocities.
         if state.pending == REDUCED:
             reduced[n] = v[n]
             v[n] += creep[n]
@@ -140,10 +144,10 @@ def _complete(chain, clock, now, force, creep, reduced):
 
 @inlined
 def _weigh(weigh, twice, once, h, lag, creeps):
-    """Note the rows that move bodies by a step h, with weights (S,) of h^2 and h; return how many.
+    """Collect the weighted rows that move bodies over a step h; return their number.
 
-    Rows of accelerations count with their lag; those of creeps, if there are any, begin at the
-    number `creeps`.
+    `twice` and `once` are the weights (S,) of h^2 and h. The weight of an acceleration includes its
+    lag. Rows of creep, if there are any, begin at number `creeps`.
     """
     count = 0
     for stage in range(twice.size):
@@ -156,7 +160,7 @@ def _weigh(weigh, twice, once, h, lag, creeps):
 
 @summed
 def _sum_products(mass, weights, a, b, c, d, e, f, g, h):
-    """Return the sum over bodies of m times four weighted products, a e, b f, c g and d h."""
+    """Return the sum over bodies of m times the weighted products a e, b f, c g and d h."""
     total = 0.0
     for n in range(mass.size):
         products = weights[0] * (a[n] * e[n]) + weights[1] * (b[n] * f[n])
@@ -169,11 +173,12 @@ def _sum_products(mass, weights, a, b, c, d, e, f, g, h):
 def _sum_losses(mass, weighted, count, slopes, creeps, lag, window):
     """Return the weighted sum over the stages of a step of sum m w' d, over `window`, J.
 
-    The creeps d of all stages begin at the row `creeps` of the slopes, or are `lag` times these.
+    The creeps d of all stages begin at the row `creeps` of the slopes; if `creeps` is 0, they are
+    `lag` times the slopes.
     """
     weights, rows = weighted
     total = 0.0
-    # eight stages of the twelve count
+    # Eight of the twelve stages have a weight.
     for n in range(0, count, 4):
         total += _sum_products(
             mass,
@@ -192,7 +197,7 @@ def _sum_losses(mass, weighted, count, slopes, creeps, lag, window):
 
 @summed
 def _sum_surplus(mass, creep, reduced):
-    """Return by how much the kinetic energy of velocities w + d is more than that of w alone, J."""
+    """Return the kinetic energy of velocities w + d less the kinetic energy of w, J."""
     total = 0.0
     for n in range(mass.size):
         total += mass[n] * (creep[n] * (reduced[n] + 0.5 * creep[n]))
@@ -214,9 +219,9 @@ def _drives(chain):
 
 @inlined
 def _press(chain, force):
-    """Return the elastic force on what is driven by its contacts, N, and the sum of A F, N s."""
+    """Return the elastic force of its contacts on the driven body, N, and the sum of A F, N s."""
     viscosity = chain.viscosity
-    # contact 0 lies above grain 1, and below the wall
+    # Contact 0 is above grain 1 and below the wall.
     if chain.imposed.wave.body == PAD:
         elastic = force[1] - force[0]
         return elastic, viscosity[PAD] * force[1] - viscosity[PAD - 1] * force[0]
@@ -225,10 +230,10 @@ def _press(chain, force):
 
 @inlined
 def _note_stage(chain, acted, work, rates, weight, stage, t, inside, h):
-    """Add the work at a stage of a step h, whose weight in it is `weight`, if any is `acted`.
+    """Add the work at a stage of a step h, with the weight of the stage, if `acted`.
 
-    Integrated by parts, the power of viscous forces on what is driven, v d(A F)/dt, needs no rate
-    of a force: it is -A F dv/dt, and `_note_begin` has the rest.
+    The power of viscous forces on the driven body is v d(A F)/dt. Integration by parts replaces it
+    by -A F dv/dt, which needs no rate of a force; `_note_begin` adds the boundary terms.
     """
     force, z, reduced, slopes, _ = work
     state = chain.state
@@ -248,7 +253,7 @@ def _note_stage(chain, acted, work, rates, weight, stage, t, inside, h):
 
 @inlined
 def _note_begin(chain, clock, creep, reduced, force, now, inside):
-    """Add what the integrals by parts have at the begin of a step."""
+    """Add the boundary terms of the integrals by parts at the begin of a step."""
     state = chain.state
     begins = state.pending != REDUCED
     if begins:
@@ -257,7 +262,7 @@ def _note_begin(chain, clock, creep, reduced, force, now, inside):
         _, viscous = _press(chain, force)
         taken = -viscous * course(chain, now, 1, inside)
         if not begins:
-            # the speed of what is driven may jump where a step ends
+            # The speed of the driven body may jump at the end of a step.
             taken += viscous * course(chain, now, 1, now - 0.25 * RESOLUTION * clock.step)
         state.lost += taken
         state.work += taken
@@ -265,11 +270,11 @@ def _note_begin(chain, clock, creep, reduced, force, now, inside):
 
 @inlined
 def _land(chain, work, clock, stages, balanced):
-    """Make the velocities of a chain, if it is damped, of the reduced ones."""
+    """Convert the reduced velocities of a damped chain to velocities at a sample."""
     force, _, reduced, slopes, _ = work
     state = chain.state
     if chain.damped:
-        # a sample needs the forces where the step has ended
+        # The conversion needs the forces at the end of the step.
         accelerate(chain, chain.x, state.first, state.last, force, slopes[0])
         _complete(chain, clock, clock.end, force, slopes[stages], reduced)
         state.pending = 0.0
@@ -287,9 +292,10 @@ def _land(chain, work, clock, stages, balanced):
 def _advance(chain, method, work, clock, out, landed):
     """Take one step of the Runge-Kutta-Nystrom form.
 
-    With the velocities v = w + d, viscous contacts and drag take the power - sum m v d'. Integrated
-    by parts, what they take is the integral of sum m w' d, less the change of sum m (v^2 - w^2)/2:
-    it needs no velocities at the stages, and is as smooth as the forces.
+    With the velocities v = w + d, viscous contacts and drag dissipate the power - sum m v d'. After
+    integration by parts, the dissipated energy is the integral of sum m w' d, less the change of
+    sum m (v^2 - w^2)/2. This form needs no velocities at the stages, and is as smooth as the
+    forces.
     """
     (nodes, inner, weights, rates), openings, adaptive = method
     force, z, reduced, slopes, weigh = work
@@ -299,7 +305,7 @@ def _advance(chain, method, work, clock, out, landed):
     w = chain.v
     state = chain.state
     stages = nodes.size
-    # creep that is nothing but a time by the slopes needs no rows of its own
+    # With uniform damping the creep is proportional to the slopes, so it needs no separate rows.
     creeps = stages if damped and not chain.alike else 0
     balanced = damped & (out.balance.shape[0] > 0)
     acted = balanced & chain.imposed.acts
@@ -315,10 +321,11 @@ def _advance(chain, method, work, clock, out, landed):
         clock.length - state.done,
         ahead(chain, now, clock.begin + clock.length, RESOLUTION * clock.step),
     )
-    # the first stage is at the begin of the step: how near an opening is follows from its
-    # accelerations
+    # The first stage is at the begin of the step; its accelerations also determine the distance to
+    # an opening.
     put(z[first - 1 : last + 1], y[first - 1 : last + 1])
-    # of what is imposed, by the law behind a corner on which the step may begin
+    # If the step begins at a corner of the imposed motion or force, `inside` selects the branch
+    # after the corner.
     inside = now + 0.5 * min(remaining, clock.equal_step)
     impose(chain, z, now, inside)
     impose_velocity(chain, w, PAD, now)
@@ -370,14 +377,14 @@ def _advance(chain, method, work, clock, out, landed):
 
 
 class Work(NamedTuple):
-    """What a thread works in.
+    """Scratch arrays of one thread.
 
     Attributes
     ----------
     force, z, reduced : (W,) arrays
         Forces, bodies at a stage, and reduced velocities.
-    slopes : (S, W) array
-        Accelerations of all stages and, of a damped chain, creeps behind them.
+    slopes : (S, W) or (2 S, W) array
+        Accelerations of all stages and, for a damped chain, the creeps of all stages.
     weigh : Weighted
     """
 
@@ -389,7 +396,7 @@ class Work(NamedTuple):
 
 
 def make_work(chains: Chains, method: tuple[Any, ...]) -> Work:
-    """Return what a thread works in of a batch of its chains."""
+    """Allocate the scratch arrays of one thread."""
     width = chains.x.shape[1]
     stages = method[0][0].size
     weigh = Weighted(np.zeros(2 * stages), np.zeros(2 * stages, np.int64))
@@ -398,17 +405,17 @@ def make_work(chains: Chains, method: tuple[Any, ...]) -> Work:
     return Work(force, z, reduced, slopes, weigh)
 
 
-# `method` is nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in displacement
-# and velocity, and inner weights A (12, 12); `layout.Shortening`; and whether steps are shorter
-# near openings
+# `method` contains nodes c (12,), inner weights A^2 (12, 12), weights (2, 12) of a step in
+# displacement and velocity, and inner weights A (12, 12); `layout.Shortening`; and whether steps
+# are shorter near openings.
 march = compiled_march()(sample_loop(_advance, False))
 
 
 @compiled_march()
 def march_by_step(chains, method, work, clocks, fields, real, until, noted):
-    """Advance one chain as `march` does, and fill `layout.Noted` by its steps.
+    """Advance one chain as `march` does, and record its steps in `noted` (`layout.Noted`).
 
-    Returns the steps made: as many as can be noted at most.
+    Returns the number of steps, which is at most the number that `noted` has room for.
     """
     state = chains.state[real]
     made = 0

@@ -16,7 +16,7 @@ from .window import look, watch, widen
 
 @compiled
 def _touch_alike(chain, y, z, first, last):
-    """Return whether the contacts of bodies first ... last-1 are open in y where they are in z."""
+    """Return whether contacts of bodies first ... last-1 have the same state in y and z."""
     il = chain.links.inverse_length
     opening = -chain.links.precompressed
     for n in range(first - 1, last):
@@ -24,7 +24,7 @@ def _touch_alike(chain, y, z, first, last):
         shut_z = (z[n] - z[n + 1]) * il[n] > opening
         if chain.links.strength[n] > 0.0 and shut_y != shut_z:
             return False
-    # a wall that only touches
+    # A wall that only touches grain 1.
     shut_y = y[PAD - 1] > y[PAD]
     shut_z = z[PAD - 1] > z[PAD]
     return not (first == PAD and chain.links.uncompressed > 0.0 and shut_y != shut_z)
@@ -32,7 +32,7 @@ def _touch_alike(chain, y, z, first, last):
 
 @inlined
 def _move(chain, z, begin, h, side):
-    """Put into z the bodies, and what is imposed, `side` steps h from the begin of a step."""
+    """Extrapolate the bodies by `side` steps h into z, with the motion or force imposed there."""
     y = chain.x
     accelerations = chain.history[0]
     state = chain.state
@@ -45,10 +45,10 @@ def _move(chain, z, begin, h, side):
 
 @compiled
 def _begin(chain, work, now, h):
-    """Find the derivatives at the start by the law of now, from a step before to a step after.
+    """Compute the initial derivatives from finite differences one step before and after the start.
 
-    Where contacts have just opened or closed, as a strike parts grains that touch, the step before
-    is no part of the motion: half a step after stands for it.
+    If contacts have just opened or closed, as when an impulse separates touching grains, the step
+    before the start is not part of the motion. Half a step after the start is used instead.
     """
     force, pull, z = work
     y = chain.x
@@ -67,7 +67,8 @@ def _begin(chain, work, now, h):
         _move(chain, z, now, h, side)
         accelerate(chain, z, first, last, force, pull)
         for n in range(first, last):
-            # differences of accelerations a step before and after, or a whole and half a step after
+            # Differences use accelerations one step before and after, or one step and half a step
+            # after.
             if side == 1.0:
                 derivatives[1, n] = pull[n]
             elif smooth:
@@ -79,7 +80,7 @@ def _begin(chain, work, now, h):
                 bend = 4.0 * (derivatives[1, n] - 2.0 * pull[n] + derivatives[0, n])
                 derivatives[1, n] = slope * h * h / 6
                 derivatives[2, n] = bend
-    # h^k / k! of the derivatives of order 2 and 4; that of order 3 has its factor
+    # Derivatives of order 2 and 4 are scaled by h^k / k! here; order 3 has its factor already.
     for n in range(first, last):
         derivatives[2, n] = derivatives[2, n] * h * h / 24
         derivatives[0, n] *= 0.5 * h * h
@@ -95,7 +96,7 @@ def _step(chain, corrections, work, now, then, h):
     state = chain.state
     first = state.first
     last = state.last
-    # its history is scaled with the step: a step of another length begins anew
+    # The history is scaled with the step size, so a step of another size restarts it.
     if state.step_size != h:
         _begin(chain, work, now, h)
     for n in range(first, last):
@@ -117,7 +118,7 @@ def _step(chain, corrections, work, now, then, h):
         derivatives[2, n] += corrections[4] * off
     impose(chain, y, then, then)
     hold(chain, w)
-    # the derivatives of a grain that is driven are imposed, too
+    # The derivatives of a driven grain are imposed, too.
     if chain.inverse_mass[PAD] == 0.0:
         derivatives[0, PAD] = 0.0
         derivatives[1, PAD] = 0.0
@@ -126,7 +127,7 @@ def _step(chain, corrections, work, now, then, h):
 
 @pasted
 def _advance(chain, method, work, clock, out, landed):
-    """Take one step, or two where what is imposed ends within it, and begin anew there."""
+    """Take one step, or two if the imposed motion or force ends within it, with a restart there."""
     if landed:
         return 0
     (corrections,) = method
@@ -152,11 +153,11 @@ def _advance(chain, method, work, clock, out, landed):
 
 
 def make_work(chains: Chains, method: tuple[Any, ...]) -> tuple[Array, Array, Array]:
-    """Return what a thread works in: forces, accelerations, and bodies at another time."""
+    """Allocate the scratch arrays of one thread: forces, accelerations, and shifted bodies."""
     force, pull, third = np.zeros((3, chains.x.shape[1]))
     return force, pull, third
 
 
-# `method` is its coefficients (5,). `chains.history` holds the second, third and fourth derivatives
-# of the displacements, times h^k / k!
+# `method` contains the corrector coefficients (5,). `chains.history` contains the second, third and
+# fourth derivatives of the displacements, times h^k / k!.
 march = compiled_march()(sample_loop(_advance, True))

@@ -1,8 +1,8 @@
 """Shorter steps near contacts that open or close, compiled.
 
-A method of order p needs p derivatives of the force, which goes like t^delta where a contact opens
-or closes; steps that shorten like the distance to that time to the power 9/14 keep the error of
-every step the same, and the order.
+A method of order p requires p derivatives of the force, but near an opening or closing the force
+behaves like t^delta. Steps proportional to the power 9/14 of the time to the opening keep the error
+of every step equal, and preserve the order.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from .layout import PAD
 from .right_hand_side import slice_links
 from .team import largest, share
 
-# contacts that are looked at together: as many as a few vector registers hold
+# Number of contacts that are examined together, so that they fit into a few vector registers.
 GROUP = 16
 
 
 class Near(NamedTuple):
-    """Contacts of a chain, of which the one nearest to opening or closing shortens the step.
+    """Contacts of a chain; the contact nearest to opening or closing shortens the step.
 
     Attributes
     ----------
     weight, reach : (W,) arrays
         See `layout.BatchArrays`.
     close : float
-        See `_may_matter`.
+        See `_may_shorten`.
     omega : float
         Highest frequency, rad/s.
     nearest : float
-        No step is shorter than where the inverse of the distance, over 2 omega, is this.
+        Upper bound on the nearness: the inverse time to an opening, over 2 omega.
     """
 
     weight: Array
@@ -44,30 +44,29 @@ class Near(NamedTuple):
 
 @inlined
 def _score(gap, rate, bend, weight, omega, nearest):
-    """Return the squared nearness of a contact to opening or closing, weighed by its effect.
+    """Return the squared nearness of a contact to opening or closing, weighted by its effect.
 
-    For a contact with the overlap `gap` and its two rates, the force behaves like t^(3/2) around
-    the time at which the overlap is 0; of a quadratic through them the nearest root counts, also a
-    complex one (a contact that all but opens). The local error of a step h there goes as (h /
-    distance)^7 distance^(5/2).
+    The overlap `gap` and its two rates define a quadratic in time. The force behaves like t^(3/2)
+    around the nearest root; a complex root (a contact that almost opens) counts, too. The local
+    error of a step h there is proportional to (h / distance)^7 distance^(5/2).
     """
     inside = rate * rate - 2.0 * gap * bend
     size = inside if inside > 0.0 else -inside
     root = math.sqrt(size)
     modulus = math.sqrt(rate * rate + size)
-    # behind a contact that has just opened lies nothing
+    # An open contact that separates has no root ahead.
     towards = abs(rate) if gap > 0.0 else rate
     fast = towards + root if inside > 0.0 else modulus
     comes = gap if gap > inside else inside
     fast = fast if comes > 0.0 else 0.0
-    # grains that touch at rest: the overlap grows like t^2, and they were never nearer than this
+    # Grains that touch at rest: the overlap grows like t^2, and they were never nearer than this.
     least = abs(bend) / (2.0 * omega * nearest)
     fast = least if fast < least and gap >= 0.0 else fast
-    # roots closer together than their distance act like one double root there
+    # Two roots closer to each other than their distance act like one double root.
     double = fast * fast / 32.0
     size = double if size < double else size
     root = math.sqrt(size)
-    # 1e-300: an overlap of nothing gives the nearest, not no number
+    # The term 1e-300 makes the nearness of a zero overlap the upper bound, not NaN.
     near = fast / (2.0 * omega * (abs(gap) + 1e-300))
     near = near if near > 0.0 else 0.0
     near = near if near < nearest else nearest
@@ -77,14 +76,15 @@ def _score(gap, rate, bend, weight, omega, nearest):
 
 
 @inlined
-def _may_matter(y, rates, bends, links, reach, close):
-    """Return whether any of these contacts may be so near to opening that it shortens the step.
+def _may_shorten(y, rates, bends, links, reach, close):
+    """Return whether any of these contacts may be near enough to opening to shorten the step.
 
-    That is so from a score of shortened^14 on. In `_score` fast^2 is at most q and `size` at most q
-    / 2, so that no root and no quotient is needed: with reach = weight^(1/3) / (sqrt(2) (2
-    omega)^3) and close = shortened^(-14/3) no score is as large while q^2 reach close < |gap|^3.
+    A contact shortens the step if its score is at least shortened^14. In `_score`, fast^2 is at
+    most q and `size` at most q / 2. With reach = weight^(1/3) / (sqrt(2) (2 omega)^3) and close =
+    shortened^(-14/3), the score is smaller if q^2 reach close < |gap|^3. This test needs neither a
+    root nor a quotient.
     """
-    # as bits, see `window.watch`
+    # Numbers are compared as bit patterns, see `window.watch`.
     largest = -1
     for n in range(reach.size):
         il = links.inverse_length[n]
@@ -99,7 +99,7 @@ def _may_matter(y, rates, bends, links, reach, close):
 @inlined
 def _find_nearness(y, rates, bends, links, near):
     """Return the largest score of all contacts between the bodies y; 0 if none is near."""
-    # as bits, too
+    # Numbers are compared as bit patterns, see `window.watch`.
     largest = 0
     size = near.weight.size
     for begin in range(0, size, GROUP):
@@ -111,7 +111,7 @@ def _find_nearness(y, rates, bends, links, near):
         bt = bends[ends]
         il = links.inverse_length[contacts]
         wt = near.weight[contacts]
-        if not _may_matter(
+        if not _may_shorten(
             yt, rt, bt, slice_links(links, contacts, 0.0), near.reach[contacts], near.close
         ):
             continue
@@ -121,7 +121,7 @@ def _find_nearness(y, rates, bends, links, near):
             bend = (bt[n] - bt[n + 1]) * il[n]
             largest = max(bits(_score(gap, rate, bend, wt[n], near.omega, near.nearest)), largest)
     nearness = number(largest)
-    # a wall that only touches, whose overlap is the displacement itself
+    # The overlap of a wall that only touches is the displacement itself.
     if links.uncompressed > 0.0:
         gap = y[0] - y[1]
         rate = rates[0] - rates[1]
@@ -133,7 +133,7 @@ def _find_nearness(y, rates, bends, links, near):
 
 @inlined
 def shorten(chain, y, w, pull, openings):
-    """Return the next step over that of the schedule, for the contact that matters most.
+    """Return the factor on the scheduled step that the contact with the largest score requires.
 
     Parameters
     ----------
@@ -155,5 +155,5 @@ def shorten(chain, y, w, pull, openings):
     )
     nearness = _find_nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
     nearness = largest(chain.team, nearness)
-    # the score goes as the 14th power of how much shorter the step must be for the same error
+    # The step of constant local error is proportional to score^(-1/14).
     return min(1.0, openings.shortened * nearness ** (-1 / 14)) if nearness > 0.0 else 1.0

@@ -20,17 +20,24 @@ class PhaseSums(NamedTuple):
 
     Attributes
     ----------
-    time, strain, pull : float
-        Time of the last evaluation, s; the strain of largest size in it; the largest acceleration
-        by open contacts, which pull in linear theory, m/s2.
-    shift, squared_strain, pulled : float
-        By then: phase shift, s; integral of the squared strain, s; velocity given by the pull, m/s.
+    time : float
+        Time of the last evaluation, s.
+    strain : float
+        Strain of the largest magnitude at that time.
+    pull : float
+        Largest acceleration at that time by open contacts, which still pull in linear theory, m/s2.
+    shift : float
+        Phase shift up to that time, s.
+    squared_strain : float
+        Integral of the squared strain up to that time, s.
+    pulled : float
+        Velocity that the pull of open contacts has added up to that time, m/s.
     largest_strain, displacement, velocity, acceleration : float
-        Largest ones of all times, m, m/s and m/s2.
+        Largest magnitudes over all times; the last three in m, m/s and m/s2.
     displacement_error, velocity_error : float
-        Largest effect of the shift in samples, m and m/s.
+        Largest effect of the phase shift on samples, m and m/s.
     opened : float
-        The first contact that opened, or NaN.
+        Number of the first contact that opened, or NaN.
     """
 
     time: float
@@ -52,14 +59,14 @@ STATE = np.dtype([(name, np.float64) for name in PhaseSums._fields])
 
 
 class LinearLinks(NamedTuple):
-    """The linear chain; contact n lies above grain n, from 0, and the last one below all grains.
+    """The linear chain; contact n is above grain n, from 0, and the last one below all grains.
 
     Attributes
     ----------
     stiffness, inverse_overlap : (N+1,) arrays
-        N/m and 1/m; 0 where nothing is pressed.
+        N/m and 1/m; 0 for a contact that is not compressed.
     inverse_mass : (N,) array
-        1/kg; 0 for a grain that is held or moved.
+        1/kg; 0 for a grain that is held or driven.
     """
 
     stiffness: Array
@@ -68,18 +75,18 @@ class LinearLinks(NamedTuple):
 
 
 class Evaluations(NamedTuple):
-    """The linear solution at some times.
+    """The linear solution at T times.
 
     Attributes
     ----------
     time : (T,) array
         s.
     recorded : (T,) array
-        Whether they are samples: errors are those of samples.
+        Whether each time is a sample; errors are computed for samples.
     displacement, velocity : (T, N) arrays
         m and m/s.
     reach : (T, 2) array
-        First grain, from 0, and the one after the last that moves.
+        First grain that moves, from 0, and the grain after the last one that moves.
     """
 
     time: Array
@@ -90,16 +97,16 @@ class Evaluations(NamedTuple):
 
 
 class ImposedMotion(NamedTuple):
-    """Motion of the top wall, and acceleration of a grain, that are imposed at these times.
+    """Imposed motion of the top wall, and acceleration of a forced grain, at T times.
 
     Attributes
     ----------
     wall : (T, 3) array
         Position, velocity and acceleration of the top wall, m, m/s and m/s2.
     grain : int
-        The grain, from 0, that has accelerations besides those by its contacts.
+        The forced grain, from 0.
     acceleration : (T,) array
-        These, m/s2.
+        Acceleration of that grain by the applied force, m/s2.
     """
 
     wall: Array
@@ -108,16 +115,16 @@ class ImposedMotion(NamedTuple):
 
 
 class StrainError(NamedTuple):
-    """How strain becomes an error.
+    """Parameters that relate strain to an error.
 
     Attributes
     ----------
     lead : float
-        Gain of the speed of a wave over its strain.
+        Relative increase of the wave speed per unit of strain.
     near : float
-        s; a contact that turns around within this time is followed there by a parabola.
+        A contact that reverses within this time is extrapolated by a parabola, s.
     opening : float
-        Strain from which on a contact counts as open.
+        Strain below which a contact counts as open.
     """
 
     lead: float
@@ -143,9 +150,9 @@ def _largest(x):
 
 @joined
 def _fill(bodies, i, links, solution, imposed):
-    """Fill displacement, velocity and acceleration, (3, n+2), of the grains that move at time i.
+    """Compute displacement, velocity and acceleration, (3, n+2), of the moving grains at time i.
 
-    Above them is the top wall, or a grain at rest, and below a body at rest.
+    The first body is the top wall or a grain at rest; the last one is a body at rest.
     """
     first, last = solution.reach[i]
     for k in range(3):
@@ -160,14 +167,14 @@ def _fill(bodies, i, links, solution, imposed):
         below = links.stiffness[n + 1] * (x[n - first + 1] - x[n - first + 2])
         a[n - first + 1] = (above - below) * links.inverse_mass[n]
         above = below
-    # a force on a grain
+    # Add the applied force on a grain.
     if first <= imposed.grain < last:
         a[imposed.grain - first + 1] += imposed.acceleration[i]
 
 
 @joined
 def _strain(bodies, inverse_overlap, law):
-    """Return the strain of largest size, and the first contact that opens, -1 if none does."""
+    """Return the strain of largest magnitude, and the first contact that opens, -1 if none does."""
     x, v, a = bodies
     largest = 0.0
     opened = -1
@@ -175,7 +182,7 @@ def _strain(bodies, inverse_overlap, law):
         strain = (x[n] - x[n + 1]) * inverse_overlap[n]
         rate = (v[n] - v[n + 1]) * inverse_overlap[n]
         bend = (a[n] - a[n + 1]) * inverse_overlap[n]
-        # a contact may open and close again between two times
+        # A contact may open and close again between two times.
         lowest = strain
         if bend > 0 and abs(rate) < law.near * bend:
             lowest -= rate * rate / (2 * bend)
@@ -194,7 +201,7 @@ def _pull(x, links, first):
     for n in range(x.size - 1):
         contact = first + n
         below = 0.0
-        # linear theory goes on to pull where an open contact does nothing
+        # In linear theory an open contact continues to pull.
         if (x[n] - x[n + 1]) * links.inverse_overlap[contact] < -1.0:
             apart = x[n + 1] - x[n] - 1 / links.inverse_overlap[contact]
             below = links.stiffness[contact] * apart
@@ -206,7 +213,7 @@ def _pull(x, links, first):
 
 @compiled
 def accumulate(state, links, solution, imposed, law):
-    """Take in the solution at later times."""
+    """Update the state with the solution at later times."""
     now = state[0]
     room = np.empty((3, links.inverse_mass.size + 2))
     for i in range(solution.time.size):
@@ -217,7 +224,7 @@ def accumulate(state, links, solution, imposed, law):
         if opened >= 0 and np.isnan(now.opened):
             now.opened = first + opened
         pull = 0.0 if np.isnan(now.opened) else _pull(bodies[0], links, first)
-        # by the trapezoidal rule
+        # Integrate by the trapezoidal rule.
         span = solution.time[i] - now.time
         now.shift += law.lead * (now.strain + strain) / 2 * span
         now.squared_strain += (now.strain**2 + strain**2) / 2 * span
@@ -233,7 +240,7 @@ def accumulate(state, links, solution, imposed, law):
         now.displacement = max(now.displacement, displacement)
         now.velocity = max(now.velocity, velocity)
         now.acceleration = max(now.acceleration, acceleration)
-        # a shift in time is an error by the rate
+        # A time shift changes each quantity by the shift times its rate.
         if solution.recorded[i]:
             shift = abs(now.shift)
             now.displacement_error = max(now.displacement_error, shift * velocity)

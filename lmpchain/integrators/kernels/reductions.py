@@ -1,4 +1,4 @@
-"""Largest motion of an answer, and its distance from other runs, compiled."""
+"""Largest motion of a solution, and its distance from other runs, compiled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .compiling import bits, compiled_filler, number
 
 SOUND, TOO_FAST, NOT_A_NUMBER = range(3)
 _in_order = numba.njit(error_model="numpy", pipeline_class=Ingredient)
-# a sum of many numbers in any order, that is several at a time
+# The order of summation is free, so that several numbers are added at a time.
 _in_any_order = numba.njit(
     error_model="numpy", fastmath={"nsz", "reassoc"}, pipeline_class=Ingredient
 )
@@ -20,9 +20,9 @@ _in_any_order = numba.njit(
 
 @_in_order
 def _farthest(a, b):
-    """Return the largest distance of a and b; no number if any is none.
+    """Return the largest distance between elements of a and b, or NaN if any element is NaN.
 
-    The bits of what is no number are above all others.
+    The bit patterns of NaN are larger than those of all numbers.
     """
     largest = 0
     for n in range(a.size):
@@ -32,7 +32,7 @@ def _farthest(a, b):
 
 @_in_order
 def _largest(a):
-    """Return the largest size of a number; no number if any is none, see `_farthest`."""
+    """Return the largest magnitude in an array, or NaN if any element is NaN; see `_farthest`."""
     largest = 0
     for n in range(a.size):
         largest = max(bits(a[n]) & MAGNITUDE, largest)
@@ -59,32 +59,33 @@ def compare(
     differences: Array,
     peaks: Array,
 ) -> int:
-    """Measure an answer, and how far other runs are from it or from each other.
+    """Compute the extremes of a solution, and the differences between runs.
 
     Parameters
     ----------
     u, v : (R, B, N) arrays
         Displacement and velocity of R chains.
     runs : tuple
-        Displacements and velocities of S other runs, (S, R, B, N) arrays from the same sample on;
-        from which run each is measured, (S,), 0 for the answer, 1 for the first of these; and
-        after how many samples each stops, besides the last one, (S,).
+        Displacements and velocities of S auxiliary runs, (S, R, B, N) arrays from the same sample
+        on; the run with which each is compared, (S,), 0 for the solution, n for auxiliary run n;
+        and the number of samples between two landings of each run, (S,).
     begin : int
         Number of the first sample.
     masses : (R, N) array
+        kg.
     allowed : (R,) array
-        Bound on twice the kinetic energy, J.
+        Upper bound on twice the kinetic energy, J.
     differences : (S, T, R, 2) array
-        Takes the largest differences over the grains where the others stop; no number where that
-        is none.
+        Filled with the largest differences over all grains at the landings of the auxiliary runs;
+        NaN if a value is NaN.
     peaks : (R, 2) array
-        Takes the largest displacement and speed, where they are larger than what it holds.
+        Largest displacement and speed so far; updated.
 
     Returns
     -------
     int
-        `SOUND`, `TOO_FAST` if any sample has more energy than there is, or `NOT_A_NUMBER` if a
-        displacement or velocity is none; the last of these.
+        `SOUND`, `TOO_FAST` if any sample exceeds the allowed energy, or `NOT_A_NUMBER` if a
+        displacement or velocity is not finite. The largest verdict of all samples is returned.
     """
     displacements, velocities, against, strides = runs
     final = differences.shape[1] - 1
@@ -99,13 +100,14 @@ def compare(
             if not (np.isfinite(energy) and np.isfinite(farthest)):
                 verdict = NOT_A_NUMBER
                 continue
-            # contacts never hold less than at rest: so much speed is that of a run that breaks down
+            # Contacts never store less energy than at rest, so a larger kinetic energy shows a
+            # breakdown.
             if energy > allowed[real]:
                 verdict = max(verdict, TOO_FAST)
             peaks[real, 0] = max(peaks[real, 0], farthest)
             peaks[real, 1] = max(peaks[real, 1], _largest(w))
             for run in range(against.size):
-                # all begin alike, and some pass over samples
+                # All runs start from the same state, and an auxiliary run may skip samples.
                 if sample == 0 or (sample % strides[run] and sample < final):
                     continue
                 a = x

@@ -1,8 +1,8 @@
-"""The right-hand side of Eq. (1), compiled: contact forces and what an excitation imposes.
+"""The right-hand side of Eq. (1), compiled: contact forces and the imposed motion or force.
 
-What is imposed is the motion of grain 1 or of the top wall, or a force on a grain, which x[0]
-holds, where no body is: a method calls `impose` for every time at which it evaluates accelerations,
-and `imposed` for every row of a `sweep`.
+An excitation imposes the motion of grain 1, the motion of the top wall, or a force on a grain. An
+imposed force is stored in x[0], where no body is. A method calls `impose` at every time at which it
+evaluates accelerations, and `imposed` for every row of a `sweep`.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
 from .waveform import call_corner, call_course
 
-# evaluations of the force between two updates of the window, for long chains and methods of one
-# stage
+# Number of force evaluations between two updates of the window, for long chains and for methods
+# with one stage.
 ROWS = 64
-TILE = 8192  # grains that stay in the cache while ROWS evaluations pass over them
+TILE = 8192  # number of grains that stay in the cache during ROWS evaluations
 
 
 @inlined
 def course(chain, t, order, inside):
-    """Return the imposed motion or force at time t, or a derivative, by the law at `inside`.
+    """Return the imposed motion or force at time t, or its derivative of some order.
 
-    Something must be imposed.
+    The time `inside` selects the branch at a corner. A motion or force must be imposed.
     """
     imposed = chain.imposed
     given = imposed.wave, imposed.knots, imposed.pieces, t, order, inside
@@ -32,17 +32,17 @@ def course(chain, t, order, inside):
 
 @inlined
 def ahead(chain, t, end, resolution):
-    """Return the time to the next corner of what is imposed before `end`, else infinity."""
+    """Return the time to the next corner of the forcing before `end`, else 1e300."""
     imposed = chain.imposed
     if imposed.acts:
         return call_corner(imposed.laws[1], (imposed.wave, imposed.knots, t, end, resolution))
-    # infinity would be none under the flags of the compiler
+    # The compiler flags assume finite numbers, so infinity is not allowed.
     return 1e300
 
 
 @inlined
 def cut(chain, t, h):
-    """Return the time to where a sine ends within a step h, 0 if it does not, or for a spline."""
+    """Return the time to the end of a sine within a step h, 0 if it does not end there."""
     if chain.imposed.acts and chain.imposed.wave.knots == 0:
         remaining = chain.imposed.wave.end - t
         return remaining if RESOLUTION * h < remaining < (1.0 - RESOLUTION) * h else 0.0
@@ -51,33 +51,36 @@ def cut(chain, t, h):
 
 @inlined
 def forced(chain):
-    """Return the body that is pushed, 0 if there is none."""
+    """Return the index of the body on which a force acts, or 0 without a force."""
     return max(-chain.imposed.wave.body, 0) if chain.imposed.acts else 0
 
 
 @inlined
 def imposed(chain, t):
-    """Return the displacement or force that is imposed at time t, for a row of `sweep`."""
+    """Return the imposed displacement or force at time t, for a row of `sweep`."""
     return course(chain, t, 0, t)
 
 
 @inlined
 def impose(chain, x, t, inside):
-    """Put what is driven, or the force, into x (W,) at time t, by the law of `inside`."""
+    """Store the imposed displacement or force at time t in x (W,); `inside` selects the branch."""
     if chain.imposed.acts and chain.team.part == 0:
         x[max(chain.imposed.wave.body, 0)] = course(chain, t, 0, inside)
 
 
 @inlined
 def recall(chain, t):
-    """Put what is imposed at time t back where no grain holds it: a wall, or a force."""
+    """Restore the imposed displacement of the wall, or the force, at time t in the chain."""
     if chain.imposed.acts and chain.imposed.wave.body < PAD:
         impose(chain, chain.x, t, t)
 
 
 @inlined
 def impose_velocity(chain, v, grain_1, t):
-    """Give what is driven its velocity at time t, if v, with grain 1 at that index, has a place."""
+    """Store the velocity of the driven body at time t in v, if v contains this body.
+
+    Grain 1 has the index `grain_1` in v.
+    """
     if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body + grain_1 >= PAD:
         v[chain.imposed.wave.body + grain_1 - PAD] = course(chain, t, 1, t)
 
@@ -94,14 +97,14 @@ def imposed_speed(chain, t):
 
 @inlined
 def hold(chain, v):
-    """Take the velocity of grain 1 out of v if it is driven: a drift must not move it."""
+    """Set the velocity of a driven grain 1 to 0, so that a drift does not move it."""
     if chain.imposed.acts and chain.team.part == 0 and chain.imposed.wave.body == PAD:
         v[PAD] = 0.0
 
 
 @pasted
 def slice_links(links, contacts, uncompressed):
-    """Return some of the contacts, the first of which touches with this constant besides."""
+    """Return some of the contacts; `uncompressed` is the constant of a touching first contact."""
     return Links(
         inverse_length=links.inverse_length[contacts],
         strength=links.strength[contacts],
@@ -128,7 +131,7 @@ def slice_rows(rows, numbers):
 
 @compiled
 def _fill_pull(pull, inverse_mass, force):
-    """Fill pull (B,) with the accelerations of bodies between contacts with these forces (B+1,)."""
+    """Compute accelerations (B,) of bodies between contacts with these forces (B+1,)."""
     apart()
     for n in range(pull.size):
         pull[n] = inverse_mass[n] * (force[n] - force[n + 1])
@@ -136,9 +139,9 @@ def _fill_pull(pull, inverse_mass, force):
 
 @inlined
 def accelerate(chain, y, first, last, force, pull):
-    """Fill pull (W,) with accelerations of bodies first ... last-1 of y (W,), and force (W,)."""
+    """Compute accelerations (W,) of bodies first ... last-1 of y (W,), and their forces (W,)."""
     near = slice(first - 1, last)
-    # slices, whose bounds the compiler knows: then it makes vectors of the loop
+    # The compiler vectorises loops over slices, because their bounds are known.
     f = force[: last - first + 1]
     links = chain.links
     contact_forces(slice_links(links, near, 0.0), f, y[first - 1 : last + 1])
@@ -152,9 +155,9 @@ def accelerate(chain, y, first, last, force, pull):
 
 @inlined
 def _sweep_rows(chain, a, b, rows):
-    """Kick and drift the grains a ... b-1 once for each of some rows."""
+    """Kick and drift the grains a ... b-1 once for each row."""
     pushed = forced(chain)
-    # none of the window is above
+    # No body of the window is above these grains.
     top = a == chain.state.first
     touches = chain.links.uncompressed if top and a == PAD else 0.0
     body = pushed if pushed > 0 else chain.imposed.wave.body
@@ -171,8 +174,8 @@ def _sweep_rows(chain, a, b, rows):
 
 
 @compiled
-def _lean(chain, a, row, carried):
-    """Leave grain a to the thread above before a row, and find the force on it from above."""
+def _publish_edge(chain, a, row, carried):
+    """Publish grain a to the thread above before a row, and compute the force on it from above."""
     team = chain.team
     x = chain.x
     team.edges[team.part, row] = x[a]
@@ -181,12 +184,13 @@ def _lean(chain, a, row, carried):
 
 
 @compiled
-def _close(chain, end, rows):
+def _sweep_border(chain, end, rows):
     """Kick and drift the grains around the border between this thread and the one below."""
     x = chain.x
     edges = chain.team.edges[chain.team.part + 1]
     for row in range(rows.kick.size):
-        # the grain below is further on by now: for this row it is put back where it was in it
+        # The grain below has already advanced further; its position in this row is restored
+        # temporarily.
         b = end + PAD * (row + 1)
         now = x[b]
         x[b] = edges[row]
@@ -196,19 +200,19 @@ def _close(chain, end, rows):
 
 @inlined
 def sweep(chain, rows):
-    """Kick and drift the window once a row; long chains in tiles that stay in the cache.
+    """Kick and drift the window once for each row; long chains in tiles that fit the cache.
 
-    Every row of a tile ends a cache line before the one above it, so that it needs nothing of the
-    tile to come. Of a chain that threads share, the rows of each begin a line after the one above,
-    too, the first a line into its part, so that it needs nothing of what others do meanwhile; what
-    is left out between them follows.
+    Every row of a tile ends one cache line above the previous row, so that it does not depend on
+    the next tile. If threads share a chain, the rows of each thread also begin one line below the
+    previous row, so that they do not depend on other threads. The grains left out at the borders
+    between threads are processed at the end.
     """
     first = chain.state.first
     last = chain.state.last
     begins, ends = share(chain)
     meet(chain.team)
     tile = TILE if ends - begins > 2 * TILE else max(1, ends - begins)
-    # adaptive verlet sweeps no rows at all between its first stage and its last
+    # Adaptive Verlet has no rows between its first stage and its last one.
     together = max(1, rows.kick.size) if tile == last - first else 1
     for begin in range(begins, ends, tile):
         end = begin + tile if begin + 2 * tile <= ends else ends
@@ -221,11 +225,11 @@ def sweep(chain, rows):
                     a = begin - PAD * row
                 elif begin > first:
                     a = begin + PAD * (row + 1)
-                    _lean(chain, a, row, rows.carried)
+                    _publish_edge(chain, a, row, rows.carried)
             _sweep_rows(chain, a, b, slice_rows(rows, slice(row, row + together)))
         if end == ends:
             break
     meet(chain.team)
     if begins < ends < last:
-        _close(chain, ends, rows)
+        _sweep_border(chain, ends, rows)
     meet(chain.team)

@@ -1,4 +1,4 @@
-"""The loop over chains and samples that every compiled march is: made for the steps of a method."""
+"""The loop over chains and samples that is common to all compiled marches."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from .compiling import inlined, pasted
 from .layout import BatchMember, Imposed, Links, SampleRow
 from .window import record
 
-# of the time between two landings: shorter steps would not move the clock, and there would be too
-# many to be counted
+# Shortest step, as a fraction of the time between two landings. Shorter steps would not change the
+# clock, and their number would overflow.
 SHORTEST = 2.0**-50
 
 
@@ -32,7 +32,7 @@ def links_of(batch, real):
 
 @pasted
 def chain_of(chains, real, schedule):
-    """Return one chain of a batch, as a schedule moves it."""
+    """Return one chain of a batch, at the state of one schedule."""
     batch = chains.batch
     row = schedule * batch.omega.size + real
     return BatchMember(
@@ -67,7 +67,7 @@ def chain_of(chains, real, schedule):
 
 @pasted
 def _row(fields, real, schedule):
-    """Return where the samples of a chain go."""
+    """Return the views into which the samples of a chain are written."""
     balance = fields.balance[schedule, real]
     if schedule == 0:
         return SampleRow(fields.u[real], fields.v[real], fields.first, balance)
@@ -81,15 +81,15 @@ def _row(fields, real, schedule):
 
 @inlined
 def end_of_step(chain, clock, remaining, step):
-    """Return `state.done` after a step of at most this length, one of equal ones in the time left.
+    """Return `state.done` after a step no longer than `step`; equal steps fill the remaining time.
 
-    The step to take is the difference to `state.done`, not `step`: all steps together then are the
-    time from landing to landing, exactly.
+    The length of the step is the difference from `state.done`, not `step`, so that all steps
+    together sum exactly to the time between landings.
     """
     done = chain.state.done
-    # 1e-9: what fits into so many steps but for rounding is not cut into one more
+    # The tolerance 1e-9 prevents an extra step that only rounding would require.
     steps = max(1, math.ceil(remaining / max(step, SHORTEST * clock.length) - 1e-9))
-    # the clock lands on the sample itself, not a rounding beside it
+    # The last step ends exactly on the sample, without a rounding error.
     lands = steps == 1 and remaining == clock.length - done
     return clock.length if lands else done + remaining / steps
 
@@ -97,24 +97,25 @@ def end_of_step(chain, clock, remaining, step):
 def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int]:
     """Make the march of a method from its steps.
 
-    The march moves chains by every schedule to a sample, or stops when some number of steps is made
-    altogether: how the steps are shared out over calls makes no difference to the last bit.
+    The march advances chains by every schedule to a sample, or stops after a total number of steps.
+    Its results do not depend on the division of the steps into calls, to the last bit.
 
     Parameters
     ----------
     advance : function of (chain, method, work, clock, out, landed)
-        Takes one step or a burst of them, updates `state.done` and returns how many; if the chain
-        has landed on a sample, it completes displacements and velocities there and returns 0.
+        Takes one step or a burst of steps, updates `state.done` and returns their number. If the
+        chain has landed on a sample, it completes displacements and velocities there and returns 0.
     counted : bool
         Whether `state.done` counts steps, else seconds since the last landing.
 
     Returns
     -------
     function of (chains, method, work, clocks, fields, begin, end, until, max_steps)
-        Of `Chains`, what the method needs beside them, arrays to work in, clocks and `Fields`.
-        Moves the chains begin ... end - 1 to the sample `until`, or by some `max_steps` steps in
-        all, and returns the steps made. It is to be compiled, and is called from Python: one
-        compiled function in another is compiled twice.
+        Its arguments are `Chains`, the parameters of the method, scratch arrays, clocks and
+        `Fields`. It advances the chains begin ... end - 1 to the sample `until`, or by about
+        `max_steps` steps in total, and returns the number of steps. It must be compiled by the
+        caller, and must be called from Python, because a compiled function inside another one is
+        compiled twice.
     """
 
     def march(chains, method, work, clocks, fields, begin, end, until, max_steps):
@@ -138,7 +139,7 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
                 clock.equal_step = clock.length / clock.steps
                 landing_at = float(clock.steps) if counted else clock.length
                 landed = False
-                # in one place, for LLVM puts it in every place where it is called
+                # The only call of `advance`, because LLVM inlines it at every call.
                 while not landed and (state.done == landing_at or done < max_steps):
                     landed = state.done == landing_at
                     steps_made = advance(chain, method, work, clock, out, landed)
@@ -153,7 +154,7 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
                     state.done = 0.0
         return done
 
-    # under the name of the method's module it is kept, until that changes
+    # The compiled march is cached under the name of the method's module, until that module changes.
     march.__module__ = advance.__module__
     march.__qualname__ = f"{march.__module__.rpartition('.')[-1]}.march"
     return march

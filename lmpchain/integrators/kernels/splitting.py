@@ -1,4 +1,4 @@
-"""Chains moved forward through time by a kick-drift splitting with steps of one size, compiled."""
+"""Kick-drift splittings with steps of one size, compiled."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from .window import LOOKS, look, watch, widen
 
 @inlined
 def _fill_step(chain, method, rows, row, origin, before, h):
-    """Fill the rows of a step, from `row` on; it begins `before` steps h after `origin`.
+    """Fill the rows of a step, from `row` on; the step begins `before` steps h after `origin`.
 
-    The last kick is still due then: it and the first of the next step are one.
+    The last kick of the previous step is merged into the first kick of this step.
     """
     kicks, drifts, reach = method
     for stage in range(drifts.size):
@@ -30,19 +30,19 @@ def _fill_step(chain, method, rows, row, origin, before, h):
 def _burst(chain, clock, stages):
     """Return the number of steps between two updates of the window."""
     state = chain.state
-    # rows of a burst are swept together, which pays where the window need not grow, or is long
+    # The rows of a burst are swept together, which is cheaper if the window is long or cannot grow.
     full = state.first == PAD and state.last == chain.x.size - PAD
     wide = stages == 1 or full or state.last - state.first > TILE
     steps = max(1, ROWS // stages) if wide else 1
     if chain.imposed.acts:
-        # it may press grains together at any time, and contacts are watched after each burst
+        # A forced scene may compress grains at any time, so contacts are checked more often.
         steps = min(steps, max(1, int(LOOKS.radians / (clock.equal_step * chain.omega))))
     return min(clock.steps - int(state.done), steps)
 
 
 @inlined
 def _land(chain, work, clock):
-    """Complete the last kick, where a sample lies between it and the first of the next step."""
+    """Complete the last kick before a sample."""
     rows = slice_rows(work, slice(0, 1))
     rows.kick[0] = chain.state.pending
     rows.drift[0] = 0.0
@@ -54,9 +54,10 @@ def _land(chain, work, clock):
 
 @pasted
 def _advance(chain, method, work, clock, out, landed):
-    """Take a burst of steps; the last kick of a step and the first of the next are one.
+    """Take a burst of steps; the last kick of a step and the first kick of the next form one row.
 
-    A step in which what is imposed ends is made as two, so that the order is kept.
+    A step within which the imposed motion or force ends is divided there, so that the order is
+    kept.
     """
     if landed:
         _land(chain, work, clock)
@@ -65,17 +66,17 @@ def _advance(chain, method, work, clock, out, landed):
     state = chain.state
     stages = drifts.size
     h = clock.equal_step
-    # of a speed, without the last kick
+    # Phase of the last kick, rad, which is missing in an observed speed.
     missing = kicks[stages] * clock.step * chain.omega
     complete = 1.0 / (1.0 + 0.5 * missing * missing)
     burst = _burst(chain, clock, stages)
-    # counted from the landing, so that times do not depend on how steps are shared out over bursts
+    # Steps are counted from the landing, so that times do not depend on the division into bursts.
     made = state.done
     filled = 0
     halved = burst
     for step in range(burst):
         begin = clock.begin + (made + step) * h
-        # a corner leaves an order of 2 as it is
+        # A corner does not reduce the order of a method of order 2.
         corner = cut(chain, begin, h) if stages > 1 else 0.0
         if corner > 0.0:
             halved = step
@@ -89,7 +90,7 @@ def _advance(chain, method, work, clock, out, landed):
     step = 0
     steps_before = state.steps
     while step < burst:
-        # up to the next look; the step with a corner has rows for two
+        # Sweep up to the next observation; a step with a corner has twice as many rows.
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))
@@ -101,9 +102,9 @@ def _advance(chain, method, work, clock, out, landed):
 
 
 def make_work(chains: Chains, method: SplittingStages) -> Rows:
-    """Return what a thread works in."""
+    """Allocate the scratch arrays of one thread."""
     return make_rows(ROWS + 2 * method.drifts.size, chains.batch.acts)
 
 
-# `method` is `layout.Stages`
+# `method` is a `layout.SplittingStages`.
 march = compiled_march()(sample_loop(_advance, True))

@@ -1,4 +1,4 @@
-"""How chains are laid out for the compiled loops, and where they move at first, compiled."""
+"""Memory layout of the chains for the compiled loops, and their initial windows, compiled."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ from ...util.arrays import Array
 from .compiling import compiled_filler, inlined
 from .layout import PAD, STATE, BatchArrays
 
-UNBOUNDED = 1e300  # J, where nothing bounds the energy
-# of the largest speed that is imposed: more than the rounding of a velocity
+UNBOUNDED = 1e300  # J, upper bound on the energy if no smaller one is known
+# Assumed rounding error of a reduced velocity, relative to the largest imposed speed; an upper
+# bound.
 ROUNDED = 1e-6
 
 
 def aligned_rows(kinds: int, count: int, grains: int) -> Array:
-    """Return (kinds, count, W) zeros of which every row begins at a cache line."""
+    """Return (kinds, count, W) zeros; every row begins at a cache line."""
     width = (2 * PAD + grains + PAD - 1) // PAD * PAD
     size = kinds * count * width
     memory = np.zeros(size + PAD)
@@ -37,25 +38,25 @@ def fill_batch(
     free: tuple[int, int],
     opening_power: float,
 ) -> None:
-    """Fill the arrays of a batch of R chains but those that forms and excitations give.
+    """Fill the arrays of a batch of R chains, without forms and excitations.
 
     Parameters
     ----------
     batch : BatchArrays
-        Rows are zeros.
+        Its rows must be zeros.
     at_rest : tuple of four (R, N+1) arrays
         Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m, of all contacts.
     masses : (R, N) array
         kg.
     strikes : (R, 4) array
-        Highest frequency, rad/s, energy, J, and largest displacement and speed that the excitation
-        imposes, m and m/s.
+        Highest frequency, rad/s, energy, J, and the largest displacement and speed that the
+        excitation imposes, m and m/s.
     damping : tuple of (R, N+1) and (R, N) arrays
-        Viscosities of contacts, s, and drag on grains, 1/s; read if the batch is damped.
+        Viscosities of contacts, s, and drag on grains, 1/s; read only if the batch is damped.
     free : pair of int
-        First of the grains, from 0, whose motion is not prescribed, and the one behind the last.
+        First grain, from 0, whose motion is not prescribed, and the grain after the last one.
     opening_power : float
-        The force of a contact that opens goes as the overlap to this power.
+        Exponent with which the force depends on the overlap when a contact opens.
     """
     for real in range(masses.shape[0]):
         _fill_contacts(batch, real, at_rest)
@@ -63,7 +64,7 @@ def fill_batch(
         first, stop = free
         for n in range(first, stop):
             batch.inverse_mass[real, PAD + n] = 1.0 / masses[real, n]
-            # what is held or driven moves as it is told
+            # Damping does not act on grains that are held or driven.
             if batch.damped:
                 batch.drag[real, PAD + n] = damping[1][real, n]
                 batch.mass[real, PAD + n] = masses[real, n]
@@ -75,19 +76,19 @@ def fill_batch(
 
 @inlined
 def _fill_contacts(batch, real, at_rest):
-    """Fill the lengths and strengths of the contacts of a chain, and what they are at rest."""
+    """Fill the lengths and strengths of the contacts of a chain, and their state at rest."""
     overlap, force, constant, stiffness = at_rest
     pressed = batch.precompressed > 0.0
     touching = constant[real, 0] if pressed and force[real, 0] == 0.0 else 0.0
     closed = pressed and touching == 0.0
     last = overlap.shape[1] - 1
     for n in range(last + 1):
-        # the force of a contact in units of that at rest; if nothing is pressed, of K and 1 m
+        # The unit of force is the force at rest; in the sonic vacuum, K for an overlap of 1 m.
         length = overlap[real, n] if pressed else 1.0
         if length > 0.0:
             batch.inverse_length[real, PAD - 1 + n] = 1.0 / length
             batch.strength[real, PAD - 1 + n] = force[real, n] if pressed else constant[real, n]
-        # stiffnesses are 0 where contacts only touch
+        # The stiffness of a contact that only touches is 0.
         if 0 < n < last and stiffness[real, n] == 0.0:
             closed = False
     batch.uncompressed[real] = touching
@@ -96,16 +97,16 @@ def _fill_contacts(batch, real, at_rest):
 
 @inlined
 def _fill_scales(batch, real, at_rest, masses, strike):
-    """Fill the scales of the motion of a chain, and the bound on its energy."""
+    """Fill the scales of the motion of a chain, and the upper bound on its energy."""
     overlap, _, constant, stiffness = at_rest
     fastest, energy, farthest, speed = strike
     speed = max(speed, farthest * fastest)
     batch.omega[real] = fastest
     batch.scale[real, 0] = speed / fastest
     batch.scale[real, 1] = speed
-    # a single grain has a contact with the wall above it, or one with that below
+    # A single grain touches either the wall above it or the wall below it.
     below = 1 if constant[0, 1] > 0.0 else 0
-    # a contact that only touches has no unit
+    # A contact that only touches defines no unit of length.
     if batch.precompressed > 0.0:
         while stiffness[real, below] == 0.0 and below < masses.size:
             below += 1
@@ -116,24 +117,23 @@ def _fill_scales(batch, real, at_rest, masses, strike):
     total = 0.0
     for n in range(masses.size):
         total += masses[n]
-    # half as much again may be rounded, and slow motion that nothing puts in
+    # The bound is 1.5 times the energy, plus slow motion by rounding errors.
     allowed = min(3.0 * energy + total * (1e-3 * unit) ** 2, UNBOUNDED)
-    # reduced velocities leave their rounding, also where nothing moves
+    # Reduced velocities have rounding errors even if nothing moves.
     rounded = ROUNDED * speed if batch.damped else 0.0
     batch.allowed[real] = allowed + total * rounded**2
 
 
 @inlined
 def _fill_weights(batch, real, opening_power):
-    """Fill the effect of each contact of a chain on the motion as it opens or closes.
+    """Fill the weight of each contact of a chain, its effect on the motion as it opens or closes.
 
-    That is the square of the effect, and how near to it no step is shorter; see
-    `openings._may_matter`.
+    `opening_weight` is the square of this effect; `opening_reach` serves `openings._may_shorten`.
     """
     omega = batch.omega[real]
     inverse_mass = batch.inverse_mass[real]
-    # steps are those for a force that goes as t^(3/2): of one that goes as t^delta, the size of
-    # the force at a typical overlap counts
+    # The step formula assumes a force proportional to t^(3/2). For another exponent the weight uses
+    # the force at a typical overlap.
     power = opening_power - 1.5
     changes = omega**2.5 * batch.scale[real, 1] + 1e-300
     typical = batch.scale[real, 0] + 1e-300
@@ -159,21 +159,20 @@ def place_bodies(
     batch: BatchArrays,
     longest: int,
 ) -> tuple[Array, Array, NDArray[Any]]:
-    """Put grains in their rows, and begin to watch them.
+    """Store grains in aligned rows, and initialise their windows.
 
     Parameters
     ----------
     u, v : (C, R, N) arrays
-        Displacement, m, and velocity, m/s, in R chains: of one copy for all, or of every one of C
-        copies.
+        Displacement, m, and velocity, m/s, in R chains: one copy for all, or each of C copies.
     copies : int
-        How many there are to be.
+        Number of copies of the batch.
     driven : int
-        Number of grains, from the top, that are put where their motion says: their velocity is 0.
+        Number of driven grains, from the top; their initial velocity is set to 0.
     batch : layout.BatchArrays
     longest : int
-        Longest row, in bodies, that is computed as a whole from the beginning; else the window
-        begins around what moves.
+        Longest row, in bodies, with a window of the whole chain; in longer rows the window begins
+        around the grains that move.
 
     Returns
     -------
@@ -201,7 +200,7 @@ def _fill_places(x, w, state, u, v, driven, reach, least_strain, longest):
         if first > last:
             first = width
             last = 0
-        # whatever moves or is out of place belongs to the window
+        # The window contains all grains that move or are displaced.
         for n in range(grains):
             x[row, PAD + n] = u[copy, real, n]
             if n >= driven:
@@ -212,7 +211,7 @@ def _fill_places(x, w, state, u, v, driven, reach, least_strain, longest):
         if first > last:
             first = PAD
             last = PAD
-        # to follow the wave costs more than so few grains
+        # For short chains, following the wave costs more than computing all grains.
         if width <= longest:
             first = PAD
             last = width - PAD - 1

@@ -1,6 +1,6 @@
-"""The map of a kick-drift splitting and its tangent, by which deviations grow, compiled.
+"""The map of a kick-drift splitting and its tangent, which describes small deviations, compiled.
 
-The map is that of the native engine, so its tangent is exact for the steps taken, and symplectic.
+The map is that of the native engine. Its tangent is exact for the steps taken, and symplectic.
 """
 
 from __future__ import annotations
@@ -31,10 +31,9 @@ class Deviations(NamedTuple):
     Attributes
     ----------
     x, v : (N, C) arrays
-        Of displacements and velocities, contiguous.
+        Deviations of displacements and velocities, contiguous.
     stretch : (C,) array
-        By how much, in relative terms, a deviation stretches all steps: 1 for the derivative by
-        log(time).
+        Relative change of all step lengths in a deviation: 1 for the derivative by log(time).
     """
 
     x: Array
@@ -51,9 +50,9 @@ class TangentSteps(NamedTuple):
 
 
 class Held(NamedTuple):
-    """A body without inverse mass, its index, and its path: where it is at every kick, m.
+    """A body without inverse mass: its index, and its displacement at every kick, m.
 
-    The path is (K S + 1,), or empty if no body is moved.
+    The path is (K S + 1,), or empty if no body is driven.
     """
 
     body: int
@@ -69,7 +68,7 @@ class ContactResponse(NamedTuple):
 
 @inlined
 def evaluate(links, x, lost, response):
-    """Fill force and stiffness of all contacts; `lost` is what rounding has taken off x."""
+    """Compute force and stiffness of all contacts; `lost` is the rounding error of x."""
     force, stiffness = response
     first = PAD - 1
     last = PAD - 1 + force.size
@@ -80,15 +79,15 @@ def evaluate(links, x, lost, response):
         r = x[first] - x[PAD]
         force[0] += touching(r, links.uncompressed, links.coefficients)
         stiffness[0] += touching_stiffness(r, force[0], links.coefficients)
-    # to first order, the force at the displacement that was not rounded
+    # Correct the force to first order by the rounding error of the displacement.
     for n in range(force.size):
         force[n] += stiffness[n] * (lost[first + n] - lost[PAD + n])
 
 
 @inlined
 def add_exactly(row, lost, n, change):
-    """Add a change to an element of a row, and keep what rounding takes off for the next one."""
-    # exact for any two numbers, which needs that the compiler reorders nothing
+    """Add a change to an element of a row, and store the rounding error for the next addition."""
+    # The rounding error is exact for any two numbers, if the compiler does not reorder operations.
     old = row[n]
     change += lost[n]
     new = old + change
@@ -99,13 +98,13 @@ def add_exactly(row, lost, n, change):
 
 @inlined
 def _kick(inverse_mass, kick, motion, lost, deviations, response):
-    """Kick the grains, and every deviation by what the stiffness makes of it."""
+    """Kick the grains, and every deviation by the linearised force."""
     dx, dv, stretch = deviations
     force, stiffness = response
     grains, columns = dx.shape
     for n in range(grains):
         push = kick * inverse_mass[PAD + n]
-        # one that is held or driven
+        # This grain is held or driven.
         if push == 0.0:
             continue
         change = push * (force[n] - force[n + 1])
@@ -125,7 +124,7 @@ def _kick(inverse_mass, kick, motion, lost, deviations, response):
 
 @inlined
 def _drift(drift, motion, lost, deviations):
-    """Let the grains drift, and every deviation."""
+    """Drift the grains and every deviation."""
     dx, dv, stretch = deviations
     for n in range(dx.shape[0]):
         change = drift * motion.v[PAD + n]
@@ -143,22 +142,22 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
     Parameters
     ----------
     batch : BatchArrays
-        Of a batch of this chain alone.
+        Arrays of a batch that contains only this chain.
     inverse_mass : (W,) array
         1/kg.
-    motion : Motion
+    motion : BodyRow
         Overwritten.
     deviations : Deviations
         Overwritten.
-    steps : Steps
+    steps : TangentSteps
     held : Held
     states : (2, K+1, N) array
         Filled with displacements and velocities between the steps.
 
     Notes
     -----
-    Sums are compensated: a grain that flies far between short contacts would lose four digits to
-    rounding.
+    Sums are compensated, because a grain that flies far between short contacts would lose four
+    digits to rounding errors.
     """
     links = links_of(batch, 0)
     x, v = motion

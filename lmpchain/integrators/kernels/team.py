@@ -1,8 +1,8 @@
-"""Threads that share a chain: which grains are whose, and where they wait for each other, compiled.
+"""Threads that share a chain: their grains, and the points at which they synchronise, compiled.
 
-All run the same march, each with a state of its own that goes through the same values; only loops
-over grains are those of a thread, and `meet` stands where one goes on with what another has
-written.
+All threads run the same march, each with its own copy of the state, which goes through the same
+values. Loops over grains are divided between the threads, and `meet` synchronises them before a
+thread reads values that another one has written.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numba.np import arrayobj
 from .compiling import compiled, inlined, llvm
 from .layout import GIVEN_UP, LEAST_SHARE, PAD
 
-# looks for the others, some microseconds, before the core is offered to whoever wants it
+# Number of polls, some microseconds, before a waiting thread yields its core.
 LOOKS_BEFORE_YIELD = 4000
 _INT64 = ir.IntType(64)
 
@@ -28,8 +28,8 @@ def _place(context: Any, builder: Any, kind: Any, gate: Any, index: Any) -> Any:
 
 
 @llvm
-def _count_in(typing: Any, gate: Any) -> Any:
-    """Add 1 to gate[0] and return what it was, at once for all threads."""
+def _count_arrival(typing: Any, gate: Any) -> Any:
+    """Add 1 to gate[0] atomically and return its previous value."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = _place(context, builder, signature.args[0], args[0], ir.Constant(_INT64, 0))
@@ -39,8 +39,8 @@ def _count_in(typing: Any, gate: Any) -> Any:
 
 
 @llvm
-def _seen(typing: Any, gate: Any, index: Any) -> Any:
-    """Return gate[index] as it is in memory now."""
+def _load(typing: Any, gate: Any, index: Any) -> Any:
+    """Return the current value of gate[index] by an atomic load."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         place = _place(context, builder, signature.args[0], args[0], args[1])
@@ -50,11 +50,11 @@ def _seen(typing: Any, gate: Any, index: Any) -> Any:
 
 
 @llvm
-def _stand_back(typing: Any) -> Any:
-    """Offer the core to other threads."""
+def _yield_core(typing: Any) -> Any:
+    """Yield the core to other threads."""
 
     def generate(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
-        # Windows has none: there the thread goes on looking
+        # Windows has no `sched_yield`; a waiting thread continues to poll there.
         if hasattr(os, "sched_yield"):
             kind = ir.FunctionType(ir.IntType(32), [])
             builder.call(cgutils.get_or_insert_function(builder.module, kind, "sched_yield"), [])
@@ -65,26 +65,26 @@ def _stand_back(typing: Any) -> Any:
 
 @compiled
 def _wait(team):
-    """Wait until all threads are here, or one has given up."""
-    # arrivals are never reset: the goal is the next multiple of the number of threads
-    goal = (_count_in(team.gate) // team.parts + 1) * team.parts
+    """Wait until all threads of the team have arrived, or one has failed."""
+    # Arrivals are never reset, so the goal is the next multiple of the number of threads.
+    goal = (_count_arrival(team.gate) // team.parts + 1) * team.parts
     looks = 0
-    while _seen(team.gate, 0) < goal and _seen(team.gate, GIVEN_UP) == 0:
+    while _load(team.gate, 0) < goal and _load(team.gate, GIVEN_UP) == 0:
         looks += 1
         if looks > LOOKS_BEFORE_YIELD:
-            _stand_back()
+            _yield_core()
 
 
 @inlined
 def meet(team):
-    """Wait until all threads of a team are here."""
+    """Wait until all threads of a team have arrived."""
     if team.parts > 1:
         _wait(team)
 
 
 @compiled
 def largest(team, value):
-    """Return the largest of the values of all threads, to each of them."""
+    """Return the largest of the values of all threads, on each of them."""
     if team.parts == 1:
         return value
     team.nearness[team.part, 0] = value
@@ -97,16 +97,16 @@ def largest(team, value):
 
 @inlined
 def share(chain):
-    """Return the first grain of the window that is this thread's, and the one behind its last.
+    """Return the first grain of the window that belongs to this thread, and the one after its last.
 
-    There is none if they agree. A short window is left to the first thread.
+    Both are equal if the thread has no grains. Short windows are processed by fewer threads.
     """
     first = chain.state.first
     last = chain.state.last
     team = chain.team
     if team.parts == 1:
         return first, last
-    # threads beyond that would wait longer than they work
+    # More threads would spend more time waiting than working.
     shares = max(1, min(team.parts, (last - first) // LEAST_SHARE))
     part = min(team.part, shares)
     lines = (last - first) // PAD

@@ -1,4 +1,4 @@
-"""What is imposed on a chain over time, compiled where anything is, apart from the marches."""
+"""The imposed motion or force over time, compiled on first use, separately from the marches."""
 
 from __future__ import annotations
 
@@ -22,9 +22,10 @@ _kept = compiled_filler(fastmath=STRICT)
 
 @_kept
 def _course(wave, knots, pieces, t, order, inside):
-    """Return the imposed motion or force at time t, or a derivative, by the law at `inside`.
+    """Return the imposed motion or force at time t, or its derivative of some order.
 
-    It is a sine, also one with an envelope, or a cubic spline.
+    The time `inside` selects the branch at a corner. The motion or force is a sine, with or without
+    an envelope, or a cubic spline.
     """
     if wave.knots == 0:
         size = wave.amplitude
@@ -40,7 +41,7 @@ def _course(wave, knots, pieces, t, order, inside):
         if order == 0:
             return size * math.sin(omega * t) * (window * window)
         if order == 2:
-            # the window squared and its two derivatives
+            # The first and second derivatives of the squared window.
             first = envelope * math.sin(2.0 * envelope * t)
             second = 2.0 * envelope * envelope * math.cos(2.0 * envelope * t)
             bend = (second - omega * omega * window * window) * math.sin(omega * t)
@@ -48,7 +49,7 @@ def _course(wave, knots, pieces, t, order, inside):
         slope = 2.0 * envelope * math.cos(envelope * t) * math.sin(omega * t)
         return size * window * (omega * math.cos(omega * t) * window + slope)
     knots = knots[: wave.knots]
-    # a rate may jump at a knot
+    # The derivative may jump at a knot, so `inside` selects the piece.
     at = t if order == 0 else inside
     piece = min(max(np.searchsorted(knots, at, "right") - 1, 0), knots.size - 2)
     s = t - knots[piece]
@@ -63,7 +64,7 @@ def _course(wave, knots, pieces, t, order, inside):
 
 @_kept
 def _corner(wave, knots, t, end, resolution):
-    """Return the time to the next corner before `end`, else infinity."""
+    """Return the time to the next corner before `end`, or 1e300 without one."""
     if wave.knots > 0:
         knots = knots[: wave.knots]
         following = np.searchsorted(knots, t + resolution, "right")
@@ -71,13 +72,13 @@ def _corner(wave, knots, t, end, resolution):
             return knots[following] - t
     elif t + resolution < wave.end < end - resolution:
         return wave.end - t
-    # infinity would be none under the flags of the compiler
+    # The compiler flags assume finite numbers, so infinity is not allowed.
     return 1e300
 
 
 @cache
 def addresses() -> tuple[int, ...]:
-    """Return where these two lie in memory, once they are compiled."""
+    """Return the memory addresses of the compiled functions `_course` and `_corner`."""
     return address_of(_course, _COURSE), address_of(_corner, _CORNER)
 
 

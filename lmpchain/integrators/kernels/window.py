@@ -1,7 +1,7 @@
 """The active window of a chain, extremes of its contacts and grains, and samples, compiled.
 
-Only the window is computed: what lies outside, beyond the light cone, has not moved by `TINY` of
-the strike.
+Only the window is computed. Grains outside, beyond the light cone, have moved by less than the
+fraction `TINY` of the largest motion of the excitation.
 """
 
 from __future__ import annotations
@@ -14,23 +14,26 @@ from .layout import PAD, WHOLE_ROWS
 from .right_hand_side import impose_velocity, imposed_speed
 from .team import share
 
-# of the largest speed and displacement: what has moved less lies outside of the light cone
+# Grains that move less than this fraction of the largest speed and displacement are outside of the
+# light cone.
 TINY = 1e-19
-# of these: what has moved less, no answer holds, whatever becomes of it
+# Motion below this fraction is set to 0, because it does not affect any result.
 NOTHING = 1e-40
 
 
 class WindowLooks(NamedTuple):
-    """How often the largest motion is looked for.
+    """Frequency of the observations of the largest motion.
 
     Attributes
     ----------
     radians : float
-        omega t between the first looks: of one period of the fastest at most 12 % is missed.
+        omega t between the first observations; at most 12 % of a peak of the fastest mode is
+        missed.
     settled : int
-        Later looks are this part of the steps apart: what is new is rare then.
+        Later observations are separated by 1 / `settled` of the steps so far, because new extremes
+        are rare then.
     longest : float
-        Steps between two looks at most, which whole numbers hold.
+        Largest number of steps between two observations, within the range of integers.
     """
 
     radians: float = 1.0
@@ -43,7 +46,7 @@ LOOKS = WindowLooks()
 
 @inlined
 def widen(chain, margin):
-    """Let the window grow until `margin` grains at either end are at rest and not acted on."""
+    """Extend the window until `margin` grains at either end are at rest and without excitation."""
     x = chain.x
     v = chain.v
     state = chain.state
@@ -56,7 +59,7 @@ def widen(chain, margin):
         inner = max(PAD, chain.imposed.reach[1])
         while n > inner and abs(x[n]) <= still_x and abs(v[n]) <= still_v:
             n -= 1
-        # whole cache lines, so that threads and tiles do not share one
+        # The window consists of whole cache lines, so that threads and tiles do not share a line.
         state.last = min(end, max(last, (n + 1 + margin + PAD - 1) // PAD * PAD))
     first = state.first
     if first > PAD:
@@ -69,10 +72,10 @@ def widen(chain, margin):
 
 @inlined
 def rest_ahead(chain):
-    """Put what has hardly moved at either end of the window to rest.
+    """Set grains that have hardly moved at either end of the window to rest.
 
-    The many stages of a step reach so far ahead of a wave that numbers would become too small to be
-    normal, with which a processor is ten times slower.
+    The many stages of a step reach so far ahead of a wave that numbers would become subnormal, and
+    a processor computes ten times slower with subnormal numbers.
     """
     x = chain.x
     v = chain.v
@@ -92,9 +95,10 @@ def rest_ahead(chain):
 
 @inlined
 def watch(chain):
-    """Note the smallest r / length (-1 is an opening) and the largest r of all contacts.
+    """Update the smallest r / length (-1 is an opening) and the largest r of all contacts.
 
-    Positive numbers compare like their bits: the largest of whole numbers is found many at a time.
+    Positive numbers have the same order as their bit patterns, and the maximum of integers is
+    vectorised.
     """
     state = chain.state
     first, last = share(chain)
@@ -115,10 +119,10 @@ def watch(chain):
 
 @inlined
 def look(chain, clock, steps, t, complete):
-    """Note the largest displacement and speed of all grains at time t, if a look is due.
+    """Update the largest displacement and speed of all grains at time t, if an observation is due.
 
-    `steps` steps have been made. `complete` is the least part of its largest value to which a speed
-    without the last kick may have grown.
+    `steps` is the number of steps so far. `complete` is a lower bound on the ratio of the largest
+    speed to the largest speed that is observed before the last kick.
     """
     state = chain.state
     if steps < state.next_look or clock.ratio != 1.0:
@@ -143,7 +147,7 @@ def look(chain, clock, steps, t, complete):
 def record(chain, t, u_out, v_out):
     """Copy the grains up to the end of the window at time t into a sample, (N,) m and m/s."""
     first, last = share(chain)
-    # the first thread copies what is before the window, too
+    # The first thread also copies the grains above the window.
     first = PAD if chain.team.part == 0 else first
     last = chain.x.size if v_out.size <= WHOLE_ROWS else last
     x = chain.x[first:last]
