@@ -19,10 +19,10 @@ OLD_S = 60.0  # by then every rank of a run has started
 
 
 def unname_shared_memory() -> None:
-    """Remove the name of the shared memory of MPI, which lasts without as long as it is used.
+    """Remove the name of MPI's shared memory, which stays usable for attached processes.
 
-    Only once all processes that share it have attached to it. MPICH itself removes it at the end,
-    which a kill takes away.
+    Call this only after all processes have attached to it. MPICH itself removes the name at the
+    end of a run, but not after a kill.
     """
     for name in _names_in_use([Path("/proc/self")]):
         if name.startswith(MPICH):
@@ -44,12 +44,12 @@ def remove_leftovers() -> None:
     ):
         for path in names.parent.glob(f"{names.name}*"):
             with suppress(OSError):
-                # gone by now
+                # The file may be gone by now.
                 status = path.lstat()
                 if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
                     leftovers.append(path)
     if leftovers:
-        # what a living process has mapped stays, however old
+        # Shared memory that a living process has mapped stays, whatever its age.
         used = _names_in_use(path for path in Path("/proc").iterdir() if path.name.isdigit())
         for path in leftovers:
             if path.name not in used:
@@ -61,7 +61,7 @@ def _names_in_use(processes: Iterable[Path]) -> set[str]:
     names = set()
     for process in processes:
         with suppress(OSError):
-            # ended by now, or that of another user
+            # The process has ended by now, or belongs to another user.
             lines = (process / "maps").read_text().splitlines()
             names |= {
                 Path(line.split(maxsplit=5)[-1]).name
@@ -72,9 +72,9 @@ def _names_in_use(processes: Iterable[Path]) -> set[str]:
 
 
 def end_with_parent() -> None:
-    """Have the kernel end this process as soon as its parent is gone."""
-    # PR_SET_PDEATHSIG of linux/prctl.h
+    """Make the kernel end this process as soon as its parent has ended."""
+    # The value of PR_SET_PDEATHSIG in linux/prctl.h.
     death_signal = 1
-    # elsewhere a kill of the launcher leaves ranks behind
+    # On other systems a kill of the launcher leaves ranks behind.
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(ctypes.c_int(death_signal), ctypes.c_ulong(signal.SIGKILL))

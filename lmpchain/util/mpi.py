@@ -12,10 +12,10 @@ from typing import Any, NoReturn
 from ..errors import EngineUnavailable
 from .leftovers import end_with_parent, unname_shared_memory
 
-# variables by which processes of mpirun and srun know each other; a child of one inherits them
+# Environment variables of processes of mpirun and srun, which child processes inherit.
 VARIABLES = ("PMI_", "PMIX_", "OMPI_", "MPI_LOCAL", "SLURM_PROCID")
 RANKS = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "SLURM_PROCID")
-# begin the names of programs that start the processes of mpirun and srun
+# First letters of the names of programs that start the processes of mpirun and srun.
 LAUNCHERS = ("hydra", "mpiexec", "mpirun", "orted", "prte", "pmi_proxy", "slurmstepd")
 MESSAGE_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
 _joined: list[Any] = []
@@ -31,7 +31,7 @@ def count_processes() -> int:
 
 
 def is_launched() -> bool:
-    """Return whether mpirun or srun itself has started this process, not a program of theirs."""
+    """Return whether mpirun or srun started this process directly, not through another program."""
     try:
         parent = Path(f"/proc/{os.getppid()}/comm").read_text().strip()
     except OSError:
@@ -40,20 +40,20 @@ def is_launched() -> bool:
 
 
 def is_first() -> bool:
-    """Return whether this process is the first of those that know each other."""
+    """Return whether this process has rank 0."""
     return not any(os.environ.get(key, "0").strip("0") for key in RANKS)
 
 
 def count_idle() -> int:
-    """Return the number of processes that mpirun started beside this one, which it has left."""
+    """Return the number of other processes of mpirun whose world this process has left."""
     return _idle[0] if _idle else 0
 
 
 def leave() -> None:
-    """Make this process one of its own, whoever has started it under mpirun or srun.
+    """Remove this process from the MPI world of mpirun or srun.
 
-    Else MPI, as soon as LAMMPS is loaded, would look for the peers of another program, and end this
-    process where there are none.
+    Otherwise MPI would, as soon as LAMMPS is loaded, look for peers of another program, and end
+    this process if there are none.
     """
     if is_launched():
         _idle[:] = [count_processes() - 1]
@@ -62,7 +62,7 @@ def leave() -> None:
 
 
 def join() -> Any:
-    """Return the MPI world of this process, which rank 0 is to lead; a kill of any part ends all.
+    """Return the MPI world of this process with rank 0 as leader; a kill of any part ends all.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def join() -> Any:
 
 def settle(world: Any) -> None:
     """Make sure that a kill leaves no shared memory of these ranks behind."""
-    # all have attached to it
+    # All processes have attached to the shared memory.
     world.Barrier()
     unname_shared_memory()
 
@@ -94,14 +94,14 @@ def current_world() -> Any:
 
 
 def alone() -> Any:
-    """Return the communicator of this process alone, None outside MPI."""
+    """Return the communicator of this process alone; None outside MPI."""
     return library().COMM_SELF if count_processes() > 1 else None
 
 
 def library() -> Any:
-    """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
+    """Return mpi4py's MPI; raise `EngineUnavailable` with a remedy if it cannot be loaded."""
     if count_processes() > 1:
-        # MPI waits for ever where launcher and peers are killed while it starts or ends
+        # MPI waits for ever if launcher and peers are killed while it starts or ends.
         end_with_parent()
     try:
         from mpi4py import MPI
@@ -114,7 +114,7 @@ def library() -> Any:
 
 
 def launcher() -> str:
-    """Return the path of the mpiexec beside Python, or else of the first in the search path."""
+    """Return the path of the mpiexec beside Python, or else of the first one in the search path."""
     neighbour = Path(sys.executable).with_name("mpiexec")
     path = str(neighbour) if neighbour.exists() else which("mpiexec")
     if path is None:
@@ -127,5 +127,5 @@ def abort(world: Any, message: str) -> NoReturn:
     print(f"error: {message}", file=sys.stderr, flush=True)
     time.sleep(MESSAGE_S)
     world.Abort(1)
-    # not reached
+    # This line is not reached.
     raise SystemExit(1)

@@ -220,8 +220,7 @@ def arrivals(
 
 @compiled
 def _crossings(p, front, level, rules, work):
-    """Return the times at which a size crosses a level before and after a front, and the largest
-    error.
+    """Return the times when a size crosses a level before and after a front, and the largest error.
 
     Times without a crossing are NaN. The error is that of the polynomials on the way.
     """

@@ -213,7 +213,7 @@ def differentiate(c, count, out):
 
 @compiled
 def fill_polynomial(p, kind, h, i, work):
-    """Fill in a polynomial behind sample i and its derivative; return the number of coefficients."""
+    """Fill in a polynomial behind sample i and its derivative; return its coefficient count."""
     c = work[C]
     c1, c2, c4, c5 = _velocity(p, i, h)
     c[0] = p[V, i]
