@@ -185,9 +185,7 @@ class Accumulator:
         return upper - [u[:, below], v[:, below]] if below >= 0 else upper
 
     def largest(self, field: str, error: float) -> tuple[Array, Array]:
-        """Return the largest sizes of a field and their errors, (G,), given the error of the
-        samples.
-        """
+        """Return the largest sizes of a field and their errors, (G,), given the samples' error."""
         return estimate(self.state["fast" if field == "velocity" else "far"], error)
 
     def closest(self, row: int, error: float) -> tuple[Array, Array]:

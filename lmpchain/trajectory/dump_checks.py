@@ -257,7 +257,7 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
 def check_grains(
     name: str, scene: Scene, columns: Mapping[str, Array], order: np.ndarray, gauge: float
 ) -> None:
-    """Raise `InputError` if radii, diameters or masses in a dump differ from those of the chain.
+    """Raise `InputError` if radii, diameters or masses in a dump differ from the chain.
 
     The `gauge` is a diameter with which all grains are drawn, m, or 0.
     """
@@ -369,8 +369,7 @@ def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, A
 def _compare_changes(
     values: Array, rates: Array, interval: float, digit: float
 ) -> tuple[float, float]:
-    """Return the ratio of the changes of values to the integrated rates, and the error of the
-    ratio.
+    """Return the ratio of the changes of values to the integrated rates, and its error.
 
     It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
     fourth order. That differs from a fit to those of second order by more than it is off; what is

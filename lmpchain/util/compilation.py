@@ -201,7 +201,7 @@ class _KeptFile(IndexDataCacheFile):
     """
 
     def load(self, key: Any) -> Any:
-        """Return the cached value of a key; None if there is none."""
+        """Return the cached value of a key, or None."""
         try:
             return super().load(key)
         except OSError as error:
@@ -249,7 +249,7 @@ class _KeptCode(FunctionCache):
         return sig, codegen.magic_tuple(), self.kind
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the cached code for a signature; None if there is none."""
+        """Return the cached code for a signature, or None."""
         # Numba would first read its own functions, an eighth of a command's time. Only compilation
         # needs these functions, and reads them itself. Compiled code needs only the memory of the
         # runtime.

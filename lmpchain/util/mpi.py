@@ -40,7 +40,7 @@ def is_launched() -> bool:
 
 
 def is_first() -> bool:
-    """Return whether this process has rank 0."""
+    """Return whether this process has rank 0, or no rank."""
     return not any(os.environ.get(key, "0").strip("0") for key in RANKS)
 
 

@@ -37,7 +37,7 @@ class Shown:
             yield name, brief(value, letters=90), meanings.get(name, "")
 
     def _picture(self) -> str:
-        """Return the small picture as base64-encoded PNG; "" if there is none."""
+        """Return the small picture as base64-encoded PNG, or ""."""
         draw = getattr(self, "plot", None)
         if draw is None:
             return ""

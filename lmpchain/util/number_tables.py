@@ -440,7 +440,7 @@ def _header_cells(line: str, layout: TableLayout, width: int) -> list[str]:
 def _facts(
     above: Sequence[Sequence[str]], beside: Sequence[Sequence[str]], numeric: Sequence[int]
 ) -> Facts:
-    """Return the facts in the lines above a table, and those of Tektronix beside its first rows."""
+    """Return the facts in the lines above a table, or beside its first rows (Tektronix)."""
     facts: Facts = {}
     for cells in above:
         _note_above(facts, cells, numeric)

@@ -125,8 +125,7 @@ def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Arra
 
 
 def loudest_rows(values: Array, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first row of each group, and the row that differs most from its first
-    value.
+    """Return two rows of each group: the first, and the one that differs most from its first value.
 
     Examples
     --------

@@ -15,7 +15,7 @@ GAP = 2  # letters between the columns of a table
 
 
 def line_width() -> int:
-    """Return the number of letters of a line: that of the terminal, at least 80."""
+    """Return the width of a line in letters: the width of the terminal, at least 80."""
     on_terminal = sys.stdout is not None and sys.stdout.isatty()
     return max(LINE_WIDTH, shutil.get_terminal_size().columns if on_terminal else 0)
 

@@ -24,8 +24,7 @@ NOT_GIVEN: Any = None  # default of array fields that are filled in when they ar
 class Checked(Shown, BaseModel):
     """A frozen value that raises `InputError` with all faults on construction.
 
-    Use `replace` for a changed copy, which is checked, too. All other ways to make an unchecked
-    value raise an error.
+    Use `replace` for a changed copy, which is checked, too.
     """
 
     model_config = ConfigDict(
