@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import get_window
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain.measure.bodies import motion_of_all
 from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
 from lmpchain.measure.crests import summit
 from lmpchain.measure.flight import Flight, arrival, time_of_flight
@@ -328,3 +329,29 @@ def test_what_pushes_grain_1_below_a_wall():
     below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
     force = chain.masses[0] * (-(omega**2) * u[:, 0] - 9.81) + below - above
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
+
+
+def test_the_balance_needs_every_grain_that_can_move():
+    """The moving part includes two grains at rest; every unrecorded grain is an error."""
+    scene = Scene(
+        chain=Chain(grains=100, diameter=1e-3, bottom="wall"),
+        excitation=Impulse(velocity=1e-6),
+        duration=5e-7,
+        samples=5,
+    )
+    t = simulate(scene, "native", 1e-9)
+    part, u, v = motion_of_all(t)
+    last = int(np.flatnonzero(t.displacement.any(0) | t.velocity.any(0)).max()) + 1
+    assert part.chain.grains == last + 2 < 98
+    assert np.array_equal(u, t.displacement[:, : last + 2])
+    assert np.array_equal(v, t.velocity[:, : last + 2])
+    for grains, missing in (
+        (range(1, 100), "100"),
+        (range(1, 99), "99, 100"),
+        (range(2, 101), "1"),
+    ):
+        some = simulate(scene.replace(grains=list(grains)), "native", 1e-9)
+        with pytest.raises(InputError, match=f"record these too: {missing}$"):
+            motion_of_all(some)
+    held = scene.replace(chain=scene.chain.replace(bottom="fixed"), grains=list(range(1, 100)))
+    assert motion_of_all(simulate(held, "native", 1e-9))[0].chain.grains == last + 2

@@ -74,7 +74,7 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     return ratios
 
 
-@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("kind", ["crosses", "leaves for a moment", "touches for a moment"])
 def test_errors_cover_kinks(kind: str, exponent: float):
     rng = np.random.default_rng(round(100 * exponent))

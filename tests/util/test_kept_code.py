@@ -95,7 +95,7 @@ import numpy as np
 
 @compiled_once("a test", 1)
 def doubled(values):
-    return np.concatenate((values, 2 * values)).sum()
+    return (2 * values).sum()
 
 @compiled_once("a test", 1)
 def summed(values):
@@ -111,7 +111,8 @@ print(COMPILER in sys.modules)
 LATER = "print(kept.summed(np.arange(3.0)))"
 
 
-def test_kept_code_is_read_without_the_compiler_and_called_by_what_is_compiled_later(folder: Path):
+@pytest.mark.slow
+def test_cached_code_needs_no_compiler_and_is_called_by_later_compiled_code(folder: Path):
     (folder / "kept.py").write_text(MODULE + GROWN)
 
     def printed(script: str) -> list[str]:
@@ -123,6 +124,6 @@ def test_kept_code_is_read_without_the_compiler_and_called_by_what_is_compiled_l
         )
         return done.stdout.split()
 
-    assert printed(CALLS) == ["9.0", "0", "True"]
-    assert printed(CALLS) == ["9.0", "1", "False"]
-    assert printed(CALLS + LATER) == ["9.0", "1", "False", "12.0"]
+    assert printed(CALLS) == ["6.0", "0", "True"]
+    assert printed(CALLS) == ["6.0", "1", "False"]
+    assert printed(CALLS + LATER) == ["6.0", "1", "False", "9.0"]
