@@ -19,7 +19,7 @@ def strike(
 
 
 def unit(chain: Chain) -> float:
-    """Return the unit of time of a sonic vacuum in which velocities are in m/s."""
+    """Return the unit of time of a sonic vacuum for velocities in m/s."""
     return float((chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + chain.exponent)))
 
 
@@ -27,7 +27,7 @@ def unit(chain: Chain) -> float:
     ("exponent", "share", "speed"), [(1.5, 0.68163155, 0.9074700784), (2.0, None, 0.855251932)]
 )
 def test_behind_a_strike(exponent: float, share: float | None, speed: float):
-    """The height of the first pulse and its speed, published, and its width."""
+    """The height of the first pulse, its speed and its width agree with published values."""
     chain = Chain(**CHAIN, exponent=exponent)
     t = strike(
         chain, Impulse(velocity=0.1), 65 * unit(chain) / 0.1 ** ((exponent - 1) / (exponent + 1))
@@ -45,7 +45,7 @@ def test_behind_a_strike(exponent: float, share: float | None, speed: float):
 
 @pytest.mark.parametrize("downward", [True, False])
 def test_under_a_load(downward: bool):
-    """One that was put there, in either direction."""
+    """A prescribed wave is found in either direction."""
     chain = Chain(**CHAIN | {"grains": 110}, top_load=1.0)
     wave = solve(speed=1.3)
     t = strike(chain, wave.on(chain, 30 if downward else 80, downward), 40 * chain.time_scale)
@@ -84,7 +84,7 @@ def test_what_is_no_solitary_wave(chain: Chain, excitation: Impulse, said: str):
 
 @pytest.mark.parametrize("striker", ["ptfe", "steel"])
 def test_a_striker_of_another_kind(striker: str):
-    """The row behind it is uniform, and its wave the exact one: 0.9074700784 v^(1/5)."""
+    """The row behind the striker is uniform, and its wave the exact one: 0.9074700784 v^(1/5)."""
     chain = Chain(**CHAIN, impurity=[{"grain": 1, "material": striker}])
     fit = fit_soliton(strike(chain, Impulse(velocity=0.44), 1.5e-4))
     row = Chain(**CHAIN)

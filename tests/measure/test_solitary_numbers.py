@@ -1,6 +1,4 @@
-"""A solitary wave, number by number: its mean height, the line through its arrivals, its width and
-their errors.
-"""
+"""Numbers of a solitary wave: mean height, line through its arrivals, width and errors."""
 
 from __future__ import annotations
 
@@ -35,7 +33,7 @@ def front(struck: Trajectory) -> Front:
 def test_height_speed_and_width(
     struck: Trajectory, front: Front, first: int | None, last: int | None
 ):
-    """By default of the later half of grains 6 to 39; errors of half a 95 % interval and of
+    """The default grains are the later half of 6 to 39; errors include a 95 % interval and
     sampling.
     """
     fit = fit_soliton(struck, first, last)
@@ -77,20 +75,20 @@ def test_height_speed_and_width(
 
 
 def test_the_first_grains_still_change(struck: Trajectory):
-    """The wave is not yet itself there: they are taken only if asked for."""
+    """The wave still changes there, so these grains are used on request only."""
     with pytest.raises(InputError, match="no solitary wave") as error:
         fit_soliton(struck, None, 30)
     assert "from grain 2 to 30" in str(error.value)
 
 
 def moved(front: Front, **changes: Any) -> Any:
-    """Return a tracker that gives this front, changed."""
+    """Return a tracker that returns this front with changes."""
     changed = replace(front, **changes)
     return lambda trajectory, field: changed
 
 
-def test_what_is_steady_enough(struck: Trajectory, front: Front, monkeypatch: pytest.MonkeyPatch):
-    """Heights may scatter by 2 %, and speed and width be 2 % off; all grains go with the wave."""
+def test_limits_of_a_steady_wave(struck: Trajectory, front: Front, monkeypatch: pytest.MonkeyPatch):
+    """Heights may scatter by 2 %, and speed and width may deviate by 2 %."""
     grain = front.grain
     amplitude = np.full(front.grain.size, front.amplitude[20])
     clean = {"amplitude": amplitude, "time": 1e-6 + (grain - 1) / fit_soliton(struck).speed}
