@@ -1,4 +1,4 @@
-"""Shifts of colliding solitary waves tend to those of integrable chains as amplitudes fall."""
+"""Shifts of colliding solitary waves tend to the shifts in integrable chains as amplitudes fall."""
 
 from functools import cache
 

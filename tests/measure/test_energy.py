@@ -51,7 +51,7 @@ def record(
 
 
 def of_unknown_error(t: Trajectory) -> Trajectory:
-    """Return the samples without an error estimate, like those of a foreign dump."""
+    """Return the samples without an error estimate, as in a foreign dump."""
     return replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
 
 
@@ -292,7 +292,7 @@ def test_two_samples_say_nothing_about_the_error() -> None:
 
 @pytest.mark.parametrize("bottom", ["fixed", "free"])
 def test_grains_that_never_move_change_nothing(bottom: str) -> None:
-    """The balance of a long chain equals that of the part which the wave reaches."""
+    """The balance of a long chain equals the balance of the part that the wave reaches."""
     found = []
     for grains in (200, 2000):
         load = {"gravity": 0.0} if bottom == "free" else {}

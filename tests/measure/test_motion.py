@@ -188,7 +188,7 @@ def test_random_scenes_soak(equation, monkeypatch):
 
 
 def test_a_driven_grain_whose_samples_are_few():
-    """The drive gives the grain's acceleration; the contacts give those of all grains below."""
+    """The drive gives the acceleration of the grain; contacts give all other accelerations."""
     drive = Drive(amplitude=1e-9, frequency=20e3)
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11

@@ -1,4 +1,4 @@
-"""Compiled code that is damaged, or cannot be kept, is compiled anew; a line names the file."""
+"""Compiled code that is damaged, or cannot be cached, is compiled again with a message."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ print(kept.twice(21), sum(kept.twice.stats.cache_hits.values()))
 
 
 def run(folder: Path, *limit: str, **variables: str) -> tuple[str, str]:
-    """Call the function in a process of its own; return its output, and what it complains of."""
+    """Call the function in a separate process; return its output and its warnings."""
     words = [sys.executable, "-c", SCRIPT]
     done = subprocess.run(
         ["bash", "-c", f'{" ".join(limit) or ":"}; exec "$@"', "bash", *words],
@@ -67,7 +67,7 @@ def test_damaged_files_are_compiled_anew(suffix: str, damage: str, folder: Path)
     (path,) = (folder / "cache").rglob(f"*.{suffix}")
     path.write_bytes(DAMAGE[damage](path.read_bytes()))
     said, complaints = run(folder)
-    # one bit of an index may be of its version, or of a name that nobody looks up
+    # A changed bit of an index may be in its version, or in an unused name.
     assert said == "42 0" or (damage, suffix) == ("one bit", "nbi")
     if (damage, suffix) != ("one bit", "nbi"):
         assert str(path) in complaints

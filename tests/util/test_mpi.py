@@ -1,4 +1,4 @@
-"""MPI as one process sees it: who has started it, what it leaves behind, what ends with it."""
+"""MPI in one process: launcher, files after a kill, and processes that end together."""
 
 import ctypes
 import mmap
@@ -63,7 +63,7 @@ def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: An
     assert mpi.count_processes() == 1
     assert mpi.count_idle() == 0
     assert mpi.is_first()
-    # a job may still ask for its nodes
+    # A job may still ask for its nodes.
     assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
 
 
@@ -132,7 +132,7 @@ def test_an_abort_says_why_and_ends_all_ranks(monkeypatch: Any, capsys: pytest.C
 
 @pytest.fixture
 def shared(tmp_path: Path, monkeypatch: Any) -> Path:
-    """Folders in place of those of the machine."""
+    """Replace the folders of the machine by temporary ones."""
     for name in ("shm", "tmp"):
         (tmp_path / name).mkdir()
     monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path / "shm")
