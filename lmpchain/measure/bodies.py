@@ -1,4 +1,4 @@
-"""The motion of any bodies of a chain: grains that were recorded, held ones, and walls."""
+"""Motion of any bodies of a chain: recorded grains, held grains, and walls."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __dir__ = listed(__name__)
 
 
 def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the numbers of contacts whose two bodies were recorded or stand still.
+    """Return the numbers of the contacts whose two bodies were recorded or stand still.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
 
 
 def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
-    """Return displacement, m, and velocity, m/s, of grains or walls (0 and N + 1), (T, ...) each.
+    """Return displacements, m, and velocities, m/s, of grains or walls (0 and N + 1), (T, B) each.
 
     Parameters
     ----------
@@ -59,12 +59,12 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     Raises
     ------
     InputError
-        If one of them was not recorded and is not held.
+        If a body was not recorded and is not held.
     """
     column = _recorded_columns(trajectory, bodies)
     u = trajectory.displacement[:, column]
     v = trajectory.velocity[:, column]
-    # the mark of a body that stands still is an index, too, of the last column
+    # The mark of a body that stands still is also a valid index: the last column.
     u[:, column == STILL] = v[:, column == STILL] = 0.0
     if wall := trajectory.scene.excitation.wall:
         u[:, bodies == 0] = wall.at(trajectory.time, 0)[:, None]
@@ -73,10 +73,10 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
 
 
 def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
-    """Return scene and motion, m and m/s, of the grains down to the last that ever moves.
+    """Return the scene and the motion, m and m/s, of the grains down to the last that ever moves.
 
-    Two grains at rest below that one belong to it, too, if there are any: the last of them is held
-    for good.
+    The part of the scene includes up to two grains at rest below the last moving grain; the lowest
+    of them never moves.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     u = np.asarray(trajectory.displacement)
     v = np.asarray(trajectory.velocity)
     _recorded_columns(trajectory, np.arange(1, scene.chain.grains + 1))
-    # a force may act on a grain that has not moved yet
+    # A force may act on a grain that has not moved yet.
     last = 2 + max(
         scene.excitation.reach(scene.chain)[1],
         int(trajectory.grains[leaves_rest(u, v)].max(initial=1)),
@@ -105,7 +105,7 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
 
 
 def _recorded_columns(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
-    """Return the columns of bodies, or marks; raise `InputError` if one is unknown."""
+    """Return the columns of bodies, or their marks; raise `InputError` if a body is unknown."""
     chain = trajectory.scene.chain
     column = columns(chain.grains, chain.movable, trajectory.grains)[bodies]
     missing = np.unique(bodies[column == UNKNOWN])

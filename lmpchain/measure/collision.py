@@ -1,4 +1,4 @@
-"""Shifts of two solitary waves that meet: where each is, beside where it would have been."""
+"""Position shifts of two solitary waves after a collision, relative to undisturbed waves."""
 
 from __future__ import annotations
 
@@ -34,20 +34,20 @@ ALONE = 8  # grains that each wave passes alone, before and after
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Collision(Shown, Tabular):
-    """Two solitary waves that have met; the first is the one nearer to the top before.
+    """Two solitary waves that have collided; the first is the upper one before the collision.
 
     Attributes
     ----------
     head_on : bool
-        Whether they go against each other; else one has overtaken the other.
+        Whether the waves travel in opposite directions; else one wave overtakes the other.
     place, time : float
-        Where and when the lines of their motion before cross: grain, and s.
+        Intersection of the two crest lines before the collision: grain, and s.
     way : (2,) array
-        +1 of a wave that goes down, -1 of one that goes up.
+        Direction of travel of each wave: +1 downward, -1 upward.
     speed, velocity : (2,) arrays
-        Before: grains/s, and the largest of a grain, m/s.
+        Wave speed, grains/s, and largest grain velocity, m/s, before the collision.
     speed_after, velocity_after : (2,) arrays
-        The same afterwards; lower where the collision costs energy.
+        Both after the collision; lower if the waves lose energy.
     shift : (2,) array
         By how many grains each is further along its way than without the other, at `time`, by the
         line of its motion afterwards.
@@ -91,7 +91,7 @@ class Collision(Shown, Tabular):
     _after: tuple[_CrestLine, _CrestLine]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw how far each wave is ahead of where it would be alone; returns the axes."""
+        """Draw how far each wave is ahead of its undisturbed position; return the axes."""
         ax = axes_in_units(ax, "s", "")
         for k, colour in enumerate(("#0072B2", "#D55E00")):
             line = self._before[k]
@@ -109,7 +109,7 @@ class Collision(Shown, Tabular):
 
 
 class _CrestLine(NamedTuple):
-    """Crests of a wave while it is alone, and the line through them."""
+    """Crests of a wave while it travels alone, and the straight line through them."""
 
     grain: Array
     time: Array
@@ -121,12 +121,12 @@ class _CrestLine(NamedTuple):
     speed_off: float
 
     def at(self, time: Array | float) -> Array | float:
-        """Return where the line is, in grains."""
+        """Return the position of the line at a time, in grains."""
         return self.origin + self.speed * (time - self.middle)
 
 
 class _IncomingWave(NamedTuple):
-    """A wave at the beginning: place, counted from 0, way, and the exact one as high."""
+    """A wave before the collision: position, counted from 0, direction, and exact solitary wave."""
 
     grain: float
     way: int
@@ -135,12 +135,12 @@ class _IncomingWave(NamedTuple):
 
     @property
     def speed(self) -> float:
-        """Velocity along the chain, grains/s."""
+        """Velocity along the chain, grains/s, positive downward."""
         return self.way * self.exact.speed / self.unit
 
     @property
     def reach(self) -> float:
-        """Grains from the middle to where it has fallen to nearly nothing."""
+        """Distance from the middle of the wave at which the wave has decayed, in grains."""
         top = float(self.exact.overlap(0.0))
         wave = self.exact
         return brentq(lambda x: float(wave.overlap(x)) / top - APART, 0.0, 2 * wave.reach)
@@ -206,11 +206,11 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
             "excitation", "the waves begin within each other: put them further apart"
         )
     heights = [float(wave.exact.velocity(0.0)) for wave in waves]
-    # lines before and after; a wave in a collision may lose height
+    # Fit lines before and after the collision, in which a wave may lose height.
     least: dict[int, float] = {}
     for wave, height in zip(waves, heights, strict=True):
         least[wave.way] = min(least.get(wave.way, np.inf), 0.3 * _in_si(chain, wave, height))
-    # of either way, down to the lower one of two that go one way
+    # Two waves in one direction share a threshold, which the lower wave sets.
     passages = {way: crests.find(time, way * velocity, low) for way, low in least.items()}
     before = [
         _line(passages[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
@@ -225,7 +225,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
 
 
 def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingWave]:
-    """Return the two highest waves of a snapshot, from the top."""
+    """Return the two highest waves of a snapshot, from the top downward."""
     size = np.abs(velocity)
     tops = crests.local_maxima(size)
     tops = np.sort(tops[np.argsort(size[tops])[-2:]])
@@ -233,7 +233,7 @@ def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingW
         raise InputError.at("excitation", "must be two solitary waves")
     waves = []
     for top in tops:
-        # the crest of a wave is a parabola in the logarithm, next to its middle
+        # The logarithm of a wave is a parabola near the crest.
         low, high, next_one = np.log(np.maximum(size[top - 1 : top + 2], 1e-300))
         bend = low + next_one - 2 * high
         place = (low - next_one) / (2 * bend)
@@ -256,14 +256,14 @@ def _line(
     end: float,
     through: tuple[float, float],
 ) -> _CrestLine:
-    """Return the line of a wave between two times, near that of the exact one through a point.
+    """Fit the line of a wave between two times, close to the exact wave through a given point.
 
-    Of times behind that point the later half counts.
+    After the collision, only the later half of the crests is used.
     """
     grain, time = through
     expected = grain + wave.speed * (passages.time - time)
     height = _in_si(chain, wave, float(wave.exact.velocity(0.0)))
-    # the other wave is further off than the shift
+    # The other wave is further away than the shift.
     near = np.abs(passages.grain - expected) < wave.reach
     near &= np.abs(passages.height / height - 1) < crests.NEAR
     near &= (passages.time > begin) & (passages.time < end)
@@ -278,7 +278,7 @@ def _line(
     x = passages.grain[near].astype(float)
     t = passages.time[near]
     order = np.argsort(t)
-    # what the collision radiates leaves the wave slowly
+    # The radiation of the collision separates slowly from the wave.
     settled = order[order.size // 2 :] if begin > time else order
     x = x[settled]
     t = t[settled]
@@ -305,7 +305,7 @@ def _line(
 
 
 def _crossing(first: _CrestLine, second: _CrestLine) -> tuple[float, float]:
-    """Return where, counted from 0, and when two lines cross."""
+    """Return the place, counted from 0, and the time at which two lines cross."""
     gap = float(second.at(first.middle)) - first.origin
     time = first.middle + gap / (first.speed - second.speed)
     return float(first.at(time)), time
@@ -318,7 +318,7 @@ def _compare(
     after: list[_CrestLine],
     place: tuple[float, float],
 ) -> Collision:
-    """Return the shifts, and the laws beside."""
+    """Return the measured shifts together with the predictions of Toda and KdV theory."""
     time = place[1]
     way = np.array([wave.way for wave in waves], dtype=float)
     shift = [
@@ -353,7 +353,7 @@ def _compare(
 
 
 def _laws(speeds: list[float], head_on: bool) -> Array:
-    """Return the shifts of two waves by Toda and by KdV, (2, 2); speeds are over that of sound."""
+    """Return the shifts of two waves in Toda and KdV theory, (2, 2); speeds are Mach numbers."""
     first, second = speeds
     pairs = [(first, second), (second, first)]
     toda = [theory.toda(*pair, head_on) for pair in pairs]

@@ -30,7 +30,7 @@ LINES = 6  # contacts drawn as lines; more are drawn as a map
 
 @dataclass(frozen=True, order=True)
 class ContactEvent:
-    """A contact opens or closes, at `time` in s; events sort by time."""
+    """An opening or closing of a contact at `time`, s; events sort by time."""
 
     time: float
     contact: int
@@ -79,9 +79,9 @@ class ContactHistory(Shown, Tabular):
         changed = gap[1:] != gap[:-1]
         before = overlap[:-1]
         after = overlap[1:]
-        # approaches closing or opening, then recedes
+        # The contact approaches closing or opening, then recedes.
         turned = (before * rate[:-1] < 0) & (after * rate[1:] > 0) & ~changed
-        # a cubic lies between the least and the largest of its control points
+        # A cubic lies between the smallest and the largest of its control points.
         third = np.diff(self.time)[:, None] / 3
         crosses_early = before * (before + third * rate[:-1]) <= 0
         crosses_late = after * (after - third * rate[1:]) <= 0
@@ -91,11 +91,11 @@ class ContactHistory(Shown, Tabular):
             cubic = CubicHermiteSpline(self.time[pair], overlap[pair, c], rate[pair, c])
             roots = cubic.roots(extrapolate=False)
             if changed[i, c]:
-                # if round-off hides the root, the sample nearer to contact
+                # If rounding errors hide the root, use the sample nearer to contact.
                 nearer = self.time[i + np.abs(overlap[pair, c]).argmin()]
                 roots = roots[:1] if roots.size else [nearer]
             if changed[i, c] or len(roots) == 2:
-                # of two events between samples the second undoes the first
+                # The second of two events between samples reverses the first.
                 for time, opens in zip(roots, (not gap[i, c], bool(gap[i, c])), strict=False):
                     events.append(ContactEvent(float(time), int(self.contact[c]), opens))
         return sorted(events)
@@ -128,7 +128,7 @@ class ContactHistory(Shown, Tabular):
             colours: dict[str, Any] = {"cmap": "cividis"}
             extend = "neither"
             if above_rest:
-                # a change has two signs; saturated, so that a wave can be seen where it is weak
+                # A change has two signs. The colours saturate so that a weak wave remains visible.
                 limit = scale(values)
                 colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
                 extend = "both"
@@ -165,7 +165,7 @@ class Signal(Shown, Tabular):
     change: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the force over time; returns the axes."""
+        """Draw the force over time; return the axes."""
         ax = axes_in_units(ax, "s", "N")
         ax.plot(self.time, self.force, label=f"grain {self.grain}")
         return finish(ax, "time", "force on the sensor")
@@ -230,7 +230,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
         overlap=overlap,
         closing=closing,
         force=law.force_at(overlap) + viscous,
-        # not the difference of two forces, in which a weak wave would lose its digits
+        # A difference of two forces would lose the digits of a weak wave.
         change=law.force_change(closer) + viscous,
     )
 
@@ -265,7 +265,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return displacement, velocity and acceleration of what is driven, (T,) m, m/s, m/s2.
+    """Return displacement, velocity and acceleration of the driven grain or wall, m, m/s, m/s2.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def drive_force(trajectory: Trajectory) -> Array:
     if trajectory.scene.excitation.wall:
         return contacts(trajectory, [0]).force[:, 0]
     force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
-    # at rest a wall carries the load, and the driver nothing
+    # At rest the wall carries the load, so that the driver exerts no force.
     if chain.top == "wall":
         return force - contacts(trajectory, [0]).change[:, 0]
     return force + (chain.top_load if chain.load_grain == 1 else 0.0)

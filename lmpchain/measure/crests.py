@@ -1,4 +1,4 @@
-"""Crests of a wave as it passes grain after grain, between the samples too."""
+"""Crests of a wave as it passes each grain, interpolated between the samples."""
 
 from __future__ import annotations
 
@@ -38,14 +38,16 @@ class Crests(NamedTuple):
     height_error: Array
 
     def first(self, grain: int, begin: float, end: float) -> int | None:
-        """Return the number of the highest crest of a grain between two times, None without one."""
+        """Return the number of the highest crest of a grain between two times; None if there is
+        none.
+        """
         first, last = np.searchsorted(self.grain, [grain, grain + 1])
         time = self.time[first:last]
         inside = first + np.flatnonzero((time >= begin) & (time <= end))
         return int(inside[self.height[inside].argmax()]) if inside.size else None
 
     def follow(self, crest: int, pace: float, way: int) -> NDArray[np.intp]:
-        """Return the numbers of the crests of one wave, from one of them on.
+        """Return the numbers of all crests of one wave, given one of them.
 
         Parameters
         ----------
@@ -111,7 +113,7 @@ def find(time: Array, velocity: Array, least: float) -> Crests:
 def _summits(
     velocity: Array, sample: NDArray[np.intp], grain: NDArray[np.intp], stride: int
 ) -> tuple[Array, Array]:
-    """Return places, in samples from these, and heights of maxima of polynomials through them."""
+    """Return positions, in samples from these, and heights of the maxima of local polynomials."""
     nodes = np.arange(-HALF, HALF + 1)
     values = velocity[sample[:, None] + stride * nodes, grain[:, None]]
     powers = np.arange(nodes.size)
@@ -122,19 +124,19 @@ def _summits(
     for _ in range(6):
         curve = (bends * x[:, None] ** powers[:-2]).sum(1)
         slope = (slopes * x[:, None] ** powers[:-1]).sum(1)
-        # within the sample next to it; a curve that does not bend down has no maximum
+        # Stay within one sample. A curve that is not concave has no maximum.
         x = np.clip(x - np.divide(slope, curve, out=np.zeros_like(x), where=curve < 0), -1, 1)
     return stride * x, (terms * x[:, None] ** powers).sum(1)
 
 
 def local_maxima(values: Array) -> NDArray[np.intp]:
-    """Return the numbers of values (T,) above the next one and not below the one before."""
+    """Return the numbers of local maxima of values (T,)."""
     inner = values[1:-1]
     return 1 + np.flatnonzero((inner >= values[:-2]) & (inner > values[2:]))
 
 
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
-    """Return time and height of the maximum near a sample, by a quintic spline.
+    """Return time and height of the maximum near a sample by a quintic spline.
 
     The spline runs through every `stride`-th sample around it.
 
@@ -153,13 +155,13 @@ def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, fl
     """
     near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]
-    # in steps from the sample, so that the spline is well conditioned
+    # Time is in sampling intervals from the sample, so that the spline is well conditioned.
     unit = time[top + 1] - time[top]
     spline = make_interp_spline(
         (time[near] - time[top]) / unit, values[near], k=min(5, len(near) - 1)
     )
     roots = PPoly.from_spline(spline.derivative()).roots(extrapolate=False)
-    # the sample itself stands in where rounding leaves no root of the slope
+    # The sample itself is used if rounding errors leave no root of the slope.
     inside = np.append(roots[np.abs(roots) <= stride], 0.0)
     best = inside[np.argmax(spline(inside))]
     return float(time[top] + best * unit), float(spline(best))

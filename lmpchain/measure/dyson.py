@@ -1,4 +1,4 @@
-"""Eq. (22), velocities weighted by Dyson's distribution, beside means over random chains."""
+"""Eq. (22), velocities weighted by Dyson's distribution, and averages over random chains."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class DysonSums(Shown, Tabular):
     unit: float
 
     def _picture(self) -> str:
-        # it takes random chains
+        # The picture needs random chains.
         return ""
 
     @property
@@ -139,7 +139,7 @@ class DysonSums(Shown, Tabular):
         }
 
     def _rows(self, ensembles: Sequence[Ensemble]) -> list[dict[str, Any]]:
-        """Return the values of each m at the last sample, in the unit."""
+        """Return the rows of the table for the last sample, in the displayed unit."""
         rows = []
         for row, (m, ensemble) in enumerate(zip(self.m, ensembles, strict=True)):
             peak = int(np.abs(ensemble.velocity[-1]).argmax())
@@ -184,7 +184,7 @@ class DysonSums(Shown, Tabular):
         grains = np.arange(1, ordered.size + 1)
         means.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
         for row, (m, ensemble) in enumerate(zip(self.m, ensembles, strict=True)):
-            # colours repeat before dashes do, so that no two lines look alike
+            # Colours repeat before dashes do, so that no two lines look alike.
             dash = DASHES[(row + row // len(colours)) % len(DASHES)]
             style: dict[str, Any] = {"color": colours[row % len(colours)], "ls": dash, "lw": 1.6}
             mean = ensemble.velocity[-1] / self.unit
@@ -210,7 +210,7 @@ class DysonSums(Shown, Tabular):
             set_title(ax, f"{title}, tau = {self.tau[-1]:.4g}")
         largest = np.abs([ordered, self.velocity[-1]]).max(0)
         moving = np.flatnonzero(largest > 1e-3 * largest.max())
-        # a few grains at rest are drawn below the wave
+        # Show a few grains at rest below the wave.
         last = int(moving[-1]) + 5 if moving.size else grains.size
         for panel in (means, *terms_axes):
             panel.set_xlim(0.5, min(last, grains.size) + 0.5)
@@ -275,7 +275,7 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
 
 
 def orders(text: str) -> list[float]:
-    """Return the numbers of a list such as 1,2,5,20; raises `InputError` unless all are above 0.
+    """Return the numbers of a list such as 1,2,5,20; raise `InputError` unless all are above 0.
 
     Parameters
     ----------
@@ -309,7 +309,7 @@ def orders(text: str) -> list[float]:
 
 
 def relative_stiffness(chain: Chain) -> Array:
-    """Return the stiffness of the contact below each grain over that of the first, (N,).
+    """Return the stiffness of the contact below each grain relative to the first contact, (N,).
 
     In a uniform column under gravity it is n^(1 - 1/delta). Grain N has no contact below it unless
     there is a wall: it is then given one like that above it, under its weight.
@@ -342,7 +342,7 @@ def relative_stiffness(chain: Chain) -> Array:
     contacts = chain.contacts
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
-        # K and its force follow from those above: the last contact would carry one more weight
+        # The last contact would carry the weight of one more grain.
         above = contacts.constant[-2], contacts.force[-2] + weight
         stiffness[-1] = Contacts.at_rest(*above, contacts.law).stiffness
     return stiffness / stiffness[0]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-# Gauss and Legendre's quadrature from corner to corner, exact up to the ninth power
+# Gauss-Legendre quadrature between corners, exact up to degree 9.
 MOST_TURN = 1000.0  # radians of a waveform between two samples that are looked at one by one
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -113,7 +113,7 @@ class EnergyLedger(Shown, Tabular):
 
     @property
     def drift(self) -> Array:
-        """Energy change beyond work done and dissipation, (T,) J; 0 for the exact motion.
+        """Return the energy change beyond work and dissipation, (T,) J; 0 for the exact motion.
 
         If `balanced` has one of these two, it is 0 for any motion.
         """
@@ -121,14 +121,15 @@ class EnergyLedger(Shown, Tabular):
 
     @property
     def momentum_drift(self) -> Array:
-        """Momentum change not explained by external forces, (T,) N s; 0 for the exact motion.
+        """Return the momentum change not explained by external forces, (T,) N s; 0 for the exact
+        motion.
 
         If `balanced` has the impulse, it is 0 for any motion.
         """
         return self.momentum - self.momentum[0] - self.impulse
 
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
-        """Return the mean kinetic over the mean total energy from `start` to `end`, s.
+        """Return the ratio of mean kinetic to mean total energy from `start` to `end`, s.
 
         In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1
         over the time (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no
@@ -141,7 +142,7 @@ class EnergyLedger(Shown, Tabular):
         return float(kinetic / total) if total else np.nan
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw total, kinetic and potential energy and the work of a driver; returns the axes."""
+        """Draw total, kinetic and potential energy and the work of a driver; return the axes."""
         ax = axes_in_units(ax, "s", "J")
         ax.plot(self.time, self.total, label="total")
         ax.plot(self.time, self.kinetic, label="kinetic")
@@ -159,7 +160,7 @@ class EnergyLedger(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyLosses(Shown, Tabular):
-    """Energy that viscous contacts and drag have taken since t = 0, J.
+    """Energy dissipated by viscous contacts and drag since t = 0, J.
 
     Attributes
     ----------
@@ -183,7 +184,7 @@ class EnergyLosses(Shown, Tabular):
 
     @property
     def total(self) -> Array:
-        """The sum over all contacts and grains, (T,) J."""
+        """Energy dissipated by all contacts and grains, (T,) J."""
         return self.of_contact.sum(1) + self.of_grain.sum(1)
 
     def _columns(self) -> Iterator[NamedColumn]:
@@ -226,7 +227,7 @@ class EnergyShares(Shown, Tabular):
     of_grain_error: Array
 
     def part(self, first: int, last: int) -> Array:
-        """Return the energy of grains first ... last, the sum of `of_grain`, (T,) J.
+        """Return the energy of the grains from `first` to `last`, the sum of `of_grain`, (T,) J.
 
         Raises
         ------
@@ -283,7 +284,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     contacts = chain.contacts.of(contact)
     closer = u[:, 0] - u[:, 1]
     speed = np.abs(trajectory.velocity)
-    # the largest force above that at rest, anywhere within the error
+    # The largest force above that at rest within the error.
     force = np.maximum(
         np.abs(contacts.force_change(closer - 2 * off)),
         np.abs(contacts.force_change(closer + 2 * off)),
@@ -307,7 +308,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
 
 
 class _Pieces(NamedTuple):
-    """Integrals over the intervals in which a waveform shows them, (T-1,), NaN over others.
+    """Integrals over the intervals that follow from the waveform alone, (T-1,); NaN elsewhere.
 
     Attributes
     ----------
@@ -321,7 +322,7 @@ class _Pieces(NamedTuple):
 
 
 class _Forces(NamedTuple):
-    """Forces of contacts at samples, (T, N+1) arrays, and what the error of the trajectory does.
+    """Contact forces at the samples, (T, N+1) each, with their errors by the trajectory.
 
     Attributes
     ----------
@@ -346,8 +347,8 @@ class _Forces(NamedTuple):
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
-    """Return the part of grains in the energy of their contacts, (T, G): half, all at a wall."""
-    # a contact that does not exist holds nothing; one that was not recorded is unknown
+    """Return the share of grains in the energy of their contacts, (T, G): half, all at a wall."""
+    # A contact that does not exist has no energy; the energy of an unrecorded contact is unknown.
     shares = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(energy), 1))
     shares[:, contact] = energy
     shares[:, 1:-1] /= 2
@@ -394,12 +395,12 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
     total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
-    # what the error of the trajectory does to it
+    # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)
     total_error = total_error.sum(1) + 2 * off * np.abs(contacts.largest).sum(1)
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
-        # the rates of viscous forces follow from no sample
+        # The rates of viscous forces do not follow from the samples.
         return _integral(scene, time, value, None if chain.damped else slope, known)
 
     momentum = v @ chain.masses
@@ -420,7 +421,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         change = push.rate * speed + push.force * push.acceleration
         work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
-        # a force is known, and so is the speed of what is driven
+        # An applied force is exact, and so is the speed of a driven body.
         driven = doubt[:, :2].sum(1) if scene.excitation.driven else doubt[:, 0]
         moves = bool(scene.excitation.driven or scene.excitation.wall)
         drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
@@ -466,7 +467,8 @@ def _close(
     sampled: dict[str, tuple[Array, float]],
     changes: dict[str, tuple[float, Array, Any, str]],
 ) -> tuple[dict[str, tuple[Array, float]], list[str]]:
-    """Return the surest values of terms with their errors, and which follow from a balance.
+    """Return the most accurate values of terms, their errors, and the terms that follow from a
+    balance.
 
     `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
     that sum and its error, and the other term of the balance.
@@ -479,7 +481,7 @@ def _close(
     for name, (sign, value, value_error, other) in changes.items():
         rest, rest_error = terms.get(other, (0.0, 0.0))
         error = float(np.max(value_error)) + rest_error
-        # nothing is put in or taken where its error is 0
+        # A term with the error 0 does not exchange anything, and needs no balance.
         if name not in summed and other not in balanced and error < terms[name][1]:
             terms[name] = sign * (value - value[0]) + rest, error
             balanced.append(name)
@@ -487,7 +489,7 @@ def _close(
 
 
 def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
-    """Return the energies that the run has summed up, with their errors, by name."""
+    """Return the energies that were accumulated during the run, with their errors, by name."""
     gathered = trajectory.gathered
     return {
         name: (np.array(gathered[name]), float(gathered[f"{name}_error"]))
@@ -497,18 +499,19 @@ def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
 
 
 def _area(time: Array, size: Array | float) -> float:
-    """Return the integral of an error, (T,) or a number, over the samples; 0 for a single one."""
+    """Return the time integral of an error, (T,) or a number, over the samples; 0 for one."""
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
 def _work_of_load(chain: Chain, u: Array, top: Array | None) -> Array:
-    """Return the work of the top load, (T,) J, with the top wall at (T,) m where that is moved."""
+    """Return the work of the top load, (T,) J, with the top wall at (T,) m if the wall is moved."""
     of_grain = chain.constant_load * u[:, chain.load_grain - 1]
     return of_grain if top is None else of_grain + chain.wall_load * top
 
 
 def losses(trajectory: Trajectory) -> EnergyLosses:
-    """Return the energy that each viscous contact, and the drag on each grain, has taken over time.
+    """Return the energy dissipated by each viscous contact, and by the drag on each grain, over
+    time.
 
     Parameters
     ----------
@@ -554,7 +557,9 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
 def _sum_losses(
     scene: Scene, time: Array, contacts: _Forces, v: Array, fast: float
 ) -> EnergyLosses:
-    """Return the losses of contacts and of grains, whose speeds are off by `fast`, m/s."""
+    """Return the energy dissipated by contacts and by grains, given the error `fast` of speeds,
+    m/s.
+    """
     drag = _drag(scene)
     if not scene.chain.damped:
         return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
@@ -572,10 +577,10 @@ def _drag(scene: Scene) -> Array:
 
 
 def _forces(chain: Chain, closer: Array, closing: Array, off: float, fast: float) -> _Forces:
-    """Return the forces of contacts whose approaches and rates are off by so much, m and m/s."""
+    """Return contact forces, given the errors of approaches and of their rates, m and m/s."""
     contacts = chain.contacts
     overlap = contacts.overlap + closer
-    # dF/dt = (dF/do) do/dt; an open contact has neither force nor rate
+    # The chain rule is dF/dt = (dF/do) do/dt. An open contact has neither force nor rate.
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
     rate = np.where(overlap > 0, stiffness * closing, 0.0)
 
@@ -599,7 +604,7 @@ def _forces(chain: Chain, closer: Array, closing: Array, off: float, fast: float
 
 
 def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> _Pieces:
-    """Return what a push gives in each interval that no cubic through two samples can show.
+    """Return the integrals of an applied force over intervals that a cubic cannot represent.
 
     These are all of a force, and those in which a motion has a corner: a comparison with every
     second sample does not show that, either. The waveform itself is known at all times; what it is
@@ -614,9 +619,9 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     unknown = np.full(time.size - 1, np.nan)
     corners = np.array(wave.corners)
     corners = corners[(corners > 0) & (corners <= time[-1])]
-    # a slope at a corner is that behind it: an interval that ends there has a corner, too
+    # The slope at a corner is the right-hand one, so an interval that ends there has a corner.
     known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
-    # viscous forces on what moves ask for more than displacements
+    # Viscous forces on a driven body need more than displacements.
     if not known.any() or (moves and scene.chain.damped):
         return _Pieces(unknown, unknown, unknown)
     turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)
@@ -657,7 +662,7 @@ def _integral(
     slope: Array | None = None,
     known: Array | None = None,
 ) -> tuple[Array, float]:
-    """Return the integral of samples up to each, (T, ...), and its shift with every second one.
+    """Return the running integral of samples, (T, ...), and its shift with every second sample.
 
     The shift says nothing if samples are farther apart than half a period of the fastest motion:
     infinity takes its place. Without slopes, it is that of a spline of degree 7. Integrals over
@@ -670,7 +675,7 @@ def _integral(
         pieces = np.where(np.isfinite(known), known, np.diff(smooth))
         fine = np.append(0.0, np.cumsum(pieces))
     coarse = _integrate(time[::2], value[::2], None if slope is None else slope[::2])
-    # of all that are summed
+    # The largest shift of the sum of all integrals.
     shifts = (
         np.abs(x).reshape(len(x), -1).sum(1).max() for x in (fine[::2] - coarse, fine - smooth)
     )
@@ -683,17 +688,19 @@ def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:
-        # an odd degree, of few samples a lower one
+        # The degree of the spline is odd, and lower for few samples.
         degree = min(7, (len(time) - 2) // 2 * 2 + 1)
         curve = make_interp_spline(time, value, degree)
     else:
-        # cubic Hermite pieces: their error is about 1/15 of the difference to every second sample
+        # The error of cubic Hermite pieces is about 1/15 of the shift with every second sample.
         curve = CubicHermiteSpline(time, value, slope)
     return np.asarray(curve.antiderivative()(time))
 
 
 def _motion_of_wall(scene: Scene, time: Array) -> tuple[Array | None, Array | None]:
-    """Return displacement and velocity of a driven top wall, (T,) m, m/s; None where it rests."""
+    """Return displacement and velocity of a driven top wall, (T,) m, m/s; None if the wall is at
+    rest.
+    """
     wall = scene.excitation.wall
     if wall is None:
         return None, None

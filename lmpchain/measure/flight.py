@@ -16,8 +16,9 @@ from .crests import summit
 
 __dir__ = listed(__name__)
 
-# error of a height over its change with every second sample: in random signals of 3 samples a wave
-# or more, 0.06 leaves no maximum out that is the largest; of 2.6 samples, 0.25 leaves one in 40
+# Relative error of a height above which a maximum counts as unresolved: the change with every
+# second sample. For random signals with 3 samples a wave or more, 0.06 misses no largest maximum;
+# with 2.6 samples, 0.25 misses one in 40.
 UNRESOLVED = 0.25
 # A signal has passed if its last sample, or the mean of its last tenth, is below this share of its
 # largest size.
@@ -114,7 +115,7 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
         )
     peaks = [_peak(time, values, k) for k in _candidates(values)]
     best = max(peaks, key=lambda peak: peak.height)
-    # heights that the samples do not tell apart
+    # Heights that the samples cannot distinguish.
     rivals = [
         peak
         for peak in peaks
@@ -129,7 +130,8 @@ def _candidates(values: Array) -> np.ndarray:
     inner = values[1:-1]
     before = inner - values[:-2]
     after = inner - values[2:]
-    # a wave of three samples or more rises from its largest by less than it falls to either side
+    # A wave of three samples or more rises above its largest sample by less than the drop to either
+    # side.
     reach = inner + np.maximum(before, after)
     return 1 + np.flatnonzero((before >= 0) & (after >= 0) & (reach >= values.max()))
 
@@ -137,7 +139,7 @@ def _candidates(values: Array) -> np.ndarray:
 def _peak(time: Array, values: Array, k: int) -> _Peak:
     """Return the maximum next to a sample."""
     when, height = summit(time, values, k, 1)
-    # too near an end for every second sample: the maximum may be a sample away
+    # Too near an end to use every second sample, the maximum may be a sample away.
     if not 2 <= k <= len(values) - 3:
         drop = values[k] - min(values[k - 1], values[k + 1])
         return _Peak(when, height, float(time[k + 1] - time[k]), float(drop))
@@ -183,10 +185,10 @@ def time_of_flight(
     else:
         for signal in (one, two):
             _check_passed(signal)
-        # imported here: it takes longer than most measures
+        # Importing SciPy's signal package takes longer than most measurements.
         from scipy.signal import correlate
 
-        # the second signal may lag or lead by all of the recording
+        # The second signal may lag or lead by the whole recording.
         shifts = np.concatenate((-one.time[:0:-1], one.time))
         best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
         seconds = best.time

@@ -1,4 +1,4 @@
-"""The wave front, grain by grain, and the power laws by which it changes with depth."""
+"""Wave front at each grain, and the power laws of its change with depth."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ __dir__ = listed(__name__)
 Quantity = Literal["amplitude", "time", "width", "speed"]
 DECADE = 10.0  # of values: an axis of fewer has ticks at round numbers of them
 FEWEST = 6  # grains for a power law with its correction
-# radians that the fastest motion turns through between two samples that show which maximum is the
-# front: of columns of 2000 grains with 2.6 rad all times were right, with 3.4 rad one in 30 was not
+# Phase, rad, of the fastest motion between two samples up to which the samples identify the front.
+# In columns of 2000 grains all times were right at 2.6 rad, and one in 30 was wrong at 3.4 rad.
 RESOLVED_TURN = 2.0
-# error of a time over the duration from which on the front could be anywhere
+# Error of a time, relative to the duration, above which the front could be anywhere.
 UNRESOLVED = 0.1
 UNITS_OF_FRONTS = {"time": "s", "width": "s", "speed": "m/s"}
 
 
 class DepthProfile(NamedTuple):
-    """Depths h = n - 1/2 in grains, the size of a quantity there, (K,) each, and its label."""
+    """A quantity over depth: depths h = n - 1/2 in grains and sizes, (K,) each, and the label."""
 
     depth: Array
     values: Array
@@ -94,7 +94,7 @@ class Front(Shown, Tabular):
 
     @property
     def grains_per_second(self) -> Array:
-        """Local speed in grains, (P,) 1/s, as `speed`."""
+        """Local speed in grains, (P,) 1/s, signed as `speed`."""
         return 1 / self._slowness(self.grain.astype(float))
 
     def _slowness(self, place: Array) -> Array:
@@ -102,7 +102,7 @@ class Front(Shown, Tabular):
             raise InputError.at(
                 "grains", "a speed takes the front at two grains or more: record more of them"
             )
-        # two grains have no second difference
+        # Two grains have no second difference.
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
 
     def between(self, first: int, last: int) -> Front:
@@ -110,7 +110,7 @@ class Front(Shown, Tabular):
         return self.where((self.grain >= first) & (self.grain <= last))
 
     def where(self, chosen: np.ndarray) -> Front:
-        """Return the front at the grains where `chosen`, (P,), is true."""
+        """Return the front at the grains for which `chosen`, (P,), is true."""
         return replace(self, **{key: x[chosen] for key, x in vars(self).items() if key != "field"})
 
     def against_depth(self, quantity: Quantity) -> DepthProfile:
@@ -126,7 +126,7 @@ class Front(Shown, Tabular):
         return DepthProfile(self.grain[finite] - 0.5, values[finite], label)
 
     def plot(self, ax: Axes | None = None, quantity: Quantity = "amplitude") -> Axes:
-        """Draw a quantity against depth, both logarithmic; returns the axes."""
+        """Draw a quantity against depth, both logarithmic; return the axes."""
         profile = self.against_depth(quantity)
         return _draw(ax, *profile, unit=_unit_of(quantity, self.field))
 
@@ -153,7 +153,7 @@ class Exponents(Shown, Tabular):
     residual: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the exponents with their confidence intervals against depth; returns the axes."""
+        """Draw the exponents with their confidence intervals against depth; return the axes."""
         label = f"local exponent of the {self.quantity}"
         return _draw(ax, self.depth, self.exponent, label, error=self.error)
 
@@ -188,7 +188,7 @@ class PowerLaw(Shown, Tabular):
     correction: float
 
     def __call__(self, depth: Array) -> Array:
-        """Return the law at these depths."""
+        """Return the value of the law at these depths."""
         return self.factor * depth**self.exponent * (1 + self.correction * depth**-self.order)
 
     @property
@@ -197,7 +197,7 @@ class PowerLaw(Shown, Tabular):
         return self.values / self(self.depth) - 1
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw values and law against depth, both logarithmic; returns the axes."""
+        """Draw values and law against depth, both logarithmic; return the axes."""
         law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
         ax = _draw(ax, self.depth, self.values, self.label, unit=self.unit)
         ax.plot(self.depth, self(self.depth), label=law)
@@ -251,7 +251,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     error = trajectory.error_estimate.solver
     motion = motion_of(trajectory)
     order = np.argsort(trajectory.grains)
-    # an error of the equation shifts the whole wave, but makes no maxima
+    # A model error shifts the whole wave, but does not create maxima.
     fall = (error if np.isfinite(error) else 0.0) * motion.sampled[field == "velocity"]
     grains = trajectory.grains[order]
     rows = motion.fronts(field, fraction, fall)[order]
@@ -272,7 +272,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
 
 
 def _check_times(trajectory: Trajectory, error: Array) -> None:
-    """Raise `InputError` if errors of times, (P,) s, are those of samples too far apart."""
+    """Raise `InputError` if the errors of times, (P,) s, show that the sampling is too coarse."""
     scene = trajectory.scene
     unresolved = int((error > UNRESOLVED * scene.duration).sum())
     needed = 1 + int(np.ceil(scene.total_phase / RESOLVED_TURN))
@@ -363,7 +363,7 @@ def fit_power(
     InputError
         If the fit does not converge.
     """
-    # on logarithms, so that relative errors count alike at all depths
+    # Fit logarithms, so that relative errors have equal weight at all depths.
     x = np.log(depth)
     y = np.log(values)
     fixed: list[float] = [] if exponent is None else [exponent]
@@ -374,7 +374,7 @@ def fit_power(
         return scale + power * x + np.log(np.abs(corrected))
 
     try:
-        # from a plain power law to its first correction, and on to the next one
+        # Fit a plain power law first, then add the first correction, then the next one.
         start = [*np.polyfit(x, y, 1), 0.0][len(fixed) :]
         parameters, covariance = optimize.curve_fit(law, x, y, start)
         further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])

@@ -1,4 +1,4 @@
-"""The motion between samples, and the largest values that it reaches there."""
+"""Motion between samples, and the largest values between them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from .recorded import UNKNOWN, check_field, columns
 
 __dir__ = listed(__name__)
 
-# omega h up to which no motion hides between two samples, and where accelerations come from the
-# samples; analysis/calibration/between_samples.py
+# Largest phase omega h for which no motion is missed between two samples, and the same for
+# accelerations computed from the samples; see analysis/calibration/between_samples.py.
 RESOLVED = 2.0
 RESOLVED_BY_DIFFERENCES = 0.7
 
@@ -87,11 +87,11 @@ class Motion:
         self.step = scene.sampling_interval
         self._equation = equation
         self._error = error if math.isfinite(error) else 0.0
-        # largest sizes of each grain at the samples; abs() would copy the fields
+        # Largest size of each grain at the samples; `abs` would copy the fields.
         self._sizes = np.array([np.maximum(x.max(0), -x.min(0)) for x in (displacement, velocity)])
         self.sampled: tuple[float, float] = tuple(self._sizes.max(1).tolist())
         self._column = columns(scene.chain.grains, scene.chain.movable, np.asarray(grains, int))
-        # the largest sizes and maxima of a field, and the fraction that its fronts have at least
+        # Largest sizes and maxima of a field, and the smallest relative height of its fronts.
         self._accumulators: dict[str, tuple[float, Accumulator]] = {}
 
     @property
@@ -101,18 +101,18 @@ class Motion:
 
     @cached_property
     def _lawful(self) -> NDArray[np.bool_]:
-        """Whether the forces of the chain give the acceleration of each body, (N+2,)."""
+        """Whether the equation of motion gives the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
-        # the rates of viscous forces ask for more derivatives than samples have
+        # The rates of viscous forces need more derivatives than the samples have.
         known = self._equation in (1, 3) and not chain.damped
         lawful = np.full(self._column.size, known)
         if known and not self._all_recorded:
             recorded = self._column != UNKNOWN
             exists = chain.contacts.exists
-            # a contact that does not exist needs no neighbour
+            # A contact that does not exist needs no neighbour.
             lawful[1:-1] = (recorded[:-2] | ~exists[:-1]) & (recorded[2:] | ~exists[1:])
         lawful[0] = True
-        # bodies that stand still
+        # These bodies stand still.
         lawful[chain.movable + 1 :] = True
         return lawful
 
@@ -135,10 +135,13 @@ class Motion:
     def _accumulate(
         self, field: Field | None, fraction: float, contacts: Sequence[int], ceiling: Array
     ) -> Accumulator:
-        """Return largest sizes and maxima of a field of the moving grains, or of contacts alone."""
+        """Accumulate largest sizes and maxima of a field of the moving grains, or of contacts
+        alone.
+        """
         bodies = [*contacts, *(n + 1 for n in contacts)]
         grains = self._moving if field else self._moving[np.isin(self._moving, bodies)]
-        # only columns of these grains, of their neighbours and of the contacts are read
+        # Only the columns of these grains, their neighbours and the bodies of the contacts are
+        # read.
         bodies += grains.tolist()
         near = self._column[max(min(bodies, default=1) - 1, 0) : max(bodies, default=1) + 2]
         read = [column for column in near.tolist() if column >= 0] or [0]
@@ -148,14 +151,16 @@ class Motion:
         motion = (self.scene, self._equation == 3, column, self._lawful, grains)
         fields = (field,) if field else ()
         accumulator = Accumulator(*motion, fields, field, contacts, ceiling)
-        # what is less than half of a front is none, whatever the errors
+        # A maximum below half of the smallest front is no front, whatever the errors.
         sizes = self._sizes[KINDS[field], self._moves] - self.known_error(field) if field else ()
         levels = np.maximum(fraction / 2 * np.array(sizes), 0.0)
         accumulator.take_all(self.displacement[:, part], self.velocity[:, part], levels)
         return accumulator
 
     def _followed(self, field: Field, fraction: float) -> Accumulator:
-        """Return largest sizes and maxima of the moving grains, accumulated once for each field."""
+        """Return the largest sizes and maxima of the moving grains, accumulated once for each
+        field.
+        """
         known = self._accumulators.get(field)
         if known is None or known[0] != fraction:
             known = fraction, self._accumulate(field, fraction, (), self.ceiling)
@@ -166,14 +171,14 @@ class Motion:
         """Return the largest displacement or speed of every grain."""
         trajectory_error = self.known_error(field)
         value = self._sizes[KINDS[field]].copy()
-        # of a grain that moves by less than the error, nothing more is said
+        # A grain that moves by less than the error has this bound only.
         error = value + trajectory_error
         largest = self._followed(field, FRACTION).largest(field, trajectory_error)
         value[self._moves], error[self._moves] = largest
         return Peaks(self.grains, value, error)
 
     def largest_wall_force(self) -> tuple[float, float]:
-        """Return the largest force at any time on what holds the bottom, N, and its error.
+        """Return the largest force on the bottom support at any time, N, and its error.
 
         Raises
         ------
@@ -189,7 +194,7 @@ class Motion:
             cure = f'add "peak_force:{number}" to the quantities of the scene, or use wall_force'
             fault = f"of a viscous contact the largest force is not where it is closest: {cure}"
             raise InputError.at("chain.damping.viscoelastic", fault)
-        # a fixed grain N takes the place of the wall, and carries its own weight besides
+        # A fixed grain N replaces the wall, and its own weight adds to the force.
         closer, error = self.closest(chain.movable)
         law = chain.contacts.of(np.array([chain.movable]))
         low, force, high = (
@@ -199,14 +204,14 @@ class Motion:
         return force + chain.held_weight, max(high - force, force - low)
 
     def closest(self, contact: int) -> tuple[float, float]:
-        """Return how much closer than at rest a contact comes at most, m, and its error."""
+        """Return the closest approach of a contact beyond that at rest, m, and its error."""
         bodies = np.array([contact, contact + 1])
         if (self._column[bodies] == UNKNOWN).any():
             raise InputError.at("grains", f"the grains of contact {contact} must be recorded")
         limits = np.zeros(0)
         if self.ceiling.size:
             either = self.ceiling[np.isin(self._moving, bodies)]
-            # the two may move against each other
+            # The two bodies may move in opposite directions.
             limits = np.where((either < 0).all(0), -1.0, np.maximum(either, 0.0).sum(0))
         accumulator = self._accumulate(None, 0.0, [contact], limits[None])
         value, error = accumulator.closest(0, 2 * self.known_error("displacement"))
@@ -227,11 +232,11 @@ class Motion:
         return rows
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:
-        """Return the indices of grains in the results."""
+        """Return the indices of these grains in the results."""
         return self._column[grains]
 
     def known_error(self, field: Field) -> float:
-        """Return the uncertainty of any value by the error of the trajectory."""
+        """Return the uncertainty of any value due to the error of the trajectory."""
         return self._errors[field == "velocity"]
 
     @cached_property
@@ -254,14 +259,14 @@ class Motion:
         if resolved or not self._energy_bounds:
             factor = 1 / math.cos(min(angle, RESOLVED) / 2)
             return factor * u, factor * v
-        # all of the energy in the lightest grain
+        # All energy could be in the lightest grain.
         fastest = max(v, math.sqrt(2 * scene.energy / chain.masses[: chain.movable].min()))
-        # so far from the nearest sample, or from rest
+        # The largest distance from the nearest sample, or from rest.
         farthest = u + fastest * (self.step / 2 if self._all_recorded else scene.duration)
-        # no contact opens: each holds its share of the energy
+        # No contact opens, so that each contact has its share of the energy.
         if self._equation == 3 or scene.largest_strain < 1:
-            # of its energy, a change r of an overlap o takes no less than (r / o)^2 times that of
-            # an opening, or k r^2 / 2
+            # The energy of a relative change r of an overlap o is at least (r / o)^2 times that of
+            # an opening, or k r^2 / 2.
             contacts = chain.contacts
             opening = np.minimum(
                 contacts.energy(-contacts.overlap), contacts.stiffness * contacts.overlap**2 / 2
@@ -269,18 +274,20 @@ class Motion:
             softness = np.zeros(chain.grains + 1)
             np.divide(contacts.overlap**2, opening, where=contacts.pressed, out=softness)
             square = scene.energy * softness[1:].sum()
-            # only where something holds the bottom: else the chain may fall as a whole
+            # Without a support at the bottom, the chain may fall as a whole.
             farthest = min(farthest, math.sqrt(square)) if softness[-2:].any() else farthest
         return max(u, farthest), fastest
 
     @property
     def _energy_bounds(self) -> bool:
-        """Whether the energy of the scene bounds the motion: nothing does work, and a law holds."""
+        """Whether the energy of the scene bounds the motion: no external work, and a known
+        equation.
+        """
         return not self.scene.excitation.does_work and self._equation in (1, 3)
 
     @cached_property
     def ceiling(self) -> Array:
-        """Bounds on the speed between samples of each grain that moves, (M, T-1) m/s.
+        """Upper bounds on the speed between samples of each moving grain, (M, T-1) m/s.
 
         They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
         """
@@ -290,7 +297,7 @@ class Motion:
         lawful = self._lawful[self._moving]
         speed, frequency = self._speed_limit()
         if angle <= RESOLVED:
-            # no grain turns faster than the scene as a whole allows
+            # The frequency of no grain exceeds that of the scene.
             return np.where(lawful[:, None], -1.0, speed)
         allowed = np.where(lawful, RESOLVED, RESOLVED_BY_DIFFERENCES)
         return np.where(frequency * self.step <= allowed[:, None], -1.0, speed)
@@ -305,7 +312,7 @@ class Motion:
         intervals = self.displacement.shape[0] - 1
         if not self._energy_bounds or not self._moving.size:
             return tuple(np.full((2, self._moving.size, intervals), np.inf))
-        # of the grains that move and their neighbours; all others are at rest
+        # These are the moving grains and their neighbours; all others are at rest.
         first = max(self._moving.min() - 2, 1)
         last = min(self._moving.max() + 2, chain.grains)
         masses = chain.masses[first - 1 : last]
@@ -321,9 +328,9 @@ class Motion:
             v[:, columns] = self.velocity[:, self._moves]
             closer = contacts.closer(u)
             elastic = contacts.stiffness * closer**2 / 2 if linear else contacts.energy(closer)
-            # each contact twice: a bound
+            # The energy of each contact counts for both grains, which gives an upper bound.
             of_grains = masses * v**2 / 2 + elastic[:, 1:] + elastic[:, :-1]
-            # a wave passes fewer than omega h / 2 grains in an interval
+            # A wave passes fewer than omega h / 2 grains in an interval.
             reach = math.ceil(scene.sampling_phase / 2) + 2
             sums = np.pad(np.cumsum(of_grains, axis=1), ((0, 0), (1, 0)))
             n = np.arange(masses.size)
@@ -333,19 +340,19 @@ class Motion:
         speed = np.sqrt(2 * energy / masses)
         stiffness = contacts.stiffness
         if not linear:
-            # a contact has the energy within reach of either of its grains
+            # A contact can have the energy within reach of either grain.
             above = np.pad(energy, ((0, 0), (1, 0)))
             below = np.pad(energy, ((0, 0), (0, 1)))
             stiffness = contacts.stiffness_bound(contacts.overlap_bound(np.maximum(above, below)))
         square = np.broadcast_to((stiffness[..., 1:] + stiffness[..., :-1]) / masses, energy.shape)
-        # a grain turns no faster than the fastest of itself and its neighbours
+        # The frequency of a grain is at most the highest of the grain and its neighbours.
         edged = np.pad(square, ((0, 0), (1, 1)))
         square = np.maximum(np.maximum(edged[:, :-2], edged[:, 2:]), square)
         return speed[:, columns].T, np.sqrt(square[:, columns]).T
 
 
 def motion_of(trajectory: Trajectory) -> Motion:
-    """Return the motion of a trajectory; its equation is trusted only if it has an error estimate.
+    """Return the motion of a trajectory; the equation is used only if the error is estimated.
 
     Parameters
     ----------
@@ -361,7 +368,7 @@ def motion_of(trajectory: Trajectory) -> Motion:
         trajectory.scene,
         equation,
         trajectory.grains,
-        # stored arrays are read once, here
+        # Stored arrays are read once, here.
         np.asarray(trajectory.displacement),
         np.asarray(trajectory.velocity),
         error.total,

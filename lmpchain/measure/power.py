@@ -1,4 +1,4 @@
-"""Power that passes a contact of a chain that is driven at one frequency, beside what goes in."""
+"""Power through a contact of a chain driven at one frequency, compared with the power input."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ POINTS = 32  # in a period, at which the power is averaged
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Power(Shown, Tabular):
-    """Power that passes a contact downward, beyond that of the load, averaged over whole periods.
+    """Period-averaged power through a contact, positive downward, without the power of the load.
 
     Attributes
     ----------
@@ -69,12 +69,12 @@ class Power(Shown, Tabular):
 
     @property
     def share(self) -> float:
-        """Mean power over that of the drive."""
+        """Mean power relative to the power input of the drive."""
         return self.mean / self.input
 
     @property
     def share_error(self) -> float:
-        """By how much the share may be off."""
+        """Uncertainty of the share."""
         return (self.error + abs(self.share) * self.input_error) / abs(self.input)
 
     @property
@@ -83,7 +83,9 @@ class Power(Shown, Tabular):
         return self.linear / self.linear_input
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the power over time and its mean, that of linear theory dashed; returns the axes."""
+        """Draw the power over time, its mean, and the mean in linear theory (dashed); return the
+        axes.
+        """
         ax = axes_in_units(ax, "s", "W")
         ax.plot(self.time, self.power, color="0.6", lw=0.6)
         window = [self._begin, self.time[-1]]
@@ -157,7 +159,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     force = contacts(trajectory, [number]).change[:, 0]
     speed = v.mean(1)
     mean, error = _mean(time, force * speed, period, count)
-    # errors of force and velocity are alike, relative to the largest
+    # The relative errors of force and velocity are alike.
     part = velocity_error / max(known.sampled[1], 1e-300)
     error += 2 * part * float(np.abs(force * speed).max())
     given, given_error = _input(trajectory, drive, count, part)
@@ -193,7 +195,7 @@ def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, 
     end = time[-1]
 
     def mean(stride: int, begin: float, periods: int) -> float:
-        # the last sample is one of them
+        # The last sample is included.
         near = slice((len(time) - 1) % stride, None, stride)
         curve: BSpline = make_interp_spline(time[near], power[near], 7)
         turn = np.arange(POINTS * periods) / (POINTS * periods)
@@ -224,7 +226,7 @@ def _input(
 
 
 def _power_of_driver(trajectory: Trajectory, grain: int) -> Array:
-    """Return the power of what moves grain 1 or the wall, (T,) W, but for that of its inertia."""
+    """Return the power of the driver of grain 1 or the wall, (T,) W, less the power of inertia."""
     _, v = motion(trajectory, np.array([grain]))
     force = contacts(trajectory, [grain]).change[:, 0]
     if grain and trajectory.scene.chain.contacts.exists[0]:

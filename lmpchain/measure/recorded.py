@@ -1,4 +1,4 @@
-"""Recorded grains: the columns of their motion, and whether there are samples enough."""
+"""Recorded grains: the columns of their motion, and checks of the number of samples."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FEWEST_SAMPLES = 16  # for a front or a spectrum
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
-    """Return the recorded column of each body, (N+2,), or a mark if it stands still or is unknown.
+    """Return the recorded column of each body, (N+2,), or a mark if the body is still or unknown.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
     (N+2,) array of int
     """
     column = np.full(size + 2, UNKNOWN)
-    # the wall above; below, grains that are held and the other wall
+    # The upper wall; below, held grains and the lower wall.
     column[0] = STILL
     column[movable + 1 :] = STILL
     column[grains] = np.arange(grains.size)
@@ -38,18 +38,18 @@ def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
 
 
 def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
-    """Return which grains ever leave rest, (G,): of a long chain often a few.
+    """Return which grains ever leave rest, (G,).
 
     Parameters
     ----------
     displacement, velocity : (T, G) arrays
     """
-    # exactly 0: the engines keep grains that no wave has reached at rest
+    # The motion is exactly 0, because engines leave grains at rest until a wave arrives.
     return np.logical_or(displacement.any(axis=0), velocity.any(axis=0))
 
 
 def check_field(field: Field) -> None:
-    """Check that there is such a field.
+    """Check that a field of the motion exists.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def check_field(field: Field) -> None:
 
 
 def check(trajectory: Trajectory, field: Field) -> None:
-    """Check that a trajectory has samples enough for fronts and spectra, and such a field.
+    """Check that a trajectory has enough samples for fronts and spectra, and that the field exists.
 
     Parameters
     ----------

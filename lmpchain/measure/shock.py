@@ -1,4 +1,4 @@
-"""Shocks, dispersive shocks and rarefactions: edges, plateaus and predictions beside."""
+"""Shocks, dispersive shocks and rarefactions: edges, plateaus, and theoretical predictions."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor 
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
 MOMENTS = 400  # that are kept for a picture
 COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
-# of the theories in `predictions`, for legends
+# Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
     "whitham": "Whitham",
     "toda": "Toda",
@@ -56,9 +56,9 @@ AUTHORS = {
 }
 # The leading crest of a dispersive shock is at least this many jumps of the overlap high.
 CREST = 1.05
-# A push is steady if at least the first share of the largest change of the overlap near the source
-# is left at the end, and if it changes by less than the second one from the third quarter of the
-# time to the fourth.
+# Conditions for a steady push. LASTING is the smallest final change of the overlap near the source,
+# relative to its largest change. STEADY_PUSH is the largest relative change from the third quarter
+# of the time to the fourth.
 LASTING = 0.2
 STEADY_PUSH = 0.1
 STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
@@ -155,7 +155,9 @@ class Shock(Shown, Tabular):
     _downward: bool
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the overlaps at the end with edges and plateaus, predicted edges dashed."""
+        """Draw the overlaps at the end with edges and plateaus, predicted edges dashed; return the
+        axes.
+        """
         ax = axes_in_units(ax, "", "m")
         ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
@@ -169,12 +171,12 @@ class Shock(Shown, Tabular):
                 label = f"{name} edge, {theory}: {speed:.5g} grains/s"
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         title = f"{self.kind} after {prefixed(self.time, 's', 3)}"
-        # A legend within the axes would lie on the lines of the edges.
+        # A legend within the axes would cover the lines of the edges.
         below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18)}
         return finish(ax, "contact, from the top", "overlap", title, **below)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
-        """Draw overlaps over place and time with edges, predicted ones dashed, and plateaus."""
+        """Draw overlaps over place and time, with plateaus and edges, predicted edges dashed."""
         ax = axes_in_units(ax, "", "s")
         order = np.argsort(self.contact)
         cells = cell_edges(self.contact[order].astype(float)), cell_edges(self.moment)
@@ -212,20 +214,20 @@ class Shock(Shown, Tabular):
         return ax
 
     def _predicted(self, name: str) -> list[tuple[str, float]]:
-        """Return theory and speed of an edge, of the best theory, which comes first, if any."""
+        """Return name and speed of the best prediction of an edge; None if there is no theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
                 return [(AUTHORS.get(theory, theory), float(speed))]
         return []
 
     def _place(self, speed: float) -> float:
-        """Return the contact that an edge of this speed has reached at the end."""
+        """Return the contact that an edge of this speed reaches at the end."""
         way = speed * (self.time - self._start)
         return self._source + (way if self._downward else -way)
 
 
 class _TravellingWave(NamedTuple):
-    """Motion of a wave that travels towards larger numbers: the arrays of an upward one mirrored.
+    """Motion of a wave towards larger numbers; the arrays of an upward wave are mirrored.
 
     Attributes
     ----------
@@ -246,7 +248,7 @@ class _TravellingWave(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """Edges of a wave of one kind, thickness, grains, and what theory says of it."""
+    """Edges and thickness, grains, of a wave of one kind, and the theoretical predictions."""
 
     kind: Kind
     leading: Edge
@@ -256,7 +258,7 @@ class _Answer(NamedTuple):
 
 
 def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> Shock:
-    """Measure the shock or rarefaction of a piston or a step, and predict it.
+    """Measure the shock or rarefaction of a piston or a step, and compare it with theory.
 
     Of a step (`Riemann`) one wave goes down and one up. The run is used until the front is near the
     end of the chain, or waves from the ends may have come to the step; what is recorded later is
@@ -342,7 +344,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
 
 
 def _medium(trajectory: Trajectory) -> Medium:
-    """Return the chain as a gas, if it is uniform and wholly recorded."""
+    """Return the chain as a gas; raise `InputError` unless it is uniform and fully recorded."""
     chain = trajectory.scene.chain
     exponent = chain.law.power_of("a shock")
     if chain.gravity or chain.loose_grains or exponent == 1:
@@ -359,14 +361,14 @@ def _medium(trajectory: Trajectory) -> Medium:
 
 
 def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
-    """Return the motion while nothing but the wave from the source matters."""
+    """Return the motion up to the time at which other waves disturb the wave of the source."""
     scene = trajectory.scene
     time = trajectory.time
     displacement = np.asarray(trajectory.displacement)
     velocity = np.asarray(trajectory.velocity)
     rest = scene.chain.equilibrium_overlap
     closer = rest + displacement[:, :-1] - displacement[:, 1:]
-    # an open contact passes no force, however wide its gap is
+    # An open contact transmits no force, whatever its gap.
     overlap = np.maximum(closer, 0.0)
     source = _source(scene, upward)
     if upward:
@@ -384,7 +386,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWa
     change = (overlap - overlap[0, -1])[:last]
     near = change[:, source + 1 : source + 3].mean(1)
     change = np.abs(change)
-    # the crest of a shock is higher than half of anything that it has left near the source
+    # The crest of a shock exceeds half of all earlier overlaps near the source.
     highest = np.maximum.accumulate(np.abs(near))
     highest = np.maximum(highest, highest.max(initial=0.0) / 100)
     ended = np.flatnonzero((change[:, -END_CONTACTS:] > highest[:, None] / 2).any(1))
@@ -410,13 +412,13 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWa
 
 
 def _source(scene: Scene, upward: bool) -> int:
-    """Return the contact at which the wave begins, counted from 0 in its way of travel."""
+    """Return the contact at which the wave begins, counted from 0 in the direction of travel."""
     excitation = scene.excitation
     contacts = scene.chain.grains - 1
     if isinstance(excitation, Riemann):
         first = excitation.grain - 1
     elif isinstance(excitation, Force):
-        # the contact on the far side of the grain
+        # The contact on the far side of the grain.
         first = excitation.grain - 1 - upward
     elif upward and isinstance(excitation, Drive):
         raise InputError.at("direction", 'must be "down": a drive acts at the top')
@@ -431,7 +433,7 @@ def _source(scene: Scene, upward: bool) -> int:
 def _undisturbed(
     excitation: Excitation, time: Array, overlap: Array, source: int, still: bool, gas: Medium
 ) -> tuple[float, float]:
-    """Return when the wave begins, and until when waves from the ends have not met it, s.
+    """Return the start of the wave, and the time up to which no wave from an end reaches it, s.
 
     Overlaps are in the way of travel; the chain ahead is at rest to its end where it is `still`.
     """
@@ -439,10 +441,10 @@ def _undisturbed(
     start = 0.0
     until = np.inf
     if sound := gas.sound(float(overlap[0, -1])):
-        # its edge reaches the end no later than this: a shock is faster, a rarefaction as fast
+        # A shock is faster than sound at the end, and a rarefaction as fast.
         until = (contacts - source) / sound
     if isinstance(excitation, Drive | Force):
-        # of constant speed or force this is the time at which a sudden one would have begun
+        # A step of the same final speed or force would have begun at this time.
         now = min(until, time[-1])
         course = excitation.waveform
         if isinstance(excitation, Drive):
@@ -453,7 +455,7 @@ def _undisturbed(
         until += start
     if source:
         early = overlap[time * gas.sound(float(overlap[0].max())) <= source]
-        # waves from the ends are slower than sound at the largest overlap
+        # Waves from the ends are slower than sound at the largest overlap.
         if fastest := gas.sound(float(early.max())):
             way = source if still else min(source, (contacts - source) / 2)
             until = min(until, way / fastest)
@@ -461,7 +463,7 @@ def _undisturbed(
 
 
 def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> None:
-    """Raise `InputError` unless the overlap near the source, less that ahead, becomes steady."""
+    """Raise `InputError` unless the overlap near the source becomes steady."""
     if not near.any():
         raise InputError.at("excitation", f"sends no wave {way}")
     used = f"the {time[-1]:.3g} s of the run before waves from its ends matter"
@@ -479,12 +481,12 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
 
 
 def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
-    """Return mean velocity and overlap behind the wave, and how much they vary."""
+    """Return mean velocity and overlap behind the wave, and twice their standard deviation."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))
     opened = behind == 0
-    # linear waves behind the trailing edge die out towards the source
+    # Linear waves behind the trailing edge decay towards the source.
     slowest = max(2 * sound - gas.sound(behind), 0.0) if behind > ahead.overlap else sound
     slowest = min(slowest, gas.sound(behind))
     way = slowest * (wave.time[late][0] - wave.start)
@@ -492,13 +494,13 @@ def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, S
     inside = slice(wave.source + 1, wave.source + 1 + near)
     values = [x[late, inside] for x in (wave.velocity, wave.overlap)]
     mean, spread = ([float(f(x)) for x in values] for f in (np.mean, np.std))
-    # some contacts close to those that have opened are about to open
+    # Some contacts near the open ones are about to open.
     overlap = 0.0 if opened else mean[1]
     return State(mean[0], overlap), State(*(2 * x for x in spread))
 
 
 def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
-    """Return the speed in the later half of passages, and by how much it may be off."""
+    """Return the speed in the later half of the passages, and its error."""
     half = len(time) // 2
     late = stats.linregress(time[half:], place[half:])
     early = stats.linregress(time[:half], place[:half])
@@ -518,14 +520,14 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
 
 def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
-    # the crest is a few contacts behind the front
+    # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
     crests = _crests(wave.time, wave.overlap - ahead.overlap, contacts)
     seen = np.isfinite(crests[:, 0])
     heights = crests[seen, 1]
     half = len(heights) // 2
-    # a push that rises slowly makes a ramp, which breaks only after a while
+    # A slow push makes a ramp, which steepens into a shock only after a while.
     if half < len(contacts) // 4 or heights[half:].mean() < CREST * jump:
         cure = "let the push rise faster, or use a longer chain and record longer"
         raise InputError.at("excitation", f"the wave has no leading crest yet: {cure}")
@@ -539,7 +541,7 @@ def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
 
 
 def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
-    """Return where oscillations would end, from their sizes at several contacts.
+    """Extrapolate the oscillation amplitudes at several contacts to the trailing edge.
 
     The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
     trailing edge on.
@@ -547,15 +549,15 @@ def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
     jump = behind.overlap - ahead.overlap
     ends = []
     total = wave.reached - wave.source
-    # far ones show the weak oscillations of a slow edge not yet
+    # Distant contacts do not show the weak oscillations of a slow edge yet.
     contacts = np.unique(np.linspace(0.2 * total, 0.85 * total, 40).astype(int) + wave.source)
-    # without a load the train reaches back to where it began
+    # Without a load the wave train extends back to the source.
     for n in contacts if ahead.overlap > 0 else ():
         curve = CubicSpline(wave.time, wave.overlap[:, n])
         turns = curve.derivative().roots(extrapolate=False)
         share = np.abs(np.diff(curve(turns))) / (2 * jump)
         middle = (turns[1:] + turns[:-1]) / 2
-        # from the crest of the leading wave on
+        # Use the crests from the leading one on.
         first = int(share.argmax()) if share.size else 0
         used = np.flatnonzero((share > OSCILLATIONS[0]) & (share < OSCILLATIONS[1]))
         used = used[used >= first]
@@ -575,19 +577,19 @@ def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
 def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
     """Return the speed of the solitary wave whose grains reach a velocity, grains/s."""
     if ahead.overlap == 0:
-        # in units of mass and contact constant, and of m/s
+        # Units are those of mass and contact constant, and m/s.
         length = (gas.mass / gas.constant) ** (1 / (1 + gas.exponent))
         return solve(gas.exponent, velocity=velocity).speed / length
     sound = gas.sound(ahead.overlap)
     try:
         return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
     except InputError:
-        # too weak for anything but Korteweg and de Vries's equation
+        # The wave is so weak that only the KdV equation applies.
         return np.nan
 
 
 def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
-    """Return both edges, from the places between at which the speed of sound is known."""
+    """Return both edges, extrapolated from places with known speed of sound between them."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
     times = np.linspace(len(wave.time) // 2, len(wave.time) - 1, 16).astype(int)
@@ -595,7 +597,7 @@ def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind:
         overlap = np.maximum(wave.overlap[k], 0.0)
         sound = gas.sound(1.0) * overlap ** ((gas.exponent - 1) / 2)
         share = (sound - sounds[1]) / (sounds[0] - sounds[1])
-        # ripples behind the trailing edge may exceed this share, too
+        # Ripples behind the trailing edge may exceed this share, too.
         behind_fan = np.flatnonzero(share[wave.source :] < 0.2)
         first = wave.source + (behind_fan[-1] + 1 if behind_fan.size else 0)
         inside = first + np.flatnonzero((share[first:] > 0.2) & (share[first:] < 0.8))
@@ -643,7 +645,7 @@ def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer
     """Return the edge at half the jump, and the thickness in grains."""
     jump = behind.overlap - ahead.overlap
     total = wave.reached - wave.source
-    # the last of them the whole front has passed
+    # The last contact that the whole front has passed.
     passed = wave.overlap[-1, wave.source :] > ahead.overlap + STEADY * jump
     last = wave.source + int(np.flatnonzero(passed)[-1]) if passed.any() else wave.source
     contacts = np.arange(wave.source + total // 2, last)
@@ -656,7 +658,7 @@ def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer
     interval = wave.time[1] - wave.time[0]
     crossings = []
     for n in contacts:
-        # over the number of the sample, in which a spline is well conditioned
+        # The spline is a function of the sample number, for which it is well conditioned.
         curve = CubicSpline(samples, (wave.overlap[:, n] - half) / jump)
         k = int((wave.overlap[:, n] > half).argmax())
         crossings.append(brentq(curve, k - 1, k) * interval)

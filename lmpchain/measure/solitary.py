@@ -1,4 +1,4 @@
-"""Solitary waves behind a strike: speeds, heights, energies, and their share of the strike's."""
+"""Solitary waves behind a strike: speeds, heights, energies, and shares of the strike's energy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ UNCHANGED = 12  # grains that a wave must have passed unchanged
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Train(Shown, Tabular):
-    """Solitary waves that leave a strike, the first of them first, beside exact ones as high.
+    """Solitary waves after a strike, the leading one first, with the exact waves of equal height.
 
     Attributes
     ----------
@@ -87,21 +87,21 @@ class Train(Shown, Tabular):
 
     @property
     def share(self) -> Array:
-        """Share of each in the energy of the strike, (W,)."""
+        """Share of each wave in the energy of the strike, (W,)."""
         return self.energy / self.total
 
     @property
     def share_error(self) -> Array:
-        """By how much each share may be off, (W,)."""
+        """Uncertainty of each share, (W,)."""
         return self.energy_error / self.total
 
     @property
     def all_share(self) -> tuple[float, float]:
-        """Share of all of them together, and by how much it may be off."""
+        """Share of all waves together, and its uncertainty."""
         return float(self.share.sum()), float(self.share_error.sum())
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the energy of each grain at the end, each wave marked with its share."""
+        """Draw the energy of each grain at the end, and mark each wave with its share."""
         ax = axes_in_units(ax, "", "")
         ax.semilogy(self.place, np.maximum(self.density, 1e-12 * self.total), color="0.3", lw=1)
         for number, (grain, share) in enumerate(zip(self.grain, self.share, strict=True)):
@@ -112,7 +112,7 @@ class Train(Shown, Tabular):
                 ax.text(
                     grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"
                 )
-        # room for these words
+        # Leave room for these words.
         ax.set_ylim(top=1e4 * self.density.max())
         whole, error = self.all_share
         count = self.grain.size
@@ -122,7 +122,7 @@ class Train(Shown, Tabular):
 
 
 class _FollowedWave(NamedTuple):
-    """A solitary wave as a `Train` has it, its width in grains, and when it was first followed."""
+    """A solitary wave as in `Train`, its width in grains, and the time when tracking began."""
 
     grain: float
     speed: float
@@ -214,7 +214,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
 
 
 def _check(trajectory: Trajectory, direction: str) -> None:
-    """Raise `InputError` unless solitary waves can be told in this run."""
+    """Raise `InputError` unless the run can show solitary waves."""
     chain = trajectory.scene.chain
     if direction not in ("down", "up"):
         raise InputError.at("direction", 'must be "down" or "up"')
@@ -230,7 +230,7 @@ def _check(trajectory: Trajectory, direction: str) -> None:
 
 
 def _useful(velocity: Array, direction: str) -> int:
-    """Return the number of samples up to when the first wave is near the end.
+    """Return the number of samples until the first wave is near the end.
 
     Raises
     ------
@@ -248,10 +248,10 @@ def _useful(velocity: Array, direction: str) -> int:
 
 
 def _waves(chain: Chain, time: Array, velocity: Array, upward: bool) -> list[_FollowedWave]:
-    """Return the solitary waves, the first of them first."""
+    """Return the solitary waves, the leading one first."""
     final = velocity[-1]
     tops = crests.local_maxima(final)
-    # the weakest that may be told from rounding and from the error of the run
+    # Weaker waves cannot be distinguished from rounding errors and from the error of the run.
     tops = tops[final[tops] > 1e-6 * final.max(initial=0.0)]
     if not tops.size:
         return []
@@ -274,9 +274,9 @@ def _wave(
     try:
         wave, unit = exact_wave(piece, height)
     except InputError:
-        # slower than any solitary wave
+        # The wave is slower than any solitary wave.
         return None
-    # the crest at the end passes a grain or two before
+    # The final crest passed a grain or two before the end.
     pace = unit / wave.speed
     begin = found.first(top - 2, end - 3.5 * pace, end)
     if begin is None:
@@ -297,7 +297,7 @@ def _wave(
     if change > SOLITARY or abs(speed / exact_speed - 1) > SOLITARY:
         return None
     mass = float(piece.masses[0])
-    # in a sonic vacuum the unit of velocity is 1 m/s
+    # In a sonic vacuum the unit of velocity is 1 m/s.
     scale = mass * (piece.length_scale / unit) ** 2 if wave.loaded else mass
     return _FollowedWave(
         grain=float(grains[0] + speed * (end - found.time[later[0]])),
@@ -313,13 +313,13 @@ def _wave(
 
 
 def _number(chain: Chain, column: int, upward: bool) -> int:
-    """Return the number of the grain in a column, which are mirrored for waves that go up."""
+    """Return the number of the grain in a column; columns are mirrored for waves that go up."""
     number = chain.grains - column if upward else 1 + column
     return int(np.clip(number, 1, chain.grains))
 
 
 def _line(grain: Array, time: Array, off: float) -> tuple[float, float]:
-    """Return the speed along a line, grains/s, and by how much it may be off.
+    """Return the speed along a line, grains/s, and its error.
 
     Times each of which is off by e give a slope off by 3 e over the length.
     """
@@ -332,7 +332,7 @@ def _line(grain: Array, time: Array, off: float) -> tuple[float, float]:
 
 
 def _spread(values: Array) -> float:
-    """Return half the confidence interval of a mean, and the change from half to half."""
+    """Return half the confidence interval of a mean, and its change between the two halves."""
     half = len(values) // 2
     interval = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
     return float(interval + abs(values[:half].mean() - values[half:].mean()))
@@ -341,7 +341,7 @@ def _spread(values: Array) -> float:
 def _energy(
     time: Array, velocity: Array, density: Array, unsure: Array, wave: _FollowedWave
 ) -> tuple[float, float]:
-    """Return the energy of a wave between its troughs, J, and by how much it may be off."""
+    """Return the energy of a wave between its troughs, J, and its error."""
     samples = np.flatnonzero(time >= wave.start)
     samples = samples[:: max(1, samples.size // 64)]
     middle = np.rint(wave.grain - wave.speed * (time[-1] - time[samples])).astype(int)
@@ -361,7 +361,7 @@ def _energy(
 
 
 def _trough(density: Array) -> int:
-    """Return how far from the middle of a wave the energy of grains has its first minimum."""
-    # next to the middle of a wave between two grains it is flat
+    """Return the distance from the middle of a wave to the first energy minimum, in grains."""
+    # The energy is flat next to the middle of a wave between two grains.
     rises = np.flatnonzero(density[2:] >= density[1:-1])
     return 1 + int(rises[0]) if rises.size else density.size - 1

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 FEWEST_GRAINS = 8  # least number that resolves wavenumbers
-# vermilion of Okabe and Ito: seen on every colour of cividis, whatever the colour vision
+# Vermilion of Okabe and Ito, visible on every colour of cividis with any colour vision.
 LINE = "#D55E00"
 
 
@@ -61,11 +61,11 @@ class Spectrum(Shown, Tabular):
 
     @property
     def cut_off(self) -> Array:
-        """Highest frequency that travels around each grain, (G,) Hz, 0 in a sonic vacuum."""
+        """Highest frequency that propagates around each grain, (G,) Hz, 0 in a sonic vacuum."""
         return self.bands[:, -1, 1]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the amplitude over frequency and depth, with the local bands; returns the axes."""
+        """Draw the amplitude over frequency and depth, with the local bands; return the axes."""
         ax = axes_in_units(ax, "Hz", "")
         _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, self.field)
         if self.cut_off.any():
@@ -115,11 +115,11 @@ class Dispersion(Shown, Tabular):
 
     @property
     def ridge(self) -> Array:
-        """Frequency at which each wavenumber is strongest, (K,) Hz, one of `frequency`."""
+        """Frequency with the largest amplitude at each wavenumber, (K,) Hz, from `frequency`."""
         return self.frequency[self.amplitude.argmax(0)]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the amplitude over wavenumber and frequency with the relation; returns the axes."""
+        """Draw the amplitude over wavenumber and frequency with the relation; return the axes."""
         ax = axes_in_units(ax, "", "Hz")
         _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, self.field)
         styles = (":", "-", "--")
@@ -176,7 +176,7 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     grain, motion = _sort(trajectory, field)
     step = trajectory.time[1]
     samples = trajectory.time.size
-    # the sum times the step is the integral over time
+    # The sum times the step is the integral over time.
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
     bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
     return Spectrum(field, np.fft.rfftfreq(samples, step), grain, bands, amplitude)
@@ -222,7 +222,7 @@ def dispersion(
     samples = trajectory.time.size
     windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
     windowed *= _window(window, samples)[:, None]
-    # over time the transform has exp(-2 pi i f t), over grains exp(i k n)
+    # The transform over time has the factor exp(-2 pi i f t), that over grains exp(i k n).
     transform = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
     chain = trajectory.scene.chain
@@ -239,17 +239,17 @@ def dispersion(
 
 
 def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array:
-    """Return the branches (B, K), Hz, of a chain that repeats the grains from this one on."""
+    """Return the branches (B, K), Hz, of a chain that repeats the grains from a given one."""
     if period == 1 or not chain.linearisable:
         return cut_off(chain)[grain - 1] * np.abs(np.sin(wavenumber / 2))[None]
-    # the cell that begins here, or the last whole one above the end
+    # Use the cell that begins here, or the last whole one above the end.
     start = min(grain, chain.grains - period)
     cell = Cell(chain.masses[start - 1 :][:period], chain.linear_stiffness[start - 1 :][:period])
     return branches(cell, period * wavenumber).frequency / (2 * np.pi)
 
 
 def cut_off(chain: Chain) -> Array:
-    """Return the highest frequency that travels around each grain, (N,) Hz; 0 in a sonic vacuum.
+    """Return the highest frequency that propagates around each grain, (N,) Hz; 0 in a sonic vacuum.
 
     It is the top of the highest branch of the cell that repeats there, as that of a dimer; where
     none does, that of a uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
@@ -305,7 +305,7 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
 def space_time(
     trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False
 ) -> Axes:
-    """Draw the motion over time and depth, downward red, upward blue; returns the axes.
+    """Draw the motion over time and depth, downward red, upward blue; return the axes.
 
     It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or
     driven.
@@ -350,7 +350,7 @@ def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, field: Field)
     """Draw values (Y, X) as colours over three decades, with their bar."""
     from matplotlib.colors import LogNorm
 
-    # a chain at rest has no logarithm
+    # A chain at rest has no logarithm.
     largest = values.max() or 1.0
     smallest = largest / 1e3
     scale = LogNorm(smallest, largest)

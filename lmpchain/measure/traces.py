@@ -1,4 +1,4 @@
-"""Traces of a run, as instruments would show them: forces, velocities, displacements, energies."""
+"""Traces of a run as measured by instruments: forces, velocities, displacements, energies."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .energy import ledger
 __dir__ = listed(__name__)
 
 WALLS = ("wall", "top", "bottom")
-# terms of the ledger, J
+# Terms of the energy ledger, J.
 ENERGIES = ("kinetic", "total", "drive", "dissipated")
 Place = int | Literal["wall", "top", "bottom"]
 
@@ -58,7 +58,7 @@ def gather(
     energy: bool = False,
     above_rest: bool = False,
 ) -> TraceTable:
-    """Return traces of a run at some places.
+    """Return traces of a run at the chosen grains and walls.
 
     Parameters
     ----------
@@ -155,5 +155,5 @@ def _wall_force(trajectory: Trajectory, place: str, above_rest: bool) -> Array:
     force = wall_force(trajectory, "top" if end == "top" else "bottom")
     if not above_rest:
         return force
-    # not the difference of two forces, in which a weak wave would lose its digits
+    # A difference of two forces would lose the digits of a weak wave.
     return contacts(trajectory, [0 if end == "top" else chain.movable]).change[:, 0]

@@ -1,4 +1,4 @@
-"""Energy in bands of wavenumber against distance, of which nothing is lost or counted twice.
+"""Energy in bands of wavenumber against distance, with exact conservation of the total energy.
 
 Each grain has the amplitude sqrt(m/2) v, each contact the root of its energy with the sign of the
 change of overlap: the sum of the squares is the energy above rest, of strong waves, too. Windows
@@ -72,7 +72,7 @@ class EnergyBands(Shown, Tabular):
 
     @property
     def resolution(self) -> float:
-        """Difference of wavenumbers that a window tells apart, radians a grain."""
+        """Smallest difference of wavenumbers that a window resolves, radians a grain."""
         return 4 * np.pi / self.width
 
     def _columns(self) -> Iterator[NamedColumn]:
@@ -86,7 +86,7 @@ class EnergyBands(Shown, Tabular):
                 yield NamedColumn(f"{name}_{low:.4g}_to_{high:.4g}", "J", values[..., band].ravel())
 
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
-        """Draw the energy of each band a grain against distance at a sample; returns the axes."""
+        """Draw the energy per grain of each band against distance at a sample; return the axes."""
         ax = axes_in_units(ax, "", "J")
         spacing = self.width / 2
         labels = [f"{low:.2g} to {high:.2g}" for low, high in itertools.pairwise(self.edges)]
@@ -182,7 +182,8 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
 
 
 def _windows(grains: int, contact: np.ndarray, width: int) -> tuple[Array, Array, Array]:
-    """Return middles of windows (P,), and windows over grains and contacts, whose squares add to 1.
+    """Return the middles of windows (P,), and windows over grains and contacts, squares summing to
+    1.
 
     Each rises over half of its width as the next one before falls; the outermost are flat to the
     ends.
@@ -201,7 +202,7 @@ def _windows(grains: int, contact: np.ndarray, width: int) -> tuple[Array, Array
 
 
 def _cut(values: Array, begin: int, first: int, size: int) -> Array:
-    """Return the columns of numbers first ... first + size - 1, 0 where there is none."""
+    """Return the columns of numbers first ... first + size - 1, with 0 for missing ones."""
     cut = np.zeros((len(values), size))
     low = max(first, begin)
     high = min(first + size, begin + values.shape[1])
@@ -210,7 +211,7 @@ def _cut(values: Array, begin: int, first: int, size: int) -> Array:
 
 
 def _root_error(energy: Array, error: Array) -> Array:
-    """Return by how much the root of an energy may be off, where that is off by so much."""
+    """Return the error of the square root of an energy, given the error of the energy."""
     root = np.sqrt(np.maximum(energy, 0.0))
     lower = root - np.sqrt(np.maximum(energy - error, 0.0))
     return np.maximum(lower, np.sqrt(np.maximum(energy, 0.0) + error) - root)

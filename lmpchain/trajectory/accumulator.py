@@ -1,4 +1,4 @@
-"""Largest values, fronts and closest approaches of a motion, accumulated along its samples."""
+"""Accumulate largest values, fronts and closest approaches along the samples of a motion."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ FRACTION = 0.5  # of the largest size of a grain, that its front has at least by
 
 
 def viscous_contact(chain: Chain, number: int) -> ViscousContact:
-    """Return a contact of a chain with its viscosity."""
+    """Return a contact of a chain together with its viscosity."""
     law = chain.contacts.of(np.array([number]))
     return ViscousContact(law, float(chain.contact_viscosity[number]))
 
@@ -32,12 +32,12 @@ def viscous_contact(chain: Chain, number: int) -> ViscousContact:
 class Accumulator:
     """The largest sizes and the maxima of grains, and the largest forces of contacts.
 
-    Samples are taken in block by block with `take`, or all at once with `take_all`.
+    Samples are added block by block with `take`, or all at once with `take_all`.
 
     Parameters
     ----------
     scene : Scene
-        Scene whose samples are taken in.
+        Scene of the samples.
     linear : bool
         Whether its forces are those of the linearised chain.
     column : (N+2,) array
@@ -47,11 +47,11 @@ class Accumulator:
     grains : (G,) array
         Numbers of the grains that are followed.
     fields : collection of str
-        Fields of which the largest sizes are asked for.
+        Fields for which the largest sizes are computed.
     tracked : str, optional
-        The one of these fields of which fronts are asked for.
+        One of these fields, for which fronts are computed.
     contacts : sequence of int
-        Contacts of which the largest force is asked for.
+        Contacts for which the largest force is computed.
     ceiling : (G, T-1) or (1, T-1) or (1, 0) array, optional
         Bounds on speeds between samples; see `between.maxima.follow`.
     state : mapping, optional
@@ -96,7 +96,7 @@ class Accumulator:
             "latest": np.zeros(followed, EVENT),
             "log": np.zeros(0, EVENT),
             "closest": np.full((len(self.contacts), 3), -np.inf),
-            # of viscous contacts: largest force, its error, approach and rate
+            # For viscous contacts: the largest force, its error, approach and rate.
             "strongest": np.full((len(self.contacts) * self._viscous, 4), -np.inf),
             "before": np.zeros((2, 0, int(column.max()) + 1)),
             "interval": np.zeros((), dtype=np.int64),
@@ -105,13 +105,13 @@ class Accumulator:
         self.state: dict[str, Any] = start
         if state:
             self.state = {name: np.array(state.get(name, start[name])) for name in start}
-            # these two grow; a state of another scene shows in the others
+            # These two arrays grow. The shapes of the others reveal the state of another scene.
             fixed = start.keys() - {"log", "before"}
             if any(self.state[name].shape != start[name].shape for name in fixed):
                 raise ValueError("the state that was kept does not fit")
 
     def take(self, first: int, u: Array, v: Array) -> None:
-        """Take in the samples of a block, (B, C) each, which begin with sample number `first`."""
+        """Add the samples of a block, (B, C) each, beginning with sample number `first`."""
         state = self.state
         if first == 0:
             self._begin(v if self._tracked == "velocity" else u)
@@ -122,30 +122,30 @@ class Accumulator:
         v = np.concatenate((before[1], v))
         begin = int(state["interval"])
         ends = last == self.scene.intervals
-        # the misfit of an interval is known when the sample behind the next one is
+        # The misfit of an interval needs the sample after the next one.
         end = last if ends else max(last - 1, 0)
-        # where no law gives accelerations, four samples do
+        # Four samples suffice if accelerations are computed from the samples.
         if begin < end and (ends or len(u) > 3 or not self.scene.chain.damped):
             self._take_intervals(u, v, Window(base, begin - base, end - base))
             state["interval"] = np.array(end)
-        # the next interval is judged by its neighbours, too
+        # The neighbours of the next interval enter its error, too.
         state["before"] = np.array([u[-3:], v[-3:]])
 
     def take_all(self, u: Array, v: Array, levels: Array) -> None:
-        """Take in all samples, (T, C) each; of maxima only those above a level of each grain."""
+        """Add all samples, (T, C) each; store only the maxima above a level of each grain."""
         self._begin(v if self._tracked == "velocity" else u)
         self.state["latest"] = levels_of(levels)
         self._take_intervals(u, v, Window(0, 0, len(u) - 1))
 
     def _begin(self, field: Array) -> None:
-        """Take in the first sample of the field whose fronts are asked for."""
+        """Add the first sample of the field for which fronts are computed."""
         if self._tracked:
             first = field[0, self._column[self._grains]]
             self.state["start"] = np.abs(first)
             self.state["latest"] = events_of(first)
 
     def _take_intervals(self, u: Array, v: Array, window: Window) -> None:
-        """Take in some intervals of a block."""
+        """Add some intervals of a block."""
         state = self.state
         imposed = imposed_on(self.scene, self.step, window.first, len(u))
         self._block = SampledBlock(
@@ -172,7 +172,8 @@ class Accumulator:
             strongest[:] = force if force[0] > strongest[0] else strongest
 
     def relative(self, number: int, first: int, u: Array, v: Array) -> Array:
-        """Return how much closer the bodies of a contact are at some samples, and the rate, (2, B).
+        """Return the approach of a contact beyond that at rest, and its rate, at some samples, (2,
+        B).
 
         The samples (B, C) begin with sample number `first`.
         """
@@ -184,17 +185,17 @@ class Accumulator:
         return upper - [u[:, below], v[:, below]] if below >= 0 else upper
 
     def largest(self, field: str, error: float) -> tuple[Array, Array]:
-        """Return the largest sizes of a field and their errors, (G,), for samples with an error."""
+        """Return the largest sizes of a field and their errors, (G,), given the samples' error."""
         return estimate(self.state["fast" if field == "velocity" else "far"], error)
 
     def closest(self, row: int, error: float) -> tuple[Array, Array]:
-        """Return the closest approach of a contact beyond that at rest and its error, (1,) m."""
+        """Return the closest approach of a contact beyond that at rest, and its error, (1,) m."""
         return estimate(self.state["closest"][row][:, None], error)
 
     def arrivals(self, error: float) -> Array:
-        """Return when the front passes each grain and the error of that time, (2, G) s."""
+        """Return the arrival time of the front at each grain, and its error, (2, G) s."""
         log = self.state["log"]
-        # block after block there are events of all grains
+        # The log has the events of all grains, block after block.
         log = log[np.argsort(log["grain"], kind="stable")]
         return arrivals(*self._maxima(log), self._rules(FRACTION, error, error))
 
@@ -205,7 +206,7 @@ class Accumulator:
         return fronts(*motion, *self._maxima(self.state["log"]), rules)
 
     def _maxima(self, log: np.ndarray) -> tuple[np.ndarray, np.ndarray, Array, Array]:
-        """Return the arrays that show fronts, for events in the order of their grains."""
+        """Return the data of fronts, with events sorted by grain."""
         state = self.state
         largest = state["fast" if self._tracked == "velocity" else "far"]
         return log, state["latest"], largest, state["start"]

@@ -1,4 +1,4 @@
-"""Whether a LAMMPS dump is of a scene: its frames, grains, first frame and motion."""
+"""Check whether a LAMMPS dump belongs to a scene: frames, grains, first frame and motion."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ class FirstFrame(NamedTuple):
 
 
 def check_frames(name: str, scene: Scene, frames: Frames) -> None:
-    """Raise `InputError` unless the frames are those of the samples."""
+    """Raise `InputError` unless number and times of the frames match the samples."""
     steps = frames.steps
     samples = scene.samples
     interval = scene.sampling_interval
@@ -153,7 +153,7 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     if np.isnan(frames.times).all():
         return
     times = frames.times - frames.times[0]
-    # a time that is missing or infinite differs, too
+    # A missing or infinite time fails this comparison, too.
     if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
         raise InputError.at(
             name,
@@ -176,22 +176,22 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
 
 
 def find_misfit(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
-    """Return how the first frame differs from the initial state of the scene, or nothing."""
+    """Return the difference of the first frame from the initial state of the scene, or ""."""
     gauge = drawn_diameter(scene, motion, first)
     distance, overlap = ("", "") if gauge else _find_gap(scene, motion, first)
-    # wrong distances make all else wrong, while overlaps differ by what grains begin with, too
+    # Wrong distances have many consequences; overlaps also differ by wrong initial displacements.
     return distance or _find_start(scene, motion, first) or overlap
 
 
 def _find_start(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
-    """Return which grain does not begin as in the scene, or nothing."""
+    """Return the first grain with a wrong initial state, in words, or ""."""
     u, v = scene.initial()
     rounding = 1e-15 * np.abs(first.depths).max()
     for quantity, unit, values, start, slack in (
         ("velocity", "m/s", motion.velocity, v, 0.0),
         ("displacement", "m", motion.displacement, u, rounding),
     ):
-        # 0 is added so that none is written -0
+        # Adding 0 avoids a printed -0.
         begin = values[0] + 0.0
         difference = np.abs(begin - start)
         if (difference > CHECKS.start * np.abs(values).max() + slack).any():
@@ -213,7 +213,7 @@ def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
 
 
 def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
-    """Return the diameter with which all grains are drawn, m, or 0 if they are drawn as they are.
+    """Return the diameter with which all grains are drawn, m, or 0 if they have their own.
 
     Decks of ours draw grains a few overlaps large, where heights would lose digits else.
     """
@@ -230,7 +230,7 @@ def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> flo
 
 
 def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[str, str]:
-    """Return which distance of the first frame, or only which overlap, is not that of the scene."""
+    """Return a distance, or else an overlap, of the first frame that differs from the scene."""
     chain = scene.chain
     gaps = np.diff(first.depths)
     lengths = chain.contact_lengths[1:-1]
@@ -240,7 +240,7 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
     if excess[n] <= 1:
         return "", ""
     pair = f"grains {n + 1} and {n + 2}"
-    # six digits of a distance would not show less
+    # A smaller difference would not be visible in six digits of a distance.
     if abs(gaps[n] - expected[n]) > CHECKS.distance * lengths[n]:
         distance = (
             f"{pair} are {gaps[n]:.6g} m apart in the first frame, in the scene {expected[n]:.6g}: "
@@ -257,7 +257,7 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
 def check_grains(
     name: str, scene: Scene, columns: Mapping[str, Array], order: np.ndarray, gauge: float
 ) -> None:
-    """Raise `InputError` if radii, diameters or masses in a dump are not those of the chain.
+    """Raise `InputError` if radii, diameters or masses in a dump differ from the chain.
 
     The `gauge` is a diameter with which all grains are drawn, m, or 0.
     """
@@ -283,7 +283,7 @@ def check_grains(
 def check_course(
     name: str, scene: Scene, motion: DumpedMotion, steps: int, digit: float, rounding: float
 ) -> None:
-    """Raise `InputError` if the motion is not one that the scene can have.
+    """Raise `InputError` if the motion is impossible in the scene.
 
     Displacements must change as velocities say, and velocities as the forces of the chain do, so
     far as the samples resolve the motion: else the frames are not as far apart as those of the
@@ -306,20 +306,20 @@ def check_course(
         return
     interval = scene.sampling_interval
     angle = scene.sampling_phase / 2
-    # the angles cubed: integrals of fourth order are off by less, of third order at both ends
-    # velocities of a long step of velocity Verlet are off by a sixth of its angle squared
+    # The tolerance includes the angle cubed: fourth-order integrals have smaller errors. A long
+    # step of velocity Verlet changes velocities by a sixth of its angle squared.
     slip = CHECKS.course + (scene.total_phase / steps) ** 2 / 3
     single = angle <= SAMPLED.single
-    # of a grain that is moved or pushed, velocities may jump between samples
+    # Velocities of a driven or forced grain may jump between samples.
     lawful = _lawful(scene)
-    # in a vacuum neighbours of a grain that is pushed may hardly move: digits of the dump are not
-    # better than the answer
+    # In a vacuum the neighbours of a forced grain may hardly move. Digits of the dump below the
+    # accuracy of the solution do not count.
     digit = max(digit, CHECKS.start * float(np.abs(motion.displacement).max()))
     u = motion.displacement[:, lawful]
     v = motion.velocity[:, lawful]
     masses = scene.chain.masses
     sums = (u, v) if single else _grouped(scene, motion, angle)
-    # steps below the last digit of a height are lost, all of them alike, and do not add at random
+    # Steps below the last digit of a height are lost systematically, not at random.
     lost = rounding * steps / scene.intervals
     last = digit + lost * math.sqrt(u.size)
     ratio, doubt = _compare_changes(
@@ -332,13 +332,13 @@ def check_course(
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
             f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
         )
-    # the forces of damping are none of contacts that know distances alone
+    # Damping forces depend on velocities as well.
     if angle > SAMPLED.forces or scene.chain.damped:
         return
     acceleration = _accelerations(scene, motion)[:, lawful]
     ratio, doubt = _compare_changes(v, acceleration, interval, 0.0)
     size = float(np.square(acceleration).mean()) if acceleration.any() else np.inf
-    # digits that are cut off make accelerations at random, of which none are in the velocities
+    # Truncated digits add random accelerations, which the velocities do not show.
     noise = (scene.highest_frequency**2 * digit) ** 2 / size
     if _excess(ratio, doubt) > slip + angle**3 / 2 + noise:
         raise InputError.at(
@@ -349,7 +349,7 @@ def check_course(
 
 
 def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, Array]:
-    """Return the momenta of groups of grains that the samples resolve, and their integrals.
+    """Return the momenta of groups of grains that the samples resolve, and their time integrals.
 
     Forces within a group cancel, so that the momentum that a strike gives it changes slowly: the
     more grains, the slower. They are (T, B) kg m and kg m/s each; without groups where not even the
@@ -369,7 +369,7 @@ def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, A
 def _compare_changes(
     values: Array, rates: Array, interval: float, digit: float
 ) -> tuple[float, float]:
-    """Return how many times the changes of values are those by their rates, and how far it is off.
+    """Return the ratio of the changes of values to the integrated rates, and its error.
 
     It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
     fourth order. That differs from a fit to those of second order by more than it is off; what is
@@ -386,13 +386,13 @@ def _compare_changes(
 
 
 def _excess(ratio: float, doubt: float) -> float:
-    """Return how far a ratio or its inverse exceeds 1 at least, if it is off by twice a doubt."""
+    """Return the certain excess of a ratio, or of its inverse, above 1, within twice its error."""
     nearest = min(max(1.0, ratio - 2 * doubt), ratio + 2 * doubt)
     return max(nearest, 1 / nearest) - 1 if nearest > 0 else math.inf
 
 
 def _lawful(scene: Scene) -> np.ndarray:
-    """Return the indices of the grains that nothing but the chain moves."""
+    """Return the indices of the grains on which only the chain acts."""
     moving = np.arange(scene.chain.movable)
     return moving[moving != scene.excitation.acts_on - 1]
 

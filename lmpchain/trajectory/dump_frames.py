@@ -1,4 +1,4 @@
-"""LAMMPS dumps as they stand in a file: frames, with their times, boxes and columns."""
+"""LAMMPS dumps as stored in a file: frames, with their times, boxes and columns."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from ..util.suggestions import not_among
 from .other_formats import describe_other_format
 
 BEGIN = b"ITEM: TIMESTEP"
-# dump_modify units and time put these lines above it
+# These lines of `dump_modify units` and `dump_modify time` precede a frame.
 UNITS = b"ITEM: UNITS"
 TIME = b"ITEM: TIME"
-# lines between the first one of a frame and its atoms
+# Lines between the first line of a frame and its atoms.
 STEP = 0
 COUNT_LABEL = 1
 COUNT = 2
@@ -46,7 +46,7 @@ COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17
 
 
 class Units(NamedTuple):
-    """What the units of a dump are in SI: m, s, kg and m/s."""
+    """Units of a dump in SI: m, s, kg and m/s."""
 
     length: float
     time: float
@@ -64,7 +64,7 @@ class Units(NamedTuple):
 
 MOLE = 6.02214076e23
 BOHR = 5.29177210903e-11  # m
-# the styles of the command `units` of LAMMPS
+# Styles of the LAMMPS command `units`.
 STYLES = {
     "si": Units(1.0, 1.0, 1.0, 1.0),
     "cgs": Units(1e-2, 1.0, 1e-3, 1e-2),
@@ -108,11 +108,11 @@ class Frames(NamedTuple):
 
     @property
     def position_columns(self) -> tuple[str, ...]:
-        """Names of the columns with positions along x, y and z."""
+        """Return the names of the columns with positions along x, y and z."""
         return UNWRAPPED if UNWRAPPED[0] in self.columns else AXES
 
     def positions(self, axis: str) -> Array:
-        """Return positions along an axis, (T, N) m, as if the box had no borders."""
+        """Return positions along an axis, (T, N) m, without periodic wrapping."""
         number = AXES.index(axis)
         written = self.units.length * self.columns[self.position_columns[number]]
         images = self.columns.get(IMAGES[number])
@@ -122,7 +122,7 @@ class Frames(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """The lines of one frame behind the first, and its time, s."""
+    """Lines of one frame after the first line, and its time, s."""
 
     time: float
     lines: list[bytes]
@@ -132,7 +132,7 @@ def is_dump(path: str | PathLike[str]) -> bool:
     """Return whether a file, possibly compressed by gzip, is a LAMMPS dump."""
     path = expanded(path)
     try:
-        # reading a pipe would block
+        # Reading a pipe would block.
         check_readable(path, sys.maxsize)
         with _open(path) as opened:
             return opened.read(len(BEGIN)).startswith((UNITS, TIME))
@@ -141,7 +141,7 @@ def is_dump(path: str | PathLike[str]) -> bool:
 
 
 def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
-    """Return the units of a dump, which its user and the dump itself may name.
+    """Return the units of a dump, which the user or the dump may name.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
 def read_frames(
     path: Path, grains: int, most: int, units: str | Sequence[float] | None = None
 ) -> Frames:
-    """Read the frames of a dump; raises `InputError` if it is none of so many grains.
+    """Read the frames of a dump; raise `InputError` if the number of grains differs.
 
     A run that was stopped and started again writes frames twice, and one that was killed leaves
     half a frame: of each step, the frame that was written last is taken, and what is not whole is
@@ -217,7 +217,7 @@ def _open(path: Path) -> IO[bytes]:
 
 
 def _lines(name: str, opened: IO[bytes]) -> Iterator[bytes]:
-    """Yield the lines of a dump, each with its end; raises `InputError` where there is none."""
+    """Yield the lines of a dump with their ends; raise `InputError` if it has no lines."""
     while line := opened.readline(LONGEST_LINE):
         if not line.endswith(b"\n"):
             if len(line) == LONGEST_LINE:
@@ -229,12 +229,12 @@ def _lines(name: str, opened: IO[bytes]) -> Iterator[bytes]:
 
 
 def _count(text: bytes) -> int:
-    """Return a number of atoms or steps, or -1 if it is none."""
+    """Return a number of atoms or steps, or -1 if the line is not a number."""
     return int(text) if COUNT_DIGITS.fullmatch(text.strip()) else -1
 
 
 def _text(line: bytes) -> str:
-    """Return a line for a message."""
+    """Return a line in readable form for a message."""
     return short(line.decode(errors="replace").strip())
 
 
@@ -250,7 +250,7 @@ def _whole_frames(
     time = np.nan
     frame = _Frame(time, [])
     for line in lines:
-        # where a run was killed within a line, the next frame begins in the middle of it
+        # If a run was killed within a line, the next frame begins in the middle of the line.
         if BEGIN in line:
             if _is_whole(name, frame, grains):
                 yield frame
@@ -276,7 +276,7 @@ def _time(name: str, line: bytes) -> float:
 
 
 def _is_whole(name: str, frame: _Frame, grains: int) -> bool:
-    """Return whether a frame has all lines; raises `InputError` if it is of another column."""
+    """Return whether a frame has all lines; raise `InputError` if it is of another column."""
     lines = frame.lines
     if len(lines) < HEADER:
         return False
@@ -327,7 +327,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         atoms = np.loadtxt(lines[HEADER:], usecols=indices, ndmin=2, comments=None)
         if len(atoms) != grains:
             raise ValueError(f"an atom has no line at step {step}")
-        # a restarted run writes frames again: the last one counts
+        # A restarted run writes frames again: the last one counts.
         rows[step] = _sort(atoms)
         times[step] = frame.time
         sides[step] = _box_sides(name, lines)
@@ -354,8 +354,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
 
 
 def _needed(name: str, columns: Sequence[str]) -> list[str]:
-    """Return the columns of a dump to read, that of the atom numbers first."""
-    # periodic boxes wrap x, y and z; xu, yu and zu go on
+    """Return the columns of a dump to read, the atom numbers first."""
+    # Periodic boxes wrap x, y and z, but not xu, yu and zu.
     unwrapped = set(UNWRAPPED) <= set(columns)
     positions = UNWRAPPED if unwrapped else AXES
     missing = [key for key in ("id", *positions) if key not in columns]
@@ -369,7 +369,7 @@ def _needed(name: str, columns: Sequence[str]) -> list[str]:
 
 def _periodic(line: bytes) -> NDArray[np.bool_]:
     """Return whether the box repeats along x, y and z, from the line above its bounds."""
-    # a tilted box has its tilts before these words
+    # A tilted box has its tilts before these words.
     words = line.split()[-3:]
     return np.array([word == b"pp" for word in words])
 
@@ -380,7 +380,7 @@ def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
         bounds = np.array([line.split() for line in lines[SIDES]], float)
     except ValueError:
         bounds = np.empty((0, 0))
-    # in a tilted box the bounds are not those at which positions are wrapped
+    # The bounds of a tilted box differ from those at which positions are wrapped.
     if bounds.shape not in ((3, 2), (3, 3)) or bounds[:, 2:].any():
         raise InputError.at(
             name,
@@ -391,7 +391,7 @@ def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
 
 
 def _sort(atoms: Array) -> Array:
-    """Return the columns of a frame behind that of the atom numbers, in their order, (C-1, N)."""
+    """Return the columns of a frame after the atom numbers, sorted by them, (C-1, N)."""
     numbers = atoms[:, 0]
     order = np.argsort(numbers)
     if (np.diff(numbers[order]) <= 0).any():

@@ -1,4 +1,4 @@
-"""Extended XYZ, the text form of a trajectory that OVITO, ASE and others read."""
+"""Extended XYZ, a text format of trajectories for OVITO, ASE and other programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_extxyz(record: Record, path: str | PathLike[str], overwrite: bool = Fa
     grains = record.grains
     rest = -chain.depths[grains - 1]
     radii = chain.diameters[grains - 1] / 2
-    # viewers need a box: a column with a grain of room around it
+    # Viewers need a box: a column with a grain of room around it.
     side = 2 * float(radii.max())
     low = float(rest.min()) - side
     high = float(rest.max()) + side

@@ -1,4 +1,4 @@
-"""Names, shapes and labels of the quantities gathered all along a run."""
+"""Names, shapes and labels of the quantities accumulated during a run."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ QUANTITIES = {
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)"
     ),
-    # the number of the contact follows
+    # The number of the contact follows.
     "peak_force": Quantity((), "N", "largest force at any time of contact"),
     "force": Quantity((TIME,), "N", "force of contact"),
 }
@@ -59,9 +59,9 @@ def file_name(name: str) -> str:
 
 
 def arrays(scene: Scene) -> dict[str, ArrayLayout]:
-    """Return the arrays that are gathered of a scene, by name in `Trajectory.gathered`.
+    """Return the arrays that a scene accumulates, by name in `Trajectory.gathered`.
 
-    Those of `energies` may be missing.
+    The arrays of `energies` may be missing.
     """
     layouts: dict[str, ArrayLayout] = {}
     sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}
@@ -113,7 +113,7 @@ def describe_gathered(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]
     for name in scene.quantities:
         value = np.ravel(values[name])
         error = np.ravel(values[f"{name}_error"])
-        # a grain that no front has passed has no arrival time
+        # A grain without a front has no arrival time.
         finite = np.isfinite(value)
         if not finite.any():
             lines[name] = "nothing: no front has passed"

@@ -1,4 +1,4 @@
-"""Displacements and velocities from LAMMPS dumps, of `lmpchain deck` or of a user's own deck."""
+"""Read displacements and velocities from LAMMPS dumps of `lmpchain deck` or of other decks."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from .record import Cost, ErrorEstimate, Record
 
 
 class _Column(NamedTuple):
-    """Positions and velocities along the axis of the column, (T, N) each by atom number.
+    """Positions and velocities along the axis of the column, (T, N) each, by atom number.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def read_dump(
         raise InputError.at(
             name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
         )
-    # as they stand in the file: sums with the lengths of a box have other digits
+    # Use the numbers of the file, because sums with box lengths have other digits.
     written = frames.columns[frames.position_columns[AXES.index(axis)]]
     length, *_, velocity = frames.units
     z = frames.positions(axis)
@@ -84,7 +84,7 @@ def read_dump(
     spacing = float(np.spacing(np.abs(z[0]).max()))
     rounding = 2 * length * _last_digit(written[0]) + 4 * spacing
     column = _Column(z, columns[f"v{axis}"], v_phi, rounding)
-    # lmpchain deck writes v_phi, and its z points up
+    # A deck of lmpchain writes v_phi, and its z points up.
     directions = [-1.0] if v_phi is not None and axis == "z" else _directions(scene, z[0], rest)
     motion, first = _orient(name, scene, directions, column, rest)
     check_grains(name, scene, columns, motion.order, drawn_diameter(scene, motion, first))
@@ -97,7 +97,7 @@ def read_dump(
     speeds = frames.columns[f"v{axis}"][:, mover]
     numbers = (written if v_phi is None else frames.columns["v_phi"])[:, mover]
     total = int(frames.steps[-1] - frames.steps[0])
-    # grains far from z = 0 have larger last digits than the one that moves most
+    # Grains far from z = 0 have a coarser last digit than the grain with the largest motion.
     digit = length * _last_digit(numbers)
     if v_phi is None:
         digit = max(digit, rounding / 2)
@@ -138,11 +138,11 @@ def read_dump(
 def _orient(
     name: str, scene: Scene, directions: Sequence[float], column: _Column, rest: Array | None
 ) -> tuple[DumpedMotion, FirstFrame]:
-    """Return the motion along the first of the directions that fits the start of the scene."""
+    """Return the motion along the first direction that agrees with the initial state."""
     z, vz, v_phi, slack = column
     faults = []
     for down in directions:
-        # grains are numbered from the top, whatever the numbers of the atoms
+        # Grains are numbered from the top, whatever the numbers of the atoms.
         order = np.argsort(down * z[0], kind="stable")
         if v_phi is not None:
             displacement = v_phi[:, order]
@@ -150,7 +150,7 @@ def _orient(
             displacement = down * (z[:, order] - rest)
         else:
             displacement = down * (z[:, order] - z[0, order])
-            # the first frame is not at rest if the scene begins with a displacement
+            # The first frame is not at rest if the scene begins with a displacement.
             displacement += scene.initial()[0]
         motion = DumpedMotion(down, order, displacement, down * vz[:, order])
         first = FirstFrame(down * z[0, order], slack, v_phi is not None)
@@ -162,10 +162,10 @@ def _orient(
 
 
 def _find_axis(name: str, frames: Frames) -> str:
-    """Return the axis on which the grains of the first frame lie far apart."""
+    """Return the axis along which the grains of the first frame are far apart."""
     spread = [float(np.ptp(frames.positions(axis)[0])) for axis in AXES]
     longest = int(np.argmax(spread))
-    # a column that leans has no axis
+    # An inclined column has no axis.
     if not spread[longest] > 2 * sorted(spread)[-2]:
         raise InputError.at(
             "axis",
@@ -175,7 +175,7 @@ def _find_axis(name: str, frames: Frames) -> str:
 
 
 def _describe_precision(digit: float, speed_digit: float, motion: DumpedMotion) -> str:
-    """Return the precision of a dump in words, from the last digits that it has, m and m/s."""
+    """Return the precision of a dump in words, given its last digits, m and m/s."""
     texts = []
     for quantity, unit, last, values in (
         ("displacement", "m", digit, motion.displacement),
@@ -189,7 +189,7 @@ def _describe_precision(digit: float, speed_digit: float, motion: DumpedMotion) 
 
 
 def _check_rest(equilibrium: Sequence[float] | Array, grains: int) -> Array:
-    """Return the heights at rest as (N,) numbers; raises `InputError`."""
+    """Return the heights at rest as (N,) numbers; raise `InputError` if they are invalid."""
     try:
         rest = np.asarray(equilibrium, dtype=float)
     except (TypeError, ValueError):
@@ -202,7 +202,7 @@ def _check_rest(equilibrium: Sequence[float] | Array, grains: int) -> Array:
 
 
 def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
-    """Return -1 (z points up) and 1 (down), the likelier first; `z` is the first frame, (N,) m.
+    """Return the directions -1 (z points up) and 1 (down), the likelier one first.
 
     The overlaps say so, as they grow with the weight above: the gaps between centres, less what
     grains, overlaps and the start of the scene make of them, must be alike.
@@ -215,7 +215,7 @@ def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
 
 
 def _last_digit(values: Array) -> float:
-    """Return the step of the last digit with which the largest of some numbers was written.
+    """Return the size of the last digit of the largest number.
 
     Numbers of single precision have its digits, however many were written.
     """

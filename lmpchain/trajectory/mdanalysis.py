@@ -53,14 +53,14 @@ class SampleReader(ProtoReader):
         return ts
 
     def copy(self) -> SampleReader:
-        """Return another reader of the same trajectory, at the same sample."""
+        """Return another reader of the same trajectory at the same sample."""
         reader = SampleReader(self._run)
         reader.add_transformations(*self.transformations)
         reader.ts = self.ts.copy()
         return reader
 
     def close(self) -> None:
-        """Do nothing: no file is held."""
+        """Do nothing, because no file is open."""
 
 
 def make_universe(record: Record) -> Universe:

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
-    # xarray writes the same, but its import takes longer than most runs
+    # Importing xarray, which writes the same file, takes longer than most runs.
     import h5netcdf
 
-    # HDF5 crashes the process when a disk is full
+    # HDF5 crashes the process when a disk is full, so it writes to memory.
     memory = BytesIO()
     with h5netcdf.File(memory, "w") as file:
         fine = {TIME: record.gathered[TIME].size} if TIME in record.gathered else {}
@@ -39,10 +39,9 @@ def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = Fa
 
 
 def read_netcdf(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
-    """Return metadata, scene and arrays of a file; a damaged or foreign one raises an error.
+    """Return metadata, scene and arrays of a file; raise an error for a damaged or foreign file.
 
-    Only plain arrays in this very file are read, and a claim about their size is checked before
-    they are.
+    Only plain arrays in the file itself are read, after a check of their declared size.
     """
     import h5py
 
@@ -69,23 +68,23 @@ def _attribute(file: h5py.File, name: str) -> Any:
 
 
 def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
-    """Return an array that lies in this file, whole and plain, with this shape."""
+    """Return an array with this shape that is stored in this file as one block."""
     import h5py
 
-    # a link may point to any file of the reader
+    # A link may point to any other file of the user.
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
     array = file[name]
     data_type = DATA_TYPES.get(name, "float64")
     if not isinstance(array, h5py.Dataset) or array.dtype != data_type:
         raise ValueError(f"its {name} are not numbers of the kind {data_type}")
-    # chunks may be compressed, and external files belong to someone else
+    # Chunks may be compressed, and external files may belong to another user.
     layout = array.id.get_create_plist().get_layout()
     if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or array.external:
         raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")
     if array.shape != shape:
         raise ValueError(f"its {name} has the shape {array.shape}, its scene {shape}")
-    # a small file could claim an array that fills the memory
+    # A small file could declare an array that fills the memory.
     if array.id.get_storage_size() != array.nbytes:
         raise ValueError(f"its {name} is not stored in the file")
     return array[()]

@@ -1,4 +1,4 @@
-"""Names of the formats in which other programs write, by the first bytes of a file."""
+"""Formats of other programs, recognised by the first bytes of a file."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from pathlib import Path
 HEAD = 2**12  # bytes that are looked at
 NUMERAL = rb"[+-]?[\d.]+(?:[eE][+-]?\d+)?"
 DECK = rb"(?:units|atom_style|pair_style|pair_coeff|read_data|boundary|timestep|fix|run)[ \t]+\S"
-# a format, and how its files begin
+# Each format, and how its files begin.
 OTHER_FORMATS = {
     "a NumPy array (npy)": rb"\x93NUMPY",
     "a ZIP archive, such as npz": rb"PK\x03\x04",
     "a file that gzip has packed": rb"\x1f\x8b",
     "a NetCDF 3 file": rb"CDF[\x01\x02\x05]",
-    # HDF5 would hang on some damaged files, so the name of the group is looked for in the bytes
+    # HDF5 would hang on some damaged files, so the name of the group is sought in the bytes.
     "an H5MD file": rb"(?s:\x89HDF.*\bh5md\b)",
     "an extended XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*Properties=",
     "an XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*\n\s*\w+(?:[ \t]+" + NUMERAL + rb"){3}",
@@ -44,7 +44,7 @@ READABLE = (
 
 
 def describe_other_format(path: Path) -> str:
-    """Return which format of another program a file has, and what to do; or nothing."""
+    """Return the format of another program's file, with a remedy, in words; "" if unknown."""
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)

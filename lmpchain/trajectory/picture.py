@@ -27,7 +27,7 @@ def draw_motion(
 
     ax = axes_in_units(ax, "s", "")
     order = as_slice(np.argsort(trajectory.grains))
-    # a picture has fewer columns
+    # A picture has fewer columns than the trajectory has samples.
     stride = -(-trajectory.time.size // 4000)
     time = trajectory.time[::stride]
     motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
@@ -45,6 +45,6 @@ def draw_motion(
 
 
 def scale(motion: Array) -> float:
-    """Return the median peak of the grains that move, where colours of a motion saturate."""
+    """Return the median peak of the moving grains, at which colours saturate."""
     largest = np.abs(motion).max(0)
     return float(np.median(largest[largest > MOVING * largest.max()])) if largest.any() else 1.0

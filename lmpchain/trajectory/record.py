@@ -20,10 +20,11 @@ FORMAT = 1  # version of the files
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
 ROUNDED = 1e-9  # of a duration, by which steps of one length may exceed it
-# relative error that says nothing is known: two motions differ by at most twice the larger one
+# An error of 2 means that nothing is known, because two motions differ by at most twice the larger
+# one.
 LARGEST_ERROR = 2.0
 DATA_TYPES = {"grain": "int64"}  # all other arrays are of float64
-# metadata of a file
+# Metadata of a file.
 ATTRIBUTES = (
     "lmpchain_format",
     "engine",
@@ -74,7 +75,7 @@ class ErrorEstimate:
 
     @property
     def remark(self) -> str:
-        """What an estimate of 0 or 2 means, to follow the number; empty for any other one."""
+        """Explanation of an estimate of 0 or 2, empty for any other one."""
         if self.total == 0:
             return ", because no recorded grain can move"
         if LARGEST_ERROR <= self.total < math.inf:
@@ -103,11 +104,11 @@ class Cost(NamedTuple):
 
     @property
     def total_s(self) -> float:
-        """All of the time but that of compilation, s."""
+        """Total wall time without compilation, s."""
         return self.integration_s + self.estimate_s + self.setup_s
 
     def steps_over(self, duration: float) -> str:
-        """Return the number and the length of the steps that a run of this length, s, took.
+        """Return the number and the length of the steps of a run of this length, s, in words.
 
         Examples
         --------
@@ -121,9 +122,9 @@ class Cost(NamedTuple):
 
 
 def steps_over(count: int, step: float, duration: float) -> str:
-    """Return the number and the length of the steps of a run; `step` is the largest, s."""
+    """Return the number and the length of the steps of a run in words; `step` is the largest, s."""
     steps = counted(count, "step")
-    # those that adapt are shorter where contacts open and close
+    # Adaptive steps are shorter while contacts open and close.
     if count * step > duration * (1 + ROUNDED):
         return f"{steps} of {duration / count:.4g} s on average, {step:.4g} s at most"
     return f"{steps} of {step:.4g} s"
@@ -146,7 +147,7 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """The solution of a scene by an engine; its fields are those of `lmpchain.Trajectory`."""
+    """The solution of a scene by an engine, with the fields of `lmpchain.Trajectory`."""
 
     scene: Scene
     engine: str
@@ -221,14 +222,14 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
 
 
 def read_scene(attributes: Mapping[str, Any]) -> Scene:
-    """Return the scene in the metadata of a file; raises `ValueError` where there is none."""
+    """Return the scene in the metadata of a file; raise `ValueError` if the metadata has none."""
     if attributes["lmpchain_format"] != FORMAT:
         raise ValueError("it is of another version of lmpchain")
     return Scene.from_text(attributes["scene"])
 
 
 def shapes(scene: Scene, present: Collection[str]) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of the arrays of a scene, by name, without making one of them.
+    """Return the shapes of the arrays of a scene by name, without allocating them.
 
     Energies are among them if a file has them: their names are then `present`.
     """
@@ -249,7 +250,7 @@ def shapes(scene: Scene, present: Collection[str]) -> dict[str, tuple[int, ...]]
 
 
 def select_gathered(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]:
-    """Return the gathered quantities of a scene from the arrays of a file, by name."""
+    """Return the accumulated quantities of a scene from the arrays of a file, by name."""
     return {
         name: arrays[gathered.file_name(name)]
         for name in gathered.arrays(scene)
@@ -258,16 +259,16 @@ def select_gathered(scene: Scene, arrays: Mapping[str, Any]) -> dict[str, Array]
 
 
 def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return engine, equation, error, cost and provenance of metadata; raises `ValueError`."""
+    """Return engine, equation, error, cost and provenance; raise `ValueError` if invalid."""
     error = ErrorEstimate(float(attributes["model_error"]), float(attributes["solver_error"]))
     cost = json.loads(attributes["cost"])
     provenance = json.loads(attributes["provenance"])
     engine = attributes["engine"]
     equation = attributes["equation"]
-    # in JSON a float may be written as 1
+    # JSON may store the float 1.0 as 1.
     kinds: dict[Any, Any] = {float: int | float, int: int, str: str}
     if not (error.model >= 0 and error.solver >= 0):
-        raise ValueError("its error estimate is no number from 0")
+        raise ValueError("its error estimate must be a non-negative number")
     if not all(isinstance(cost[name], kinds[kind]) for name, kind in get_type_hints(Cost).items()):
         raise ValueError("its cost is not in numbers")
     if not isinstance(engine, str) or not isinstance(equation, int | float):

@@ -92,7 +92,7 @@ class Trajectory(Shown, Record, Tabular):
     def plot(
         self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity"
     ) -> Axes:
-        """Draw the motion over time and depth, downward red, upward blue; returns the axes.
+        """Draw the motion over time and depth, downward red, upward blue; return the axes.
 
         The colours saturate at the median of the largest sizes of the grains that move, so that the
         wave can be seen where it has become weak.
@@ -221,7 +221,7 @@ class Trajectory(Shown, Record, Tabular):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
-        """Read a file that `save` wrote, or a run folder; raises `InputError` for anything else.
+        """Read a file that `save` wrote, or a run folder; raise `InputError` for anything else.
 
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run,
         the complete samples are returned with the error estimate so far, relative to the motion so
@@ -230,7 +230,7 @@ class Trajectory(Shown, Record, Tabular):
         from . import netcdf, zarr_store
 
         path = expanded(path)
-        # never raises
+        # `os.path.isdir` never raises.
         folder = os.path.isdir(path)
         if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError.at(
@@ -263,7 +263,7 @@ class Trajectory(Shown, Record, Tabular):
                 **read_result(attributes),
             )
         except Exception as error:
-            # whatever a damaged file makes the readers raise
+            # Readers of damaged files raise any kind of error.
             raise InputError.at(
                 str(path),
                 f"is not a trajectory that lmpchain saved, or is cut short ({short(error)})",

@@ -23,11 +23,11 @@ DECODERS = (
 
 
 class RunFolderBackend(BackendEntrypoint):
-    """Opens a folder that `lmpchain run -o folder/` wrote, also while the run goes on.
+    """Backend that opens a folder of `lmpchain run -o folder/`, even during the run.
 
     The dataset is that of `Trajectory.to_xarray`: displacement (m) and velocity (m/s) of (time,
     grain), with the scene, the engine and the error estimate as attributes; arrays stay on the disk
-    until they are used. xarray finds this class by itself.
+    until they are used. The package's entry points register this class with xarray.
     """
 
     description = "Open run folders of lmpchain"
@@ -40,7 +40,7 @@ class RunFolderBackend(BackendEntrypoint):
         drop_variables: str | Iterable[str] | None = None,
         **decoders: Any,
     ) -> xarray.Dataset:
-        """Return the dataset of a run folder, without the variables that are to be dropped.
+        """Return the dataset of a run folder without the dropped variables.
 
         The `decoders` of xarray change nothing: values are stored as they are, and times are
         numbers of seconds.

@@ -33,7 +33,7 @@ KEYS = {
     "node_type",
     "storage_transformers",
 }
-# options of the codecs that lmpchain writes
+# Options of the codecs that lmpchain writes.
 CODECS: dict[str, set[str]] = {
     "bytes": {"endian"},
     "zstd": {"level", "checksum"},
@@ -66,11 +66,11 @@ CHUNKS = ChunkSizes()
 
 
 def file_shapes(samples: int, grains: int) -> dict[str, Piece]:
-    """Return the shapes of the files of each array, and of a chunk in those of the fields."""
+    """Return the shapes of the files of each array, and of a chunk of the fields."""
     count = math.ceil(grains / CHUNKS.grains)
     width = math.ceil(grains / count)
     rows = CHUNKS.samples * math.ceil(min(samples / CHUNKS.samples, CHUNKS.grains / grains))
-    # so that the times of a shard lie in one chunk, replaced atomically
+    # All times of a shard are in one chunk, which is replaced atomically.
     times = rows * math.ceil(CHUNKS.times / rows)
     return {
         "time": (min(times, samples),),
@@ -86,7 +86,7 @@ def stores(scene: Scene, present: Collection[str]) -> dict[str, Piece]:
 
 
 def metadata(node: Path) -> dict[str, Any]:
-    """Return the metadata of an array or group of Zarr format 3; raises `ValueError`, `OSError`."""
+    """Return the metadata of an array or group of Zarr format 3; raise `ValueError`, `OSError`."""
     path = node / "zarr.json"
     if path.exists():
         check_readable(path, LARGEST_JSON)
@@ -98,7 +98,7 @@ def metadata(node: Path) -> dict[str, Any]:
 
 
 def check_layout(store: Path, scene: Scene) -> None:
-    """Raise unless the arrays are those of this scene, laid out as lmpchain does it."""
+    """Raise `ValueError` unless the arrays have the sizes of this scene and lmpchain's layout."""
     names = {path.name for path in store.iterdir() if path.is_dir()}
     arrays = shapes(scene, names)
     sizes = stores(scene, names)
@@ -124,20 +124,20 @@ def check_layout(store: Path, scene: Scene) -> None:
         codecs = codec_names_in_shards(nested, chunk) if name in FIELDS else codec_names(nested)
         if codecs != SHRUNK and not (name == "grain" and codecs == SHRUNK_ONCE):
             raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
-        # in a shard each chunk would have to be looked for
+        # Chunks within a shard would have to be searched for.
         if name not in FIELDS:
             _check_claims(store / name / "c", math.prod(sizes[name]), blosc=codecs == SHRUNK)
 
 
 def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
-    """Raise `ValueError` if a chunk claims to hold more numbers than it should or can."""
+    """Raise `ValueError` if a chunk declares more numbers than it can contain."""
     for path in chunks.glob("[0-9]*"):
-        # a name with more than digits is that of a file that is being written
+        # A file that is still being written has a name with other letters than digits.
         if not path.name.isdecimal():
             continue
         with open(path, "rb") as opened:
             head = opened.read(8)
-        # blosc begins with the size of what it unpacks to
+        # The header of blosc contains the unpacked size.
         claim = int.from_bytes(head[4:], "little") if blosc else 8 * length
         if claim != 8 * length or claim > MOST_SHRUNK * path.stat().st_size:
             raise ValueError("it claims to hold more than it does")
@@ -148,7 +148,7 @@ def _configure(name: str, **configuration: Any) -> dict[str, Any]:
 
 
 def codec_names(codecs: Any) -> list[str]:
-    """Return the names of codecs that hold no other codec."""
+    """Return the names of codecs that contain no other codec."""
     for codec in codecs:
         if codec["name"] not in CODECS or codec.keys() - {"name", "configuration"}:
             raise ValueError("it is stored with codecs that lmpchain does not use")
@@ -158,7 +158,7 @@ def codec_names(codecs: Any) -> list[str]:
 
 
 def codec_names_in_shards(codecs: Any, chunk: Piece) -> list[str]:
-    """Return the names of the codecs inside the one of a shard, with chunks of this shape."""
+    """Return the names of the codecs inside the shard codec with chunks of this shape."""
     (outer,) = codecs
     inside = outer["configuration"]
     if outer["name"] != "sharding_indexed" or inside["chunk_shape"] != list(chunk):

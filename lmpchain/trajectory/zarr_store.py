@@ -37,7 +37,7 @@ SO_FAR = "error_so_far"  # attribute of a run that is not finished
 
 
 def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
-    """Make an empty store, in place of one that is there."""
+    """Make an empty store, replacing an existing one."""
     import zarr
     from zarr.codecs import BloscCodec, Crc32cCodec
 
@@ -51,7 +51,7 @@ def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> No
         labelled: Any = {"dimension_names": dimensions, "attributes": labels}
         group.create_array(name, compressors=shrink, **labelled, **options)
 
-    # NaN until they are written, so that nobody takes a missing sample for one at rest
+    # Values are NaN until they are written, so that a missing sample is not taken for rest.
     unknown: Any = {"dtype": "f8", "fill_value": math.nan}
     fields = {"shape": (samples, grains), "chunks": sizes["chunk"]} | unknown
     for name in FIELDS:
@@ -65,10 +65,10 @@ def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> No
 
 
 def _consolidate(store: Path) -> None:
-    """Gather the descriptions of all arrays in that of the group, where xarray looks first.
+    """Copy the metadata of all arrays to the group, where xarray looks first.
 
-    As `zarr.consolidate_metadata`, which warns that they are no standard yet: to put that aside
-    takes Python's filters, which are one list for all threads.
+    `zarr.consolidate_metadata` does the same, but warns that such metadata are not a standard yet.
+    Suppressing the warning needs Python's filters, which all threads share.
     """
     described = {
         path.parent.name: json.loads(path.read_bytes()) for path in store.glob("*/zarr.json")
@@ -76,7 +76,7 @@ def _consolidate(store: Path) -> None:
     group = json.loads((store / "zarr.json").read_bytes())
     gathered_in = {"kind": "inline", "must_understand": False}
     group["consolidated_metadata"] = gathered_in | {"metadata": dict(sorted(described.items()))}
-    # as zarr names what it has not written in full
+    # The name follows zarr's pattern for files that are being written.
     aside = store / f"zarr.{token_hex(16)}.partial"
     aside.write_text(json.dumps(group, indent=2), encoding="utf-8")
     os.replace(aside, store / "zarr.json")
@@ -99,28 +99,28 @@ class Writer:
         self._end = sample
 
     def _go_to(self, first: int) -> None:
-        """Begin a shard with its samples in the store, so that no reader sees a sample vanish."""
+        """Begin a shard with its stored samples, so that no reader sees a sample vanish."""
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._stored:
             with suppress(ValueError):
-                # damaged samples to come are written anew
+                # Damaged samples are written again.
                 for buffer, array in zip(self._buffers, self._fields, strict=True):
                     samples = array[first : first + self._rows]
                     buffer[: len(samples)] = samples
 
     def put(self, block: Block) -> None:
-        """Append samples; full shards are written to the disk."""
+        """Append samples; write full shards to the disk."""
         fields = block.displacement[0], block.velocity[0]
         written = 0
         count = len(fields[0])
-        # a block may end within a shard, or go on over several
+        # A block may end within a shard, or span several shards.
         while written < count:
             row = self._end - self._first
             rows = slice(row, min(self._rows, row + count - written))
             size = rows.stop - row
             for buffer, values in zip(self._buffers, fields, strict=True):
-                # grains that the wave has not reached are at rest
+                # Grains that the wave has not reached are at rest.
                 buffer[rows] = 0.0
                 buffer[rows, block.columns] = values[written : written + size]
             written += size
@@ -135,7 +135,7 @@ class Writer:
             last = min(self._first + self._rows, self._times.size)
             for array, buffer in zip(self._fields, self._buffers, strict=True):
                 array[self._first : last] = buffer[: last - self._first]
-            # the time is what makes a sample complete, for any reader
+            # Readers treat a sample as complete when its time is stored.
             self._group["time"][self._first : self._end] = self._times[self._first : self._end]
 
     def note(self, error: ErrorEstimate) -> None:
@@ -151,7 +151,7 @@ class Writer:
 
 
 def usable(folder: Path, scene: Scene, samples: Any) -> bool:
-    """Return whether so many samples are complete, and the shard of the next one readable."""
+    """Return whether the first samples are complete, and the shard of the next one readable."""
     import zarr
 
     if isinstance(samples, bool) or not isinstance(samples, int):
@@ -167,14 +167,14 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
         arrays = (group["time"][:samples], *(group[name][first:samples] for name in FIELDS))
         return all(bool(np.isfinite(array).all()) for array in arrays)
     except Exception:
-        # whatever damaged files make zarr raise
+        # Damaged files make zarr raise any kind of error.
         return False
 
 
 def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     """Return metadata, scene and arrays of the complete samples; fields are read on demand.
 
-    Of a run that is not finished, the error is the estimate so far, or infinite if more samples are
+    For an unfinished run, the error is the estimate so far, or infinite if more samples are
     there than it is of. Foreign or damaged stores raise whatever comes first, before any of their
     arrays is opened.
     """
@@ -201,7 +201,7 @@ def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     names = ["time", "grain"]
     if finished:
         names += map(gathered.file_name, gathered.arrays(scene))
-        # not every engine sums up energies
+        # Some engines do not accumulate energies.
         energies = gathered.energies(scene)
         names = [n for n in names if n not in energies or (n in data and data[n].notnull().all())]
     arrays: dict[str, Any] = {name: data[name].to_numpy() for name in names}
@@ -212,7 +212,7 @@ def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
 
 
 def _error_so_far(attributes: Mapping[str, Any], samples: int) -> ErrorEstimate:
-    """Return the stored estimate of an unfinished run, infinite if it is of fewer samples."""
+    """Return the stored estimate of an unfinished run; infinite if it covers fewer samples."""
     stored = attributes.get(SO_FAR)
     if stored and stored["samples"] >= samples:
         return ErrorEstimate(stored["model"], stored["solver"])
@@ -239,7 +239,7 @@ class OnDisk(NDArrayOperatorsMixin):
         keys = key if isinstance(key, tuple) else (key,)
         plain = int | np.integer | slice | EllipsisType
         indices = [index for index in keys if not isinstance(index, plain)]
-        # rules of xarray and numpy differ
+        # Rules of xarray and numpy differ.
         if len(indices) > 1 or any(np.ndim(index) != 1 for index in indices):
             return np.asarray(self)[key]
         return self._read(self.variable[key])
@@ -264,6 +264,6 @@ class OnDisk(NDArrayOperatorsMixin):
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("_") or name == "variable":
-            # asked for during construction
+            # Python asks for these attributes during construction.
             raise AttributeError(name)
         return getattr(np.asarray(self), name)

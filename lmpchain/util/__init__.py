@@ -1,1 +1,1 @@
-"""Shared tools: arrays, input validation, files, tables, templates, MPI, compilation, plotting."""
+"""Shared tools: arrays, validation, files, tables, templates, MPI, compilation, plotting."""

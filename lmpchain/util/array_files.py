@@ -1,4 +1,4 @@
-"""Arrays in binary files of instruments and in universal files: NumPy, MATLAB, HDF5, Excel, UFF."""
+"""Read arrays from NumPy, MATLAB, HDF5, Excel and universal (UFF) files of instruments."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 ZIP = b"PK\x03\x04"
 NUMPY = b"\x93NUMPY"
 OLE = b"\xd0\xcf\x11\xe0"
-# A universal file begins with a mark and the number of its first dataset, in columns of their own.
+# A universal file begins with a mark and the number of its first dataset, in fixed columns.
 UNIVERSAL = re.compile(rb"[\r\n]*    -1 *\r?\n {0,4}(15|18|55|58b?|82|151|164|24\d\d)\s")
-# Classes of MATLAB arrays that hold numbers: no cells, structures, objects or functions.
+# Classes of MATLAB arrays with numbers, without cells, structures, objects and functions.
 MATLAB_NUMBERS = {"double", "single", "logical"} | {
     f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
-# Where attributes of HDF5 files have the unit of a data set.
+# Attributes of HDF5 files that contain the unit of a data set.
 UNIT_ATTRIBUTES = ("units", "unit", "yunits")
-# Records of dataset 58 by the type of their ordinates: width of the numbers, and of abscissae.
+# Records of dataset 58 by type of ordinate: widths of the numbers, and of the abscissae.
 TIME_RESPONSE = 1
 SINGLE, DOUBLE = 2, 4
 WIDTHS = {(SINGLE, 1): (13,), (SINGLE, 0): (13, 13), (DOUBLE, 1): (20,), (DOUBLE, 0): (13, 20)}
 HEADER_LINES = 11
 SI_UNITS = 1  # of dataset 164
-# What reads a kind of file in Python: the library, and the line that loads it.
+# Python library for each kind of file, and the line that loads the file.
 RECIPES = {
     "MATLAB": ("scipy.io", 'data = scipy.io.loadmat("{name}")'),
     "HDF5": ("h5py", 'data = h5py.File("{name}")'),
@@ -49,7 +49,7 @@ RECIPES = {
 
 @dataclass
 class NamedArray:
-    """Values of one quantity, with its name, its unit and what else the file says about it."""
+    """Values of one quantity, with its name, its unit and further facts from the file."""
 
     name: str
     values: Array
@@ -59,21 +59,21 @@ class NamedArray:
 
 @dataclass
 class Arrays:
-    """The arrays of a file, and what single numbers in it say about all of them."""
+    """Arrays of a file, and single numbers in it that describe all of them."""
 
     kind: str
     columns: list[NamedArray] = field(default_factory=list)
     facts: dict[str, str] = field(default_factory=dict)
 
     def add(self, name: str, values: Any, unit: str = "", **facts: str) -> None:
-        """Add a vector, the columns of a matrix, or a single number; skip what is neither."""
+        """Add a vector, the columns of a matrix, or a single number; skip anything else."""
         array = np.asarray(values)
         if array.dtype.kind not in "biuf" or array.ndim > 2:
             return
         if array.size == 1:
             self.facts[name.rpartition("/")[2]] = repr(float(array.item()))
             return
-        # MATLAB and HDF5 have vectors as rows, too
+        # MATLAB and HDF5 store vectors as rows, too.
         array = array.ravel() if 1 in array.shape else array
         if array.ndim == 1:
             self.columns.append(NamedArray(name, array, unit, facts))
@@ -111,7 +111,8 @@ def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None
         raise
     except ImportError:
         library, load = RECIPES[kind]
-        # the command line prints these three lines as one, which is still Python
+        # The command line prints these three lines as one, so they must be valid Python in one
+        # line.
         recipe = f"import {library};\n  {load.format(name=path.name)};\n  "
         recipe += 'lmpchain.Force(grain=1, times=data["time"], force=data["force"])'
         fault = f"{path} is a file of {kind}, which {library} reads: install it, or {BY_POINTS}"
@@ -123,7 +124,7 @@ def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None
 
 
 def _reader(path: Path, content: bytes) -> tuple[str, Callable[[bytes, int], Any] | None]:
-    """Return the kind of a file by its first bytes, and what reads it."""
+    """Return the kind of a file, given its first bytes, and the function that reads it."""
     if content.startswith(NUMPY):
         return "NumPy", _read_npy
     if content.startswith(ZIP):
@@ -132,7 +133,7 @@ def _reader(path: Path, content: bytes) -> tuple[str, Callable[[bytes, int], Any
         return "Excel", _read_excel
     if content.startswith((HDF5, MATLAB_HDF5)):
         return "HDF5", _read_hdf5
-    # version 4 has no mark
+    # Version 4 has no mark.
     if content.startswith(MATLAB) or (path.suffix.lower() == ".mat" and b"\0" in content):
         return "MATLAB", _read_matlab
     if UNIVERSAL.match(content):
@@ -141,7 +142,7 @@ def _reader(path: Path, content: bytes) -> tuple[str, Callable[[bytes, int], Any
 
 
 def _check_size(size: float, largest: int) -> None:
-    """Raise `ValueError` if arrays would fill more memory than they may."""
+    """Raise `ValueError` if arrays would exceed their memory limit."""
     if size > largest:
         raise ValueError(f"its arrays are larger than {largest / 2**20:.0f} MB")
 
@@ -155,7 +156,7 @@ def _check_unpacked(content: bytes, largest: int) -> None:
 def _read_npy(content: bytes, largest: int) -> Arrays:
     arrays = Arrays("an array of NumPy")
     arrays.add("array", np.load(io.BytesIO(content), allow_pickle=False))
-    # columns of a lone matrix are known by their numbers
+    # The columns of a single matrix are identified by their numbers.
     for column in arrays.columns:
         column.name = ""
     return arrays
@@ -190,7 +191,7 @@ def _read_hdf5(content: bytes, largest: int) -> Arrays:
     found: list[tuple[str, Any]] = []
 
     def visit(name: str, node: Any) -> None:
-        # links to other files are not visited; parts of data sets may lie in some, too
+        # Links to other files are not visited. Parts of data sets may be in other files, too.
         if isinstance(node, h5py.Dataset) and not (
             name.startswith("#refs#") or node.is_virtual or node.external
         ):
@@ -205,16 +206,16 @@ def _read_hdf5(content: bytes, largest: int) -> Arrays:
             words = dict(_attributes(node.parent)) | dict(_attributes(node))
             unit = next((words[key] for key in UNIT_ATTRIBUTES if key in words), "")
             values = node[()]
-            # An oscilloscope stores levels of its converter, and their unit beside them.
+            # An oscilloscope stores converter levels, and their unit beside them.
             if node.dtype.kind in "iu" and "yinc" in words:
                 unit = f"level of {words['yinc']}"
-            # MATLAB has rows of a matrix as columns
+            # MATLAB stores the rows of a matrix as columns.
             arrays.add(name, values.T if "MATLAB_class" in node.attrs else values, unit, **words)
     return arrays
 
 
 def _attributes(node: Any) -> Iterator[tuple[str, str]]:
-    """Yield the words and numbers among the attributes of a group or data set of HDF5."""
+    """Yield the texts and numbers among the attributes of a group or data set of HDF5."""
     for name, value in node.attrs.items():
         if isinstance(value, bytes):
             yield name.lower(), value.decode("latin-1")
@@ -233,7 +234,7 @@ def _read_excel(content: bytes, largest: int) -> str:
 
 
 def _read_universal(content: bytes, largest: int) -> Arrays:
-    """Return the time responses of dataset 58, with abscissae of their own if these differ."""
+    """Return the time responses of dataset 58, with separate abscissae if these differ."""
     records = []
     scaled = False
     lines = content.decode("latin-1").splitlines()
@@ -253,13 +254,13 @@ def _read_universal(content: bytes, largest: int) -> Arrays:
     for place, (name, time, values, unit) in enumerate(records):
         if not (alike and place):
             arrays.add("time", time, "s")
-        # without a label numbers are in the units of the file
+        # Without a label, numbers are in the units of the file.
         arrays.add(name, values, unit or ("units of dataset 164" if scaled else ""))
     return arrays
 
 
 def _datasets(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield number and lines of each dataset, which stand between two lines with -1."""
+    """Yield number and lines of each dataset, which is enclosed by two lines with -1."""
     marks = [index for index, line in enumerate(lines) if line.strip() == "-1"]
     for begin, end in zip(marks[::2], marks[1::2], strict=False):
         if end > begin + 1:
@@ -286,13 +287,13 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
     if label.lower() not in ("", "none", "s", "sec", "seconds"):
         raise ValueError(f"its abscissa is in {label}, not in s")
     node, direction = head[41:51].strip(), head[51:55].strip()
-    # node 0 means none
+    # Node 0 means none.
     name = lines[0].strip() if node in ("", "0") else f"{node}:{direction}"
     return name, time, table[:, -1], "" if unit.lower() == "none" else unit
 
 
 def _fixed(lines: Iterable[str], widths: tuple[int, ...], count: int) -> Iterator[float]:
-    """Yield numbers of fixed widths, which need no blank between them; at most one too many."""
+    """Yield numbers of fixed widths without separating blanks; at most one too many."""
     for line in lines:
         place = 0
         while line[place:].strip() and count >= 0:

@@ -14,9 +14,9 @@ Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
 EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
 SMALLEST = float(np.nextafter(0.0, 1.0))  # above 0
-# the bits of a double without its sign; those of positive ones compare like the numbers
+# Bits of a double without the sign bit. The bits of positive doubles sort like the numbers.
 MAGNITUDE = (1 << 63) - 1
-# what numpy would turn into numbers, by the letter of its kind
+# Kinds of data that numpy would convert to numbers.
 NO_NUMBERS = {
     "b": "truth values: give 0 and 1 if these are meant",
     "S": "text: read it with float first",
@@ -29,7 +29,7 @@ NO_NUMBERS = {
 
 
 def last_digit(size: float) -> float:
-    """Return the unit in the last place over a number: above EPSILON for the smallest doubles.
+    """Return the unit in the last place (ulp) of a number; above EPSILON for the smallest doubles.
 
     Examples
     --------
@@ -40,9 +40,9 @@ def last_digit(size: float) -> float:
 
 
 def numbers(value: Any, key: str = "") -> Array:
-    """Return numbers in SI units as an array of float64, as they are if they are one already.
+    """Return numbers in SI units as an array of float64, without a copy if they are one already.
 
-    Numpy itself would take text, truth values and dates for numbers, and drop masks and units.
+    NumPy alone would convert text, truth values and dates to numbers, and drop masks and units.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def numbers(value: Any, key: str = "") -> Array:
 
 
 def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:
-    """Return whole numbers as an array of int64; raises `InputError` for any others."""
+    """Return whole numbers as an array of int64; raise `InputError` for anything else."""
     array = numbers(value, key)
     if not (np.isfinite(array) & (array == np.round(array))).all():
         raise InputError.at(key, "must be whole numbers")
@@ -80,20 +80,20 @@ def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:
 
 
 def plain(value: Any) -> Any:
-    """Return a number of numpy as one of Python, and anything else as it is.
+    """Return a number of numpy as a Python number, and anything else unchanged.
 
     Examples
     --------
     >>> plain(np.float64(2.0)), plain("a")
     (2.0, 'a')
     """
-    # spans of time are whole numbers to numpy, of a unit that would be lost
+    # NumPy treats time spans as whole numbers, and would drop their unit.
     is_number = isinstance(value, np.generic) and value.dtype.kind in "biuf"
     return value.item() if is_number else value
 
 
 def check_flags(**flags: Any) -> None:
-    """Raise `InputError` unless each of these is True or False: of "no" Python makes a yes."""
+    """Raise `InputError` unless each value is True or False, because Python takes "no" for true."""
     faults = [
         (key, f"must be True or False (got {shown(flag)})")
         for key, flag in flags.items()
@@ -104,12 +104,12 @@ def check_flags(**flags: Any) -> None:
 
 
 def objection(value: Any) -> str:
-    """Return why these are no numbers in SI units, and what to do; empty if they are."""
+    """Return why a value is not a number in SI units, with a remedy; "" if it is."""
     if isinstance(value, list | tuple):
-        # numbers of Python, of which there may be millions, need no look
+        # Python numbers, of which there may be millions, need no check.
         others = (objection(item) for item in value if type(item) not in (int, float))
         return next(filter(None, others), "")
-    # of pint, unyt and xarray; of astropy
+    # The attribute is `units` in pint, unyt and xarray, and `unit` in astropy.
     unit = getattr(value, "units", None) or getattr(value, "unit", None)
     if unit is not None:
         return f"has a unit of its own, {unit}: convert it to SI units and give the numbers alone"
@@ -125,7 +125,7 @@ def objection(value: Any) -> str:
 
 
 def read_only(array: AnyArray) -> AnyArray:
-    """Forbid that an array is written to, and return it; a number is returned as it is.
+    """Make an array read-only and return it; return a number unchanged.
 
     Examples
     --------
@@ -138,9 +138,9 @@ def read_only(array: AnyArray) -> AnyArray:
 
 
 def as_slice(indices: NDArray[np.intp]) -> slice | NDArray[np.intp]:
-    """Return indices that follow one another as a slice, others as they are.
+    """Return consecutive indices as a slice, other indices unchanged.
 
-    Of a slice numpy makes a view and no copy.
+    Indexing with a slice gives a view instead of a copy.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""A property that is computed once, without the lock that Python 3.11 takes for it."""
+"""A cached property without the lock of Python 3.11."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ else:
         def __get__(self, instance: Any, owner: type | None = None) -> Any:
             if instance is None:
                 return self
-            # Python looks here only if the instance has no value yet.
+            # Python calls this method only if the instance has no value yet.
             values = instance.__dict__
             values[self.attrname] = self.func(instance)
             return values[self.attrname]

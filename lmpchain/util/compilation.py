@@ -1,4 +1,4 @@
-"""Compilation by numba, once per machine, with the result kept for later processes."""
+"""Compilation by numba, once per machine, with a cache for later processes."""
 
 from __future__ import annotations
 
@@ -29,20 +29,21 @@ from .remarks import warn
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 KERNELS = Path(__file__).parents[1] / "integrators" / "kernels"
 OF_KERNELS = re.compile(r"^from \.\.\.integrators\.kernels\.(\w+) import", re.MULTILINE)
-# numba counts from 1 what each process compiles, to tell functions of one name apart. What two
-# processes have kept may then have the same names, and one that loads both calls one for the other:
-# a force of another exponent, or a step of another method
-# (https://github.com/numba/numba/issues/10486). Random numbers differ in forks, too.
+# Numba numbers the functions that a process compiles, from 1, to distinguish functions of one name.
+# Functions that two processes have cached may then have the same names. A process that loads both
+# calls the wrong one: a force with another exponent, or a step of another method
+# (https://github.com/numba/numba/issues/10486). Random numbers are unique, in forks, too.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
-    # the records of the kernels are none of Python
+    # The kernels use records that Python does not have.
     warn("NUMBA_DISABLE_JIT is ignored: the kernels run compiled only; unset it")
     numba.config.DISABLE_JIT = 0  # type: ignore[attr-defined]
 
 BLAS = "scipy.linalg.cython_blas"
 if BLAS not in sys.modules:
-    # numba would import scipy.linalg, a fifth of the time of a command, to see that it is there
+    # Numba would import scipy.linalg to check that it exists, which takes a fifth of a command's
+    # time.
     sys.modules[BLAS] = None  # type: ignore[assignment]
     from numba.np import arraymath
 
@@ -53,7 +54,7 @@ LONG_S = 3  # what compiles as long is announced, and has a bar from then on
 
 
 class _Job(NamedTuple):
-    """A compilation: what is said of it, and about how long all with the same text take, s."""
+    """A compilation: its text in messages, and the expected time of all with that text, s."""
 
     message: str
     seconds: int
@@ -66,7 +67,7 @@ DIGEST = sha256().digest_size
 
 
 class _Announcer(Listener):
-    """Announce compilations that take long; loading a kept result is silent."""
+    """Announcer of compilations that take long; loading a cached result is silent."""
 
     def __init__(self) -> None:
         self.depth = 0
@@ -90,7 +91,7 @@ class _Announcer(Listener):
     def on_end(self, event: Event) -> None:
         self.depth -= 1
         if self.bar is not None:
-            # functions end one in another; what is left to do is known by the clock alone
+            # Compilations are nested, so only the clock shows the remaining time.
             self.bar.reach(min(time.perf_counter() - self.began, self.bar.total))
             if self.depth == 0:
                 self.bar.close()
@@ -98,7 +99,7 @@ class _Announcer(Listener):
 
 
 class _Stopwatch(Listener, threading.local):
-    """Add up, thread by thread, how long compilations and the loading of kept results take."""
+    """Stopwatch that adds up the time for compiling and loading cached results in each thread."""
 
     def __init__(self) -> None:
         self.depth = 0
@@ -122,12 +123,12 @@ register("numba:compiler_lock", _stopwatch)
 
 
 def compiled_s() -> float:
-    """Return the time that this thread has compiled or loaded kept results so far, s."""
+    """Return the time that this thread has compiled or loaded cached results so far, s."""
     return _stopwatch.total_s
 
 
 def clock() -> float:
-    """Return a time, s, that stands still while this thread compiles or loads kept results."""
+    """Return a time, s, that stops while this thread compiles or loads cached results."""
     return time.perf_counter() - _stopwatch.total_s
 
 
@@ -147,28 +148,28 @@ def _sources(module: Path) -> str:
 
 
 def content_of(function: Any) -> str:
-    """Return a hash of what a function computes: its code, and the values and functions it uses."""
+    """Return a hash of a function's code and of the values and functions that the code uses."""
     code = getattr(function, "__code__", None)
     if code is None:
         return repr(function)
     cells = [cell.cell_contents for cell in function.__closure__ or ()]
     named = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
     used = [content_of(value) for value in (*cells, *named) if value is not function]
-    # what is kept finds its functions again by the name of their module
+    # A cached result finds its functions by the name of their module.
     place = function.__module__, code.co_names, code.co_varnames
     content = code.co_code.hex(), code.co_consts, *place, used
     return sha256(repr(content).encode()).hexdigest()
 
 
 class _Unplaced:
-    """In the place of memory for compiled code, where there is to be none."""
+    """Replacement for the memory of compiled code that is never executed in place."""
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Leave out what a function would find of Python."""
+        """Do nothing, because no environment of Python is needed."""
 
 
 class _Ingredients(JITCodeLibrary):
-    """Compiled code that is put into other code, with which LLVM optimises and emits it."""
+    """Compiled code that becomes part of other code, which LLVM optimises and emits."""
 
     codegen = _Unplaced()
 
@@ -179,14 +180,14 @@ class _Ingredients(JITCodeLibrary):
         self._finalized = True
 
     def get_pointer_to_function(self, name: str) -> int:
-        """Return that it lies nowhere in memory."""
+        """Return 0, because the code has no address."""
         return 0
 
 
 class Ingredient(Compiler):
-    """A compiler of functions that are called by compiled ones alone, for `numba.njit`.
+    """Compiler for functions that only compiled functions call, for `numba.njit`.
 
-    numba would optimise and emit each of them for itself as well, a ninth of the time of all.
+    Numba would optimise and emit each function separately as well, a ninth of the total time.
     """
 
     def __init__(self, typing: Any, target: Any, _library: Any, *rest: Any):
@@ -194,13 +195,13 @@ class Ingredient(Compiler):
 
 
 class _KeptFile(IndexDataCacheFile):
-    """A file of compiled code, with its hash: what is damaged counts as not there.
+    """A cache file of compiled code with its hash; a damaged file counts as missing.
 
-    numba would end in whatever its contents make pickle raise, or run what they say.
+    Numba would fail with any error of pickle, or execute code in a manipulated file.
     """
 
     def load(self, key: Any) -> Any:
-        """Return what is kept for a key, None where there is none."""
+        """Return the cached value of a key, or None."""
         try:
             return super().load(key)
         except OSError as error:
@@ -208,7 +209,7 @@ class _KeptFile(IndexDataCacheFile):
             return None
 
     def save(self, key: Any, data: Any) -> None:
-        """Keep what was compiled, where there is room."""
+        """Store compiled code if there is disk space."""
         try:
             super().save(key, data)
         except OSError as error:
@@ -218,7 +219,7 @@ class _KeptFile(IndexDataCacheFile):
         try:
             return super()._load_index()
         except Exception as error:
-            # whatever a damaged file makes pickle raise
+            # A damaged file makes pickle raise any kind of error.
             _complain(self._index_path, error)
             return {}
 
@@ -237,9 +238,9 @@ class _KeptFile(IndexDataCacheFile):
 
 
 class _KeptCode(FunctionCache):
-    """What is kept of a function; those that one factory makes differ by their `kind`.
+    """The cache of a function; functions of one factory differ by their `kind`.
 
-    numba would tell them apart by what they close over, which is another object in each process.
+    Numba would distinguish them by their closures, which differ between processes.
     """
 
     kind = ""
@@ -248,16 +249,17 @@ class _KeptCode(FunctionCache):
         return sig, codegen.magic_tuple(), self.kind
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is kept for a signature, None where there is none."""
-        # numba would read its own functions first, an eighth of the time of a command, which only
-        # those who compile need, and read themselves; compiled code needs their memory alone
+        """Return the cached code for a signature, or None."""
+        # Numba would first read its own functions, an eighth of a command's time. Only compilation
+        # needs these functions, and reads them itself. Compiled code needs only the memory of the
+        # runtime.
         rtsys.initialize(target_context)
         with self._guard_against_spurious_io_errors():
             return self._load_overload(sig, target_context)
 
 
 def _complain(path: str | PathLike[str], reason: object) -> None:
-    """Warn, once a folder, that compiled code cannot be used or kept."""
+    """Warn, once for each folder, that compiled code cannot be used or stored."""
     folder = Path(path).parent
     if folder not in _complained:
         _complained.add(folder)
@@ -270,7 +272,7 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
 
 
 def announce_nothing() -> None:
-    """Say no more of compilations in this process: what it prints becomes a page."""
+    """Suppress all later announcements of compilations in this process."""
     _announcer.silent = True
 
 
@@ -295,16 +297,16 @@ def compiled_once(
         For `numba.njit`.
     """
 
-    # nothing passes them on as C functions
+    # No kernel is passed as a C function.
     compiler: Any = partial(numba.njit, no_cfunc_wrapper=True, **options)
 
     def decorate(function: Callable) -> Any:
         when = "once for this machine"
         try:
             dispatcher = compiler(cache=True)(function)
-            # numba checks only the source of this module, but a function may call modules beside
-            # it. The version is looked at before the rest of the file is read, which may name
-            # records that are no longer there.
+            # Numba checks only the source of this module, but a function may call modules beside
+            # it. The version is checked before the rest of the file is read, which may name records
+            # that no longer exist.
             code: Any = dispatcher._cache
             code.__class__ = _KeptCode
             code.kind = kind

@@ -1,4 +1,4 @@
-"""Atomic writing of files, and hashes of their content."""
+"""Atomic writing of files, checks of files, and hashes of their content."""
 
 from __future__ import annotations
 
@@ -40,12 +40,13 @@ def replacing(path: Path) -> Iterator[Path]:
     in a folder, the next process removes that writes there.
     """
     _sweep(path.parent.absolute())
-    # the name tells who writes, so that leftovers of the dead can be told from files at work
+    # The name contains the writer, so that leftovers of killed processes can be identified.
     writer = f"{platform.node()}-{os.getpid()}"
     aside = path.with_name(f".{path.stem}.{writer}-{secrets.token_hex(4)}.partial{path.suffix}")
     try:
         yield aside
-        # content before name: after a power cut the name must not stand for an empty file
+        # Flush the content before the name: after a power cut the name must not refer to an empty
+        # file.
         _to_disk(aside)
         os.replace(aside, path)
         _to_disk(path.parent)
@@ -55,7 +56,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove files that processes of this machine were writing as they were killed."""
+    """Remove unfinished files of killed processes of this machine."""
     pattern = re.compile(
         rf"\..*\.{re.escape(platform.node())}-(\d+)-[0-9a-f]{{8}}\.partial", re.DOTALL
     )
@@ -66,7 +67,7 @@ def _sweep(folder: Path) -> None:
 
 
 def is_aside(name: str, final: str) -> bool:
-    """Return whether a file is one that `replacing` fills on the way to its final name."""
+    """Return whether a file is a temporary file of `replacing`."""
     final_path = Path(final)
     stem = re.escape(final_path.stem)
     pattern = rf"\.{stem}\..+-\d+-[0-9a-f]{{8}}\.partial{re.escape(final_path.suffix)}"
@@ -82,14 +83,14 @@ def _to_disk(path: Path) -> None:
 
 
 def flush_to_disk(paths: Iterable[Path]) -> None:
-    """Return when files, and the names of them in their folders, are on the disk."""
+    """Flush files, and their names in their folders, to the disk."""
     paths = list(paths)
     for path in (*paths, *{path.parent for path in paths}):
         _to_disk(path)
 
 
 def check_readable(path: Path, largest: int) -> None:
-    """Raise `OSError` unless this is a regular file of at most so many bytes."""
+    """Raise `OSError` unless a path is a regular file within a size limit, bytes."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
@@ -98,7 +99,7 @@ def check_readable(path: Path, largest: int) -> None:
 
 
 def check_tree(folder: Path) -> None:
-    """Raise `OSError` unless a folder holds nothing but folders and regular files, no links."""
+    """Raise `OSError` unless a folder contains only folders and regular files, without links."""
     if folder.is_symlink():
         raise OSError(errno.EINVAL, f"{folder.name} is a link; name what it points to")
     for at, folders, files in os.walk(folder):
@@ -106,7 +107,7 @@ def check_tree(folder: Path) -> None:
             try:
                 mode = os.lstat(os.path.join(at, name)).st_mode
             except FileNotFoundError:
-                # just renamed, by a run that goes on
+                # A running process has just renamed the file.
                 continue
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 raise OSError(
@@ -148,7 +149,7 @@ def _is_sealed(path: Path) -> bool:
 
 
 def check_not_foreign(path: Path, overwrite: bool) -> None:
-    """Raise `InputError` if a file is foreign, unless `overwrite` allows to replace it."""
+    """Raise `InputError` if a file is foreign, unless `overwrite` allows its replacement."""
     if not overwrite and is_foreign(path):
         cure = "name another file, or pass overwrite=True to replace it"
         raise InputError.at(str(path), f"is a file that lmpchain did not write: {cure}")
@@ -173,7 +174,7 @@ def write_aside(path: str | PathLike[str], overwrite: bool = False) -> Iterator[
             with suppress(OSError, AttributeError):
                 os.setxattr(aside, WRITTEN, _written(aside))
     except (OSError, RuntimeError) as error:
-        # HDF5 reports a full disk as either
+        # HDF5 reports a full disk with either error.
         reason = getattr(error, "strerror", None) or error
         raise InputError.at(str(path), f"cannot be written: {reason}") from error
 
@@ -190,10 +191,10 @@ def check_seal(path: Path) -> None:
     reaches it.
     """
     length = len(seal(b""))
-    # an empty file cannot be mapped
+    # An empty file cannot be mapped.
     if path.stat().st_size < length:
         raise ValueError(UNSEALED)
-    # mapped, not read: a file may be larger than the memory
+    # Map the file, because it may be larger than the memory.
     content = np.memmap(path, np.uint8, "r")
     end = content[-length:].tobytes()
     if not end.startswith(SEAL):
@@ -203,13 +204,13 @@ def check_seal(path: Path) -> None:
 
 
 def sealed_json(record: Mapping[str, Any]) -> str:
-    """Return a record as JSON with a seal, by which lmpchain knows its own file again."""
+    """Return a record as JSON with a seal, which identifies a file of lmpchain."""
     rest = {key: value for key, value in record.items() if key != SEALED}
     return json.dumps(rest | {SEALED: _json_seal(rest)}, indent=2, allow_nan=False) + "\n"
 
 
 def read_sealed_json(path: Path) -> dict[str, Any] | None:
-    """Return the record of a JSON file, None unless lmpchain wrote it so."""
+    """Return the record of a JSON file; None unless lmpchain wrote the file."""
     try:
         check_readable(path, LARGEST_JSON)
         record = dict(json.loads(path.read_bytes()))
@@ -219,26 +220,26 @@ def read_sealed_json(path: Path) -> dict[str, Any] | None:
 
 
 def _json_seal(record: Mapping[str, Any]) -> str:
-    # numbers and texts are written the same way after they were read
+    # Numbers and texts that were read are written identically.
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
 def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
-    """Return the arrays that `numpy.savez` packed; raises unless they are plain."""
+    """Return the arrays of a `numpy.savez` file; raise an error unless they are plain."""
     with zipfile.ZipFile(BytesIO(content)) as packed:
         items = packed.infolist()
         return {item.filename.removesuffix(".npy"): _plain_array(packed, item) for item in items}
 
 
 def unpack_one(path: Path, name: str) -> np.ndarray:
-    """Return one of the arrays of a file of `numpy.savez`, as `unpack` does."""
+    """Return one array of a `numpy.savez` file, as `unpack` does."""
     check_readable(path, sys.maxsize)
     with zipfile.ZipFile(path) as packed:
         return _plain_array(packed, packed.getinfo(f"{name}.npy"))
 
 
 def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
-    # a small file could unpack to more than the memory holds
+    # A small file could unpack to more than the memory.
     if item.compress_type != zipfile.ZIP_STORED:
         raise ValueError("it holds compressed arrays")
     data = BytesIO(packed.read(item))
@@ -250,17 +251,17 @@ def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
 
 
 def expanded(name: str | PathLike[str]) -> Path:
-    """Return a name as a path, ~ and ~user at its beginning being home folders, as in a shell."""
+    """Return a name as a path, with ~ and ~user at its beginning replaced as in a shell."""
     path = Path(name)
     try:
         return path.expanduser()
-    # of no such user: a name that begins so
+    # There is no such user: the name itself begins with ~.
     except RuntimeError:
         return path
 
 
 def path_of(name: Any, key: str = "folder") -> Path:
-    """Return a name as a path; raises `InputError` if no file or folder can bear it."""
+    """Return a name as a path; raise `InputError` if it is not a valid name."""
     if not isinstance(name, str | PathLike) or not str(name):
         raise InputError.at(key, f"must be a name in quotes (got {shown(name)})")
     path = expanded(name)
@@ -269,14 +270,14 @@ def path_of(name: Any, key: str = "folder") -> Path:
     except (FileNotFoundError, NotADirectoryError):
         pass
     except (OSError, ValueError) as error:
-        # such as one of 300 letters, or with a zero byte
+        # The name may have 300 letters, or a zero byte.
         reason = getattr(error, "strerror", None) or error
         raise InputError.at(key, f"{shown(str(path))} cannot be used: {reason}") from None
     return path
 
 
 def make_folder(name: str | PathLike[str]) -> Path:
-    """Make a folder unless it is there; raises `InputError` if it cannot be made."""
+    """Make a folder unless it exists; raise `InputError` if it cannot be made."""
     path = path_of(name)
     try:
         path.mkdir(parents=True, exist_ok=True)

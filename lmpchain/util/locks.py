@@ -1,4 +1,4 @@
-"""Locks of folders: one process at a time works in one."""
+"""Locks of folders, so that one process at a time works in a folder."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 LOCK = ".lock"
 LARGEST = 1000  # bytes
-# process and machine, where the file system has no locks and the file itself is one
+# Process and machine, if the file system has no locks and the file itself is the lock.
 HELD = re.compile(rb"(\d+\n.*)?", re.DOTALL)
 
 
-# Errors of file systems without `flock`, as network file systems may be.
+# Errors of file systems without `flock`, such as network file systems.
 UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 def is_lock(path: Path) -> bool:
-    """Return whether a file may be a lock of lmpchain, which holds nothing of a user's own."""
+    """Return whether a file may be a lock of lmpchain, without content of the user."""
     try:
         check_readable(path, LARGEST)
         return not path.is_symlink() and HELD.fullmatch(path.read_bytes()) is not None
@@ -37,7 +37,7 @@ def is_lock(path: Path) -> bool:
 
 
 def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
-    """Return the lock of a folder once it is free, None if another process keeps it.
+    """Return the lock of a folder once it is free; None if another process keeps it.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
 
 
 def has_locks(folder: Path) -> bool:
-    """Return whether the file system of a folder has `flock`, which ends with its process."""
+    """Return whether the file system of a folder supports `flock`."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -72,9 +72,9 @@ def has_locks(folder: Path) -> bool:
 
 
 def describe_holder(folder: Path) -> str:
-    """Return which process holds the lock of a folder, as far as the lock names it.
+    """Return the process that holds the lock of a folder in words, if the lock names it.
 
-    Only locks on file systems without `flock` do, and they outlive a process that is killed.
+    Only locks on file systems without `flock` name it, and they outlive a killed process.
     """
     try:
         number, host, *_ = (folder / LOCK).read_text(encoding="utf-8").split("\n")

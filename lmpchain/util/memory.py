@@ -12,9 +12,9 @@ from pathlib import Path
 
 @contextmanager
 def memory_limit(size: int) -> Iterator[None]:
-    """Let this process take at most `size` more bytes; more raises `MemoryError`.
+    """Limit the further memory of this process to `size` bytes; beyond it, raise `MemoryError`.
 
-    Only Linux counts the memory of a process so; elsewhere there is no limit.
+    Only Linux accounts for memory in this way; other systems set no limit.
     """
     taken = _address_space()
     if taken is None:
@@ -30,7 +30,7 @@ def memory_limit(size: int) -> Iterator[None]:
 
 
 def free_memory() -> float:
-    """Return how many bytes this process can still take; infinite if that is unknown.
+    """Return the memory that this process can still allocate, bytes; infinite if unknown.
 
     The limits are those of the machine, of the control group (as in a container or a batch job),
     and of `ulimit -v`.

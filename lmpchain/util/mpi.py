@@ -1,23 +1,31 @@
-"""MPI world of this process, if mpirun or srun has started it."""
+"""MPI world of this process under mpirun or srun, and removal of what killed runs leave behind."""
 
 from __future__ import annotations
 
+import ctypes
 import os
+import signal
 import sys
 import time
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import cache
 from pathlib import Path
 from shutil import which
 from typing import Any, NoReturn
 
 from ..errors import EngineUnavailable
-from .leftovers import end_with_parent, unname_shared_memory
 
-# variables by which processes of mpirun and srun know each other; a child of one inherits them
+# Environment variables of processes of mpirun and srun, which child processes inherit.
 VARIABLES = ("PMI_", "PMIX_", "OMPI_", "MPI_LOCAL", "SLURM_PROCID")
 RANKS = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "SLURM_PROCID")
-# begin the names of programs that start the processes of mpirun and srun
+# First letters of the names of programs that start the processes of mpirun and srun.
 LAUNCHERS = ("hydra", "mpiexec", "mpirun", "orted", "prte", "pmi_proxy", "slurmstepd")
 MESSAGE_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
+SHARED_MEMORY = Path("/dev/shm")
+MPICH = "mpich_shm_"  # begins the names of its shared memory
+TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
+OLD_S = 60.0  # by then every rank of a run has started
 _joined: list[Any] = []
 _idle: list[int] = []
 
@@ -31,7 +39,7 @@ def count_processes() -> int:
 
 
 def is_launched() -> bool:
-    """Return whether mpirun or srun itself has started this process, not a program of theirs."""
+    """Return whether mpirun or srun started this process directly, not through another program."""
     try:
         parent = Path(f"/proc/{os.getppid()}/comm").read_text().strip()
     except OSError:
@@ -40,20 +48,20 @@ def is_launched() -> bool:
 
 
 def is_first() -> bool:
-    """Return whether this process is the first of those that know each other."""
+    """Return whether this process has rank 0, or no rank."""
     return not any(os.environ.get(key, "0").strip("0") for key in RANKS)
 
 
 def count_idle() -> int:
-    """Return the number of processes that mpirun started beside this one, which it has left."""
+    """Return the number of other processes of mpirun whose world this process has left."""
     return _idle[0] if _idle else 0
 
 
 def leave() -> None:
-    """Make this process one of its own, whoever has started it under mpirun or srun.
+    """Remove this process from the MPI world of mpirun or srun.
 
-    Else MPI, as soon as LAMMPS is loaded, would look for the peers of another program, and end this
-    process where there are none.
+    Otherwise MPI would, as soon as LAMMPS is loaded, look for peers of another program, and end
+    this process if there are none.
     """
     if is_launched():
         _idle[:] = [count_processes() - 1]
@@ -62,7 +70,7 @@ def leave() -> None:
 
 
 def join() -> Any:
-    """Return the MPI world of this process, which rank 0 is to lead; a kill of any part ends all.
+    """Return the MPI world of this process with rank 0 as leader; a kill of any part ends all.
 
     Raises
     ------
@@ -83,7 +91,7 @@ def join() -> Any:
 
 def settle(world: Any) -> None:
     """Make sure that a kill leaves no shared memory of these ranks behind."""
-    # all have attached to it
+    # All processes have attached to the shared memory.
     world.Barrier()
     unname_shared_memory()
 
@@ -94,14 +102,14 @@ def current_world() -> Any:
 
 
 def alone() -> Any:
-    """Return the communicator of this process alone, None outside MPI."""
+    """Return the communicator of this process alone; None outside MPI."""
     return library().COMM_SELF if count_processes() > 1 else None
 
 
 def library() -> Any:
-    """Return mpi4py's MPI; raises `EngineUnavailable` with the cure if it cannot be loaded."""
+    """Return mpi4py's MPI; raise `EngineUnavailable` with a remedy if it cannot be loaded."""
     if count_processes() > 1:
-        # MPI waits for ever where launcher and peers are killed while it starts or ends
+        # MPI waits for ever if launcher and peers are killed while it starts or ends.
         end_with_parent()
     try:
         from mpi4py import MPI
@@ -114,7 +122,7 @@ def library() -> Any:
 
 
 def launcher() -> str:
-    """Return the path of the mpiexec beside Python, or else of the first in the search path."""
+    """Return the path of the mpiexec beside Python, or else of the first one in the search path."""
     neighbour = Path(sys.executable).with_name("mpiexec")
     path = str(neighbour) if neighbour.exists() else which("mpiexec")
     if path is None:
@@ -127,5 +135,67 @@ def abort(world: Any, message: str) -> NoReturn:
     print(f"error: {message}", file=sys.stderr, flush=True)
     time.sleep(MESSAGE_S)
     world.Abort(1)
-    # not reached
+    # This line is not reached.
     raise SystemExit(1)
+
+
+def unname_shared_memory() -> None:
+    """Remove the name of MPI's shared memory, which stays usable for attached processes.
+
+    Call this only after all processes have attached to it. MPICH itself removes the name at the
+    end of a run, but not after a kill.
+    """
+    for name in _names_in_use([Path("/proc/self")]):
+        if name.startswith(MPICH):
+            (SHARED_MEMORY / name).unlink(missing_ok=True)
+
+
+@cache
+def remove_leftovers() -> None:
+    """Remove leftovers of killed MPI runs of this user: shared memory, files of its launcher.
+
+    A rank that starts later than `OLD_S` after its launcher finds out by itself what that file
+    says.
+    """
+    leftovers = []
+    for names in (
+        SHARED_MEMORY / MPICH,
+        SHARED_MEMORY / "ucx_shm_posix_",
+        TEMPORARY / "hydra_hwloc_xmlfile_",
+    ):
+        for path in names.parent.glob(f"{names.name}*"):
+            with suppress(OSError):
+                # The file may be gone by now.
+                status = path.lstat()
+                if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
+                    leftovers.append(path)
+    if leftovers:
+        # Shared memory that a living process has mapped stays, whatever its age.
+        used = _names_in_use(path for path in Path("/proc").iterdir() if path.name.isdigit())
+        for path in leftovers:
+            if path.name not in used:
+                path.unlink(missing_ok=True)
+
+
+def _names_in_use(processes: Iterable[Path]) -> set[str]:
+    """Return the names of the shared memory that these processes have attached to."""
+    names = set()
+    for process in processes:
+        with suppress(OSError):
+            # The process has ended by now, or belongs to another user.
+            lines = (process / "maps").read_text().splitlines()
+            names |= {
+                Path(line.split(maxsplit=5)[-1]).name
+                for line in lines
+                if f"{SHARED_MEMORY}/" in line
+            }
+    return names
+
+
+def end_with_parent() -> None:
+    """Make the kernel end this process as soon as its parent has ended."""
+    # The value of PR_SET_PDEATHSIG in linux/prctl.h.
+    death_signal = 1
+    # On other systems a kill of the launcher leaves ranks behind.
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(ctypes.c_int(death_signal), ctypes.c_ulong(signal.SIGKILL))

@@ -1,4 +1,4 @@
-"""Values in a prompt and a notebook: one line; a table and a small picture."""
+"""Display of values in a prompt (one line) and a notebook (a table and a small picture)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Shown:
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         """Yield the names and values to show."""
-        # of a record what it was made of, without what was worked out or is not to be shown
+        # Fields of a record as given, without derived or hidden ones.
         kept = [one.name for one in fields(self) if one.repr] if is_dataclass(self) else vars(self)
         yield from ((name, getattr(self, name)) for name in kept if not name.startswith("_"))
 
@@ -37,7 +37,7 @@ class Shown:
             yield name, brief(value, letters=90), meanings.get(name, "")
 
     def _picture(self) -> str:
-        """Return the small picture as PNG in base64; empty if there is none."""
+        """Return the small picture as base64-encoded PNG, or ""."""
         draw = getattr(self, "plot", None)
         if draw is None:
             return ""
@@ -47,7 +47,7 @@ class Shown:
         try:
             draw(ax=picture.subplots())
         except LmpchainError:
-            # not for this one
+            # This value has no picture.
             return ""
         buffer = BytesIO()
         picture.savefig(buffer, format="png", dpi=150)
@@ -74,7 +74,7 @@ class Shown:
 
 
 def brief(value: Any, letters: int = 60) -> str:
-    """Return a value in few letters; of an array its shape, and the range of its values.
+    """Return a value in few letters; for an array, its shape and the range of its values.
 
     Examples
     --------
@@ -95,19 +95,19 @@ def brief(value: Any, letters: int = 60) -> str:
 
 
 def _brief_array(values: np.ndarray) -> str:
-    """Return the shape of an array and the range of its values, or the few that there are."""
+    """Return the shape of an array and the range of its values, or all values if they are few."""
     if values.ndim == 1 and values.size <= FEW_VALUES:
         return np.array2string(values, precision=5)
-    # complex numbers have no order
+    # Complex numbers have no order.
     numbers = np.abs(values) if np.iscomplexobj(values) else values
-    # no minus before 0
+    # Adding 0 removes the minus of -0.
     numbers = numbers[np.isfinite(numbers)] + 0
     extent = f" from {numbers.min():.4g} to {numbers.max():.4g}" if numbers.size else ""
     return f"{values.shape}{extent}"
 
 
 def _brief_group(values: Any, letters: int) -> str:
-    """Return a record by its fields, few values one by one, and how many there are else."""
+    """Return the fields of a record, or a list of few values, or the number of many values."""
     if hasattr(values, "_fields"):
         pairs = zip(values._fields, values, strict=True)
         said = ", ".join(f"{name}={brief(item, letters)}" for name, item in pairs)

@@ -1,4 +1,4 @@
-"""Tables of numbers in text files of any layout, as instruments and spreadsheets write them."""
+"""Read tables of numbers in text files of any layout, as from instruments and spreadsheets."""
 
 from __future__ import annotations
 
@@ -38,27 +38,27 @@ class TableLayout(NamedTuple):
     decimal: str
 
     def cells(self, line: str) -> list[str]:
-        """Return the cells of a line, without empty ones at its end."""
+        """Return the cells of a line, without trailing empty ones."""
         if self.delimiter == " ":
             cells = line.split()
         else:
-            # a cell in quotes may hold the delimiter
+            # A cell in quotes may contain the delimiter.
             cells = [cell.strip() for cell in next(csv.reader([line], delimiter=self.delimiter))]
         while cells and not cells[-1]:
             cells.pop()
         return cells
 
     def is_number(self, cell: str) -> bool:
-        """Return whether a cell holds a finite number in these digits."""
-        # 1e400 is none
+        """Return whether a cell contains a finite number in this number format."""
+        # The number 1e400 is infinite.
         return bool(CELLS[self.decimal].fullmatch(cell)) and math.isfinite(self.number(cell))
 
     def numeric(self, cells: Sequence[str]) -> tuple[int, ...]:
-        """Return the places of the cells that hold numbers."""
+        """Return the places of the cells with numbers."""
         return tuple(place for place, cell in enumerate(cells) if self.is_number(cell))
 
     def number(self, cell: str) -> float:
-        """Return the number in a cell."""
+        """Return the value of a cell."""
         return float(cell.replace(",", ".") if self.decimal == "," else cell)
 
     def rows(self, numeric: Sequence[int]) -> re.Pattern[str]:
@@ -88,12 +88,12 @@ CELLS = {mark: re.compile(DIGITS.format(re.escape(mark)), re.ASCII) for mark in 
 EMPTY = re.compile(r'[\s,;"\x1a]*')
 NAMED_VALUE = re.compile(r"([^\W\d][^:=]*?)\s*[:=]\s*(.+)")
 NO_UNIT = ("", "-", "--", "1")
-# a name of a column, with a unit in brackets that a blank may part from it
+# A column name, with a unit in brackets that may follow a blank.
 NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 
 
 class ColumnHeader(NamedTuple):
-    """Name and unit of a column, as its header has them; empty if it has none.
+    """Name and unit of a column from its header; empty if the header has none.
 
     The cell is the text of the header with both of them.
     """
@@ -103,13 +103,13 @@ class ColumnHeader(NamedTuple):
     cell: str = ""
 
 
-# What a file says about its columns: by a lower-case name, then by the place of the column.
+# Facts about the columns of a file: by a lower-case name, then by the place of the column.
 Facts = dict[str, dict[int, str]]
 
 
 @dataclass(frozen=True, eq=False)
 class NumberTable:
-    """A table of numbers, and what stands above it.
+    """A table of numbers, and the text above it.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class NumberTable:
     arrays: Array | None = None
 
     def values(self, places: Sequence[int]) -> Array:
-        """Return columns (R, C); raises `InputError` with the first cell that is no number."""
+        """Return columns (R, C); raise `InputError` with the first cell without a number."""
         if self.arrays is not None:
             values = self.arrays[:, places]
             if (wrong := np.argwhere(~np.isfinite(values))).size:
@@ -153,7 +153,7 @@ class NumberTable:
         try:
             return self._read_quickly(places)
         except ValueError:
-            # quotes, decimal commas between commas, or a cell that is no number
+            # There are quotes, decimal commas between commas, or a cell without a number.
             values = np.empty((len(self.lines), len(places)))
         for row, line in enumerate(zip(self.numbers, self.lines, strict=True)):
             cells = layout.cells(line[1])
@@ -166,7 +166,7 @@ class NumberTable:
         return values
 
     def _read_quickly(self, places: Sequence[int]) -> Array:
-        """Return columns (R, C) by numpy's reader; raises `ValueError` where it has no numbers."""
+        """Return columns (R, C) by numpy's reader; raise `ValueError` at cells without numbers."""
         delimiter, decimal = self.layout
         if delimiter == decimal:
             raise ValueError(delimiter)
@@ -178,22 +178,22 @@ class NumberTable:
         return values
 
     def word(self, place: int, *names: str) -> str:
-        """Return what the file says about a column by the first of these names that it has."""
+        """Return the text of the file about a column, under the first of these names."""
         words = (self.facts.get(name, {}).get(place, "") for name in names)
-        # Siglent begins a value with the name of its channel
+        # Siglent begins a value with the name of its channel.
         return next(filter(None, words), "").rpartition(":")[2].strip()
 
     def fact(self, place: int, *names: str) -> float | None:
-        """Return the number that the file says about a column by one of these names, or None."""
+        """Return the number in the file about a column under one of these names, or None."""
         for cell in (self.word(place, name) for name in names):
-            # headers may have points where the numbers have commas
+            # Headers may have decimal points in a table with decimal commas.
             for layout in (self.layout, TableLayout(",", ".")):
                 if layout.is_number(cell):
                     return layout.number(cell)
         return None
 
     def unit(self, place: int, *names: str) -> str:
-        """Return the unit of a column by its header, or by what the file says by these names.
+        """Return the unit of a column from its header, or from the file's text under these names.
 
         A text that names no unit, such as a remark in brackets, is returned if there is no other.
         """
@@ -201,14 +201,14 @@ class NumberTable:
         return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
 
     def describe(self, place: int) -> str:
-        """Return a column in words, as its number and header have it."""
+        """Return number and header of a column in words."""
         column = self.columns[place]
         name = f" ({column.name})" if column.name else ""
         return f"column {place + 1}{name}" + (f" in {column.unit}" if column.unit else "")
 
 
 def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
-    """Find the table of numbers in a text file, or in a binary one that a library reads.
+    """Find the table of numbers in a text file or a binary file.
 
     Parameters
     ----------
@@ -238,7 +238,7 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
         return _table_of(path, text, skip, fewest)
     numbered = enumerate(re.split(r"\r\n|\r|\n", text), 1)
     lines = [(number, line) for number, line in numbered if number > skip and line.strip()]
-    # spreadsheets end with rows of empty cells
+    # Spreadsheets end with rows of empty cells.
     while lines and EMPTY.fullmatch(lines[-1][1]):
         lines.pop()
     try:
@@ -251,12 +251,12 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
         raise InputError.at("file", f"{path} cannot be read as a table: {error}") from None
     facts = _facts(cells[:first], cells[first:], numeric)
     if names := facts.get("tracename"):
-        # Yokogawa has no header directly above the numbers
+        # Yokogawa has no header directly above the numbers.
         traces = [names.get(place, "") for place in range(numeric[-1] + 1)]
         columns = [ColumnHeader(name, "", name) for name in traces]
     else:
         columns = _columns(header, numeric)
-        # names and values in two lines, as Rigol has the sampling interval
+        # Rigol writes names and values, such as the sampling interval, in two lines.
         for name, cell in zip(header[1], header[0], strict=False) if len(header) == 2 else ():
             facts[name.lower()] = dict.fromkeys(numeric, cell)
     numbers, rows = map(list, zip(*lines[first:], strict=True))
@@ -264,7 +264,7 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
 
 
 def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable:
-    """Return the table of the arrays of a file: of the most equally long ones, or the longest."""
+    """Return the table of the most equally long arrays of a file, or of the longest one."""
     lengths = Counter(len(array.values) for array in arrays.columns if len(array.values) > skip)
     if not lengths:
         raise InputError.at("file", f"{path} holds no table of numbers: name another file")
@@ -286,7 +286,7 @@ def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable
 
 
 def _read_text(path: Path) -> str | Arrays:
-    """Return the text of a file in the encodings that instruments use, or the arrays in it."""
+    """Return the text of a file in an encoding that instruments use, or the arrays in it."""
     try:
         check_readable(path, LARGEST_FILE)
         content = path.read_bytes()
@@ -300,7 +300,7 @@ def _read_text(path: Path) -> str | Arrays:
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
-        # every byte is a letter of it, the micro sign among them
+        # Every byte is a letter in this encoding, the micro sign among them.
         text = content.decode("latin-1")
     if "\0" in text:
         cure = f"save it as text (CSV), or read it in Python and {BY_POINTS}"
@@ -311,13 +311,14 @@ def _read_text(path: Path) -> str | Arrays:
 def _recognise(
     path: Path, lines: Sequence[tuple[int, str]], fewest: int
 ) -> tuple[TableLayout, tuple[int, ...]]:
-    """Return the layout in which most lines hold numbers, and in which columns they do."""
-    # a table is the later half of its file at least, or all that has so many columns
+    """Return the layout in which most lines have numbers, and the columns with numbers."""
+    # A table fills the later half of its file at least, or all lines with the same number of
+    # columns.
     later = lines[len(lines) // 2 :]
     later = later[:: len(later) // SAMPLED_LINES + 1]
     best = (False, 0, 0, 0)
     recognised = None
-    # of layouts that fit as many lines the first is taken: they differ in nothing then
+    # Layouts that fit the same number of lines are equivalent, so the first one is used.
     for layout in _layouts([line for _, line in later]):
         rows = [layout.cells(line) for _, line in later]
         columns = [layout.numeric(cells) for cells in rows]
@@ -337,7 +338,7 @@ def _recognise(
 
 
 def _layouts(lines: Sequence[str]) -> list[TableLayout]:
-    """Return the layouts that lines may have: where there are tabs or semicolons, no others."""
+    """Return the possible layouts of lines, only with tabs or semicolons if there are any."""
     marks = [mark for mark in "\t;" if 2 * sum(mark in line for line in lines) > len(lines)]
     return [
         TableLayout(delimiter, decimal) for delimiter in (marks[:1] or ", ") for decimal in ".,"
@@ -347,14 +348,14 @@ def _layouts(lines: Sequence[str]) -> list[TableLayout]:
 def _first_row(
     path: Path, lines: Sequence[tuple[int, str]], layout: TableLayout, numeric: tuple[int, ...]
 ) -> int:
-    """Return the index of the first line of a table; raises `InputError` if it is interrupted."""
+    """Return the index of the first line of a table; raise `InputError` if it is interrupted."""
     places = set(numeric)
     plain = layout.rows(numeric)
     first = len(lines)
     kinds: set[tuple[int, ...]] = set()
     for index in reversed(range(len(lines))):
         line = lines[index][1]
-        # quicker, of a million lines nearly all
+        # This test is faster, and nearly all of a million lines pass it.
         no_words = plain.fullmatch(line) is not None
         numbers, words = (places, ()) if no_words else _numbers_and_words(layout, line)
         if places <= numbers:
@@ -380,7 +381,7 @@ def _check_above(
     numeric: tuple[int, ...],
     kinds: set[tuple[int, ...]],
 ) -> None:
-    """Raise `InputError` if rows of a table, with words at such places, are among lines above it.
+    """Raise `InputError` if lines above a table contain rows of the same form.
 
     Directly above it is a header, without numbers in its columns.
     """
@@ -395,7 +396,7 @@ def _check_above(
 def _no_number(
     path: Path, line: tuple[int, str], layout: TableLayout, places: Sequence[int]
 ) -> InputError:
-    """Return the error of the first of these cells of a line that holds no number."""
+    """Return the error for the first of these cells without a number."""
     cells = layout.cells(line[1])
     texts = [(place, cells[place] if place < len(cells) else "") for place in places]
     place, text = next((place, text) for place, text in texts if not layout.is_number(text))
@@ -410,7 +411,7 @@ def _header(
     """Return the cells of at most two lines above a table, from the last one upward."""
     header: list[list[str]] = []
     for line in above:
-        # numpy begins a header with a mark
+        # NumPy begins a header with a comment mark.
         cells = _header_cells(line.lstrip("#% "), layout, width)
         if len(cells) <= numeric[-1]:
             break
@@ -425,11 +426,11 @@ def _header(
 
 
 def _header_cells(line: str, layout: TableLayout, width: int) -> list[str]:
-    """Return the cells of a line of a header; none if they do not fit a table so wide."""
+    """Return the cells of a header line; none if their number differs from the table's width."""
     cells = layout.cells(line)
     if layout.delimiter != " " or len(cells) == width:
         return cells
-    # names with blanks in them
+    # Names may contain blanks.
     for split in (NAME_AND_UNIT.findall(line), re.split(r"\s{2,}|\t", line)):
         if len(split) == width:
             return split
@@ -439,7 +440,7 @@ def _header_cells(line: str, layout: TableLayout, width: int) -> list[str]:
 def _facts(
     above: Sequence[Sequence[str]], beside: Sequence[Sequence[str]], numeric: Sequence[int]
 ) -> Facts:
-    """Return what lines above a table say, and what Tektronix writes beside its first rows."""
+    """Return the facts in the lines above a table, or beside its first rows (Tektronix)."""
     facts: Facts = {}
     for cells in above:
         _note_above(facts, cells, numeric)
@@ -449,13 +450,13 @@ def _facts(
 
 
 def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
-    """Note what a line above a table says: a name and a value, or a value for each column.
+    """Store a fact from a line above a table: a name and a value, or a value for each column.
 
     Values stand above their columns, or one cell later if the first column is one of values. One
     value alone holds for all columns.
     """
     for cell in cells:
-        # the sides of a colon, or what Rigol writes behind the names of columns
+        # The text has a colon, or a name and a number as Rigol writes behind the column names.
         pair = NAMED_VALUE.fullmatch(cell)
         if pair and (len(cells) == 1 or CELLS["."].fullmatch(pair[2])):
             facts[pair[1].lower()] = dict.fromkeys(numeric, pair[2])
@@ -464,13 +465,13 @@ def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> N
         return
     shift = 1 if numeric[0] == 0 and len(cells) > numeric[-1] + 1 else 0
     alone = values[0] if len({*values} - {""}) == 1 else ""
-    # the first cell is the name
+    # The first cell is the name.
     own = {place: "".join(["", *values][place + shift : place + shift + 1]) for place in numeric}
     facts[cells[0].lower()] = {place: own[place] or alone for place in numeric}
 
 
 def _note_beside(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
-    """Note what a row of a table says to the left of its numbers: a name and a value."""
+    """Store a fact to the left of a row of numbers: a name and a value."""
     for place, (name, value) in enumerate(pairwise(cells)):
         if name[:1].isalpha() and place + 1 not in numeric:
             later = (column for column in numeric if column > place)
@@ -484,24 +485,24 @@ def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[
         return [ColumnHeader("", "")] * width
     cells = list(header[0][:width])
     units = [cell.strip("()[] ") for cell in cells]
-    # a line of units below that of the names
+    # The line of units is below the line of names.
     if _are_units([cells[place] for place in numeric], len(header) == 2):
         names = header[1][:width] if len(header) == 2 else [""] * width
         units = ["" if unit in NO_UNIT else unit for unit in units]
-        # the name may have a unit, too, or a remark in brackets
+        # The name may have a unit, too, or a remark in brackets.
         return [ColumnHeader(n, unit, n) for n, unit in zip(names, units, strict=True)]
     return [ColumnHeader(*split_unit(cell), cell) for cell in cells]
 
 
 def _are_units(cells: Sequence[str], below: bool) -> bool:
-    """Return whether cells hold units: below names also a dash, or nothing, but not all of them."""
+    """Return whether cells contain units; below names, a dash or an empty cell counts, too."""
     if not below:
         return all(map(_is_unit, cells))
     return any(map(_is_unit, cells)) and all(_is_unit(cell) or cell in NO_UNIT for cell in cells)
 
 
 def _is_unit(cell: str) -> bool:
-    """Return whether a cell holds a unit and no name."""
+    """Return whether a cell contains a unit without a name."""
     match = BRACKETS.fullmatch(cell)
     bracketed = match is not None and not match[1]
     return bracketed or unit_of(cell) is not None or cell.lower() == "sequence"

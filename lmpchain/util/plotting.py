@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision
+# Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision.
 COLOURS = {
     "blue": "#0072B2",
     "vermilion": "#D55E00",
@@ -31,15 +31,15 @@ COLOURS = {
 }
 NARROW = 3.5  # inches: axes that share a page with others
 LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
-# colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness
+# Colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness.
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
-# each integrator looks the same in every picture
+# Each integrator has the same colour and marker in every picture.
 INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
-# a number as computers write it: 2e-08
+# A number in the notation of computers: 2e-08.
 POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
 PLAIN = (1e-3, 1e3)  # between these, numbers are written without a power of ten
-# a hyphen that stands for a minus: between two terms, or before one
+# A hyphen that means a minus: between two terms, or before one.
 MINUS = re.compile(r"(?<=\S )-(?= \S)|(?<![^\s(])-(?=[\w.])")
 LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
 
@@ -57,7 +57,7 @@ def look_of(integrator: str) -> dict[str, Any]:
 
 
 def typeset(text: str) -> str:
-    """Return text with its powers of ten, strike numbers and signs as formulas have them.
+    """Return text with powers of ten, strike numbers and signs in mathematical notation.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def typeset(text: str) -> str:
 
 
 def _typeset_number(said: re.Match[str]) -> str:
-    """Return a number that a computer wrote as 2e-08: plain if it is neither small nor large."""
+    """Return a number of the form 2e-08 in plain or scientific notation."""
     number = float(said[0])
     if number == 0 or PLAIN[0] <= number < PLAIN[1]:
         return f"{number:g}"
@@ -83,14 +83,14 @@ def _typeset_number(said: re.Match[str]) -> str:
 
 
 def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
-    """Write names at the right of axes, at the heights where curves end, one above the other.
+    """Write names at the right of axes at the heights of the curves' ends, without overlap.
 
     Parameters
     ----------
     ends : list of (height, name, colour)
         Heights in units of the vertical axis.
     """
-    # settles the limits, on which places depend
+    # This call fixes the limits, on which places depend.
     ax.get_ylim()
     place = ax.transData.transform
     low, high = ax.transAxes.transform([(0, 0), (0, 1)])[:, 1]
@@ -111,7 +111,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
 
 
 def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return fewer rows of a map: of every few, the one that differs most from its first value.
+    """Return fewer rows of a map: from each group, the row that differs most from its first value.
 
     Examples
     --------
@@ -125,7 +125,7 @@ def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Arra
 
 
 def loudest_rows(values: Array, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first of every few rows, and the one that differs most from its first value.
+    """Return two rows of each group: the first, and the one that differs most from its first value.
 
     Examples
     --------
@@ -141,7 +141,7 @@ def loudest_rows(values: Array, most: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def choose_few(count: int, few: int = 4) -> Array:
-    """Return the indices of a few of many things, evenly spaced.
+    """Return the indices of a few of `count` items, evenly spaced.
 
     Examples
     --------
@@ -152,14 +152,14 @@ def choose_few(count: int, few: int = 4) -> Array:
 
 
 def edges(middles: Array) -> Array:
-    """Return the edges of cells around these centres.
+    """Return the edges of cells with these centres.
 
     Examples
     --------
     >>> edges(np.array([1.0, 2.0, 4.0])).tolist()
     [0.5, 1.5, 3.0, 5.0]
     """
-    # a single cell is one wide
+    # A single cell has the width 1.
     half = np.diff(middles) / 2 if len(middles) > 1 else np.array([0.5])
     return np.concatenate(
         ([middles[0] - half[0]], (middles[1:] + middles[:-1]) / 2, [middles[-1] + half[-1]])
@@ -167,25 +167,25 @@ def edges(middles: Array) -> Array:
 
 
 def figure(width: float = 8.0, height: float = 7.0) -> Figure:
-    """Return an empty figure of this size in inches, to be saved: `pyplot` knows nothing of it."""
+    """Return an empty figure of this size in inches for saving, unknown to `pyplot`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     picture = Figure(figsize=(width, height), layout="constrained")
-    # without pyplot a figure is freed with its last reference
+    # Without pyplot, the figure is freed with its last reference.
     FigureCanvasAgg(picture)
     return picture
 
 
 def si(value: float, unit: str, places: int | None = None) -> str:
-    """Return a number with its unit and an SI prefix, to so many places."""
+    """Return a number with its unit and an SI prefix, rounded to some decimal places."""
     from matplotlib.ticker import EngFormatter
 
     return EngFormatter(unit, places=places)(value)
 
 
 def prefixed(value: float, unit: str, digits: int = 4) -> str:
-    """Return a number of so many digits with its unit and an SI prefix.
+    """Return a number with its unit and an SI prefix, rounded to some significant digits.
 
     Examples
     --------
@@ -196,7 +196,7 @@ def prefixed(value: float, unit: str, digits: int = 4) -> str:
 
 
 def with_error(value: float, error: float, unit: str) -> str:
-    """Return a number to the first digit of its error, both with one SI prefix.
+    """Return a number rounded to the first digit of its error, both with one SI prefix.
 
     Examples
     --------
@@ -222,7 +222,7 @@ def window(width: float = 6.4, height: float = 4.2) -> Figure:
 
 
 def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
-    """Return axes, given or new, in our colours, whose labels get these units with SI prefixes.
+    """Return axes, given or new, in our colours, with labels in these units with SI prefixes.
 
     Those named in `logarithmic`, "x", "y" or "xy", become so: a scale that is set later forgets its
     unit.
@@ -240,7 +240,7 @@ def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axe
         if unit:
             axis.set_major_formatter(UnitFormatter(unit))
             if axis.get_scale() == "log":
-                # minor ticks know nothing of the prefix
+                # Minor ticks ignore the prefix.
                 axis.set_minor_formatter("")
         if axis.get_scale() == "linear" and (narrow or (name == "x" and unit)):
             ax.locator_params(axis=name, nbins=5 if narrow else 6)
@@ -251,20 +251,20 @@ def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axe
 
 
 def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
-    """Return the axes given, one or several, in our colours."""
+    """Return the given axes, one or several, in our colours."""
     several = ax if isinstance(ax, Sequence | np.ndarray) else [ax]
     return [axes_in_units(single, "", "") for single in several]
 
 
 def set_title(ax: Axes, text: str) -> None:
-    """Put a title above axes, on the left, in as many lines as it takes."""
-    # a power of ten, as formulas have it, is a little wider than its text
+    """Put a title above axes, on the left, wrapped to their width."""
+    # Text with a power of ten is a little wider than its source.
     wide = 11.0 if typeset(text) != text else 10.0
     ax.set_title(typeset(_fold(ax, text, wide)), loc="left", fontsize=10.0)
 
 
 def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
-    """Explain lines and markers, if there are any, in letters and lines that fit the axes."""
+    """Add a legend of lines and markers, if there are any, with a font that fits the axes."""
     handles = handles or ax.get_legend_handles_labels()
     if handles[0]:
         size = 7.0 if _inches(ax) < NARROW else 9.0
@@ -275,7 +275,7 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
 
 
 def finish(ax: Axes, x: str, y: str, title: str = "", **keys: Any) -> Axes:
-    """Label axes that are drawn, give them a title and a legend, and return them.
+    """Label finished axes, add a title and a legend, and return the axes.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def mark_decades(ax: Axes) -> None:
 
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
     """Explain the colours of axes beside them, in letters of the same size."""
-    # before the bar takes its share of the width
+    # Measure the width before the bar reduces it.
     narrow = _inches(ax) < NARROW
     bar = ax.figure.figure.colorbar(shown, ax=ax, label=label, **keys)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
@@ -319,13 +319,13 @@ def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None
 
 
 def _inches(ax: Axes) -> float:
-    """Return the width of axes before they are laid out."""
+    """Return the width of axes before the layout, in inches."""
     return float(ax.get_position().width * ax.figure.figure.get_size_inches()[0])
 
 
 def _fold(ax: Axes, text: str, size: float) -> str:
-    """Return text in lines as wide as axes, in letters of this size in points."""
-    # a letter is about half as wide as high
+    """Return text wrapped to the width of axes, for a font size in points."""
+    # A letter is about half as wide as high.
     return textwrap.fill(text, max(12, int(72 * _inches(ax) / (0.52 * size))))
 
 

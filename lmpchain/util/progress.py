@@ -1,4 +1,4 @@
-"""The progress bar of everything that takes time."""
+"""Progress bar of long work."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class ProgressBar:
         self.total = total
         self._bar: Any = None
         if shown:
-            # its import takes longer than many runs
+            # The import of tqdm takes longer than many runs.
             from tqdm.auto import tqdm
 
             self._bar = tqdm(
@@ -73,22 +73,22 @@ class ProgressBar:
         if self._bar is not None:
             if error is None:
                 self._bar.n = self._bar.total
-                # a fast one has shown nothing since its beginning
+                # Fast work has shown nothing since the beginning.
                 self._bar.refresh()
             self.close()
 
     def close(self) -> None:
-        """Take the bar away."""
+        """Remove the bar."""
         if self._bar is not None:
             self._bar.close()
 
     def advance(self, amount: float = 1) -> None:
-        """Add an amount of work that is done."""
+        """Add an amount of finished work."""
         if self._bar is not None:
             self._bar.update(amount)
 
     def reach(self, done: float) -> None:
-        """Set the amount of work that is done."""
+        """Set the amount of finished work."""
         if self._bar is not None:
             self._bar.update(done - self._bar.n)
 

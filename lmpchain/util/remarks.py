@@ -1,4 +1,4 @@
-"""Warnings and notes of lmpchain, which one thread can put aside without a word to the others."""
+"""Warnings and notes of lmpchain, which each thread can suppress separately."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# Python's own filters are one list for all threads: where two of them change and restore it in
-# turns, what one has put aside stays so, for all and for good
+# Python's own filters are one list for all threads. If two threads change and restore the list in
+# turns, the warnings that one suppresses stay suppressed for all threads.
 _aside: ContextVar[list[str] | None] = ContextVar("warnings that are put aside", default=None)
 
 
 def warn(text: str, stacklevel: int = 1) -> None:
-    """Warn as `warnings.warn` does, unless this thread puts warnings aside."""
+    """Warn as `warnings.warn` does, unless this thread suppresses warnings."""
     texts = _aside.get()
     if texts is None:
         warnings.warn(text, stacklevel=stacklevel + 1)
@@ -23,9 +23,9 @@ def warn(text: str, stacklevel: int = 1) -> None:
 
 
 def note(text: str) -> None:
-    """Say on stderr, in one line, what was understood; nothing where warnings are put aside."""
+    """Print a note in one line on stderr, unless this thread suppresses warnings."""
     if _aside.get() is None and sys.stderr is not None:
-        # a name of a file may hold a line break, or a code that moves the cursor
+        # A file name may contain a line break, or a code that moves the cursor.
         letters = (
             letter if letter.isprintable() else letter.encode("unicode_escape").decode()
             for letter in text
@@ -35,7 +35,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def warnings_aside() -> Iterator[list[str]]:
-    """Put the warnings of lmpchain in this thread aside; the list that is yielded has their texts.
+    """Suppress the warnings of lmpchain in this thread; yield the list of their texts.
 
     Examples
     --------

@@ -7,12 +7,12 @@ from difflib import get_close_matches
 
 from ..errors import shown
 
-# what physicists write for quantities that go by their names here
+# Symbols that physicists write for these quantities.
 SYMBOLS = {"E": "youngs_modulus", "nu": "poissons_ratio", "rho": "density", "g": "gravity"}
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return " (did you mean 'glass'?)" for a name that resembles a known one, else nothing.
+    """Return " (did you mean 'glass'?)" if a name resembles a known one, else "".
 
     Examples
     --------
@@ -33,7 +33,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def either(names: Iterable[str]) -> str:
-    """Return names as a choice in words.
+    """Return names as alternatives in words.
 
     Examples
     --------
@@ -45,7 +45,7 @@ def either(names: Iterable[str]) -> str:
 
 
 def not_among(name: object, known: Iterable[str]) -> str:
-    """Return the fault of a name that is none of these.
+    """Return the fault of a name that is not among the known ones.
 
     Examples
     --------

@@ -15,13 +15,13 @@ GAP = 2  # letters between the columns of a table
 
 
 def line_width() -> int:
-    """Return the letters of a line: those of the terminal, if it has more than 80."""
+    """Return the width of a line in letters: the width of the terminal, at least 80."""
     on_terminal = sys.stdout is not None and sys.stdout.isatty()
     return max(LINE_WIDTH, shutil.get_terminal_size().columns if on_terminal else 0)
 
 
 def align(rows: Iterable[Sequence[str]]) -> list[str]:
-    """Return the lines of a table, its columns aligned on the left, wide cells wrapped.
+    """Return the lines of a table with left-aligned columns and wrapped wide cells.
 
     Examples
     --------
@@ -35,8 +35,8 @@ def align(rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
-    """Return a table whose widest columns are narrowed until it fits; no word is broken."""
-    # a word, such as a path to copy, stays whole, be the line longer for it
+    """Return a table whose widest columns are narrowed until it fits; do not break words."""
+    # A word, such as a path to copy, stays whole, even if the line becomes longer.
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
     while sum(widths) + GAP * (len(widths) - 1) > line_width():
         widest = widths.index(max(widths))
@@ -55,7 +55,7 @@ def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
 
 
 def wrap(*sentences: str) -> list[str]:
-    """Return sentences in lines of the terminal, the further ones of each indented.
+    """Return sentences in lines of the terminal, with further lines of each indented.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def wrap(*sentences: str) -> list[str]:
 def number(
     value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf"
 ) -> str:
-    """Return a number with its unit, or the words for NaN and infinity, which have none.
+    """Return a number with its unit, or words for NaN and infinity, without a unit.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def number(
 
 
 def duration(seconds: float, missing: str = "-") -> str:
-    """Return a time in the unit that suits it.
+    """Return a time in a suitable unit.
 
     Examples
     --------
@@ -97,7 +97,7 @@ def duration(seconds: float, missing: str = "-") -> str:
 
 
 def counted(count: int, thing: str) -> str:
-    """Return how many there are of a thing, in the singular for one.
+    """Return a number of items in words, in the singular for one.
 
     Examples
     --------
@@ -108,7 +108,7 @@ def counted(count: int, thing: str) -> str:
 
 
 def finite(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row with None, JSON's null, in place of numbers that are not finite."""
+    """Return a row in which None, JSON's null, replaces numbers that are not finite."""
     return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in row.items()

@@ -1,4 +1,4 @@
-"""Results with an axis as data frames, and as CSV files with units in the header."""
+"""Tables of results along an axis: data frames, and CSV files with units in the header."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class NamedColumn(NamedTuple):
 
     @property
     def header(self) -> str:
-        """Name and unit as in `time [s]`."""
+        """Name and unit, as in `time [s]`."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Tabular:
-    """A result with an axis, along which its values are columns of a table.
+    """A result along an axis, with its values as columns of a table.
 
     Attributes
     ----------
@@ -65,13 +65,15 @@ class Tabular:
                 yield NamedColumn(name, unit, values)
 
     def to_dataframe(self) -> DataFrame:
-        """Return a data frame of pandas, a row a point of the axis, units in the names."""
+        """Return a pandas data frame with one row for each point of the axis, and units in the
+        names.
+        """
         from pandas import DataFrame
 
         return DataFrame({column.header: column.values for column in self._columns()})
 
     def to_csv(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write a CSV file, atomically, all digits of each number, units in the header.
+        """Write a CSV file, atomically, with all digits of each number and units in the header.
 
         `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read it. A file that lmpchain
         did not write is replaced only if `overwrite` is true.
@@ -96,14 +98,14 @@ class Tabular:
 def number_columns(
     name: str, unit: str, numbers: Iterable[Any], values: np.ndarray
 ) -> Iterator[NamedColumn]:
-    """Yield the columns of an (R, C) array, which bear the numbers of what they are of."""
+    """Yield the columns of an (R, C) array, named by the numbers of their grains or contacts."""
     for number, column in zip(numbers, values.T, strict=True):
         label = f"{number:.6g}" if isinstance(number, float) else number
         yield NamedColumn(f"{name}_{label}", unit, column)
 
 
 def of_rows(rows: Sequence[Mapping[str, Any]]) -> Iterator[NamedColumn]:
-    """Yield the columns of records of the same fields."""
+    """Yield the columns of records with the same fields."""
     for name in rows[0] if rows else ():
         yield NamedColumn(name, "", [row[name] for row in rows])
 
@@ -114,5 +116,5 @@ def _plain_list(values: Any) -> list[Any]:
 
 
 def _digits(value: Any) -> Any:
-    """Return a number with all its digits, and anything else as it is."""
+    """Return a number with all its digits, and anything else unchanged."""
     return f"{value:.17g}" if isinstance(value, float) else value

@@ -21,7 +21,7 @@ _FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel
 
 
 class _Sandbox(ImmutableSandboxedEnvironment):
-    """Sandboxed templates, which read their values and call `range` and their own macros only."""
+    """Sandbox for templates that read their values and call only `range` and their own macros."""
 
     intercepted_binops = frozenset(["**"])
 
@@ -36,7 +36,7 @@ class _Sandbox(ImmutableSandboxedEnvironment):
             **options,
         )
         self.filters["exact"] = lambda value: repr(float(value))
-        # what a template does not need it does not see
+        # Templates see only the globals that they need.
         self.globals = {"range": self.globals["range"]}
 
     def call_binop(self, context: Any, operator: str, left: Any, right: Any) -> Any:
@@ -55,7 +55,7 @@ class _Sandbox(ImmutableSandboxedEnvironment):
 
 
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
-    """Fill in a template of the package; a missing value is an error, and HTML is escaped.
+    """Fill in a template of the package; raise an error for a missing value, and escape HTML.
 
     Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
     nothing is read.
@@ -64,13 +64,13 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
 
 
 def render_pieces(name: str, closed: tuple[type, ...] = (), **values: Any) -> Iterator[str]:
-    """Fill in a template of the package piece by piece, for text that is long; see `render`."""
+    """Fill in a template of the package piece by piece, for long text; see `render`."""
     environment = _Sandbox(closed, autoescape=name.endswith(".html"))
     return environment.get_template(name).generate(version=version("lmpchain"), **values)
 
 
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:
-    """Fill in a template of the user, which may include those of the package.
+    """Fill in a template of the user, which may include templates of the package.
 
     Objects of the types `closed` are not readable in it.
 
@@ -92,7 +92,7 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
             key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
         ) from None
     except TemplateNotFound as error:
-        # scenes to begin with are no decks
+        # Example scenes are not decks.
         names = ", ".join(environment.list_templates(filter_func=lambda name: "/" not in name))
         raise InputError.at(key, f"can include no {shown(error.name)}; there are {names}") from None
     except SecurityError:
@@ -104,7 +104,7 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
         limit = f"needs more than {LARGEST_TEXT >> 20} MB of memory"
         raise InputError.at(key, f"{limit}: make its texts and lists shorter") from None
     except Exception as error:
-        # whatever the expressions of a template raise
+        # Expressions of a template may raise any error.
         reason = str(error) or type(error).__name__
         raise InputError.at(key, f"cannot be filled in: {short(reason)}") from None
     cure = f"there are {', '.join(sorted(values))}"

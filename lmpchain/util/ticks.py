@@ -1,4 +1,4 @@
-"""Plain numbers at ticks, and their unit with its prefix in the label of the axis."""
+"""Plain numbers at ticks, with their unit and its prefix in the label of the axis."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class UnitFormatter(EngFormatter):
             return super().format_ticks(values)
         power = self._power(np.asarray(values, float))
         prefixes = self.ENG_PREFIXES
-        # the unit of the drawing before, whose limits may have been others
+        # Remove the unit of the previous drawing, which may have had other limits.
         prefix = "|".join(filter(None, prefixes.values()))
         bare = re.sub(rf" \((?:{prefix})?{re.escape(self.unit)}\)$", "", text)
         with_unit = f"{bare} ({prefixes[power]}{self.unit})"
@@ -42,7 +42,7 @@ class UnitFormatter(EngFormatter):
         return [number.replace("-", "\N{MINUS SIGN}") for number in numbers]
 
     def _power(self, values: np.ndarray) -> int:
-        """Return the power of ten that suits the ticks in view, or their middle if logarithmic."""
+        """Return the power of ten for the ticks in view, or for their middle if logarithmic."""
         low, high = sorted(self.axis.get_view_interval())
         seen = np.abs(values[(values >= low) & (values <= high)])
         seen = seen[seen > 0]
@@ -50,6 +50,6 @@ class UnitFormatter(EngFormatter):
             return 0
         logarithmic = self.axis.get_scale() == "log"
         size = np.sqrt(seen.min() * seen.max()) if logarithmic else seen.max()
-        # a thousand is 1000.0000000001 of some locators, and 999.9999999 of others
+        # Some locators give 1000.0000000001 or 999.9999999 for a thousand.
         power = 3 * int(np.floor(np.log10(size * (1 + 1e-9)) / 3))
         return min(max(power, min(self.ENG_PREFIXES)), max(self.ENG_PREFIXES))

@@ -10,7 +10,7 @@ PREFIXES = {
     "p": 1e-12,
     "n": 1e-9,
     "u": 1e-6,
-    # the micro sign and the Greek letter
+    # The micro sign and the Greek letter.
     "\u00b5": 1e-6,
     "\u03bc": 1e-6,
     "m": 1e-3,
@@ -21,14 +21,14 @@ WORDS = {"second": "s", "sec": "s", "volt": "V", "newton": "N", "metre": "m", "m
 BRACKETS = re.compile(r"(.*?)\s*[\[(]\s*([^\[\]()]*?)\s*[\])]")
 IN_BRACKETS = re.compile(r"[\[(]\s*([^\[\]()]*?)\s*[\])]")
 FIELD_UNITS = {"velocity": "m/s", "displacement": "m", "force": "N", "contact": "N"}
-# without brackets a unit must be known to be one
+# Without brackets, a unit must be a known one.
 OTHER_FORMS = [
     re.compile(form) for form in (r"(.*)\bin (\S+)", r"(.+?)\s*/\s*(\S+)", r"(.+)_(\w{1,2})")
 ]
 
 
 class Unit(NamedTuple):
-    """A unit: that of SI which it is a multiple of (volts among them), and how many of these."""
+    """A unit as a multiple (`factor`) of an SI unit or of the volt (`base`)."""
 
     base: str
     factor: float
@@ -39,7 +39,7 @@ KNOWN_UNITS = {
     for base in ("s", "V", "N", "m", "m/s")
     for prefix, factor in PREFIXES.items()
 }
-# as some oscilloscopes write them
+# Some oscilloscopes write units in this way.
 KNOWN_UNITS |= {f"{prefix}sec": Unit("s", factor) for prefix, factor in PREFIXES.items()}
 KNOWN_UNITS |= {"S": KNOWN_UNITS["s"], "v": KNOWN_UNITS["V"]}
 KNOWN_UNITS |= {
@@ -51,19 +51,19 @@ KNOWN_UNITS |= {
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit that a text names; None if it names none.
+    """Return the unit named by a text; None if it names no unit.
 
     Examples
     --------
     >>> unit_of("ms"), unit_of("Volts"), unit_of("counts")
     (Unit(base='s', factor=0.001), Unit(base='V', factor=1.0), None)
     """
-    # of symbols the case counts
+    # Symbols are case-sensitive.
     return KNOWN_UNITS.get(text) or (KNOWN_UNITS.get(text.lower()) if len(text) > 2 else None)
 
 
 def split_unit(cell: str) -> tuple[str, str]:
-    """Return the name and the unit in a cell of a header, either of them perhaps empty.
+    """Return the name and the unit in a header cell; either may be empty.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def split_unit(cell: str) -> tuple[str, str]:
     (('hammer (trigger)', 'mV'), ('hammer', 'trigger'))
     """
     if match := BRACKETS.fullmatch(cell):
-        # a remark in brackets must not hide a unit: the last brackets with a unit have it
+        # A remark in brackets must not hide a unit, so the last brackets with a unit count.
         known = [found for found in IN_BRACKETS.finditer(cell) if unit_of(found[1])]
         if not known:
             name, unit = split_unit(match[1])
@@ -85,7 +85,7 @@ def split_unit(cell: str) -> tuple[str, str]:
     for form in OTHER_FORMS:
         if (match := form.fullmatch(cell)) and unit_of(match[2]):
             return match[1].strip(), match[2]
-    # a column that bears the name of its unit; N may be a number
+    # The column has the name of its unit; N may be a number.
     if cell.lower().startswith("volt") or (unit_of(cell) and len(cell) > 1):
         return cell, "V" if cell.lower() == "voltage" else cell
     return cell, ""

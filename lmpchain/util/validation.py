@@ -1,4 +1,4 @@
-"""Input validation: pydantic models that report every fault at once, each with its key."""
+"""Input validation by pydantic models that report all faults at once, each with its key."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ NOT_GIVEN: Any = None  # default of array fields that are filled in when they ar
 
 
 class Checked(Shown, BaseModel):
-    """A frozen value that raises `InputError` with every fault on construction.
+    """A frozen value that raises `InputError` with all faults on construction.
 
-    A changed copy comes from `replace`, which checks it; no other way lets a value through
-    unchecked.
+    Use `replace` for a changed copy, which is checked, too.
     """
 
     model_config = ConfigDict(
@@ -37,17 +36,17 @@ class Checked(Shown, BaseModel):
         ignored_types=(cached_property,),
     )
 
-    # from the name of an argument to the attribute that holds it: they differ where the value of
-    # that name follows from other fields if it is not given
+    # Attribute of each argument. The two names differ if the value follows from other fields when
+    # the argument is not given.
     arguments: ClassVar[dict[str, str]] = {}
-    # from what is no argument, but may be meant for one, to what to do
+    # Advice for names that are no arguments, but may be meant as one.
     elsewhere: ClassVar[dict[str, str]] = {}
-    # further ones, which a class turns into these
+    # Further arguments, which a class converts to the fields.
     other_arguments: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Note the arguments, and let `help` begin with them and their defaults."""
+        """Store the names of the arguments, and let `help` begin with them and their defaults."""
         cls.arguments = {field.alias or name: name for name, field in cls.model_fields.items()}
         parameters = []
         for name, field in cls.model_fields.items():
@@ -86,14 +85,14 @@ class Checked(Shown, BaseModel):
             faults += _describe(error)
         if faults:
             raise InputError(faults)
-        # only values that are right are worth a remark
+        # Only valid values are worth a remark.
         for remark in self._remarks():
-            # from one line, so that Python says each once
+            # The stack level refers to one line here, so that Python shows each warning once.
             warn(remark, stacklevel=1)
 
     @classmethod
     def _unknown(cls, key: str) -> str:
-        """Return the fault of a key that is no argument."""
+        """Return the fault of a key that is not an argument."""
         if key in cls.elsewhere:
             return f"is no key here: {cls.elsewhere[key]}"
         known = [*cls.arguments, *cls.other_arguments]
@@ -101,7 +100,7 @@ class Checked(Shown, BaseModel):
         return f"unknown key{guess}; the keys here are {', '.join(known)}"
 
     def _remarks(self) -> Iterator[str]:
-        """Yield warnings of values that are allowed but hardly meant."""
+        """Yield warnings about valid but unlikely values."""
         yield from ()
 
     def _faults(self) -> Iterator[tuple[str, str]]:
@@ -109,7 +108,7 @@ class Checked(Shown, BaseModel):
         yield from ()
 
     def replace(self, **changes: Any) -> Self:
-        """Return a checked copy with these fields changed; None takes an optional one away.
+        """Return a checked copy with these fields changed; None removes an optional field.
 
         Raises
         ------
@@ -120,7 +119,7 @@ class Checked(Shown, BaseModel):
         return type(self)(**{key: value for key, value in fields.items() if value is not None})
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """Return this value, which never changes, or a copy by `replace`."""
+        """Return this immutable value, or a copy by `replace`."""
         return self.replace(**update) if update else self
 
     def __copy__(self) -> Self:
@@ -130,7 +129,7 @@ class Checked(Shown, BaseModel):
         return self
 
     def copy(self, **options: Any) -> Self:
-        """Return this value; other fields come from `replace`."""
+        """Return this value; use `replace` to change fields."""
         update = options.pop("update", None)
         if any(value is not None for key, value in options.items() if key != "deep"):
             raise InputError.at(
@@ -140,7 +139,7 @@ class Checked(Shown, BaseModel):
 
     @classmethod
     def model_construct(cls, *_: Any, **__: Any) -> NoReturn:  # type: ignore[override]
-        """Raise `InputError`: nothing is made unchecked."""
+        """Raise `InputError`, because unchecked values are not allowed."""
         raise InputError.at(
             cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one"
         )
@@ -156,7 +155,7 @@ class Checked(Shown, BaseModel):
         )
 
     def __getstate__(self) -> dict[Any, Any]:
-        """Return the state without properties that are computed on first use."""
+        """Return the state without cached properties."""
         state = super().__getstate__()
         values = state["__dict__"].items()
         fields = {key: value for key, value in values if key in type(self).model_fields}
@@ -165,7 +164,7 @@ class Checked(Shown, BaseModel):
     def __setstate__(self, state: dict[Any, Any]) -> None:
         super().__setstate__(state)
         for value in self.__dict__.values():
-            # which pickle does not keep
+            # Pickling does not preserve the write protection.
             read_only(value)
 
     def given(self) -> dict[str, Any]:
@@ -174,7 +173,7 @@ class Checked(Shown, BaseModel):
         return {key: getattr(self, name) for key, name in self.arguments.items() if name in fields}
 
     def _compared(self) -> Iterable[str]:
-        """Return the arguments that equal values share."""
+        """Return the arguments that determine equality."""
         return self.arguments
 
     def __eq__(self, other: object) -> bool:
@@ -183,12 +182,12 @@ class Checked(Shown, BaseModel):
         )
 
     def __hash__(self) -> int:
-        # equal values may be given by different fields, of which pydantic would make the hash
+        # Equal values may be given by different fields, which pydantic would use for the hash.
         values = (getattr(self, key) for key in self._compared())
         return hash((type(self), *map(_hashable, values)))
 
     def __dir__(self) -> list[str]:
-        """Return the names of this value, without those that pydantic adds to every one."""
+        """Return the names of this value, without pydantic's additional names."""
         of_python = set(dir(object))
         of_pydantic = set(dir(BaseModel)) - of_python
         names = set(super().__dir__()) - of_pydantic
@@ -200,9 +199,9 @@ Made = TypeVar("Made")
 
 
 def make_unchecked(kind: type[Value], **fields: Any) -> Value:
-    """Return a value of arguments that are sure to be right, as they are.
+    """Return a value of arguments that are known to be valid, without checks.
 
-    Pydantic's way takes ten times as long.
+    Pydantic's own function takes ten times as long.
     """
     values = {kind.arguments[key]: value for key, value in fields.items()}
     defaults = {
@@ -219,17 +218,17 @@ def make_unchecked(kind: type[Value], **fields: Any) -> Value:
 
 
 def with_derived(value: Value, **derived: Any) -> Value:
-    """Return a new value whose cached properties have these values, which follow from others."""
+    """Return a new value with these cached properties, which follow from others."""
     value.__dict__.update(derived)
     return value
 
 
 def each(items: Iterable[Any], make: Callable[[Any], Made]) -> tuple[Made, ...]:
-    """Return what is made of every item; raise `InputError` with the faults of all, by place."""
+    """Return the results of `make` for all items; raise `InputError` with all faults, by place."""
     values = []
     faults: list[tuple[str, str]] = []
     for place, item in enumerate(items):
-        # a fault of one must not hide those of the others
+        # A fault of one item must not hide those of the others.
         try:
             values.append(make(item))
         except InputError as error:
@@ -242,12 +241,12 @@ def each(items: Iterable[Any], make: Callable[[Any], Made]) -> tuple[Made, ...]:
 
 
 def _hashable(value: Any) -> Any:
-    """Return what equal values have in common; 0 and -0 are equal, and have other bytes."""
+    """Return a hashable form in which equal values agree, such as 0 and -0."""
     return (value + 0.0).tobytes() if isinstance(value, np.ndarray) else value
 
 
 def _plain(value: Any) -> Any:
-    """Return a number of numpy as one of Python; refuse what pydantic would turn into one."""
+    """Return a number of numpy as a Python number; reject values that pydantic would convert."""
     convertible = hasattr(value, "__float__") and not isinstance(value, int | float)
     if convertible and (reason := objection(value)):
         raise ValueError(reason)
@@ -255,10 +254,10 @@ def _plain(value: Any) -> Any:
 
 
 def _vector(value: Any) -> Any:
-    """Turn numbers into a read-only (n,) array of float64."""
+    """Convert numbers to a read-only (n,) array of float64."""
     if value is None:
         raise ValueError("must be a list of numbers: leave it out if it is not given")
-    # a copy, which its owner cannot change any more
+    # A copy cannot be changed by the caller later.
     array = np.array(numbers(value))
     if array.ndim != 1 or array.size == 0:
         raise ValueError(f"must be a list of numbers, not of shape {array.shape}")
@@ -289,7 +288,7 @@ def _one_or_many(value: Any) -> Any:
 
 
 def check_positive(key: str, value: Any, what: str = "a number above 0") -> float:
-    """Return a number above 0; raise `InputError` for anything else, which is not `what`."""
+    """Return a positive number; raise `InputError` with the text `what` for anything else."""
     real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
     if not real or not 0 < value < np.inf:
         raise InputError.at(key, f"must be {what} (got {shown(value)})")
@@ -321,12 +320,12 @@ OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
 
 
 def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
-    """Yield (key, message) for every fault pydantic found, in the words of a physicist."""
+    """Yield (key, message) for every fault that pydantic found, in the words of a physicist."""
     for fault in error.errors():
         key = ".".join(map(str, fault["loc"]))
         cause = fault.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
-            # a value inside this one
+            # The fault is in a value inside this one.
             yield from cause.under(key)
         elif fault["type"] == "value_error":
             yield key, str(cause)
@@ -337,7 +336,7 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
 
 
 def _name_kind(fault: str, value: Any, limits: Mapping[str, Any], message: str) -> str:
-    """Return the message of a fault in our words; that of pydantic for rare faults."""
+    """Return the message of a fault in our words, or pydantic's message for rare faults."""
     simple = isinstance(value, bool | int | float | str | list)
     got = f"(got {shown(value) if simple else f'a {type(value).__name__}'})"
     if fault == "finite_number":

@@ -1,4 +1,4 @@
-"""Shifts of solitary waves that meet are those of integrable chains as amplitudes fall."""
+"""Shifts of colliding solitary waves tend to the shifts in integrable chains as amplitudes fall."""
 
 from functools import cache
 
@@ -11,14 +11,14 @@ from lmpchain.measure import collision
 from lmpchain.theory import collision as theory
 from lmpchain.theory import soliton
 
-# kappa, way and place
+# Each wave has kappa, direction and place.
 Wave = tuple[float, int, float]
 HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 
 
 @cache
 def head_on(speed: float, grains: int) -> Trajectory:
-    """Let two equal waves under a load meet in the middle."""
+    """Simulate two equal waves under a load that meet in the middle."""
     wave = soliton.solve(speed=speed)
     chain = Chain(grains=grains, **HOST)
     pair = wave.on(chain, grains // 4) + wave.on(chain, 3 * grains // 4, downward=False)
@@ -28,7 +28,7 @@ def head_on(speed: float, grains: int) -> Trajectory:
 
 
 def overtaking(fast: float, slow: float, grains: int, gap: int) -> Trajectory:
-    """Let one wave under a load overtake another."""
+    """Simulate one wave under a load that overtakes another."""
     waves = [soliton.solve(speed=speed) for speed in (fast, slow)]
     chain = Chain(grains=grains, **HOST)
     pair = waves[0].on(chain, 40) + waves[1].on(chain, 40 + gap)
@@ -73,13 +73,15 @@ def toda_chain(first: Wave, second: Wave, until: float) -> tuple[np.ndarray, np.
     ("first", "second", "late"),
     [((1.6, 1, 40), (1.2, -1, 110), 50.0), ((2.4, 1, 20), (0.9, 1, 45), 170.0)],
 )
-def test_laws_of_toda_are_those_of_his_chain(first: Wave, second: Wave, late: float) -> None:
+def test_toda_laws_agree_with_an_integrated_toda_chain(
+    first: Wave, second: Wave, late: float
+) -> None:
     """Shifts in a chain of exponential forces, integrated by SciPy, to 1e-4."""
     velocity, time = toda_chain(first, second, late + 10)
     for (kappa, way, place), (other, way_of_other, _) in ((first, second), (second, first)):
         speed, speed_of_other = (2 * np.sinh(q / 2) / q for q in (kappa, other))
         law = theory.toda(speed, speed_of_other, way != way_of_other)
-        # the passage at the grain where it should be at a late time
+        # The expected grain of the wave at a late time.
         grain = round(place + way * (speed * late + law))
         signal = np.asarray(way * velocity[:, grain])
         near = np.abs(time - late) < 4
@@ -91,7 +93,7 @@ def test_laws_of_toda_are_those_of_his_chain(first: Wave, second: Wave, late: fl
 
 
 def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
-    """The ratio differs from 1 in proportion to c - 1: half as much, half the difference."""
+    """The deviation of the ratio from 1 is about proportional to c - 1."""
     apart = []
     for speed, grains in ((1.05, 500), (1.025, 900)):
         met = collision.find(head_on(speed, grains))
@@ -103,8 +105,8 @@ def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
     assert apart[0] / apart[1] == pytest.approx(1.7, abs=0.3)
 
 
-def test_errors_cover_what_longer_runs_give() -> None:
-    """A run of twice the length moves the shift by no more than the errors of both."""
+def test_errors_cover_the_change_in_a_longer_run() -> None:
+    """A run of twice the length changes the shift by less than the sum of both errors."""
     short = collision.find(head_on(1.05, 500))
     long = collision.find(head_on(1.05, 1000))
     error = short.shift_error[0] + long.shift_error[0]
@@ -112,7 +114,7 @@ def test_errors_cover_what_longer_runs_give() -> None:
 
 
 def test_overtaking_waves_shift_by_the_laws_as_amplitudes_fall() -> None:
-    """The faster one is pushed on and the slower one back; both tend to the laws."""
+    """The faster wave is advanced and the slower one delayed; both shifts tend to the laws."""
     strong = collision.find(overtaking(1.4, 1.1, 400, 17))
     weak = collision.find(overtaking(1.2, 1.05, 850, 23))
     for met in (strong, weak):
@@ -122,20 +124,20 @@ def test_overtaking_waves_shift_by_the_laws_as_amplitudes_fall() -> None:
     for law in ("toda", "kdv"):
         apart = [np.abs(met.shift / getattr(met, law) - 1) for met in (strong, weak)]
         assert apart[1][0] < 0.6 * apart[0][0]
-    # the slower one, by the law that is exact for Toda's chain
+    # The shift of the slower wave agrees with the law that is exact for Toda's chain.
     assert weak.shift[1] == pytest.approx(weak.toda[1], rel=0.08)
 
 
 @pytest.mark.slow
-def test_weak_waves_overtake_as_korteweg_and_de_vries_say() -> None:
-    """At c - 1 = 0.1 and 0.025 to 2 %, in 2000 grains."""
+def test_weak_overtaking_waves_shift_as_kdv_theory_predicts() -> None:
+    """The errors at c - 1 = 0.1 and 0.025 are at most 2 %, in 2000 grains."""
     met = collision.find(overtaking(1.1, 1.025, 2100, 33))
     assert met.shift == pytest.approx(met.kdv, rel=0.04)
     assert met.shift[0] == pytest.approx(met.kdv[0], rel=0.02)
 
 
-def test_equal_waves_in_a_vacuum_lose_more_where_a_contact_is_in_the_middle() -> None:
-    """As experiments and runs of Santibanez et al., Phys. Rev. E 84, 026604 (2011), have it."""
+def test_equal_waves_in_a_vacuum_lose_more_if_they_meet_at_a_contact() -> None:
+    """The energy loss agrees with Santibanez et al., Phys. Rev. E 84, 026604 (2011)."""
     wave = soliton.solve(velocity=0.1)
     lost = []
     for grains in (160, 161):
@@ -153,13 +155,13 @@ def test_equal_waves_in_a_vacuum_lose_more_where_a_contact_is_in_the_middle() ->
 
 
 def test_plot_has_the_shifts_and_the_laws() -> None:
-    """Each wave with its shift, and that of Toda's chain."""
+    """The legend has the shift of each wave, and the shift in Toda's chain."""
     labels = collision.find(head_on(1.05, 500)).plot().get_legend_handles_labels()[1]
     assert sum("Toda" in label for label in labels) == 2
 
 
-def test_what_does_not_meet_is_refused() -> None:
-    """One wave alone, waves that part, and a run that ends too early."""
+def test_waves_that_do_not_meet_are_rejected() -> None:
+    """One wave alone, separating waves, and a run that ends too early are rejected."""
     chain = Chain(grains=120, **HOST)
     wave = soliton.solve(speed=1.2)
     parting = wave.on(chain, 40, downward=False) + wave.on(chain, 80)

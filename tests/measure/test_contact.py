@@ -1,6 +1,4 @@
-"""Contact forces, openings, sensors and wave speeds, each against a number that the package did not
-make.
-"""
+"""Contact forces, openings, sensors and wave speeds, compared with independent numbers."""
 
 from __future__ import annotations
 
@@ -42,9 +40,7 @@ def record(
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
-    """Return a strike of 1 on a vacuum chain of 60, until the pulse has come back from a wall of
-    the same material.
-    """
+    """Return a strike of 1 on a vacuum chain of 60, until the pulse returns from an equal wall."""
     scene = Scene(
         chain=vacuum(60, bottom="wall"),
         excitation=Impulse(velocity=1.0),
@@ -64,7 +60,7 @@ def until(t: Trajectory, end: float) -> Trajectory:
 
 @pytest.fixture(scope="module")
 def column() -> Trajectory:
-    """Return a column that is struck so hard that contacts open and close."""
+    """Return a column with a strike that opens and closes contacts."""
     return record(Chain(grains=12, diameter=1e-3), Impulse(velocity=2e-2), 1.2e-4, 601)
 
 
@@ -96,8 +92,8 @@ def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent:
 
 
 def test_two_balls_that_collide() -> None:
-    """They part after 2.9432751843 x_max / v, and the largest force is K x_max^1.5: classical, see
-    Landau 7, 9.
+    """The balls separate after 2.9432751843 x_max / v, with the largest force K x_max^1.5 (Landau
+    7, 9).
     """
     deepest = (2.5 * 0.5 * 0.5) ** 0.4  # v = m = K = 1, reduced mass 1/2
     lasts = 2.9432751843 * deepest
@@ -112,8 +108,8 @@ def test_two_balls_that_collide() -> None:
 
 
 def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
-    """F_wall / F_chain = 1.94390 for a solitary wave and a wall of its material: Job et al., PRL
-    94, 178002 (2005).
+    """F_wall / F_chain = 1.94390 for a solitary wave and an equal wall: Job et al., PRL 94, 178002
+    (2005).
     """
     incoming = contacts(until(pulse, 60.0), [30])
     along = arrival(incoming.time, incoming.force[:, 0])
@@ -122,9 +118,7 @@ def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
 
 
 def test_the_force_of_a_driver() -> None:
-    """Grain 2 of three between springs is a forced oscillator: its textbook motion gives the force
-    on grain 1.
-    """
+    """Grain 2 of three between springs is a forced oscillator with a known motion."""
     chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)
     k = chain.contact_constants[0]
     m = chain.masses[0]
@@ -171,7 +165,7 @@ def sine(offset: float, samples: int) -> ContactHistory:
 
 @pytest.mark.parametrize(("offset", "samples"), [(0.3, 81), (0.3, 161), (0.999, 81), (-0.999, 81)])
 def test_events_of_a_sine(offset: float, samples: int) -> None:
-    """The moments are known: sin(t) = -offset. With 0.999 both lie between two samples."""
+    """The times are known: sin(t) = -offset. With 0.999 both are between two samples."""
     turn = np.arcsin(offset)
     opens = np.pi + turn + 2 * np.pi * np.arange(3)
     closes = 2 * np.pi * np.arange(4) - turn
@@ -187,9 +181,7 @@ def test_events_of_a_sine(offset: float, samples: int) -> None:
 
 
 def test_events_at_the_edge_of_touching() -> None:
-    """What just touches in a sample has closed there; what nearly parts between two samples has
-    not.
-    """
+    """A contact that touches at a sample is closed there; one that nearly opens does not open."""
     rng = np.random.default_rng(1)
     for _ in range(100):
         start = rng.uniform()
@@ -212,9 +204,7 @@ def test_events_at_the_edge_of_touching() -> None:
 
 
 def test_events_of_a_dense_recording(column: Trajectory) -> None:
-    """The same motion recorded 20 times as densely, and a straight line between the samples about
-    each change.
-    """
+    """The events agree with linear interpolation in a recording with 20 times as many samples."""
     sparse, dense = (
         simulate(
             Scene(**column.scene.given() | {"samples": samples}),
@@ -247,12 +237,10 @@ def test_a_gentle_wave_opens_nothing() -> None:
 
 
 def test_grains_that_just_touch_have_not_opened() -> None:
-    """A front in the vacuum starts at nothing and grows beyond all powers; an interpolant through
-    it overshoots.
-    """
+    """The front in a vacuum rises faster than any power, so that an interpolant overshoots."""
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
-    # until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine
+    # Until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine.
     for samples in (
         5,
         9,
@@ -281,9 +269,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
 
 
 def test_arrival_of_a_known_peak() -> None:
-    """A Gaussian, sampled at any phase: the error falls with the sixth power and stays within its
-    estimate.
-    """
+    """The error for a sampled Gaussian falls with the sixth power and stays within its estimate."""
     worst = []
     for step in (0.4, 0.2):
         found = []
@@ -299,7 +285,7 @@ def test_arrival_of_a_known_peak() -> None:
 
 
 def test_an_arrival_that_sampling_hardly_shows() -> None:
-    # the parabola through them
+    # The parabola through the three samples.
     peak = arrival(np.array([0.0, 1.0, 2.0]), np.array([0.0, 3.0, 2.0]))
     assert (peak.time, peak.height, peak.error) == pytest.approx(
         (1.25, 3.125, 1.0), rel=1e-12, abs=0
@@ -307,14 +293,15 @@ def test_an_arrival_that_sampling_hardly_shows() -> None:
     flat = arrival(np.arange(9.0), np.array([0, 0, 0, 1, 1, 1, 1, 0, 0]))
     assert 2 < flat.time < 7
     time = np.arange(12.0)
-    # the second is higher between its samples
+    # The second maximum is higher between its samples.
     two = np.exp(-((time - 4) ** 2)) + 1.2 * np.exp(-((time - 8.5) ** 2))
     assert arrival(time, two).time == pytest.approx(8.5, abs=0.02)
 
 
 @pytest.mark.parametrize("per_wave", [3.0, 4.0, 6.0, 10.0])
 def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float) -> None:
-    """Sums of six sines, known at all times; the shortest has so many samples a period.
+    """The signals are sums of six sines; `per_wave` is the number of samples in the shortest
+    period.
 
     The maximum next to the largest sample is another one in up to a fourth of them.
     """
@@ -333,7 +320,7 @@ def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float)
         values = signal(time)
         fine = np.arange(0, time[-1], 1e-3)
         truth = fine[signal(fine).argmax()]
-        # a signal that is largest at an end is refused
+        # A signal with its maximum at an end is rejected.
         if not 1e-3 < truth < fine[-1] - 1e-3 or not 0 < values.argmax() < values.size - 1:
             continue
         tried += 1
@@ -341,14 +328,14 @@ def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float)
         assert abs(peak.time - truth) <= peak.error + 1e-3, seed
         doubtful += peak.error > 1 / per_wave
     assert tried > 100
-    # where waves are sampled well, maxima are told apart but for the most alike
+    # With good sampling, all but the most similar maxima are distinguished.
     assert per_wave < 6 or doubtful < 0.05 * tried
 
 
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any) -> None:
-    """V = 0.9074700784 v_m^(1/5), the exact lattice soliton (Ahnert and Pikovsky 2009, English and
-    Pego 2005).
+    """V = 0.9074700784 v_m^(1/5) for the exact lattice soliton (Ahnert and Pikovsky 2009, English
+    and Pego 2005).
     """
     before_the_echo = until(pulse, 65.0)
     flight = time_of_flight(before_the_echo, 30, 50, method)
@@ -366,9 +353,7 @@ def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any
 
 
 def test_sound_between_sensors_of_unlike_grains() -> None:
-    """In a long wave sound travels at d sqrt(k/m) between equal grains; distances count diameters
-    and overlaps.
-    """
+    """Long waves travel at d sqrt(k/m); distances are sums of diameters less overlaps."""
     chain = Chain(grains=150, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     unit = chain.time_scale
     bump = np.exp(-(np.linspace(-4, 16, 401) ** 2))

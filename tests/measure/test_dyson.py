@@ -1,6 +1,4 @@
-"""Eq. (22) of a trajectory: its sums, the table, the JSON and the picture, against the formula of
-Eq. (23) itself.
-"""
+"""Eq. (22) of a trajectory: sums, table, JSON and picture, compared with Eq. (23) directly."""
 
 from __future__ import annotations
 
@@ -90,9 +88,7 @@ def test_a_motion_that_no_single_strike_began_is_shown_in_metres_a_second():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.0])
 def test_stiffness_over_that_of_the_first_contact(exponent: float):
-    """(F_n / F_1)^(1 - 1/delta) with the weight above each contact, and below the last the weight
-    of grain N too.
-    """
+    """The ratio is (F_n / F_1)^(1 - 1/delta), with the weight of grain N for the last contact."""
     masses = np.linspace(1e-6, 2e-6, 5)
     chain = Chain(grains=5, diameter=1e-3, masses=masses, exponent=exponent, top_load=1e-5)
     weight = 1e-5 + 9.81 * np.cumsum(masses)
@@ -106,9 +102,7 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
 
 @pytest.mark.parametrize("unit", [1.0, -0.5])
 def test_the_table(unit: float, monkeypatch: pytest.MonkeyPatch):
-    """Two orders: in units of the strike if there was one, the mean of random chains with its error
-    and its grain.
-    """
+    """The table has two orders, in units of the strike if there was one."""
     seen = by_hand(unit)
     others = [ensemble(1.0, unit), ensemble(-1.0, unit, 2e-2)]
     monkeypatch.setattr("lmpchain.util.tables.line_width", lambda: 120)
@@ -205,7 +199,7 @@ def test_the_picture(unit: float):
 
 
 def test_the_picture_ends_four_grains_below_the_wave():
-    """Grain 40 of 90 is the last that moves by more than 1e-3 of the largest: shown down to 44."""
+    """Grain 40 of 90 is the last with more than 1e-3 of the largest motion: shown down to 44."""
     size = 90
     wave = np.zeros(size)
     wave[[3, 39, 59]] = 1.0, -2e-3, 0.9e-3

@@ -1,4 +1,4 @@
-"""The ledger of energy and momentum against exact and classical results."""
+"""The ledger of energy and momentum, compared with exact and classical results."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def record(
 
 
 def of_unknown_error(t: Trajectory) -> Trajectory:
-    """Return the samples alone, as of a foreign dump: no balance shows more than they do."""
+    """Return the samples without an error estimate, as in a foreign dump."""
     return replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
 
 
@@ -79,10 +79,8 @@ UNDRIVEN = {
 
 
 @pytest.mark.parametrize("case", UNDRIVEN.values(), ids=UNDRIVEN)
-def test_energy_and_momentum_come_from_somewhere(case: tuple[Chain, Excitation, float]) -> None:
-    """Without a driver the energy stays; momentum changes by what the ends give, to the error of
-    the quadrature.
-    """
+def test_energy_and_momentum_are_conserved(case: tuple[Chain, Excitation, float]) -> None:
+    """Without a driver, energy is constant; the momentum changes by the impulse of the ends."""
     chain, excitation, duration = case
     t = record(chain, excitation, duration, 401)
     energy = ledger(t)
@@ -123,9 +121,7 @@ def test_a_spring_alone_swaps_its_energy() -> None:
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_lifted_grain_falls_freely(exponent: float) -> None:
-    """Held up by nothing it gains m g t,
-    which the ledger books as what the floor no longer gives.
-    """
+    """An unsupported grain gains m g t, which the ledger adds as the missing support force."""
     chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
     gap = 2 * chain.length_scale
     falls = np.sqrt(2 * gap / 9.81)
@@ -156,9 +152,7 @@ DRIVES = {
 
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
 def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
-    """What it does not close falls with the fourth power of the interval and is what the estimate
-    says over 15.
-    """
+    """The residual falls with the fourth power of the interval, and is 1/15 of the estimate."""
     chain = Chain(grains=20, diameter=1e-3, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
@@ -175,8 +169,7 @@ def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
 
 
 def test_a_driver_of_springs_does_the_work_of_theory() -> None:
-    """The motion of grain 2 in an endless chain of springs is that of grain 1 folded with
-    2 J_2(2 t) / t.
+    """The motion of grain 2 in an endless chain of springs is a convolution with 2 J_2(2 t) / t.
 
     Schroedinger, Annalen der Physik 44, 916 (1914), in units of sqrt(k/m); the integrals by Gauss
     and Legendre. Later the mean power is that of a running wave, k A^2 omega sin(q) / 2 with omega
@@ -208,7 +201,7 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     end = 4 * period
     s = end * (1 + node) / 2
     speed = amplitude * omega * np.cos(omega * s)
-    # grain 1 itself is as fast as at t = 0
+    # Grain 1 has the same speed as at t = 0.
     work = end / 2 * weight @ (k * amplitude * pull(s) * speed)
     at_end = energy.drive[4 * 64]
     assert at_end == pytest.approx(work, abs=energy.drive_error / 10)
@@ -234,7 +227,7 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
     """
     chain = vacuum(20, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)
-    # chaotic after 100, but the theorem holds for any motion
+    # The motion is chaotic after 100, but the theorem holds for any motion.
     t = simulate(scene, engine=engines.Native(step=0.05))
     energy = ledger(t)
     g = (t.displacement * t.velocity).sum(1)
@@ -247,9 +240,7 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 def test_energy_of_a_solitary_wave(exponent: float) -> None:
-    """Its time mean of K/E is (delta+1)/(delta+3) exactly: Slepyan, arXiv:1410.8301. The wave is
-    cut from a strike.
-    """
+    """The time average of K/E is (delta+1)/(delta+3): Slepyan, arXiv:1410.8301."""
     struck = record(vacuum(70, exponent=exponent), Impulse(velocity=1.0), 70.0, 2, 1e-8)
     behind = int(struck.velocity[-1].argmax()) - 8
     u, v = (
@@ -284,7 +275,7 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 def test_every_grain_that_moves_is_needed() -> None:
     strike = Impulse(velocity=1e-4)
     whole = ledger(record(COLUMN, strike, 1e-5, 11))
-    # grain 20 is held
+    # Grain 20 is held.
     turned = ledger(record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1))))
     for key, value in whole.__dict__.items():
         assert turned.__dict__[key] == pytest.approx(value, rel=1e-12, abs=0), key
@@ -301,9 +292,7 @@ def test_two_samples_say_nothing_about_the_error() -> None:
 
 @pytest.mark.parametrize("bottom", ["fixed", "free"])
 def test_grains_that_never_move_change_nothing(bottom: str) -> None:
-    """The balance of a long chain, of which only the first grains are reached, is that of these
-    alone.
-    """
+    """The balance of a long chain equals the balance of the part that the wave reaches."""
     found = []
     for grains in (200, 2000):
         load = {"gravity": 0.0} if bottom == "free" else {}
@@ -312,6 +301,6 @@ def test_grains_that_never_move_change_nothing(bottom: str) -> None:
     short, long = (vars(each) for each in found)
     for name, value in short.items():
         if "error" in name or name == "balanced":
-            # the error of a trajectory is not that of another one to the last digit
+            # Errors of two trajectories differ in their last digits.
             continue
         assert long[name] == pytest.approx(value, rel=1e-12, abs=1e-15 * np.abs(value).max()), name

@@ -1,4 +1,4 @@
-"""The energy of grains, contacts and parts of a chain adds up to what there is."""
+"""The energies of grains, contacts and parts of a chain sum up to the total energy."""
 
 import numpy as np
 import pytest
@@ -36,10 +36,8 @@ def test_shares_add_up(name: str):
 
 
 @pytest.mark.parametrize("kind", ACTED)
-def test_what_flows_into_a_part(kind: str):
-    """The energy of grains 5 to 9 changes by the power of contact 4: its force times the mean of
-    the two velocities.
-    """
+def test_energy_that_flows_into_a_part(kind: str):
+    """The energy of grains 5 to 9 changes by the power of contact 4: force times mean velocity."""
     scene = Scene(chain=LOADED, excitation=ACTED[kind], duration=3e-5, samples=3001)
     t = simulate(scene, "native", 1e-10)
     part = energy.shares(t).part(5, 9)
@@ -51,7 +49,7 @@ def test_what_flows_into_a_part(kind: str):
 
 
 def test_a_closed_form():
-    """A single grain on a spring: half of the energy goes back and forth."""
+    """Half of the energy of a single grain on a spring oscillates."""
     spring = Chain(
         grains=1,
         diameter=1e-3,
@@ -104,8 +102,8 @@ def test_energies_in_a_sweep(tmp_path):
 
 
 @pytest.mark.parametrize("name", WALLED)
-def test_energies_are_no_further_off_than_they_say(name: str):
-    """Against the energy put in, and a run a million times more accurate."""
+def test_energies_are_within_their_errors(name: str):
+    """The errors cover the deviation from the energy input, and from a far more accurate run."""
     chain = WALLED[name]
     scene = Scene(
         chain=chain,

@@ -1,6 +1,4 @@
-"""Every term of the ledger, and every energy of a grain or contact, from the motion by its own
-formula.
-"""
+"""Every term of the ledger, and every energy of a grain or contact, from independent formulas."""
 
 from __future__ import annotations
 
@@ -57,7 +55,7 @@ def run(name: str, samples: int = 401) -> Trajectory:
 
 
 def overlaps(t: Trajectory) -> Array:
-    """Return the overlaps of all contacts, with the walls too, (T, N+1); 0 where there is none."""
+    """Return the overlaps of all contacts, with the walls, (T, N+1); 0 for missing contacts."""
     chain = t.scene.chain
     wall = t.scene.excitation.wall
     top = wall.at(t.time, 0) if wall else np.zeros(t.time.size)
@@ -68,10 +66,8 @@ def overlaps(t: Trajectory) -> Array:
 
 
 @pytest.mark.parametrize("name", GIVEN)
-def test_every_term_and_what_was_given(name: str):
-    """The terms from the motion; they add up to what force, driver and walls have given, to the
-    quadrature's error.
-    """
+def test_every_term_and_the_energy_input(name: str):
+    """The terms follow from the motion, and sum up to the input of force, driver and walls."""
     t = run(name)
     chain = t.scene.chain
     seen = energy.ledger(t)
@@ -123,8 +119,8 @@ HAMMERS = {
 @pytest.mark.parametrize("name", HAMMERS)
 @pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
 def test_a_hammer_is_accounted_for_by_few_samples(name: str, within: float):
-    """So many intervals in a hammer: its corners lie between samples, where no comparison with
-    every second sample shows them. The truth is what the chain has gained.
+    """Corners between few samples do not spoil the work of a hammer, compared with the energy
+    gained.
     """
     top = "wall" if name == "a wall" else "free"
     chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, top=top)
@@ -137,25 +133,21 @@ def test_a_hammer_is_accounted_for_by_few_samples(name: str, within: float):
     )
     seen = energy.ledger(simulate(scene, "native", 1e-9))
     assert np.abs(seen.drift).max() <= seen.drive_error + 1e-8 * seen.total.max()
-    # momenta cancel in a burst
+    # Momenta cancel in a burst.
     rounding = 1e-8 * max(np.abs(seen.momentum).max(), 1e-2 * 1e-5)
     assert np.abs(seen.momentum_drift).max() <= seen.impulse_error + rounding
 
 
 def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
-    """Return the integral up to each sample: the trapezoid with its first correction, that of a
-    cubic.
-    """
+    """Return the running integral by the trapezoidal rule with its first correction."""
     parts = step * (value[1:] + value[:-1]) / 2 + step**2 / 12 * (slope[:-1] - slope[1:])
     return np.append(0.0, np.cumsum(parts))
 
 
 def test_the_errors_are_the_shift_when_every_second_sample_is_used():
-    """A force on grain 3 of a chain on a floor: its work, and the impulses of both, from 41 samples
-    and from 21.
-    """
+    """A force acts on grain 3; its work and the impulses are computed from 41 and 21 samples."""
     t = run("a sine on grain 3", 41)
-    # as of a foreign dump: a known error would let the balance say more than the samples
+    # The sample error is unknown, as in a foreign dump, so that no balance replaces the integral.
     t = replace(t, error_estimate=ErrorEstimate(0.0, np.inf))
     chain = t.scene.chain
     seen = energy.ledger(t)
@@ -177,7 +169,7 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
         coarse = corrected_trapezoid(2 * t.time[1], value[::2], slope[::2])
         errors.append((fine, np.abs(fine[::2] - coarse).max()))
     (work, work_error), (_, push_error), (held, hold_error) = errors
-    # that of every sample is better than a cubic makes of them
+    # The integral over every sample is more accurate than that of a cubic.
     assert seen.drive == pytest.approx(work, abs=0.1 * work_error)
     assert seen.drive_error == pytest.approx(work_error, rel=0.1)
     given = 1e-3 / omega * (1 - np.cos(omega * t.time)) - held
@@ -186,7 +178,7 @@ def test_the_errors_are_the_shift_when_every_second_sample_is_used():
 
 
 def swinging(**more: Any) -> EnergyLedger:
-    """Return the ledger of 2 J that swing between motion and a spring: K = 2 cos(t)^2."""
+    """Return the ledger of 2 J oscillating between motion and a spring: K = 2 cos(t)^2."""
     time = np.linspace(0, 10, 2001)
     zero = np.zeros(time.size)
     total = np.full(time.size, 2.0)
@@ -236,9 +228,7 @@ def test_the_lines_of_the_picture():
 
 @pytest.mark.parametrize("ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall"}])
 def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str]):
-    """E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps): what is stored less the work of what
-    pressed it at rest.
-    """
+    """Each contact has E = K [o^(d+1) - eps^(d+1)] / (d+1) - F (o - eps)."""
     chain = Chain(**UNEVEN, **ends)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=7)
     t = simulate(scene, engines.Native(step=1e-8))
@@ -284,10 +274,8 @@ def test_grains_in_the_order_in_which_they_were_recorded():
         some.part(5, 7)
 
 
-def test_errors_are_what_errors_of_the_motion_make_of_an_energy():
-    """Speeds off by dv: m [(v + dv)^2 - v^2] / 2; two displacements off by du: the contact's energy
-    at 2 du more.
-    """
+def test_errors_of_the_motion_propagate_to_the_energies():
+    """Errors dv of speeds and du of displacements change the energies by exact formulas."""
     chain = Chain(**UNEVEN, bottom="wall")
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=3e-3, grain=4), duration=2e-5, samples=41

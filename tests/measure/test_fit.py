@@ -1,6 +1,4 @@
-"""Fits of the theory to trajectories and of scenes to traces, against exact solutions, and what the
-command prints.
-"""
+"""Fits of theory to trajectories and of scenes to traces, compared with exact solutions."""
 
 from __future__ import annotations
 
@@ -57,7 +55,7 @@ def answered(
     engine: str = "chebyshev",
     **rest: Any,
 ):
-    """Return a run that lasts so many units of tau, whatever its model error."""
+    """Return a run of a given length in units of tau, whatever its model error."""
     scene = Scene(
         chain=chain,
         excitation=excitation,
@@ -72,9 +70,7 @@ def answered(
 
 @pytest.fixture(scope="module")
 def column() -> Trajectory:
-    """Return a weak strike on 300 grains, until the front has come to the bottom and half the way
-    back.
-    """
+    """Return a weak strike on 300 grains, until the front returns halfway from the bottom."""
     return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
 
 
@@ -94,8 +90,8 @@ def keys(error: Any) -> list[str]:
 
 
 def test_shares_of_the_modes_and_their_energy(column: Trajectory):
-    """Against the energy of the scene, and a dense eigenvalue solver: shares of an impulse are m_1
-    X_1p^2.
+    """Shares of an impulse are m_1 X_1p^2 by a dense eigenvalue solver; they sum to the scene's
+    energy.
     """
     fit = fit_modes(column)
     assert fit.share.sum() == pytest.approx(1, abs=1e-12)
@@ -126,7 +122,9 @@ def test_one_mode_alone_holds_all():
 
 
 def test_a_strong_strike_leaves_the_linear_motion():
-    """At v0 = 0.857 mm/s, by as much as a run of the linear chain by Chebyshev polynomials says."""
+    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain by Chebyshev
+    polynomials.
+    """
     strong = simulate(paper("fig5 g"), "native")
     linear = answered(
         strong.scene.chain, strong.scene.excitation, 100e-6 / strong.scene.chain.time_scale, 26
@@ -169,7 +167,7 @@ def test_an_infinite_chain_between_walls():
 
 
 def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
-    """Made up from Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
+    """The data follow Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
     n = uniform.grains
     tau = uniform.time[:, None] / UNIFORM.time_scale
     z = 2 * 1.03 * (tau - 0.2)
@@ -183,9 +181,7 @@ def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
 
 
 def test_the_local_speed_in_a_column():
-    """kappa_n = n^(1/3): near grain 150 the chain is uniform for some time, and within what theory
-    leaves out.
-    """
+    """The fit near grain 150 gives kappa_n = n^(1/3), within the neglected terms."""
     fit = fit_bessel(
         answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401)
     )
@@ -215,7 +211,7 @@ def test_amplitude_of_the_impulse_response(column: Trajectory):
 
 
 def test_amplitude_at_the_surface():
-    """The top grain alone: v0 C tau^(-1/5), to 5e-5 from tau = 50 on."""
+    """The top grain alone has v0 C tau^(-1/5), to 5e-5 from tau = 50 on."""
     top = answered(
         Chain(grains=200, diameter=1e-3), Impulse(velocity=-2e-9), 150.0, 301, grains=[1]
     )
@@ -227,9 +223,7 @@ def test_amplitude_at_the_surface():
 
 
 def test_law_of_the_front(column: Trajectory):
-    """(6/5) h^(5/6), once the lag of 0.908 h^(1/6) / 4^(1/3) is taken off, which alone would make
-    it 0.825.
-    """
+    """Without the lag 0.908 h^(1/6) / 4^(1/3), the exponent of (6/5) h^(5/6) would be 0.825."""
     law = fit_continuum(column).front
     assert law is not None
     assert law.exponent == pytest.approx(5 / 6, abs=1e-3)
@@ -243,7 +237,7 @@ def test_law_of_the_front(column: Trajectory):
 
 
 def test_the_front_is_found_whatever_is_known_of_the_error(column: Trajectory):
-    """A dump says nothing of its error: the estimate is infinite."""
+    """The error of a dump is unknown, and its estimate infinite."""
     law, same = (
         fit_continuum(
             replace(column, error_estimate=replace(column.error_estimate, solver=error))
@@ -350,7 +344,7 @@ def test_noise_in_a_trace_shows_in_the_error(parameter: Any):
 
 
 def test_times_of_an_oscilloscope():
-    """Not from 0 on and not evenly spaced: the engine's samples are interpolated."""
+    """Unevenly spaced times that begin after 0 are interpolated between the engine's samples."""
     scene = struck("velocity", 8e-4)
     dense = simulate(Scene(**scene.given() | {"samples": 2001}), "lammps", 1e-8)
     chosen = np.unique(np.random.default_rng(1).integers(200, 2001, 80))
@@ -434,7 +428,7 @@ def mixed() -> Scene:
 
 
 def late() -> Trace:
-    """Return what grain 15 shows before any wave can have come, were there no other wave."""
+    """Return the motion of grain 15 before the arrival of any wave."""
     return Trace(np.linspace(0, 1e-8, 5), 15, np.ones(5))
 
 
@@ -509,7 +503,7 @@ def test_summary_names_what_applies_and_what_does_not(column: Trajectory, unifor
 
 
 def test_local_exponents_stand_beside_those_of_great_depth(column: Trajectory, fit: ExponentFit):
-    """After a weak strike the local exponents are those of the front, on their way to the laws."""
+    """After a weak strike, the local exponents tend to the exponents of the front."""
     front = track(column).between(20, 10**6)
     local = fit.local["velocity"]
     last = fit.grain[-1]
@@ -570,7 +564,7 @@ samples = 21
 
 @pytest.fixture(scope="module")
 def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """Return a dump that LAMMPS wrote for a scene file."""
+    """Return a dump of a scene file that LAMMPS wrote."""
     from helpers.standalone_lammps import lmp
 
     folder = tmp_path_factory.mktemp("dumped")
@@ -783,9 +777,7 @@ def test_fit_faults_have_exit_code_2(
 
 
 def test_bessel_needs_a_wave_and_not_only_its_start():
-    """Behind a wall the first grain is its own image at once: what the strike gave is no
-    measurement.
-    """
+    """Behind a wall, the first grain has an image at once, so that its motion is no measurement."""
     chain = Chain(
         grains=40,
         material="steel",

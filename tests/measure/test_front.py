@@ -1,6 +1,4 @@
-"""The front of a wave: found between samples, against exact solutions, published laws and their
-exponents.
-"""
+"""Wave fronts between samples, compared with exact solutions, published laws and exponents."""
 
 from __future__ import annotations
 
@@ -61,9 +59,7 @@ def displacement(weak: Trajectory) -> Front:
 def made_up(
     motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
 ) -> Trajectory:
-    """Return a trajectory with a velocity motion(t, n) for t from 0 to 20 us, that no equation is
-    known to give.
-    """
+    """Return a trajectory with the velocity motion(t, n) for 0 to 20 us, without an equation."""
     scene = Scene(
         chain=Chain(grains=grains + 1, diameter=1e-3),
         excitation=Impulse(velocity=1e-6),
@@ -125,7 +121,7 @@ def test_the_front_is_the_first_maximum_that_is_high_enough():
 
 
 def test_grains_that_the_front_has_not_passed_are_left_out():
-    # at t = 0, 10, 20, 30 ...
+    # The arrival times are 0, 10, 20 and so on.
     t = made_up(lambda t, n: gauss(t, 10 * (n - 1)) + 1e-9 * np.sin(5 * t) * (n == 5))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-8))
     assert track(t).grain.tolist() == [2], "noise below the error of the trajectory is no front"
@@ -159,9 +155,7 @@ def test_recorded_grains_may_come_in_any_order():
 
 
 def test_against_the_exact_motion_of_a_weak_strike():
-    """Sum over all modes, from a dense eigenvalue solver: the maxima by root finding, without any
-    sampling.
-    """
+    """The maxima of the exact sum over all modes are found as roots, without sampling."""
     t = column(1e-7, 60, 80)
     chain = t.scene.chain
     strike = t.scene.excitation.velocity
@@ -227,7 +221,7 @@ def test_peak_velocity(velocity: Front, weak: Trajectory, grain: int, ratio: flo
 
 
 def test_local_speed(velocity: Front, weak: Trajectory):
-    """Speed over n^(1/6): 0.9944 at 100; the maximum lags 0.908 h^(1/6) / 4^(1/3) behind (6/5)
+    """The ratio of speed to n^(1/6) is 0.9944 at 100, because the maximum lags behind (6/5)
     h^(5/6).
     """
     unit = weak.scene.chain.time_scale
@@ -244,7 +238,7 @@ def test_local_speed(velocity: Front, weak: Trajectory):
 @pytest.mark.parametrize("window", [5, 11, 21])
 @pytest.mark.parametrize(("grain", "slope"), [(100, -0.2381), (200, -0.2441), (489, -0.2502)])
 def test_local_exponents(velocity: Front, window: int, grain: int, slope: float):
-    """d ln v / d ln n of the linear column: by h = n - 1/2 it is a little less steep."""
+    """The exponent d ln v / d ln n of the linear column is smaller in terms of h = n - 1/2."""
     found = exponent(velocity, window=window)
     assert np.interp(grain - 0.5, found.depth, found.exponent) * grain / (
         grain - 0.5
@@ -261,7 +255,7 @@ def test_local_exponents(velocity: Front, window: int, grain: int, slope: float)
 
 @pytest.mark.parametrize(("strike", "slope"), [(10, -0.2374), (100, -0.1700), (1000, -0.0512)])
 def test_local_exponents_of_stronger_waves(strike: float, slope: float):
-    """From the weak wave to a soliton which feels no gravity; at n = 100."""
+    """The exponents at n = 100 go from a weak wave to a soliton without gravity."""
     front = track(column(strike, 112, 130, per_unit=15, recorded="88:112"))
     found = exponent(front, window=None)
     assert found.exponent[0] == pytest.approx(slope, abs=2e-3)
@@ -362,7 +356,7 @@ def test_scatter_widens_the_intervals():
     assert 1e-3 < law.error[0] < 0.2
     assert abs(law.exponent + 0.3) < law.error[0]
     assert local.residual == pytest.approx(1e-3, rel=0.1)
-    # standard error noise / (sigma_x sqrt(N)), times 1.97 for 95 %
+    # The standard error is noise / (sigma_x sqrt(N)), times 1.97 for 95 %.
     assert local.error == pytest.approx(
         1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1
     )
@@ -401,7 +395,7 @@ def test_speed_of_the_front_between_two_grains():
 
 @pytest.mark.filterwarnings("error")
 def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
-    """As where the motion is round-off: said by the value, not by a warning that names nothing."""
+    """Simultaneous maxima are rounding errors: the speed is infinite, without a warning."""
     one = np.ones(4)
     at_once = Front(
         "velocity", np.arange(1, 5), np.arange(4.0), np.array([1.0, 1.0, 1.0, 2.0]), *(one,) * 5
@@ -411,7 +405,7 @@ def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
 
 
 def test_grains_without_motion_are_passed_over():
-    """A long chain at rest behind the wave changes nothing of the front."""
+    """A long chain at rest behind the wave does not change the front."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
     longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
     short, long = (
@@ -429,9 +423,7 @@ def test_grains_without_motion_are_passed_over():
 
 
 def test_a_front_that_samples_do_not_resolve_says_how_many_do():
-    """Times that may be off by most of the run came without a word, and the page of the run then
-    said that there is no front.
-    """
+    """The message gives the number of grains whose arrival times are too uncertain."""
     scene = Scene(
         chain=Chain(grains=2000, diameter=1e-3),
         excitation=Impulse(velocity=1e-5),

@@ -1,6 +1,4 @@
-"""Fits of laws and parameters, number by number,
-against a least-squares fit written another way.
-"""
+"""Fits of laws and parameters, compared with an independent least-squares fit."""
 
 from __future__ import annotations
 
@@ -59,7 +57,7 @@ def noisy_front(seed: int = 5, noise: float = 1e-3) -> Front:
 @pytest.mark.parametrize("power", [None, -0.28])
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0])
 def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
-    """Half the 95 % interval, and the shift when a term of twice the order is fitted too."""
+    """The error is half the 95 % interval plus the shift with a term of twice the order."""
     front = noisy_front()
     order = 1 / delta - 1 / 3
     law = asymptotic(front, "amplitude", delta, power)
@@ -154,9 +152,7 @@ def chi(h: Any, delta: float = 1.5) -> Any:
 
 @pytest.mark.parametrize("inside", [0.5, 0.3])
 def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
-    """Made up with C = 1.3 and scatter: which samples are fitted, the regression, its interval and
-    its residual.
-    """
+    """Synthetic data with C = 1.3 and scatter test the selection of samples and the regression."""
     unit = struck.scene.chain.time_scale
     chain = struck.scene.chain
     tau = struck.time[:, None] / unit
@@ -276,9 +272,7 @@ def guessed(velocity: float) -> Scene:
 
 
 def waving(asked: list[Scene]) -> Any:
-    """Return a solver whose velocities are those of the strike times sin(2e5 t + n); scenes that it
-    is asked for.
-    """
+    """Return a solver with the velocities v sin(2e5 t + n), which notes its scenes."""
 
     def solve(scene: Scene) -> Any:
         asked.append(scene)
@@ -293,9 +287,7 @@ def waving(asked: list[Scene]) -> Any:
 
 @pytest.mark.parametrize("even", [True, False])
 def test_a_parameter_on_which_all_depends_linearly(even: bool):
-    """The value is sum(x y) / sum(x^2),
-    off by sqrt(s^2 / sum(x^2)) with s^2 from n - 1 residuals.
-    """
+    """The value is sum(x y) / sum(x^2), with the error sqrt(s^2 / sum(x^2))."""
     time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
     shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
     values = 2e-3 * (shape + 0.1 * np.random.default_rng(1).normal(size=shape.shape))
@@ -319,9 +311,7 @@ def test_a_parameter_on_which_all_depends_linearly(even: bool):
 
 
 def test_how_far_a_fit_looks_for_its_parameter():
-    """Up to 2 span from the best of nine values, no farther; a span of 1 begins with the value of
-    the scene.
-    """
+    """The search reaches 2 span from the best of nine values; a span of 1 has one start value."""
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)
     asked: list[Scene] = []
@@ -346,10 +336,8 @@ def test_how_far_a_fit_looks_for_its_parameter():
             fit_parameter(Trace(time, grain, shape), guessed(1e-3), "velocity", waving([]))
 
 
-def test_trials_that_cannot_be_answered():
-    """Values at which there is no such scene are passed over; if there is none at all, that is
-    said.
-    """
+def test_trial_values_without_a_valid_scene():
+    """Values without a valid scene are skipped; an error is raised if all values are invalid."""
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)
 
@@ -373,7 +361,7 @@ def test_trials_that_cannot_be_answered():
 
 
 def test_the_table_of_a_summary():
-    """Values to the digits that their errors leave; the name of a fit once."""
+    """Values are rounded to the digits that their errors leave; each fit is named once."""
     rows = (
         FittedNumber("one", "a", 1.23456789, 0.00234, 1.25, "m/s"),
         FittedNumber("one", "b", -123456.789, np.nan, np.nan),
@@ -435,7 +423,7 @@ def test_the_rows_of_a_summary():
 
 @pytest.mark.parametrize("strike", [100.0, 1000.0])
 def test_local_exponents_after_a_strong_strike(strike: float):
-    """Those of the column in its own units, integrated by SciPy: (3/2) u'' = F_(n-1) - F_n + 1."""
+    """The exponents agree with SciPy's solution of (3/2) u'' = F_(n-1) - F_n + 1."""
     grains = 60
     rest = np.arange(1, grains) ** (2 / 3)
 
@@ -456,7 +444,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     assert fit.local["velocity"].exponent[-1] == pytest.approx(power, abs=2e-4)
     assert -4 / 15 < power < 0
     assert fit.approach("velocity") == "towards the law of weak waves"
-    # what a contact at rest holds is (n^(2/3)) sqrt(n^(1/3)) in these units
+    # The reference velocity of a contact at rest is (n^(2/3)) sqrt(n^(1/3)) in these units.
     holds = 47 ** (2 / 3 + 1 / 6)
     assert fit.strength[-1] == pytest.approx(peaks[46] / holds, rel=1e-4)
 

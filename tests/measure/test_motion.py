@@ -1,6 +1,4 @@
-"""The motion between samples: peaks against exact and densely sampled motion, and what is claimed
-of their errors.
-"""
+"""Motion between samples: peaks and their errors against exact and densely sampled motion."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ CALIBRATION = Path(__file__).parents[2] / "analysis" / "calibration"
 
 
 def column(samples: int, velocity: float = 8.57e-4) -> Scene:
-    """Return the scene of the paper, recorded so often."""
+    """Return the scene of the paper with a given number of samples."""
     chain = Chain(grains=120, diameter=1e-3)
     return Scene(
         chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples
@@ -105,7 +103,7 @@ def test_order_of_the_interpolation(dense, equation):
 
 
 def test_what_hides_between_two_samples_is_bounded():
-    """A pulse of the sonic vacuum passes unseen: the bound is what energy allows."""
+    """A pulse of the sonic vacuum passes between samples: the error is the bound by energy."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=3)
     sparse = peaks(simulate(scene, "native", 1e-8))
@@ -116,9 +114,7 @@ def test_what_hides_between_two_samples_is_bounded():
 
 @pytest.mark.parametrize("samples", [41, 5])
 def test_grains_that_never_move_change_nothing(samples):
-    """Peaks and fronts of the first grains are the same where ten times as many are at rest below
-    them.
-    """
+    """Peaks and fronts of the first grains do not depend on the number of grains at rest below."""
     found = []
     for grains in (200, 2000):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=0.1)
@@ -139,7 +135,7 @@ def test_grains_that_never_move_change_nothing(samples):
 
 
 def test_recorded_grains_alone():
-    """Without their neighbours accelerations come from the samples."""
+    """Without recorded neighbours, accelerations follow from the samples."""
     whole = simulate(column(401), "native", 1e-9)
     few = simulate(Scene(**column(401).given() | {"grains": [3, 9]}), "native", 1e-9)
     one = peaks(whole)
@@ -170,7 +166,7 @@ def test_unknown_errors_leave_those_of_sampling():
 
 
 def worst(count: int, seed: int, equation: int, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
-    """Return the largest true error over the claimed one of every one of these random scenes."""
+    """Return the largest ratio of true to claimed error in each of these random scenes."""
     monkeypatch.syspath_prepend(str(CALIBRATION))
     from between_samples import ratios, trials
 
@@ -192,7 +188,7 @@ def test_random_scenes_soak(equation, monkeypatch):
 
 
 def test_a_driven_grain_whose_samples_are_few():
-    """Its acceleration is that of the drive; those of all below it follow from their contacts."""
+    """The drive gives the acceleration of the grain; contacts give all other accelerations."""
     drive = Drive(amplitude=1e-9, frequency=20e3)
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11
@@ -205,7 +201,7 @@ def test_a_driven_grain_whose_samples_are_few():
 
 
 def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
-    """Its top is sampled before it is reached, where the interval before is known far better."""
+    """The top is sampled before the maximum, and the interval before has a much smaller error."""
     sizes = (8.8256e-3, 7.3948e-3, 12.8546e-3, 11.8211e-3, 9.6739e-3)
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=5, material="ptfe", diameter=sizes, gravity=12.0993, **walls)
@@ -219,7 +215,7 @@ def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
 
 
 def test_largest_values_and_fronts_of_a_field_take_in_its_samples_once():
-    """Of any order of calls; another fraction of the largest value asks for other maxima."""
+    """Every order of calls accumulates once; another fraction needs other maxima."""
     column = Chain(grains=20, diameter=1e-3)
     strike = Impulse(velocity=1e-3)
     scene = Scene(chain=column, excitation=strike, duration=3e-5, samples=61)

@@ -1,6 +1,4 @@
-"""Bounds on the motion between samples: closed forms of one spring, and the energy within reach
-grain by grain.
-"""
+"""Bounds on the motion between samples: closed forms of one spring, and local energies."""
 
 from __future__ import annotations
 
@@ -21,7 +19,7 @@ SPEED = 1e-6
 def swing(
     samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all"
 ) -> Motion:
-    """Return grain 1 on its spring, v cos(omega t), sampled so often within this angle."""
+    """Return grain 1 on its spring, v cos(omega t), with the sampling phase `angle`."""
     scene = Scene(
         chain=SPRING,
         excitation=Impulse(velocity=SPEED),
@@ -44,10 +42,8 @@ def swing(
     )
 
 
-def test_what_an_error_is_relative_to():
-    """No motion below omega exceeds its samples by more than 1 / cos(omega h / 2); else energy
-    limits it exactly.
-    """
+def test_reference_values_of_relative_errors():
+    """The motion exceeds its samples by at most 1 / cos(omega h / 2); else energy limits it."""
     angle = 2.5  # the frequency is known to be at most 2^(1/2) omega
     fine = swing(6, angle)
     more = 1 / math.cos(math.sqrt(2) * angle / 5 / 2)
@@ -66,9 +62,7 @@ def test_what_an_error_is_relative_to():
 
 
 def test_what_a_chain_that_may_open_can_reach():
-    """The fastest is a grain with all of the energy; the farthest goes at that speed for half an
-    interval more.
-    """
+    """The bounds are a grain with all of the energy, and its path in half an interval more."""
     masses = np.linspace(2e-6, 1e-6, 12)
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-4, samples=3)
@@ -84,8 +78,8 @@ def test_what_a_chain_that_may_open_can_reach():
 
 
 def test_what_a_pressed_chain_can_reach():
-    """Where no contact opens, the contacts hold the energy: (sum of r)^2 <= (delta + 1) E sum of 1
-    / k.
+    """If no contact opens, the contacts have the energy: (sum of r)^2 <= (delta + 1) E sum of 1 /
+    k.
     """
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)
@@ -96,10 +90,8 @@ def test_what_a_pressed_chain_can_reach():
     assert between.known_error("displacement") == pytest.approx(1e-3 * farthest, rel=1e-12)
 
 
-def test_what_hides_between_samples_of_one_spring():
-    """v^2 + 2 (omega u)^2: the energy of the sample before,
-    the contact counted with either grain.
-    """
+def test_bounds_between_samples_of_one_spring():
+    """The bound is v^2 + 2 (omega u)^2: the contact's energy counts for either grain."""
     fine = swing(6, 5.0)
     assert fine.ceiling.shape == (1, 0)
     coarse = swing(4, 7.5)
@@ -126,9 +118,7 @@ def test_what_hides_between_samples_of_one_spring():
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("recorded", ["all", "1:10"])
 def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
-    """Grain by grain: all that the wave can bring within an interval, and the frequency of contacts
-    so pressed.
-    """
+    """For each grain, the bound includes all energy that the wave can carry within an interval."""
     chain = Chain(grains=14, diameter=np.linspace(1e-3, 1.5e-3, 14), top_load=1e-3)
     scene = Scene(
         chain=chain,
@@ -187,9 +177,7 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
 
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
-    """F at rest and k v / omega; below a held grain its weight too. Off by k times what the overlap
-    may be off by.
-    """
+    """The force is F at rest plus k v / omega, plus the weight of a held grain."""
     if bottom == "fixed":
         chain = SPRING
         stiffness = SPRING.linear_stiffness[0]
@@ -215,7 +203,7 @@ def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
 
 
 def test_the_bottom_of_samples_too_far_apart():
-    """(u_i + u_(i+1) + h times the limit of the speed) / 2 may be reached between two samples."""
+    """The overlap (u_i + u_(i+1) + h times the speed limit) / 2 may occur between two samples."""
     coarse = swing(4, 7.5, error=0.0)
     phase = np.linspace(0, 7.5, 4)
     u = SPEED / OMEGA * np.sin(phase)
@@ -247,9 +235,7 @@ def test_no_force_where_nothing_stands_or_nothing_was_recorded():
 
 @pytest.mark.parametrize("equation", [0, 1])
 def test_the_closest_approach_of_two_grains_is_no_further_off_than_it_says(equation: int):
-    """Of every contact of a chain that opens, from few samples against many; each grain's
-    acceleration counts.
-    """
+    """The error covers the deviation from many samples for every contact of a chain that opens."""
     chain = Chain(grains=6, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1441)
     t = simulate(scene, engines.Native(step=1e-8))

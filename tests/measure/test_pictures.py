@@ -1,4 +1,4 @@
-"""What the pictures of measured quantities show: their lines, maps, labels, scales and units."""
+"""Pictures of measured quantities: lines, maps, labels, scales and units."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def colours(image: Any, shape: tuple[int, int]) -> np.ndarray:
 
 
 def history(contact: list[int]) -> ContactHistory:
-    """Return made-up forces of contacts at five times, 1 us apart."""
+    """Return synthetic forces of contacts at five times, 1 us apart."""
     force = np.abs(RNG.normal(size=(5, len(contact)))) + 1
     none = np.zeros(force.shape)
     return ContactHistory(np.arange(5) * 1e-6, np.array(contact), none, none, force, force - 1.5)
@@ -107,7 +107,7 @@ def test_the_signal_of_a_sensor():
 
 
 def test_a_spectrum_over_frequency_and_depth():
-    """Its map, logarithmic over three decades, with the edges of two bands around each grain."""
+    """The logarithmic map has three decades, with the edges of two bands around each grain."""
     bands = np.array([[[0, 10], [20, 30.0]], [[0, 11], [22, 33.0]], [[0, 12], [24, 36.0]]])
     amplitude = 10.0 ** RNG.uniform(-5, 0, (21, 3))
     shown = Spectrum("velocity", np.arange(21) * 5.0, np.array([2, 3, 5]), bands, amplitude)
@@ -325,7 +325,7 @@ def test_the_exponents_less_those_of_a_weak_wave():
     assert labels(axes) == ["law of weak waves", "velocity"]
     assert axes.get_xlabel() == "depth h = n − 1/2 (grains); points: at great depth"
     assert axes.get_ylabel() == "local exponent d log / d log h\nless that of a weak wave"
-    # a wave that is still strong has no law of great depth
+    # A strong wave has no law of great depth.
     strong = ExponentFit(laws, theory, local, np.array([14, 46]), np.array([9.0, 5.0]))
     axes = strong.plot()
     assert not [line for line in axes.lines if line.get_marker() == "o"]
@@ -381,9 +381,7 @@ def test_the_energies_of_modes():
 
 
 def test_a_wave_of_bessel_functions():
-    """Four of the grains that move by more than 5 % of the largest value, from the first to the
-    last.
-    """
+    """The picture shows four of the grains with more than 5 % of the largest value."""
     grain = np.repeat(np.arange(1, 12), 3)
     time = np.tile(np.arange(3) * 1e-6, 11)
     size = np.where(np.arange(1, 12) <= 10, np.linspace(1, 0.06, 11), 0.04)
@@ -464,7 +462,7 @@ def test_a_solitary_wave(loaded: bool):
     ("field", "label"), [("velocity", "velocity, downward"), ("force", "force above rest")]
 )
 def test_a_fitted_parameter(field: Any, label: str):
-    """Four traces, from the first to the last, and the fit to each."""
+    """The picture shows four traces, from the first to the last, and the fit to each."""
     time = np.arange(4) * 1e-6
     values = RNG.normal(size=(4, 7))
     trace = Trace(time, [1, 2, 3, 4, 5, 6, 8], values, field)

@@ -1,4 +1,4 @@
-"""Power through contacts is what scattering lets pass, and what is put in and taken out."""
+"""Power through contacts, compared with scattering theory, energy input and output."""
 
 from functools import cache
 
@@ -23,7 +23,7 @@ FREQUENCY = 0.15 / CHAIN.time_scale
 
 @cache
 def run(amplitude: float) -> Trajectory:
-    """Push a grain of the upper lead between sponges for 150 periods."""
+    """Simulate a force on a grain between absorbing boundaries for 150 periods."""
     chain = patterns.absorbing(CHAIN, bottom=60, top=60)
     push = Force(grain=80, amplitude=amplitude, frequency=FREQUENCY)
     scene = Scene(chain=chain, excitation=push, duration=150 / FREQUENCY, samples=3001)
@@ -31,29 +31,29 @@ def run(amplitude: float) -> Trajectory:
 
 
 def test_weak_waves_pass_as_the_theory_of_scattering_says() -> None:
-    """Power behind an impurity, over what a force sends down an endless chain, to 3e-4."""
+    """The power behind an impurity, relative to an endless chain, agrees with theory to 3e-4."""
     omega = 2 * np.pi * FREQUENCY
     stiffness = float(CHAIN.linear_stiffness[0])
     q = 2 * np.arcsin(omega / 2 * np.sqrt(float(CHAIN.masses[0]) / stiffness))
-    # half of omega k sin(q) |u|^2 of the wave u = F / (2 k sin q)
+    # The incoming power is half of omega k sin(q) |u|^2 of the wave u = F / (2 k sin q).
     incoming = 1e-4**2 * omega / (8 * stiffness * np.sin(q))
     passed = power.through(run(1e-4), 100)
     theory = float(scattering.transmission(CHAIN, omega).transmitted)
     assert passed.mean / incoming == pytest.approx(theory, rel=3e-4)
-    # the chain as it is, sponges and all
+    # Linear theory of the same chain, with its absorbing boundaries.
     assert passed.mean == pytest.approx(passed.linear, abs=passed.error)
     assert passed.error < 1e-5 * passed.mean
     assert passed.share == pytest.approx(passed.linear_share, abs=passed.share_error)
 
 
 def test_power_into_a_piece_is_what_comes_out_of_it() -> None:
-    """In an undamped piece every contact passes the same power, on average."""
+    """In an undamped part, the mean power is the same in every contact."""
     means = [power.through(run(1e-2), contact).mean for contact in (82, 89, 95, 110)]
     assert means == pytest.approx([means[0]] * 4, rel=1e-5)
 
 
 def test_input_is_the_work_in_the_ledger() -> None:
-    """The mean power of a force and of both kinds of drives is what the ledger has."""
+    """The mean power of a force and of both kinds of drives agrees with the ledger."""
     chain = patterns.absorbing(CHAIN.replace(top="wall", impurity=[]), bottom=60)
     for drive in (
         Force(grain=3, amplitude=1e-4, frequency=FREQUENCY),
@@ -68,20 +68,20 @@ def test_input_is_the_work_in_the_ledger() -> None:
         assert passed.periods == 40
         assert passed.input == pytest.approx(mean, rel=1e-4)
         assert passed.linear_input == pytest.approx(mean, rel=1e-3)
-        # all of it goes down
+        # All power goes down.
         assert passed.linear_share == pytest.approx(1, abs=1e-9)
         assert passed.share == pytest.approx(1, abs=1e-3)
 
 
 def test_share_falls_with_amplitude_by_more_than_the_errors() -> None:
-    """Harmonics and a slower wave take from what a strong force puts in."""
+    """Harmonics and a slower wave reduce the share of a strong force."""
     weak = power.through(run(1e-4), 100)
     strong = power.through(run(0.3), 100)
     assert weak.share - strong.share > 3 * (weak.share_error + strong.share_error)
 
 
 def test_steady_answer_is_that_of_a_dense_matrix() -> None:
-    """Displacements solve the complex equations, which numpy solves otherwise."""
+    """The steady state solves the complex linear equations, which numpy solves independently."""
     chain = CHAIN.replace(damping={"viscoelastic": 1e-8, "drag": 100.0})
     push = Force(grain=7, amplitude=1.0, frequency=FREQUENCY)
     omega = 2 * np.pi * FREQUENCY
@@ -93,13 +93,13 @@ def test_steady_answer_is_that_of_a_dense_matrix() -> None:
 
 
 def test_plot_says_what_passes() -> None:
-    """Mean, linear theory and share."""
+    """The picture has the mean, linear theory and the share."""
     ax = power.through(run(1e-4), 100).plot()
     assert any("linear" in label for label in ax.get_legend_handles_labels()[1])
 
 
 def test_what_is_not_steady_is_refused() -> None:
-    """Each mistake in a line with its key."""
+    """Each mistake raises an error of one line with its key."""
     t = run(1e-4)
     for arguments, key in (((500,), "contact"), ((100, 1), "periods"), ((100, 400), "periods")):
         with pytest.raises(InputError, match=f"^{key}"):
@@ -113,7 +113,7 @@ def test_what_is_not_steady_is_refused() -> None:
 
 
 def test_viscous_contacts_take_their_part_of_the_power() -> None:
-    """Also that of the driven grain with the wall above it, which a lossless one gives back."""
+    """The share of a driven grain with a wall above includes the power that the wall returns."""
     level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
     chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)
     drive = Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY)

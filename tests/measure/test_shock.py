@@ -1,4 +1,4 @@
-"""Shocks that are measured are those of theory; mass and momentum are conserved in the mean."""
+"""Measured shocks, compared with theory and with the conservation of mass and momentum."""
 
 from functools import cache
 from types import SimpleNamespace
@@ -38,7 +38,9 @@ REST = State(0.0, OVERLAP)
 
 @cache
 def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajectory:
-    """Run a piston, its velocity in that of sound times the overlap, until the shock is near N."""
+    """Simulate a piston, its velocity in units of sound speed times overlap, until the shock is
+    near N.
+    """
     damping = Damping(viscoelastic=viscosity / SOUND) if viscosity else None
     chain = CHAIN.replace(grains=grains, damping=damping)
     speed = velocity * OVERLAP * SOUND
@@ -49,21 +51,21 @@ def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajec
 
 
 def test_momentum_is_the_impulse_of_the_piston() -> None:
-    """Momentum grows as wall and held forces say, energy as their work, to 1e-6."""
+    """Momentum grows by the impulse of walls and held grains, energy by their work, to 1e-6."""
     ledger = energy.ledger(piston(1.0))
     assert np.abs(ledger.momentum_drift).max() < 1e-6 * ledger.momentum.max()
     assert np.abs(ledger.drift).max() < 1e-6 * ledger.total.max()
 
 
 def test_rankine_and_hugoniot_hold_in_the_mean() -> None:
-    """A step between the states of a steady shock moves at its speed, by mass and by momentum."""
+    """A step between the states of a steady shock moves at the Rankine-Hugoniot speed."""
     behind, speed = GAS.rankine_hugoniot(REST, 0.4 * OVERLAP * SOUND)
     strain = (behind.overlap - OVERLAP) / 9.5e-3
     step = Riemann(velocity=(behind.velocity, 0), strain=(strain, 0), grain=150)
     chain = CHAIN.replace(top="free")
     scene = Scene(chain=chain, excitation=step, duration=50 / SOUND, samples=101)
     run = simulate(scene, engine="native", tolerance=1e-9)
-    # contacts that no wave from the top has reached
+    # These contacts are beyond the wave from the top.
     closer = (run.displacement[:, 79:-1] - run.displacement[:, 80:]) / (behind.overlap - OVERLAP)
     moving = run.velocity[:, 79:] / behind.velocity
     for share in (closer, moving):
@@ -73,7 +75,7 @@ def test_rankine_and_hugoniot_hold_in_the_mean() -> None:
 
 @pytest.mark.parametrize("velocity", [0.5, 1.0])
 def test_edges_of_a_dispersive_shock(velocity: float) -> None:
-    """Plateau and both edges are those of Whitham's theory as far as the run is old enough."""
+    """Plateau and edges agree with Whitham's theory within the age of the run."""
     found = shock.find(piston(velocity))
     assert found.kind == "dispersive shock"
     assert found.behind.velocity == pytest.approx(velocity * OVERLAP * SOUND, rel=1e-4)
@@ -82,19 +84,19 @@ def test_edges_of_a_dispersive_shock(velocity: float) -> None:
     assert abs(found.leading.speed - theory.leading) < 2 * found.leading.error
     assert abs(found.trailing.speed - theory.trailing) < 3 * found.trailing.error
     assert found.leading.height == pytest.approx(theory.height, rel=0.1)
-    # the crest is a solitary wave on the state ahead
+    # The crest is a solitary wave on the state ahead.
     assert found.leading.speed == pytest.approx(found.solitary, rel=2e-3)
 
 
 def test_weakest_shocks_have_edges_too() -> None:
-    """Below the slowest solitary wave that is solved for, its speed is left out."""
+    """Below the slowest computed solitary wave, the speed of the crest is NaN."""
     found = shock.find(piston(1e-5))
     assert np.isnan(found.solitary)
     assert found.leading.speed == pytest.approx(SOUND, rel=0.01)
 
 
 def test_piston_in_a_sonic_vacuum() -> None:
-    """The leading wave is the exact solitary wave, of twice the speed of the piston."""
+    """The leading wave is the exact solitary wave, with twice the velocity of the piston."""
     chain = CHAIN.replace(grains=200, top_load=0.0)
     drive = Drive(shape="piston", velocity=0.05, rise=1e-4, grain=0)
     scene = Scene(chain=chain, excitation=drive, duration=3e-3, samples=901)
@@ -106,7 +108,7 @@ def test_piston_in_a_sonic_vacuum() -> None:
 
 
 def test_steady_shock_of_a_damped_chain() -> None:
-    """It travels as Rankine and Hugoniot say, about as thick as Burgers has it."""
+    """The speed agrees with Rankine and Hugoniot, and the thickness roughly with Burgers."""
     found = shock.find(piston(0.3, viscosity=0.3))
     theory, speed = found.rankine_hugoniot
     assert found.kind == "steady shock"
@@ -117,7 +119,7 @@ def test_steady_shock_of_a_damped_chain() -> None:
 
 @pytest.mark.parametrize("direction", ["down", "up"])
 def test_rarefaction_is_that_of_the_characteristics(direction: str) -> None:
-    """A step to less compression opens at the speeds of sound on either side, both ways."""
+    """A step to lower compression widens at the two speeds of sound, in both directions."""
     less = -0.5 * OVERLAP / 9.5e-3
     down = direction == "down"
     strain = (less, 0) if down else (0, less)
@@ -137,7 +139,7 @@ def test_rarefaction_is_that_of_the_characteristics(direction: str) -> None:
 
 
 def run(chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float) -> Trajectory:
-    """Run a scene for so many times from grain to grain at the speed of sound, with 4 samples each.
+    """Simulate a scene for a number of sound times from grain to grain, with 4 samples each.
 
     In a sonic vacuum the times are those of the loaded chain.
     """
@@ -152,7 +154,7 @@ def run(chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: f
     [(None, "down"), (-0.118, "down"), (-0.118, "up"), (-0.13, "down"), (-0.2, "down")],
 )
 def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> None:
-    """Its trailing edge stays: c is (n / t) of that ahead down to 0, and grains fly at -4/5 c o.
+    """The trailing edge stays at the step, and grains fly at -4/5 c o.
 
     Ahead of them v - 4/5 c o is the same everywhere. A withdrawal, or a step by more than twice
     that velocity, 0.1171 m/s, opens contacts on both sides. The last contact that is open travels
@@ -182,7 +184,7 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
     ("grains", "duration"), [(60, 342), (200, 1142)], ids=["60 grains", "200 grains"]
 )
 def test_recording_goes_on_after_reflections(grains: int, duration: float) -> None:
-    """Of runs of several transits only the first one counts, whose leading edge theory has."""
+    """Only the first transit of a run of several transits counts."""
     piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
     found = shock.find(run(CHAIN.replace(grains=grains), piston, duration))
     theory = found.predictions["whitham"]
@@ -193,7 +195,7 @@ def test_recording_goes_on_after_reflections(grains: int, duration: float) -> No
 
 @pytest.mark.parametrize("case", ["vacuum", "damped", "rarefaction", "opened", "step"])
 def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
-    """Edges do not depend on what is recorded after waves have come from the ends."""
+    """Edges do not depend on samples after waves from the ends have arrived."""
     chain = CHAIN.replace(grains=120)
     velocity = {"rarefaction": -0.03, "opened": -0.1, "damped": 0.03}.get(case, 0.07)
     push = Drive(shape="piston", velocity=velocity, rise=10 / SOUND, grain=0)
@@ -217,7 +219,7 @@ def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
     for edge in ("leading", "trailing"):
         one, other = (getattr(wave, edge) for wave in (found, again))
         assert other.speed == pytest.approx(one.speed, rel=1e-9, nan_ok=True)
-    # a wave that has come back would have changed the plateau by as much as the jump
+    # A returning wave would have changed the plateau by as much as the jump.
     jump = found.behind.overlap - found.ahead.overlap
     assert found.behind.overlap == pytest.approx(found.simple.overlap, abs=0.02 * abs(jump))
 
@@ -238,7 +240,7 @@ def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
     ],
 )
 def test_push_that_does_not_last_is_named(excitation: Drive, message: str) -> None:
-    """Neither a longer record nor NaN answers a pulse, or a rise as long as the run."""
+    """A pulse, or a rise as long as the run, is rejected with its reason."""
     with pytest.raises(InputError, match=message) as caught:
         shock.find(run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
     assert not str(caught.value).endswith(": record longer")
@@ -250,8 +252,8 @@ def test_direction_into_which_nothing_is_sent() -> None:
         shock.find(piston(1.0), "up")
 
 
-def test_force_that_stays_constant_is_a_piston() -> None:
-    """Behind a constant force the contact force is the load and that, and the wave begins with it.
+def test_constant_force_acts_as_a_piston() -> None:
+    """Behind a constant force, the contact force is the sum of load and force.
 
     Its overlap is (1 + F / load)^(2/3) of that at rest, and the wave is of both theories' speed.
     """
@@ -263,7 +265,7 @@ def test_force_that_stays_constant_is_a_piston() -> None:
 
 
 def test_picture_names_edges_and_plateaus() -> None:
-    """Every line of the picture is named, and axes have units."""
+    """Every line of the picture has a name, and the axes have units."""
     ax = shock.find(piston(1.0)).plot()
     labels = " ".join(ax.get_legend_handles_labels()[1])
     for word in ("leading edge", "trailing edge", "Whitham", "plateau ahead", "plateau behind"):
@@ -273,7 +275,7 @@ def test_picture_names_edges_and_plateaus() -> None:
 
 @pytest.mark.parametrize("direction", ["down", "up"])
 def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
-    """Lines run from where the wave began to where an edge is at the end."""
+    """Lines run from the source of the wave to the final position of an edge."""
     step = Riemann(
         velocity=(0, 0), strain=(2e-5, 0) if direction == "down" else (0, 2e-5), grain=150
     )
@@ -298,7 +300,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
     ],
 )
 def test_what_is_no_shock_says_why(changes: dict, message: str) -> None:
-    """A strike, a column and a taper are refused in one line."""
+    """A strike, a column and a taper are rejected in one line."""
     chain = CHAIN.replace(grains=30, **changes)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-4)
     run = simulate(scene, engine="native")

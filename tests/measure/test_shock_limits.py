@@ -1,4 +1,4 @@
-"""Measured edges in the integrable limits: Toda's chain, and KdV's equation of weak waves."""
+"""Measured edges in the integrable limits: Toda's chain, and the KdV equation of weak waves."""
 
 from functools import cache
 from types import SimpleNamespace
@@ -21,7 +21,7 @@ LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of the Toda chain 
 
 @cache
 def toda(piston: float, grains: int) -> shock.Shock:
-    """Measure the shock of a Toda chain, as if the run of a granular chain had given it."""
+    """Measure the shock of a Toda chain, converted to a run of a granular chain."""
     duration = 0.97 * grains / toda_chain.exact(piston).leading
     time, x, v = toda_chain.run(piston, grains, duration, int(5 * duration))
     drive = Drive(shape="piston", velocity=piston * LENGTH * SOUND, rise=1e-9 / SOUND, grain=0)
@@ -37,7 +37,7 @@ def toda(piston: float, grains: int) -> shock.Shock:
 
 @pytest.mark.parametrize("piston", [0.6, 1.2])
 def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston: float):
-    """The leading soliton lags by 3 / (4 kappa) log t: its speed and height by 1 / t."""
+    """The leading soliton lags by 3 / (4 kappa) log t, so the errors fall with 1 / t."""
     exact = toda_chain.exact(piston)
     sizes = np.array([150, 300])
     waves = [toda(piston, grains) for grains in sizes]
@@ -47,7 +47,7 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
         assert (measured < limit).all()
         slope = np.diff(np.log(limit - measured)) / np.diff(np.log(sizes))
         assert slope == pytest.approx(-1, abs=0.05)
-    # passages of the last third of the way, 2/3 to 1, whose best line has 9/5 of log 3/2 over 1/3
+    # The fit to the last third of the way, 2/3 to 1, changes the lag by 9/5 of log 3/2 over 1/3.
     lag = 0.75 / exact.width * exact.leading * 1.2
     assert (exact.leading - speed[1]) * sizes[1] == pytest.approx(lag, rel=0.1)
     for wave in waves:
@@ -55,7 +55,7 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
         assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND
         assert wave.behind.overlap - OVERLAP == pytest.approx(LENGTH * exact.plateau, rel=1e-4)
     assert waves[1].trailing.error < 0.11 * SOUND
-    # what theory says of a granular chain of the same first two terms is this, too
+    # The prediction for a granular chain with the same first two terms is the same.
     theory = waves[0].predictions["toda"]
     assert theory.leading == pytest.approx(SOUND * exact.leading, rel=1e-4)
     assert theory.trailing == pytest.approx(SOUND * exact.trailing, rel=1e-4)
@@ -63,7 +63,7 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
 
 
 class Excess(NamedTuple):
-    """Speed of a leading edge over that of sound, less 1: measured for long, and two theories."""
+    """Mach number minus 1 of a leading edge: measured in a long run, and in two theories."""
 
     run: float
     kdv: float
@@ -71,7 +71,7 @@ class Excess(NamedTuple):
 
 
 def weak(size: float) -> Excess:
-    """Return the excess of a piston that makes a jump of four times this size of the overlap.
+    """Return the excess for a piston that makes a jump of four times this size of the overlap.
 
     Run to 90 and 180 of KdV's times, between which what is left of 1 / t is known.
     """
@@ -93,7 +93,7 @@ def weak(size: float) -> Excess:
 
 @pytest.mark.slow
 def test_kdv_is_wrong_by_the_square_of_the_amplitude():
-    """By runs: (KdV - leading edge) / e^2 tends to 49/45 as e falls, as Whitham's theory has it.
+    """The deviation (KdV - leading edge) / e^2 tends to 49/45 as e falls, as in Whitham's theory.
 
     c_b / c_a = (1 + 4 e)^(1/4) = 1 + e - 3/2 e^2, and sinh(q/2) / (q/2) of cosh(q/2) = 2 c_b / c_a
     - 1 is 1 + 2/3 (c_b / c_a - 1) - 4/45 (c_b / c_a - 1)^2.

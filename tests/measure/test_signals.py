@@ -1,4 +1,4 @@
-"""Forces, arrivals and spectra of motions given by a formula, number by number."""
+"""Forces, arrivals and spectra of motions given by formulas."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from scipy.optimize import minimize_scalar
 from scipy.signal import get_window
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain.measure.bodies import motion_of_all
 from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
 from lmpchain.measure.crests import summit
 from lmpchain.measure.flight import Flight, arrival, time_of_flight
@@ -25,7 +26,7 @@ RNG = np.random.default_rng(8)
 
 
 def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
-    """Return displacements as large as overlaps, and any velocities, of an uneven chain."""
+    """Return displacements as large as overlaps, and random velocities, of an uneven chain."""
     given = {"grains": 9, "diameter": np.linspace(1e-3, 1.5e-3, 9), "top_load": 1e-3} | chain
     scene = Scene(
         chain=Chain(**given),
@@ -46,7 +47,7 @@ def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
     "ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall", "exponent": 2.0}]
 )
 def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
-    """o = eps + phi_n - phi_(n+1), its rate, and K o^delta above 0; a gap has no force."""
+    """The overlap is o = eps + phi_n - phi_(n+1), and the force K o^delta, or 0 in a gap."""
     t = noise(**ends)
     chain = t.scene.chain
     seen = contacts(t)
@@ -78,10 +79,8 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
 
 
 @pytest.mark.parametrize("top", ["free", "wall"])
-def test_what_a_driver_pushes_with(top: str):
-    """On grain 1: m a + F_1 - m g, less the force of a wall above, or with the load; on a wall:
-    that of its contact.
-    """
+def test_force_of_a_driver(top: str):
+    """The force on grain 1 is m a + F_1 - m g, with load or wall; on a wall, the contact force."""
     chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top=top)
     drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
     t = simulate(
@@ -129,7 +128,7 @@ def test_a_grain_is_a_sensor_between_two_contacts():
 @pytest.mark.parametrize("stride", [1, 2])
 @pytest.mark.parametrize("top", [1, 5, 20, 38])
 def test_the_summit_of_a_quintic_spline(stride: int, top: int):
-    """Through every such sample within six of the largest: its maximum by a search."""
+    """The maximum of the spline through every n-th sample agrees with a numerical search."""
     time = np.linspace(0, 4, 41)
     values = np.exp(-3 * (time - time[top] - 0.013) ** 2)
     places = np.arange(top - 6 * stride, top + 6 * stride + 1, stride)
@@ -147,9 +146,7 @@ def test_the_summit_of_a_quintic_spline(stride: int, top: int):
 
 
 def test_the_error_of_an_arrival():
-    """The shift when every second sample is used, or one interval where there are too few beside
-    the largest.
-    """
+    """The error is the shift with every second sample, or one interval near an end."""
     time = np.linspace(0, 4, 41)
     for top, near in ((1, False), (2, True), (20, True), (38, True), (39, False)):
         values = np.exp(-3 * (time - time[top] - 0.013) ** 2)
@@ -179,9 +176,7 @@ def test_a_flight_in_metres_and_grains():
 
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_the_flight_of_a_bump(method: Any):
-    """A bump of displacement that passes at one grain in 1.013 us, so that all forces are the same
-    but later.
-    """
+    """A bump of displacement passes one grain in 1.013 us, so the forces are equal but delayed."""
     chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4e-5, samples=401)
     t = simulate(scene, engines.Native(step=1e-7))
@@ -202,7 +197,7 @@ def test_the_flight_of_a_bump(method: Any):
 
 @pytest.mark.parametrize(("duration", "rise"), [(6e-5, 1.013e-6), (6e-5, 1e-3), (2.2e-5, 1.013e-6)])
 def test_correlation_of_forces_that_last_is_refused(duration: float, rise: float):
-    """Behind a piston both forces stay, and are most alike without a shift: 0 s, not 26 us.
+    """Behind a piston both forces persist, so their correlation has no maximum at the delay.
 
     The same holds while the force still grows, and before the wave has reached the second grain.
     """
@@ -224,7 +219,7 @@ def test_correlation_of_forces_that_last_is_refused(duration: float, rise: float
 @pytest.mark.parametrize("window", ["boxcar", "hann"])
 @pytest.mark.parametrize("field", ["velocity", "displacement"])
 def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
-    """Every number by its sum; the window over time, and over the grains, too."""
+    """Every number of the spectra agrees with its sum, with windows over time and grains."""
     t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples=24)
     motion = getattr(t, field)[:, np.argsort(t.grains)]
     over_time = get_window(window, 24)
@@ -258,7 +253,7 @@ def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
 
 
 def test_travel_times_and_their_refusals():
-    """The sum of sqrt(m / k), m the mean of two grains; half a contact more from a free top."""
+    """The travel time is the sum of sqrt(m / k), with half a contact more from a free top."""
     chain = Chain(grains=7, diameter=np.linspace(1e-3, 1.6e-3, 7), top_load=1e-3)
     apart = np.sqrt((chain.masses[1:] + chain.masses[:-1]) / 2 / chain.linear_stiffness)
     reached = np.append(0.0, np.cumsum(apart))
@@ -286,7 +281,7 @@ def test_sixteen_samples_are_enough_and_there_are_two_fields():
 
 
 def test_where_each_body_was_recorded():
-    """-1 for a wall or what is held, -2 for what is not known; else the column."""
+    """The result is -1 for a wall or a held body, -2 for an unknown one; else the column."""
     assert columns(6, 4, np.array([4, 1, 5])).tolist() == [-1, 1, -2, -2, 0, 2, -1, -1]
     u, v = np.zeros((2, 3, 4))
     u[1, 1] = 1e-9
@@ -313,8 +308,8 @@ def test_largest_values_bear_the_numbers_of_their_grains():
     assert np.array_equal(peaks(t).value, peaks(t, "velocity").value)
 
 
-def test_what_pushes_grain_1_below_a_wall():
-    """m a + F_1 - F_0 - m g, 0 at rest: the wall above pushes, too."""
+def test_drive_force_on_grain_1_below_a_wall():
+    """The force is m a + F_1 - F_0 - m g, 0 at rest, because the wall pushes as well."""
     chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top="wall")
     drive = Drive(amplitude=2e-9, frequency=1e5)
     t = simulate(
@@ -328,3 +323,29 @@ def test_what_pushes_grain_1_below_a_wall():
     below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
     force = chain.masses[0] * (-(omega**2) * u[:, 0] - 9.81) + below - above
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
+
+
+def test_the_balance_needs_every_grain_that_can_move():
+    """The moving part includes two grains at rest; every unrecorded grain is an error."""
+    scene = Scene(
+        chain=Chain(grains=100, diameter=1e-3, bottom="wall"),
+        excitation=Impulse(velocity=1e-6),
+        duration=5e-7,
+        samples=5,
+    )
+    t = simulate(scene, "native", 1e-9)
+    part, u, v = motion_of_all(t)
+    last = int(np.flatnonzero(t.displacement.any(0) | t.velocity.any(0)).max()) + 1
+    assert part.chain.grains == last + 2 < 98
+    assert np.array_equal(u, t.displacement[:, : last + 2])
+    assert np.array_equal(v, t.velocity[:, : last + 2])
+    for grains, missing in (
+        (range(1, 100), "100"),
+        (range(1, 99), "99, 100"),
+        (range(2, 101), "1"),
+    ):
+        some = simulate(scene.replace(grains=list(grains)), "native", 1e-9)
+        with pytest.raises(InputError, match=f"record these too: {missing}$"):
+            motion_of_all(some)
+    held = scene.replace(chain=scene.chain.replace(bottom="fixed"), grains=list(range(1, 100)))
+    assert motion_of_all(simulate(held, "native", 1e-9))[0].chain.grains == last + 2

@@ -1,4 +1,4 @@
-"""Spectra of known motions, eigenfrequencies, dispersion and pictures in space and time."""
+"""Spectra of known motions, eigenfrequencies, dispersion and space-time pictures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def made_up(
     duration: float = 399e-6,
     grains: int = 16,
 ) -> Trajectory:
-    """Return a trajectory with a velocity and displacement motion(t, n), t in s."""
+    """Return a trajectory with velocity and displacement motion(t, n), t in s."""
     chain = Chain(grains=grains, diameter=1e-3)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-9), duration=duration, samples=samples
@@ -48,9 +48,7 @@ def loaded(grains: int, **given: Any) -> Chain:
 
 @pytest.mark.parametrize("window", ["boxcar", "hann"])
 def test_a_harmonic_motion_is_a_line(window: str):
-    """400 samples of 1 us: 20 kHz is the 8th frequency; the height is half the amplitude times the
-    window's area.
-    """
+    """With 400 samples of 1 us, 20 kHz is frequency 8; the height is half the window's area."""
     found = spectrum(made_up(lambda t, n: n * np.sin(2 * np.pi * 20e3 * t + n)), window=window)
     assert found.frequency == pytest.approx(2500.0 * np.arange(201))
     assert found.amplitude.shape == (201, 16)
@@ -80,7 +78,7 @@ def test_parseval(field: str, samples: int, window: str):
 
 
 def test_a_pulse_has_a_spectrum_whatever_the_recording():
-    """exp(-(t/w)^2) has the spectrum sqrt(pi) w exp(-(pi f w)^2)."""
+    """The spectrum of exp(-(t/w)^2) is sqrt(pi) w exp(-(pi f w)^2), for any recording."""
     for samples, duration in ((400, 399e-6), (1000, 499.5e-6)):
         found = spectrum(
             made_up(lambda t, n: np.exp(-(((t - 150e-6) / 10e-6) ** 2)) + 0 * n, samples, duration)
@@ -132,7 +130,7 @@ def test_the_top_lets_only_low_frequencies_into_a_column():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_plane_wave_is_a_point(sign: int):
-    """Downward is a positive wavenumber: cos(k n - omega t) with k = 2 pi 4 / 16 at 20 kHz."""
+    """Downward waves have positive wavenumbers: cos(k n - omega t), k = 2 pi 4 / 16, 20 kHz."""
     k = sign * np.pi / 2
     found = dispersion(
         made_up(lambda t, n: np.cos(k * n - 2 * np.pi * 20e3 * t)), 1, 16, window="boxcar"
@@ -155,9 +153,7 @@ def test_parseval_in_two_dimensions():
 
 
 def test_a_uniform_chain_has_its_dispersion_relation():
-    """omega = 2 sqrt(k/m) sin(q/2), to half the resolution in frequency, from a strike in the
-    middle.
-    """
+    """The ridge is omega = 2 sqrt(k/m) sin(q/2), to half the resolution in frequency."""
     chain = loaded(121)
     omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     speed = 1e-4 * chain.length_scale * omega
@@ -197,8 +193,8 @@ def test_waves_in_a_column_move_downward_on_the_local_relation():
 
 
 def test_a_dimer_has_two_branches():
-    """w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2), k in radians a grain,
-    and waves on both.
+    """Waves are on both branches, w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m
+    M)]^(1/2).
     """
     masses = np.resize([1e-6, 3e-6], 160)
     chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
@@ -242,9 +238,7 @@ def test_cut_off():
 
 
 def test_cut_off_of_a_dimer():
-    """The optical branch ends at 2K (1/m + 1/M); the gap is from 2K/M to 2K/m, at every depth with
-    its own K.
-    """
+    """The optical branch ends at 2K (1/m + 1/M); the gap is from 2K/M to 2K/m, with the local K."""
     masses = np.resize([1e-6, 3e-6], 60)
     chain = Chain(grains=60, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     k = chain.linear_stiffness[0]
@@ -282,7 +276,7 @@ def test_travel_time_in_a_uniform_chain():
 
 
 def test_travel_time_in_a_column():
-    """(6/5) (n - 1/2)^(5/6), and the velocity is largest some 0.9 h^(1/6) / 4^(1/3) later."""
+    """The time is (6/5) (n - 1/2)^(5/6); the velocity peaks some 0.9 h^(1/6) / 4^(1/3) later."""
     chain = Chain(grains=240, diameter=1e-3)
     n = np.arange(1, 241)
     assert travel_time(chain) / chain.time_scale == pytest.approx(

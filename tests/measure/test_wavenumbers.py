@@ -1,4 +1,4 @@
-"""Energy in bands of wavenumber: none is lost, and each packet has its place, band and way."""
+"""Energy in bands of wavenumber is conserved; each packet has its place, band and direction."""
 
 from functools import cache
 
@@ -13,7 +13,7 @@ HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "bottom": "wall"}
 
 @cache
 def packet(grains: int = 400, wavenumber: float = 1.0) -> Trajectory:
-    """Send a packet of one wavenumber down a uniform chain."""
+    """Simulate a packet of one wavenumber that travels down a uniform chain."""
     chain = Chain(grains=grains, top="wall", **HOST)
     frequency = np.sin(wavenumber / 2) / np.pi / chain.time_scale
     wave = Packet(frequency=frequency, width=14, grain=120, amplitude=1e-12)
@@ -24,7 +24,7 @@ def packet(grains: int = 400, wavenumber: float = 1.0) -> Trajectory:
 @pytest.mark.parametrize("load", [0.0, 1.0])
 @pytest.mark.parametrize("width", [8, 31, 48, 90])
 def test_bands_add_up_to_the_energy_of_the_chain(load: float, width: int) -> None:
-    """Of strong waves in random chains, too, with walls, to 1e-12 at all times."""
+    """The sum is exact to 1e-12 at all times, also for strong waves in random chains with walls."""
     diameter = np.random.default_rng(4).normal(1e-3, 1e-4, 90)
     walls = {"top": "wall", "bottom": "wall", "gravity": 0.0}
     chain = Chain(grains=90, diameter=diameter, top_load=load, **walls)
@@ -41,22 +41,22 @@ def test_bands_add_up_to_the_energy_of_the_chain(load: float, width: int) -> Non
 
 
 def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
-    """Place, way and band of a packet of one radian a grain are those of linear theory."""
+    """Place, direction and band of a packet of one radian a grain agree with linear theory."""
     t = packet()
     split = wavenumbers.bands(t, [0, 0.6, 1.4, np.pi], 60)
     inside = split.energy[..., 1].sum(1) / split.total
     assert (inside > 1 - 1e-3).all()
     down = split.downward.sum((1, 2)) / split.total
-    # but for the energy of waves whose window cuts them off
+    # Windows at the ends of the packet give a small upward share.
     assert (down > 1 - 1e-3).all()
     centre = (split.energy.sum(2) @ split.place) / split.total
     speed = np.polyfit(split.time, centre, 1)[0] * t.scene.chain.time_scale
-    # a packet whose wavenumbers spread by 1/20 around 1: the mean group velocity, to 2e-3
+    # The packet has wavenumbers around 1 with a spread of 1/20, so the mean speed is exact to 2e-3.
     assert speed == pytest.approx(np.cos(0.5), rel=2e-3)
 
 
 def test_errors_cover_a_coarser_run() -> None:
-    """A run of a looser tolerance moves no energy by more than the errors of both."""
+    """A run with a looser tolerance changes no energy by more than the sum of both errors."""
     fine = wavenumbers.bands(packet(), width=40)
     coarse = wavenumbers.bands(simulate(packet().scene, "native", 1e-4), width=40)
     assert (np.abs(fine.energy - coarse.energy) <= fine.error + coarse.error).all()
@@ -64,7 +64,7 @@ def test_errors_cover_a_coarser_run() -> None:
 
 
 def test_table_and_picture_have_the_bands() -> None:
-    """A row a time and a place, a colour a band."""
+    """The table has a row for each time and place, and the picture a colour for each band."""
     split = wavenumbers.bands(packet(), [0, 1.5, np.pi], 80)
     table = split.to_dataframe()
     assert len(table) == split.time.size * split.place.size
@@ -72,8 +72,8 @@ def test_table_and_picture_have_the_bands() -> None:
     assert len(split.plot().get_legend_handles_labels()[1]) == 2
 
 
-def test_what_cannot_be_split_is_refused() -> None:
-    """Each mistake in a line with its key."""
+def test_energies_that_cannot_be_split_are_rejected() -> None:
+    """Each mistake raises an error of one line with its key."""
     t = packet()
     for arguments, key in (
         (([0, 1],), "edges"),

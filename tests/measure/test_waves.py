@@ -1,6 +1,4 @@
-"""Fits of Bessel functions and modes: what is fitted, and what noise makes of it,
-by other means.
-"""
+"""Fits of Bessel functions and modes: fitted samples, and the effect of noise."""
 
 from __future__ import annotations
 
@@ -30,7 +28,7 @@ def run(
 
 @pytest.fixture(scope="module")
 def late() -> Trajectory:
-    """Return the wave of the first six grains by Eq. (11), but 1 tau late and 5 % faster."""
+    """Return the wave of the first six grains by Eq. (11), delayed by 1 tau and 5 % faster."""
     chain = Chain(**UNIFORM)
     t = run(chain, Impulse(velocity=-2e-9), grains="1:6")
     z = 2 * 1.05 * (t.time[:, None] / chain.time_scale - 1.0)
@@ -39,9 +37,7 @@ def late() -> Trajectory:
 
 
 def test_the_covariance_of_what_is_fitted(late: Trajectory):
-    """s^2 (J^T J)^-1 with J by differences in amplitude, rate and delay themselves, s^2 from n - 3
-    residuals.
-    """
+    """The covariance is s^2 (J^T J)^-1, with numerical derivatives and s^2 from n - 3 residuals."""
     noise = 2e-11 * np.random.default_rng(2).normal(size=late.velocity.shape)
     fit = fit_bessel(replace(late, velocity=late.velocity + noise))
 
@@ -75,9 +71,7 @@ def test_the_covariance_of_what_is_fitted(late: Trajectory):
 
 
 def test_noise_scatters_as_the_covariance_says(late: Trajectory):
-    """One standard error holds 68 %, two hold 95 %; amplitude, rate and delay scatter together as
-    they should.
-    """
+    """One standard error covers 68 %, two cover 95 %; the parameters have the stated covariance."""
     rng = np.random.default_rng(20)
     few = replace(
         late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
@@ -113,9 +107,7 @@ def test_noise_scatters_as_the_covariance_says(late: Trajectory):
     ],
 )
 def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, first: int, last: int):
-    """2 s <= m - 7.4 m^(1/3), with the order m of the nearest image: below the last grain, or above
-    the first.
-    """
+    """The limit is 2 s <= m - 7.4 m^(1/3), with the order m of the nearest image."""
     chain = Chain(**UNIFORM | more)
     t = run(chain, Impulse(velocity=1e-9, grain=struck), 25.0)
     fit = fit_bessel(t)
@@ -135,9 +127,7 @@ def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, firs
 
 
 def test_grains_that_are_alike_within_five_per_cent():
-    """Contacts and masses up to 5 % off belong to the uniform part, more do not; the held grain may
-    be any.
-    """
+    """Contacts and masses within 5 % belong to the uniform part; the held grain is arbitrary."""
     masses = np.full(30, 1e-6)
     masses[[3, 21]] = 1.049e-6, 0.951e-6
     masses[[1, 25]] = 0.949e-6, 1.051e-6
@@ -185,7 +175,7 @@ def test_a_window_is_taken_as_given():
 def test_of_too_many_values_those_of_every_so_many_grains_are_fitted(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """Up to 300 values: of the 49 grains that the wave can have reached every fifth."""
+    """With a limit of 300 values, every fifth of the 49 reached grains is used."""
     monkeypatch.setattr(waves, "REGION", waves.REGION._replace(most=300))
     chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=0.1)
     t = run(chain, Impulse(velocity=1e-9), 5.0, 21)
@@ -207,9 +197,7 @@ def test_nothing_to_fit(excitation: Any):
 
 
 def test_enough_values_with_a_wave_in_them():
-    """Twelve values are enough, eleven are not; nor are any if the largest is below 1e-3 of the
-    strike.
-    """
+    """Twelve values are sufficient, eleven are not; the largest must exceed 1e-3 of the strike."""
     chain = Chain(**UNIFORM)
     t = run(chain, Impulse(velocity=1e-9), 6.0, 25)
     unit = chain.time_scale
@@ -242,9 +230,7 @@ def test_enough_values_with_a_wave_in_them():
 
 
 def test_amplitudes_and_energies_of_modes():
-    """The motion is the sum of the modes; the energy of each is that of the linear chain, from
-    dense eigenvectors.
-    """
+    """The motion is the sum of the modes; their energies agree with dense eigenvectors."""
     chain = Chain(grains=9, diameter=np.linspace(1e-3, 1.3e-3, 9), bottom="wall", top_load=1e-3)
     t = run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
     fit = fit_modes(t)

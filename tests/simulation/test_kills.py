@@ -40,7 +40,7 @@ from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
-from lmpchain.util import files, leftovers
+from lmpchain.util import files, mpi
 
 CHAIN = Chain(grains=200, diameter=1e-3)
 STRIKE = Impulse(velocity=8.57e-3)
@@ -238,8 +238,8 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
 
     Not what is in use, new, or of others.
     """
-    monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path)
-    monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path)
+    monkeypatch.setattr(mpi, "SHARED_MEMORY", tmp_path)
+    monkeypatch.setattr(mpi, "TEMPORARY", tmp_path)
     begins = ("hydra_hwloc_xmlfile_", "mpich_shm_", "other_", "ucx_shm_posix_")
     old, used, new = (
         [tmp_path / f"{each}{state}" for each in begins] for state in ("old", "used", "new")
@@ -252,9 +252,9 @@ def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.Monk
         for path in used[1:]:
             file = held.enter_context(open(path, "rb"))
             held.enter_context(mmap.mmap(file.fileno(), 0, prot=mmap.PROT_READ))
-        leftovers.remove_leftovers.__wrapped__()
+        mpi.remove_leftovers.__wrapped__()
         assert set(tmp_path.iterdir()) == {*new, *used[1:], old[2]}
-        leftovers.unname_shared_memory()
+        mpi.unname_shared_memory()
         assert set(tmp_path.iterdir()) == {*new, *used[2:], old[2]}
 
 

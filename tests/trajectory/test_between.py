@@ -1,6 +1,4 @@
-"""Polynomials between samples, where a contact opens, closes or does both: against quadrature of a
-prescribed force.
-"""
+"""Polynomials between samples at an opening or closing contact, compared with quadrature."""
 
 import numpy as np
 import pytest
@@ -15,16 +13,12 @@ KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 
 def integral(values: np.ndarray) -> np.ndarray:
-    """Return the integral of values (K, 4) at Gauss points of K intervals of 1/FINE, at their ends,
-    (K+1,).
-    """
+    """Return the running integral, (K+1,), of values (K, 4) at Gauss points of K intervals."""
     return np.concatenate(([0.0], np.cumsum(values @ WEIGHTS) / 2 / FINE))
 
 
 def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarray, ...]:
-    """Return time, displacement, velocity, acceleration of a grain of 1 kg pushed by a contact of 1
-    N/m^exponent.
-    """
+    """Return time, displacement, velocity and acceleration of a grain of 1 kg with one contact."""
     ends = np.arange((SAMPLES - 1) * FINE + 1) / FINE
     inside = (ends[:-1, None] + ends[1:, None] + KNOTS / FINE) / 2
 
@@ -40,12 +34,10 @@ def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarr
 
 
 def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
-    """Return the largest errors of velocity, slope and curvature over what is claimed, of the inner
-    intervals, (3,).
-    """
+    """Return the largest ratios of true to claimed errors of v, v' and v'', (3,)."""
     t, u, v, a = motion(overlap, exponent)
     at = slice(None, None, FINE)
-    # where the other body is, and how fast
+    # Displacement and velocity of the other body.
     above = (
         u[at] + overlap(t[at]),
         v[at] + overlap.deriv()(t[at]),
@@ -74,7 +66,7 @@ def worst(overlap: np.polynomial.Polynomial, exponent: float) -> np.ndarray:
     return ratios
 
 
-@pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("kind", ["crosses", "leaves for a moment", "touches for a moment"])
 def test_errors_cover_kinks(kind: str, exponent: float):
     rng = np.random.default_rng(round(100 * exponent))
@@ -92,8 +84,8 @@ def test_errors_cover_kinks(kind: str, exponent: float):
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.3, 0.7])
-def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float):
-    """Between two bumps the motion falls to half of the first one by a millionth, or just not."""
+def test_a_width_ends_at_a_narrow_dip(shift: float):
+    """Between two bumps, the motion falls just below half of the first one, or just not."""
     t = np.polynomial.Polynomial([0.0, 1.0])
 
     def bumps(second: float, time: np.ndarray) -> np.ndarray:
@@ -108,7 +100,7 @@ def test_a_width_ends_at_a_dip_that_no_quarter_of_an_interval_shows(shift: float
         return found
 
     def depth(second: float) -> float:
-        """Return how far the dip is below half of the first bump, in parts of that."""
+        """Return the relative depth of the dip below half of the first bump."""
         u = bumps(second, np.linspace(18, 28, 20001) + shift)[0]
         return float(1 - 2 * u[8000:].min() / u[:8000].max())
 

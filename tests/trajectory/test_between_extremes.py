@@ -1,6 +1,4 @@
-"""Largest values and wave fronts of polynomials, and how far off they are said to be, by roots and
-dense evaluation.
-"""
+"""Largest values and wave fronts of polynomials and their errors, by roots and dense evaluation."""
 
 import math
 from collections.abc import Callable
@@ -19,7 +17,7 @@ KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H = 0.125
 SAMPLES = 9
 END = H * (SAMPLES - 1)
-# by which an error of the acceleration changes a velocity between samples, in intervals
+# Velocity change between samples due to an error of the acceleration, in intervals.
 PUSHED = 5 / 16
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 TILT_S = 0.3  # rad/s by which errors of values may go up and down
@@ -38,7 +36,7 @@ def motion_of(position: Polynomial, off: float = 0.0) -> np.ndarray:
 
 
 def tops(position: Polynomial, kind: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest of all values in each interval, and at samples."""
+    """Return the largest of all values in each interval, and at the samples."""
     curve = position.deriv() if kind == hermite.VELOCITY else position
     flat = curve.deriv().roots()
     flat = flat[np.abs(flat.imag) < 1e-9].real
@@ -97,9 +95,7 @@ def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
-    """Slopes of one sign at both ends say nothing where the curve bends, or misses the way, between
-    these.
-    """
+    """Slopes of one sign at both ends do not exclude a maximum between them."""
     for step in range(60):
         values = np.zeros((5, 3))
         values[1] = 3 + RNG.normal(size=3) * 0.3
@@ -157,19 +153,19 @@ def front(
 
 
 def position_of(curve: Polynomial, kind: int) -> Polynomial:
-    """Return the displacement whose speed, or itself, is this curve."""
+    """Return the displacement with this curve as speed, or the curve itself."""
     return curve.integ() if kind == hermite.VELOCITY else curve
 
 
 def places(curve: Polynomial, level: float) -> np.ndarray:
-    """Return when the curve is at a level, from 0 to the end."""
+    """Return the times at which the curve crosses a level, from 0 to the end."""
     roots = (curve - level).roots()
     roots = roots[np.abs(roots.imag) < 1e-7].real
     return np.sort(roots[(roots >= 0) & (roots <= END)])
 
 
 def span(curve: Polynomial, level: float, top: float) -> float:
-    """Return for how long the curve is above a level around a time."""
+    """Return the length of the interval around a time in which the curve is above a level."""
     at = places(curve, level)
     return at[at > top].min() - at[at < top].max()
 
@@ -181,9 +177,7 @@ MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0)]
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize(("known", "off"), [(0.0, 0.0), (1e-5, 0.0), (0.0, 1e-3), (2e-5, 5e-4)])
 def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: float, off: float):
-    """Errors: what those of value and slope make of the place where the slope is 0, and of the ends
-    of the width.
-    """
+    """Errors of value and slope propagate to the time of the maximum, and to the width."""
     allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
     time, height, width, late, higher, wider = front(
         position_of(sign * SINGLE, kind), kind, known=known, off=off, certain=known
@@ -207,9 +201,7 @@ def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("frequency", [40.0, 400.0])
 def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, frequency: float):
-    """An error that goes up and down fast says nothing of the slope: the value itself is that large
-    for so long.
-    """
+    """A fast error says nothing about the slope, so the time error follows from the value."""
     known = 1e-6
     top = SINGLE(0.4)
     late = front(
@@ -223,9 +215,7 @@ def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, freque
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is
-    lowest between.
-    """
+    """Return a curve from 0 with maxima of `ratio` and 1, and the time of the minimum between."""
 
     def curve(dip: float) -> Polynomial:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
@@ -239,8 +229,8 @@ def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
-    """The first is half as large as the second, within the errors or not; so which of them the
-    front is, is unsure.
+    """The first maximum is half as large as the second within the errors, so either may be the
+    front.
     """
     first = 0.15
     second = 0.83
@@ -266,8 +256,8 @@ def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
-    """If it were less than the fraction of the largest value, which comes at the end, there would
-    be no front.
+    """The largest value is at the end; if the first maximum were below the fraction, there is no
+    front.
     """
     first = 0.3
 
@@ -288,9 +278,7 @@ def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("deeper", [-1.0, 1.0])
 def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, deeper: float):
-    """What falls by less than is certain is no maximum; a little more, and which of two it is, is
-    unsure.
-    """
+    """A decrease within the error is not a maximum; slightly more leaves two possible fronts."""
     first = 0.3
     second = 0.8
     curve, dip = two(first, second, 0.9)
@@ -330,7 +318,7 @@ def test_where_there_is_no_front(kind: int, sign: float):
 
 
 def test_a_width_whose_ends_are_not_recorded_is_unknown():
-    # 0 again at the end
+    # The curve is 0 again at the end.
     curve = (Polynomial([0, 0, 1]) * Polynomial([3, -2]))(Polynomial([0, 1.5]))
     found = front(position_of(curve, hermite.VELOCITY), hermite.VELOCITY)
     assert found[0] == pytest.approx(2 / 3, rel=1e-9)
@@ -370,9 +358,7 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
 
 
 def test_a_bump_that_hardly_rises_may_have_turned_before():
-    """Where the slope is within its error, the maximum may be there: from the quarter of an
-    interval before on.
-    """
+    """The maximum may be at any time with a slope within its error."""
     turning = Polynomial.fromroots([0.35, 0.35, 0.8]) * -1.0
     curve = (turning + 1e-3 * Polynomial([0.8, -1])).integ()
     low = curve(0.35)
@@ -414,9 +400,7 @@ def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
 def test_stated_errors_cover_those_of_noisy_samples(kind: int):
-    """A smooth error of the samples, in size and slope as stated: no front is off by more, and some
-    by as much.
-    """
+    """The errors cover the effect of a smooth error of the samples, and are reached by some."""
     rng = np.random.default_rng(3)
     samples = 24
     known = 1e-3
@@ -455,7 +439,7 @@ def test_stated_errors_cover_those_of_noisy_samples(kind: int):
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
-    """Many intervals lie above half of them, wherever that falls between the samples."""
+    """The half maximum is at any place between two samples, and the width spans many intervals."""
     for middle in (0.45, 0.5, 0.53):
         for steep in np.linspace(1.85, 2.1, 6):
             scaled = Polynomial([-middle * steep, steep])
@@ -467,8 +451,8 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
 def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
-    """The first maximum of a share of the largest, and where it falls to half,
-    over many intervals.
+    """The front is the first maximum above a fraction of the largest, and its width spans many
+    intervals.
     """
     rng = np.random.default_rng(17)
     clear = 0
@@ -500,9 +484,7 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
 
 
 def test_shoulders_of_a_rise_are_where_its_slope_is_least():
-    """The rise beyond all before may have turned there: as long before as the slope is within its
-    error.
-    """
+    """The rise may have turned as long before as the slope is within its error."""
     seen = 0
     for _ in range(40):
         turning = (Polynomial([-RNG.uniform(0.1, 0.9), 1]) ** 2 + 0.01) * (

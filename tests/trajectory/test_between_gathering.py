@@ -1,6 +1,4 @@
-"""Largest values and maxima that are gathered interval by interval, of polynomials:
-by their roots.
-"""
+"""Largest values and maxima accumulated by interval, compared with roots of polynomials."""
 
 import numpy as np
 import pytest
@@ -19,7 +17,7 @@ RNG = np.random.default_rng(21)
 H = 0.125
 SAMPLES = 9
 FINAL = SAMPLES - 1
-# by which an error of the acceleration changes a velocity between samples, in intervals
+# Velocity change between samples due to an error of the acceleration, in intervals.
 PUSHED = 5 / 16
 STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
 
@@ -30,12 +28,10 @@ def _same_draws_in_any_order():
 
 
 class Gathered:
-    """What is gathered of two bodies: a wall that moves,
-    and a grain whose acceleration is given.
-    """
+    """Accumulated values of a moving wall and of a grain with a given acceleration."""
 
     def __init__(self, position: np.ndarray, wall: np.ndarray, off: float = 0.0, low: float = 0.0):
-        """Take samples of u, v, a, j (4, T) of both."""
+        """Store samples of u, v, a, j (4, T) of both bodies."""
         self.position = position
         self.wall = wall
         self.off = off
@@ -45,7 +41,7 @@ class Gathered:
         self.log = maxima.events_of(np.zeros(0))
 
     def take(self, begin: int, end: int) -> None:
-        """Take in some intervals, with no more samples than these need."""
+        """Add some intervals, with no more samples than these need."""
         base = max(begin - 1, 0)
         stop = min(end + 2, SAMPLES)
         u, v, a, j = self.position[:, base:stop].copy()
@@ -73,7 +69,7 @@ class Gathered:
         )
 
     def maxima(self) -> np.ndarray:
-        """Return those that larger ones followed, and the last."""
+        """Return the maxima that exceed all earlier ones, and the last one."""
         logged = self.log[self.log["kind"] == maxima.MAXIMUM]
         return np.concatenate([logged, self.latest])
 
@@ -98,9 +94,7 @@ def largest(curve: Polynomial, signed: bool = False) -> float:
 @pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, FINAL), tuple(range(1, SAMPLES))])
 @pytest.mark.parametrize("off", [0.0, 0.5])
 def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, ...], off: float):
-    """The wall's approach to the grain counts with its sign, and its errors add to those of the
-    grain.
-    """
+    """The approach of the wall to the grain has a sign, and both errors add up."""
     for _ in range(8):
         position = wavy()
         wall = wavy()
@@ -124,7 +118,7 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
             assert high > 0 or not off
     best, low, high = (float(each[0]) for each in kept.closest)
     ends = (samples_of(wall) - samples_of(position))[0].max()
-    # the wall is as unsure as the grain, which is where it is given
+    # The wall has the same error as the grain, from the same place.
     allowed = 2 * PUSHED * H * off * H / 2.1875
     assert best == pytest.approx(relative, rel=1e-10)
     assert high == pytest.approx(relative + allowed, rel=1e-6)
@@ -134,9 +128,7 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("middle", [0.437, 0.48, 0.5, 0.55])
 def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int):
-    """A parabola exceeds its samples by an eighth of a second difference at most; here just what
-    was largest.
-    """
+    """A parabola exceeds its samples by at most an eighth of a second difference."""
     curve = sign * (1 - 3 * (Polynomial([-middle, 1])) ** 2)
     for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
         kept = Gathered(samples_of(curve.integ()), np.zeros((4, SAMPLES)), low=low)
@@ -148,9 +140,7 @@ def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int)
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("outer", [4.1, 10.0])
 def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: int):
-    """Four samples of a speed rise, but the middle two so little that it may turn between them, as
-    it does.
-    """
+    """Four samples of a speed rise, but the speed has a maximum between the middle two."""
     v = np.zeros(SAMPLES)
     v[2:6] = np.cumsum([1, outer, 1, outer])
     v[6:] = v[5]
@@ -162,7 +152,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
         u[i + 1] = u[i] + H * ((v[i] + v[i + 1]) / 2 + H / 10 * (a[i] - a[i + 1]))
     kept = Gathered(sign * np.array([u, v, a, 0 * a]), np.zeros((4, SAMPLES)))
     kept.take(3, 4)
-    # of the quintic in the middle interval
+    # Coefficients of the quintic in the middle interval.
     powers = [
         v[3],
         30,
@@ -176,9 +166,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
 
 
 def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve that begins at 0 and has tops of `ratio` and 1 at two times, and when it is
-    lowest between.
-    """
+    """Return a curve from 0 with maxima of `ratio` and 1, and the time of the minimum between."""
 
     def curve(dip: float) -> Polynomial:
         shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
@@ -222,7 +210,7 @@ def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts:
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_constant_speed_is_reached_where_it_began(sign: int):
-    """In free flight the largest speed is that at its beginning: it rises to 1 and stays."""
+    """In free flight the time of the maximum is the beginning: the speed rises to 1 and stays."""
     v = np.array([0, 0.3, 0.9, 1, 1, 1, 1, 1, 1.0])
     u = np.append(0, np.cumsum(H * (v[1:] + v[:-1]) / 2))
     kept = Gathered(sign * np.array([u, v, 0 * v, 0 * v]), np.zeros((4, SAMPLES)))
@@ -236,9 +224,7 @@ def test_a_constant_speed_is_reached_where_it_began(sign: int):
 
 
 def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
-    """Of random polynomials: the turns of the speed that are above all that was, from that at t = 0
-    on.
-    """
+    """The log has all turns of random polynomials that exceed all earlier values."""
     counts = set()
     for _ in range(200):
         position = wavy()

@@ -1,4 +1,4 @@
-"""Polynomials between samples against those they come from, SciPy's, and plain sums of forces."""
+"""Polynomials between samples, compared with their origin, with SciPy and with sums of forces."""
 
 import math
 
@@ -65,18 +65,18 @@ def _power(ends: tuple[np.ndarray, np.ndarray]) -> Polynomial:
 
 
 def misfit(values: np.ndarray, i: int) -> float:
-    """Return by how much the quintic misses the way, over h."""
+    """Return the misfit of the quintic to the displacement, over h."""
     return (values[0, i + 1] - values[0, i]) / H - quintic(values, i).integ()(1.0)
 
 
 def between(values: np.ndarray, i: int, kind: int) -> Polynomial:
-    """Return what is looked at in an interval."""
+    """Return the times in an interval at which polynomials are compared."""
     velocity = quintic(values, i) + misfit(values, i) * SHAPE
     return velocity if kind == hermite.VELOCITY else values[0, i] + H * velocity.integ()
 
 
 def errors(values: np.ndarray, kind: int) -> np.ndarray:
-    """Return how far off the polynomials may be, (T-1,)."""
+    """Return the claimed errors of the polynomials, (T-1,)."""
     pushed = np.abs(_power((np.array([0, 1.0, 0]), np.array([0, -1.0, 0])))(DENSE)).max()
     count = values.shape[1] - 1
     most = SHAPE(0.5)
@@ -130,9 +130,7 @@ def test_errors_follow_from_the_misfit_of_the_way_and_of_the_acceleration(kind: 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_quick_bound_is_close_where_samples_are(kind: int):
-    """Of a swing of a fourteenth of a period in an interval it exceeds the largest value by 1 % at
-    most.
-    """
+    """With 14 samples a period, the bound exceeds the largest value by 1 % at most."""
     omega = 0.45 / H
     t = H * np.arange(6)
     phase = omega * t + 0.3
@@ -160,7 +158,7 @@ def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
 def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
     curve = Polynomial([1.0, 0.3, -2.0, 0.7, 0.1, -0.4, 0.2])
     slopes = bernstein(curve.deriv(), 5)
-    # of the largest curvature of a misfit, twice, and the largest misfit
+    # The ratio of twice the largest curvature of a misfit to the largest misfit.
     ratio = 2 * 52.5 / SHAPE(0.5)
     for s in (0.0, 0.4, 1.0):
         bend = abs(curve.deriv(2)(s))
@@ -200,7 +198,7 @@ def test_every_turn_of_a_polynomial_is_found_in_order(places: list[float], sign:
 
 
 def test_close_turns_beside_a_steep_jerk_are_found():
-    """Of 2,000 slopes of degree 5, many with several roots in a quarter of the interval."""
+    """Among 2,000 slopes of degree 5, many have several roots in a quarter of the interval."""
     several = 0
     for _ in range(2000):
         middle = RNG.uniform(0, 1)
@@ -243,7 +241,7 @@ def test_a_level_is_found_to_all_digits(curve: Polynomial, level: float, place: 
 def forces_of(
     r: np.ndarray, closing: np.ndarray, contacts: np.ndarray, exponent: float, linear: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return changes of the forces of contacts (T, N+1) and their rates, in longer numbers."""
+    """Return changes of contact forces (T, N+1) and their rates, in extended precision."""
     constant, force, overlap = contacts.astype(np.longdouble)
     if linear:
         stiffness = constant * exponent * (overlap ** (exponent - 1) if exponent > 1 else 1)
@@ -255,7 +253,7 @@ def forces_of(
 
 
 def unsure_of(y: np.ndarray, climb: np.ndarray, rate: np.ndarray, mass: float) -> np.ndarray:
-    """Return how far off a force may be behind each sample, (T,): in an interval with a kink."""
+    """Return the error of a force behind each sample, (T,), in an interval with a kink."""
     off = np.zeros(y.size)
     for i in range(1, y.size):
         before = y[i - 1]
@@ -298,7 +296,7 @@ ENDS = {
 def test_accelerations_and_jerks_are_those_of_the_forces(
     end: str, exponent: float, linear: bool, strength: float
 ):
-    """Five grains in another order of columns, with one more that is not asked for."""
+    """The columns have five grains in another order, with one more that is not requested."""
     contacts = chain_contacts(exponent, *ENDS[end])
     u, v = strength * RNG.normal(size=(2, 9, 6))
     u[:2], v[:2] = 0.0, 0.0  # some contacts rest for a while
@@ -327,9 +325,7 @@ def test_accelerations_and_jerks_are_those_of_the_forces(
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_a_weak_wave_keeps_its_digits(exponent: float):
-    """Of an overlap it moves a hundred-millionth,
-    where a difference of forces would lose 8 digits.
-    """
+    """The overlap changes by 1e-8, so that a difference of forces would lose 8 digits."""
     contacts = chain_contacts(exponent, [True] * 3, [True] * 3)
     u, v = 1e-8 * RNG.normal(size=(2, 5, 2))
     block = block_of(u, v, [STILL, 0, 1, STILL], contacts, np.ones(2), exponent, False, H)

@@ -1,6 +1,4 @@
-"""Dumps that are written here, frame by frame: what is read from them, and both sides of every
-refusal.
-"""
+"""Synthetic dumps, frame by frame: reading, and both sides of every limit."""
 
 import gzip
 import math
@@ -15,7 +13,7 @@ from lmpchain.trajectory.dump_frames import is_dump
 
 CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
 SAMPLES = 4
-# samples too far apart to tell whether displacements change as velocities say
+# The samples are too far apart to compare displacements with velocities.
 SCENE = Scene(
     chain=CHAIN, excitation=Impulse(velocity=2e-3, grain=2), duration=3e-4, samples=SAMPLES
 )
@@ -39,7 +37,7 @@ def dump(
     up: int = 1,
     numbers: np.ndarray = NUMBERS,
 ) -> Path:
-    """Write a dump: atoms in an order that changes from frame to frame."""
+    """Write a dump with an order of atoms that changes from frame to frame."""
     text = ""
     for sample, step in enumerate(steps):
         z = up * (rest - u[sample])
@@ -59,7 +57,7 @@ def dump(
 
 
 def fault(path: Path, scene: Scene = SCENE, *more: Any) -> str:
-    """Return with what words a dump is refused."""
+    """Return the message with which a dump is rejected."""
     with pytest.raises(InputError) as caught:
         Trajectory.from_dump(path, scene, *more)
     ((key, why),) = caught.value.faults
@@ -128,7 +126,7 @@ def test_what_the_scene_begins_with_is_added_to_heights(tmp_path: Path):
 
 @pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False), (1e-3, False)])
 def test_a_dump_of_a_scene_with_another_strike_is_refused(tmp_path: Path, off: float, good: bool):
-    """Beyond a millionth of the largest value in the dump."""
+    """The initial state must agree to a millionth of the largest value in the dump."""
     scene = Scene(**SCENE.given() | {"excitation": Impulse(velocity=2e-3 * (1 - off), grain=2)})
     path = dump(tmp_path / "run.dump")
     if good:
@@ -226,7 +224,7 @@ def test_the_axis_of_a_column_is_twice_as_long_as_any_other(
 
 @pytest.mark.parametrize(("levels", "good"), [(101, True), (99, False)])
 def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: bool):
-    """Heights to 1e-10 m, and a motion of so many of these."""
+    """Heights have steps of 1e-10 m, and the motion a number of these."""
     rest = np.round(REST, 10)
     u = np.zeros((SAMPLES, 5))
     u[:, 1] = np.array([0, 0.3, 0.7, 1.0]) * levels * 1e-10

@@ -1,6 +1,4 @@
-"""Dumps of LAMMPS that are changed, or read as another scene: each is right, or refused in a line
-that names what is wrong and the cure.
-"""
+"""Changed LAMMPS dumps, and dumps of other scenes: read correctly or rejected with a remedy."""
 
 import gzip
 import re
@@ -21,7 +19,7 @@ from lmpchain.engines.lammps.export import write_deck
 GRAINS = 12
 CHAIN = Chain(grains=GRAINS, material="glass", diameter=1e-3, top_load=0.02)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=8e-6, samples=41)
-# of a dump without displacements, and without times
+# Columns of a dump without displacements.
 OWN = "id x y z vz radius mass"
 SIDE = 0.04  # of the box, m
 
@@ -58,13 +56,13 @@ def frames_of(path: Path) -> list[Frame]:
 
 @pytest.fixture(scope="module")
 def decks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Return dumps of a deck of ours and of an own one, of one run."""
+    """Return dumps of lmpchain's deck and of another deck, of one run."""
     folder = tmp_path_factory.mktemp("deck")
     include = folder / "own.include"
     include.write_text(
         f"dump own all custom 20 own.dump {OWN}\ndump_modify own sort id format float %.17g\n"
     )
-    # 20 steps from sample to sample
+    # There are 20 steps between two samples.
     write_deck(SCENE, folder, step=1e-8, include=include, diameter="physical")
     lmp(folder)
     return {"ours": folder / "column.lammpstrj", "own": folder / "own.dump"}
@@ -81,7 +79,7 @@ def write(path: Path, frames: list[Frame]) -> Path:
 
 
 def refused(path: Path, scene: Scene, says: str) -> None:
-    """Assert that a dump is refused in one line that names what is wrong and the cure."""
+    """Assert that a dump is rejected in one line with the fault and the remedy."""
     with pytest.raises(InputError, match=says) as caught:
         Trajectory.from_dump(path, scene)
     assert str(caught.value).count("\n") == 0
@@ -102,7 +100,7 @@ def scaled(columns: str, factor: float) -> Callable[[list[Frame]], None]:
 
 
 def every(number: int) -> Callable[[list[Frame]], None]:
-    """Return the frames of a run with a dump so many times as rare, for as many samples."""
+    """Return the frames of a run with fewer frames in a longer time, for the same sample count."""
 
     def change(frames: list[Frame]) -> None:
         frames[:] = frames[::number]
@@ -147,7 +145,7 @@ def uneven_times(frames: list[Frame]) -> None:
 
 
 def wrapped(flags: bool, lowest: float) -> Callable[[list[Frame]], None]:
-    """Return dumps of a box that is periodic along z and begins at a height."""
+    """Return dumps of a box that is periodic along z and begins at a given height."""
 
     def change(frames: list[Frame]) -> None:
         for frame in frames:
@@ -187,12 +185,12 @@ def set_line(name: str, value: str, number: int = 0) -> Callable[[list[Frame]], 
 
 
 def one_more(frames: list[Frame]) -> None:
-    """Give a grain the height of another one, and more."""
+    """Give a grain the height of another one, plus a difference."""
     frames[0].rows[4]["z"] = f"{float(frames[0].rows[4]['z']) + 1e-4:.17g}"
 
 
 COUNT = r"ITEM: NUMBER OF ATOMS must be a whole number"
-# what changes, and what is said of it; nothing where it is read as it was
+# Each change of the frames, and the message; empty if the dump is read unchanged.
 CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "as it was": (lambda frames: None, ""),
     "micrometres": (scaled("x y z", 1e6), "grains 1 and 2 are .* m apart .* in units si"),
@@ -244,7 +242,7 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
 }
 
 
-# m, s and kg of one unit, and m/s of one of velocity; by the tables of LAMMPS and CODATA
+# Units of length, time, mass and velocity in SI, by the tables of LAMMPS and CODATA.
 STYLES = {
     "cgs": (1e-2, 1.0, 1e-3, 1e-2),
     "micro": (1e-6, 1e-6, 1e-15, 1.0),
@@ -273,7 +271,7 @@ def test_dumps_in_other_units_are_converted(original: Path, style: str, said: bo
     units = scales if style == "lj" else None if said else style
     t = Trajectory.from_dump(path, SCENE, units=units)
     truth = Trajectory.from_dump(original, SCENE)
-    # heights of 12 mm round when they are converted
+    # Heights of 12 mm have rounding errors from the conversion.
     for field, rounding in (("displacement", 4 * np.spacing(0.012)), ("velocity", 0.0)):
         close = 1e-9 * np.abs(getattr(truth, field)).max() + rounding
         assert getattr(t, field) == pytest.approx(getattr(truth, field), rel=0.0, abs=close)
@@ -301,7 +299,7 @@ def test_a_changed_dump_is_read_as_it_was_or_refused(original: Path, name: str, 
     change(frames)
     path = write(tmp_path / "changed.dump", frames)
     if says and not says.endswith("^$"):
-        # a deck of ours has its displacements in a column of their own
+        # A deck of lmpchain has a separate column of displacements.
         if name == "velocities upward" and "own" in original.name:
             says = "grain 12 begins with a velocity|" + says
         refused(path, SCENE, says)
@@ -313,7 +311,7 @@ def test_a_changed_dump_is_read_as_it_was_or_refused(original: Path, name: str, 
 
 
 def test_digits_are_those_in_the_file(decks: dict[str, Path], tmp_path: Path):
-    """What a box adds to positions has digits that the dump has not."""
+    """Digits that box lengths add to positions are not digits of the dump."""
     frames = frames_of(decks["own"])
     wrapped(flags=True, lowest=0.0844)(frames)
     for frame in frames:
@@ -448,7 +446,7 @@ def test_a_deck_that_is_run_with_other_variables(
 
 @pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])
 def test_a_deck_tells_its_times_where_samples_do_not(tmp_path: Path, integrator: str):
-    """The fastest motion turns through 10 rad from sample to sample."""
+    """The phase of the fastest motion between two samples is 10 rad."""
     scene = SCENE.replace(duration=2e-5, samples=5)
     write_deck(scene, tmp_path, step=1e-7, integrator=integrator)
     lmp(tmp_path)
@@ -460,7 +458,7 @@ def test_a_deck_tells_its_times_where_samples_do_not(tmp_path: Path, integrator:
 
 @pytest.mark.parametrize("load", [0.01, 0.024, 0.04])
 def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: Path, load: float):
-    """Distances between such grains do not tell the load, but the motion does."""
+    """Distances between such grains do not show the load, but the motion does."""
     scene = other({"gravity": 0.0}, duration=8e-6)
     write_deck(scene, tmp_path, step=1e-8, diameter="gauge")
     lmp(tmp_path)
@@ -471,7 +469,7 @@ def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: 
 
 @pytest.mark.parametrize("amplitude", [1e-6, 1e-5])
 def test_grains_that_move_less_than_a_digit_of_their_height(tmp_path: Path, amplitude: float):
-    """In a vacuum, beside a grain that is pushed, and moves as if it were alone."""
+    """Such a grain is beside a forced grain in a vacuum, which moves as if alone."""
     chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0)
     push = Force(grain=4, shape="half-sine", amplitude=amplitude, duration=5e-7)
     scene = Scene(chain=chain, excitation=push, duration=1e-6, samples=41)

@@ -1,6 +1,4 @@
-"""Files from someone else:
-what lmpchain did not write is refused before anything in it is opened.
-"""
+"""Foreign files are rejected before any of their content is opened."""
 
 import hashlib
 import io
@@ -38,7 +36,7 @@ SCENE = Scene(
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a run in a file, in a run folder, and in one that was stopped."""
+    """Return a folder with a run in a file, in a run folder, and in an unfinished run folder."""
     folder = tmp_path_factory.mktemp("originals")
     simulate(SCENE, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
@@ -59,7 +57,7 @@ def stopped(originals: Path, tmp_path: Path) -> Path:
 
 
 def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Return the one line with which a file is refused by all that read it."""
+    """Return the one line with which all readers reject a file."""
     with pytest.raises(InputError) as caught:
         Trajectory.load(path)
     ((key, why),) = caught.value.faults
@@ -75,7 +73,7 @@ def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 class Trap:
-    """What leaves a mark when it is unpickled."""
+    """Object that leaves a mark when it is unpickled."""
 
     def __init__(self, mark: Path):
         self.mark = mark
@@ -104,7 +102,7 @@ numcodecs.register_codec(Unpickling)
 def test_no_pickle_of_a_store_is_opened(
     run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    """The store is one of Zarr version 2 and made by hand; its filter runs what its chunks say."""
+    """The store of Zarr version 2 has a filter that executes the content of its chunks."""
     mark = run.parent / "mark"
     store = run / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
@@ -135,9 +133,7 @@ def test_no_pickle_of_a_store_is_opened(
 
 
 def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
-    """Change the metadata of an array where they stand: with it, and together with those of the
-    others.
-    """
+    """Change the metadata of an array in its own file, or also in the consolidated metadata."""
     for path, where in ((run / "trajectory.zarr" / name, None), (run / "trajectory.zarr", name)):
         about = json.loads((path / "zarr.json").read_text())
         change(about["consolidated_metadata"]["metadata"][name] if where else about)
@@ -248,7 +244,7 @@ def test_a_run_is_not_resumed_through_links(
 
 
 def test_a_run_folder_brings_no_commands(stopped: Path):
-    """Commands of LAMMPS can start programs; what a run folder names is not run."""
+    """Commands of LAMMPS can start programs, so commands in a run folder are not executed."""
     mark = stopped.parent / "mark"
     path = stopped / "run.json"
     (stopped / "more.in").write_text(f"shell touch {mark}\n")
@@ -323,9 +319,7 @@ def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
 
 @pytest.mark.parametrize("what", ["window", "shape", "sample", "lost", "none", "text"])
 def test_the_state_of_a_checkpoint_fits_its_run(stopped: Path, what: str):
-    """The compiled loops trust the state:
-    they do not look whether they are inside of their arrays.
-    """
+    """The compiled loops do not check their array bounds, so a state is checked when it is read."""
     arrays = arrays_of(stopped)
     if what == "window":
         arrays["state.native.state"]["first"][0] = -(10**9)
@@ -448,7 +442,7 @@ def test_only_plain_arrays_of_the_file_itself_are_read(
 
 
 def changed_bytes(content: bytes, seed: int) -> bytes:
-    """Return the bytes of a file with some changed, lost, doubled or put in."""
+    """Return the bytes of a file with some bytes changed, removed, repeated or inserted."""
     random = np.random.default_rng(seed)
     changed = bytearray(content)
     for _ in range(random.integers(1, 6)):
@@ -473,7 +467,7 @@ def changed_bytes(content: bytes, seed: int) -> bytes:
 def test_no_changed_file_reaches_the_library_that_may_hang(
     originals: Path, tmp_path: Path, seed: int, sealed: bool, monkeypatch: pytest.MonkeyPatch
 ):
-    """HDF5 searched two of 756 such files for ever, and no signal but a kill stopped it."""
+    """HDF5 hung on two of 756 such files, and only a kill stopped it."""
     content = (originals / "run.nc").read_bytes()
     end = len(content) - len(seal(b""))
     reached = []
@@ -495,7 +489,7 @@ def test_no_changed_file_reaches_the_library_that_may_hang(
 
 
 def test_a_damaged_file_is_refused_in_one_line(originals: Path, tmp_path: Path):
-    """h5netcdf used to print a traceback after it."""
+    """The library h5netcdf used to print a traceback after the message."""
     content = (originals / "run.nc").read_bytes()
     (tmp_path / "run.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + content[8 : len(content) // 2])
     code, said = finish("fit", tmp_path / "run.nc")

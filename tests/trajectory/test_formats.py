@@ -1,4 +1,4 @@
-"""Other tools read what is written here, and what they wrote is read."""
+"""Other tools read our files, and we read theirs."""
 
 import gzip
 import re
@@ -38,9 +38,7 @@ def trajectory() -> Trajectory:
 
 
 def rest(t: Trajectory) -> np.ndarray:
-    """Return the heights of the recorded grains at rest, (G,) m: diameters less overlaps,
-    summed.
-    """
+    """Return the heights of the recorded grains at rest, (G,) m."""
     chain = t.scene.chain
     apart = (chain.diameters[1:] + chain.diameters[:-1]) / 2 - chain.equilibrium_overlap
     return -np.append(0, np.cumsum(apart))[t.grains - 1]
@@ -141,9 +139,7 @@ def test_extxyz_is_whole_or_not_there(trajectory: Trajectory, tmp_path: Path):
 
 
 def test_what_a_deck_writes(tmp_path: Path):
-    """ASE reads the dump, LAMMPS's own reader the logs of `lmp` and of the library, and both dumps
-    are the same.
-    """
+    """ASE reads the dump, and LAMMPS's reader both logs; the dumps of `lmp` and library agree."""
     write_deck(small(), tmp_path / "deck", step=1e-7)
     lmp(tmp_path / "deck")
     t = simulate(
@@ -177,8 +173,7 @@ MOVED = Scene(**OWN.given() | {"excitation": Displacement(displacement=-2e-8, gr
 def own_deck(
     folder: Path, scene: Scene, up: int = 1, dump: str = "own.dump", columns: str = "id x y z vz"
 ) -> Path:
-    """Let LAMMPS run a deck that shares nothing with ours, with z up (1) or down (-1); return its
-    dump.
+    """Run an independent deck in LAMMPS, with z up (1) or down (-1); return its dump.
 
     Atoms have numbers without order and start at rest, but for what the scene does to them; the
     constant of gran/hertz/history is K / sqrt(R / 2).
@@ -295,9 +290,7 @@ def test_dumps_without_what_is_needed(tmp_path: Path):
 
 
 def turned(text: str, axis: str, sign: int) -> str:
-    """Return a dump whose column stands along another axis, with its sign as it is or turned
-    around.
-    """
+    """Return a dump with the column along another axis, in the same or opposite direction."""
     lines = text.splitlines()
     header = "ITEM: ATOMS id x y z vz"
     out = []
@@ -353,16 +346,14 @@ def test_a_column_along_a_diagonal_is_refused(
 
 
 def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
-    """A frame that is there twice is read once, half a frame not at all, wherever the run was
-    killed in it.
-    """
+    """A repeated frame is read once, and an incomplete frame is skipped."""
     path = tmp_path / "dump"
     truth = Trajectory.from_dump(upright, OWN)
     text = upright.read_text()
     frames = ["ITEM: TIMESTEP" + part for part in text.split("ITEM: TIMESTEP")[1:]]
     assert len(frames) == 11
     for kept in (1, 5, 10):
-        # a restart writes its first frame anew
+        # A restart writes its first frame again.
         path.write_text("".join([*frames[: kept + 1], *frames[kept:]]))
         assert np.array_equal(Trajectory.from_dump(path, OWN).displacement, truth.displacement)
         for cut in (3, 20, len(frames[kept]) // 2, len(frames[kept]) - 3):
@@ -388,7 +379,7 @@ def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
 
 @pytest.mark.parametrize("digits", [9, 10, 12])
 def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path: Path):
-    """What digits that are cut off change is within what the dump says of itself."""
+    """The effect of truncated digits is within the stated precision of the dump."""
 
     def rounded(match: re.Match[str]) -> str:
         return f"{match[1]} 0 0 {float(match[2]):.{digits - 1}e} {float(match[3]):.{digits - 1}e}"
@@ -408,5 +399,5 @@ def test_the_precision_of_a_dump_is_stated(upright: Path, digits: int, tmp_path:
         strict=True,
     ):
         off = np.abs(mine - true).max()
-        # the height at rest is rounded as well
+        # The height at rest is rounded as well.
         assert float(stated) / 100 < off <= 2 * float(stated)

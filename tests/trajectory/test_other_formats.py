@@ -1,4 +1,4 @@
-"""Files of other programs are named, with what can be read in their place."""
+"""Files of other programs are identified, with a remedy."""
 
 from pathlib import Path
 
@@ -33,7 +33,7 @@ def h5md(path: Path) -> None:
         file.create_group("h5md").attrs["version"] = [1, 1]
 
 
-# as each program writes them, by its own writer where there is one
+# Each file is written by the program's own writer, if there is one.
 WRITERS = {
     "NumPy array": lambda path: np.save(path.open("wb"), np.ones(3)),
     "ZIP archive": lambda path: np.savez(path.open("wb"), a=np.ones(3)),

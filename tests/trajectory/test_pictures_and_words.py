@@ -1,6 +1,4 @@
-"""What a trajectory shows of itself: the picture's data, its line in a notebook, and words on what
-was gathered.
-"""
+"""Representations of a trajectory: picture, line in a notebook, and accumulated quantities."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Stores as zarr reads them while they grow, and the metadata of files."""
+"""Stores that zarr reads while they grow, and the metadata of files."""
 
 import json
 import math
@@ -110,7 +110,7 @@ def test_grains_that_a_block_leaves_out_rest(empty: Path):
 
 @pytest.mark.parametrize("again", [ROWS, ROWS + 30, ROWS + 90])
 def test_a_run_goes_on_within_a_shard(empty: Path, again: int):
-    """What is there stays until it is written anew, so that no reader sees it vanish."""
+    """Stored samples stay until they are replaced, so that no reader sees them vanish."""
     writer = Writer(empty, SCENE)
     writer.put(block(0, ROWS + 90))
     writer.flush()
@@ -215,7 +215,7 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     ],
 )
 def test_how_a_store_is_laid_out(samples: int, grains: int, shard: Any, chunk: Any, times: int):
-    """As stores are that were written before, which stay readable."""
+    """The layout equals the layout of earlier stores, which stay readable."""
     expected = {
         "time": (times,),
         "grain": (grains,),
@@ -276,7 +276,7 @@ def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: st
 
 
 def test_descriptions_are_gathered_as_zarr_does(tmp_path: Path):
-    """By hand, for zarr warns of it, and Python's filters of warnings are one list for threads."""
+    """Zarr's own function warns, and Python's warning filters are shared by all threads."""
     zarr_store.create_zarr(tmp_path, SCENE, {"engine": "native"})
     file = tmp_path / zarr_store.NAME / "zarr.json"
     by_hand = json.loads(file.read_text())

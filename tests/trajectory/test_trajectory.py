@@ -1,4 +1,4 @@
-"""What is saved is loaded equal, other tools can read it, and there is never half a file."""
+"""Saved trajectories are loaded equal, other tools read them, and files are never incomplete."""
 
 import resource
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""xarray opens what lmpchain writes by itself."""
+"""Results of lmpchain open in xarray without further imports."""
 
 from importlib.metadata import entry_points
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Arrays: slices, magnitudes, and what is computed once."""
+"""Arrays: slices, magnitudes, and conversion of numbers."""
 
 from decimal import Decimal
 from fractions import Fraction
@@ -52,7 +52,7 @@ def test_a_value_is_computed_once_and_its_class_tells_of_it():
     class Square:
         @cached_property
         def area(self) -> float:
-            """Return the area."""
+            """Return the area of the square."""
             calls.append(self)
             return 4.0
 
@@ -63,18 +63,18 @@ def test_a_value_is_computed_once_and_its_class_tells_of_it():
 
 
 class WithUnit(float):
-    """A number with a unit, as pint and astropy have them."""
+    """A number with a unit, as in pint and astropy."""
 
     units = "centimetre"
 
 
 class ColumnWithUnit(np.ndarray):
-    """An array with a unit, as those of astropy and unyt are."""
+    """An array with a unit, as in astropy and unyt."""
 
     unit = "cm"
 
 
-# each is turned into numbers by numpy, without a word
+# NumPy converts each of these to numbers without a warning.
 NO_NUMBERS: dict[str, Any] = {
     "masked": np.ma.array([0.0, 1.0], mask=[True, False]),
     "masked entry": [0.0, np.ma.masked],

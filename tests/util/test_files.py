@@ -1,4 +1,4 @@
-"""Files appear whole or not at all, and what is read is what was written."""
+"""Files are written completely or not at all, and are read as written."""
 
 import errno
 import hashlib
@@ -35,7 +35,7 @@ def names(folder: Path) -> list[str]:
 
 
 def in_a_fork(work: Any) -> None:
-    """Do something in another process, which has not written to any folder before."""
+    """Call a function in another process that has not written to any folder before."""
 
     def child() -> None:
         files._sweep.cache_clear()
@@ -203,7 +203,7 @@ def test_a_tree_of_folders_and_files_holds_no_links(tmp_path: Path, monkeypatch:
         with pytest.raises(OSError, match=f"{odd} there is a link, a device or a pipe"):
             check_tree(tree)
         path.unlink()
-    # a file that a run renames meanwhile is passed over, what comes behind it is not
+    # A file that a run renames meanwhile is skipped, but the next file is checked.
     os.mkfifo(tree / "pipe")
     monkeypatch.setattr(os, "walk", lambda at: [(at, [], ["gone"])])
     check_tree(tree)
@@ -219,7 +219,7 @@ def test_a_seal_is_the_hash_of_the_content(tmp_path: Path):
     whole = content + seal(content)
     path.write_bytes(whole)
     check_seal(path)
-    # of other programs, or cut short
+    # Files of other programs, and truncated files.
     for unsealed in (content, b"", b"short", whole[:-1], whole + b" "):
         path.write_bytes(unsealed)
         with pytest.raises(ValueError, match="ends without the seal of lmpchain"):

@@ -1,4 +1,4 @@
-"""Threads of linear algebra."""
+"""Number of threads of linear algebra."""
 
 import scipy.linalg  # noqa: F401  the library whose threads are counted
 from threadpoolctl import threadpool_info, threadpool_limits

@@ -1,4 +1,4 @@
-"""Locks of folders, also where the file system has none."""
+"""Locks of folders, also on file systems without locks."""
 
 import errno
 import fcntl

@@ -1,4 +1,4 @@
-"""How much memory is free, and a limit on what a piece of work takes."""
+"""Free memory, and a memory limit for a task."""
 
 import resource
 import subprocess
@@ -36,7 +36,7 @@ def test_a_command_says_in_one_line_that_memory_ran_out(monkeypatch, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("kilobytes", [400_000, 600_000, 800_000, 1_000_000])
 def test_a_sweep_with_little_memory_ends(kilobytes, tmp_path):
-    """It is answered, or refused in one line."""
+    """The sweep gives results or an error of one line."""
     scenes = {"scene": tomllib.loads(SCENE), "grid": {"chain.gravity": [1.0, 2.0]}}
     source = tmp_path / "sweep.toml"
     source.write_text(tomli_w.dumps(scenes | {"keep": ["wall_force"]}))

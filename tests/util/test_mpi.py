@@ -1,4 +1,4 @@
-"""MPI as one process sees it: who has started it, what it leaves behind, what ends with it."""
+"""MPI in one process: launcher, files after a kill, and processes that end together."""
 
 import ctypes
 import mmap
@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from lmpchain import EngineUnavailable
-from lmpchain.util import leftovers, mpi
+from lmpchain.util import mpi
 
 SIZES = ("PMI_SIZE", "PMIX_SIZE", "OMPI_COMM_WORLD_SIZE")
 SLURM = ("SLURM_PROCID", "SLURM_STEP_ID", "SLURM_STEP_NUM_TASKS")
@@ -63,7 +63,7 @@ def test_a_process_leaves_the_world_of_another_program(key: str, monkeypatch: An
     assert mpi.count_processes() == 1
     assert mpi.count_idle() == 0
     assert mpi.is_first()
-    # a job may still ask for its nodes
+    # A job may still ask for its nodes.
     assert os.environ["SLURM_JOB_NODELIST"] == "n[1-4]"
 
 
@@ -132,11 +132,11 @@ def test_an_abort_says_why_and_ends_all_ranks(monkeypatch: Any, capsys: pytest.C
 
 @pytest.fixture
 def shared(tmp_path: Path, monkeypatch: Any) -> Path:
-    """Folders in place of those of the machine."""
+    """Replace the folders of the machine by temporary ones."""
     for name in ("shm", "tmp"):
         (tmp_path / name).mkdir()
-    monkeypatch.setattr(leftovers, "SHARED_MEMORY", tmp_path / "shm")
-    monkeypatch.setattr(leftovers, "TEMPORARY", tmp_path / "tmp")
+    monkeypatch.setattr(mpi, "SHARED_MEMORY", tmp_path / "shm")
+    monkeypatch.setattr(mpi, "TEMPORARY", tmp_path / "tmp")
     return tmp_path
 
 
@@ -151,9 +151,9 @@ def test_shared_memory_of_mpi_loses_its_name_and_lives_on(shared: Path):
     other = mapped(shared / "shm" / "other")
     theirs = shared / "shm" / "mpich_shm_2"
     theirs.touch()
-    leftovers.unname_shared_memory()
+    mpi.unname_shared_memory()
     assert sorted(os.listdir(shared / "shm")) == ["mpich_shm_2", "other"]
-    leftovers.unname_shared_memory()  # of what has no name any more
+    mpi.unname_shared_memory()  # of what has no name any more
     ours[:3] = b"yes"
     assert ours[:3] == b"yes"
     ours.close()
@@ -161,7 +161,7 @@ def test_shared_memory_of_mpi_loses_its_name_and_lives_on(shared: Path):
 
 
 def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypatch: Any):
-    monkeypatch.setattr(leftovers, "time", SimpleNamespace(time=lambda: 1000.0))
+    monkeypatch.setattr(mpi, "time", SimpleNamespace(time=lambda: 1000.0))
     ages = {
         "shm/mpich_shm_old": 61,
         "shm/mpich_shm_used": 61,
@@ -179,9 +179,9 @@ def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypat
     owner = os.getuid()
     with pytest.MonkeyPatch.context() as another:
         another.setattr(os, "getuid", lambda: owner + 1)
-        leftovers.remove_leftovers.__wrapped__()
+        mpi.remove_leftovers.__wrapped__()
     assert all((shared / name).exists() for name in ages)
-    leftovers.remove_leftovers.__wrapped__()
+    mpi.remove_leftovers.__wrapped__()
     left = {name for name in ages if (shared / name).exists()}
     assert left == ages.keys() - {
         "shm/mpich_shm_old",
@@ -193,7 +193,7 @@ def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypat
 
 def test_a_rank_is_killed_as_soon_as_its_parent_is_gone():
     def child() -> None:
-        leftovers.end_with_parent()
+        mpi.end_with_parent()
         asked = ctypes.c_int(0)
         ctypes.CDLL(None).prctl(ctypes.c_int(2), ctypes.byref(asked))  # PR_GET_PDEATHSIG
         os._exit(asked.value)

@@ -1,4 +1,4 @@
-"""What prompts, notebooks and `help` show; what pictures fit into; what modules list."""
+"""Display in prompts, notebooks and `help`; sizes of pictures; public names of modules."""
 
 import contextlib
 import importlib
@@ -39,7 +39,7 @@ def run() -> Trajectory:
 
 
 class Seen(HTMLParser):
-    """The texts and pictures of some HTML, whose elements are closed in their turn."""
+    """Parser for the texts and pictures in HTML, with a check that elements are closed in order."""
 
     def __init__(self, html: str):
         super().__init__()
@@ -93,7 +93,7 @@ def test_a_notebook_shows_a_table_and_a_picture(run: Trajectory, name: str, said
 
 
 def test_averages_and_fits_of_a_parameter_are_a_line_of_a_hundred_letters():
-    """With what was asked for: values, errors and units."""
+    """The line has the values, errors and units."""
     walls = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
     beads = SCENE.replace(chain=Chain(grains=4, diameter=1e-3, **walls))
     beads = beads.replace(excitation=lmpchain.Impulse(velocity=0.1))
@@ -188,7 +188,7 @@ def test_the_palette_is_kept_and_a_second_line_has_the_next_colour():
 
 
 def overlap(a: Any, b: Any) -> bool:
-    """Whether two boxes have more than 2 pixels in common both ways."""
+    """Return whether two boxes overlap by more than 2 pixels in both directions."""
     return min(a.x1, b.x1) - max(a.x0, b.x0) > 2 and min(a.y1, b.y1) - max(a.y0, b.y0) > 2
 
 
@@ -333,7 +333,7 @@ def test_the_bar_of_a_fast_run_ends_at_100_percent(capsys: pytest.CaptureFixture
 
 @pytest.mark.slow
 def test_a_plot_shows_once_in_a_notebook(monkeypatch: pytest.MonkeyPatch):
-    """By a real kernel: one picture where it is drawn, none of what only saves.
+    """A real kernel shows one picture when it is drawn, and none when it is only saved.
 
     With and without a semicolon.
     """

@@ -1,4 +1,4 @@
-"""Charts: numbers with units, sizes in inches, letters and lines that fit, colours that differ."""
+"""Charts: numbers with units, sizes in inches, letters and lines that fit, distinct colours."""
 
 import struct
 from itertools import combinations, pairwise
@@ -125,7 +125,7 @@ def test_units_stand_in_the_label_and_plain_numbers_at_the_ticks(
     span: tuple[float, float], ticks: list[str], label: str
 ):
     ax = axes_in_units(figure(WIDE, 3.0).subplots(), "", "J")
-    # the unit of an earlier drawing gives way
+    # The unit of an earlier drawing is replaced.
     ax.set(ylabel="energy (nJ)", ylim=span, yticks=np.linspace(*span, len(ticks)))
     for _ in range(2):
         assert [tick.get_text() for tick in ax.get_yticklabels()] == ticks
@@ -150,7 +150,7 @@ def test_an_axis_keeps_its_unit_where_it_is_logarithmic(width: float):
     assert (ax.get_xscale(), ax.get_yscale()) == ("linear", "log")
     assert [tick.get_text() for tick in ax.get_yticklabels()] == ["10", "1000"]
     assert ax.get_ylabel() == "velocity (µm/s)"
-    # minor ticks have no numbers: these would be without the prefix
+    # Minor ticks have no numbers, because these would lack the prefix.
     assert not any(tick.get_text() for tick in ax.get_yticklabels(minor=True))
     both = axes_in_units(figure(width, 3.0).subplots(), "s", "", "xy")
     assert (both.get_xscale(), both.get_yscale()) == ("log", "log")
@@ -167,7 +167,7 @@ def most_intervals(ax, which: str) -> int:
 
 
 def test_ticks_leave_room_for_their_labels():
-    """An inch or so for each of a time axis."""
+    """Labels on a time axis have about an inch each."""
     assert most_intervals(axes(WIDE), "x") == 6
     assert most_intervals(axes(WIDE), "y") > 6
     assert most_intervals(axes(NARROW), "x") == most_intervals(axes(NARROW), "y") == 5
@@ -246,7 +246,7 @@ WORDS = "energy of the grains and of the contacts between them relative to that 
 
 
 def drawn_width(text) -> float:
-    """Return how wide a text is drawn, in inches."""
+    """Return the drawn width of a text in inches."""
     picture = text.figure.figure
     picture.draw_without_rendering()
     return text.get_window_extent().width / picture.dpi
@@ -254,7 +254,7 @@ def drawn_width(text) -> float:
 
 @pytest.mark.parametrize("width", [2.0, NARROW, PANEL, WIDE, 10.0])
 def test_titles_are_as_wide_as_their_axes(width: float):
-    """And no narrower than they need be: a letter is about half as wide as high."""
+    """The limit is close, because a letter is about half as wide as high."""
     ax = axes(width)
     set_title(ax, WORDS)
     assert ax.get_title("left")
@@ -290,7 +290,7 @@ def test_a_legend_fits_its_axes(width: float):
     assert short.get_text() == "short"
     assert " ".join(long.get_text().split()) == WORDS.strip()
     inches = ax.get_position().width * width
-    # letters with their line and its gap, which takes what two points a letter make
+    # Letters with their line and gap, which take two points of each letter.
     size = long.get_fontsize()
     room = int(inches * 72 / (0.52 * (size + 2)))
     lines = long.get_text().splitlines()

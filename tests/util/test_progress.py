@@ -25,7 +25,7 @@ from lmpchain.util.progress import COUNT, RATE, ProgressBar
 
 
 class Tqdm:
-    """What the bar of tqdm is asked."""
+    """Stub of tqdm that records the calls of its bar."""
 
     def __init__(self, **options: Any):
         self.options = options
@@ -302,7 +302,7 @@ def test_what_is_kept_follows_from_a_module_and_those_it_imports_beside_it(tmp_p
 
 @pytest.mark.parametrize("gone", ["clmpchain.errors\nGone\n.", "clmpchain.gone\nGone\n."])
 def test_what_an_older_version_kept_is_compiled_anew(gone: str, tmp_path: Path):
-    """Its types of arguments may be gone, and numba unpickles them before it looks at the stamp."""
+    """Its argument types may no longer exist, and numba unpickles them before the check."""
     toy = module(tmp_path, "toy_outdated", TOY.format(name="three"))
     file = toy.twice._cache._cache_file
     path = Path(file._index_path)
@@ -316,7 +316,7 @@ def test_what_an_older_version_kept_is_compiled_anew(gone: str, tmp_path: Path):
 
 
 def test_compiled_functions_of_two_processes_have_different_names():
-    """numba alone counts them from 1 in each."""
+    """Numba alone counts functions from 1 in each process."""
     numbers = [next(FunctionIdentity._unique_ids) for _ in range(4)]
     assert len(set(numbers)) == 4
     assert max(numbers) > 2**56

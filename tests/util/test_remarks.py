@@ -1,4 +1,4 @@
-"""Warnings in threads: what one puts aside, no other loses, and Python's filters stay."""
+"""Suppressed warnings in threads: no thread loses warnings of another one, and filters stay."""
 
 import threading
 import warnings
@@ -11,7 +11,7 @@ import pytest
 from lmpchain import Chain, Impulse, Scene, simulate
 from lmpchain.util.remarks import warn, warnings_aside
 
-# far from linear: Eq. (3) warns of its error
+# This wave is far from linear, so Eq. (3) warns of its error.
 STRONG = Scene(
     chain=Chain(grains=6, diameter=1e-3),
     excitation=Impulse(velocity=0.1),
@@ -21,7 +21,7 @@ STRONG = Scene(
 
 
 def in_threads(work: Callable[[int], Any], count: int = 8) -> None:
-    """Do the same in several threads; raise what one of them raised."""
+    """Call a function in several threads; raise the error of any thread."""
     faults: list[BaseException] = []
 
     def run(number: int) -> None:
@@ -41,8 +41,8 @@ def in_threads(work: Callable[[int], Any], count: int = 8) -> None:
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 def test_runs_in_folders_in_threads_leave_the_filters_of_python(tmp_path: Path):
-    """Python's way to put warnings aside left "ignore" there for good."""
-    # libraries add filters of their own as they are first used
+    """Python's own suppression of warnings left the filter "ignore" behind."""
+    # Libraries add their own filters when they are first used.
     simulate(STRONG, "chebyshev", folder=tmp_path / "first")
     before = list(warnings.filters)
     for round_number in range(3):

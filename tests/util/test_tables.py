@@ -15,7 +15,7 @@ def test_wide_cells_are_wrapped():
     lines = tables.align(ROWS)
     assert max(map(len, lines)) <= 80
     assert sum("3.1e-06 s" in line for line in lines) == 1
-    # every word is there, whole, in the order of its cell
+    # Every word is there, whole, in the order of its cell.
     words = " ".join(lines).split()
     for row in ROWS:
         for cell in row:
@@ -24,7 +24,7 @@ def test_wide_cells_are_wrapped():
 
 def test_a_wide_terminal_shows_a_row_in_a_line(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setenv("COLUMNS", "120")
-    # no terminal: as on the narrowest one
+    # Without a terminal, lines are as wide as on the narrowest one.
     assert tables.line_width() == 80
     monkeypatch.setattr("sys.stdout.isatty", lambda: True)
     assert tables.line_width() == 120

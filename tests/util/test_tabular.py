@@ -1,4 +1,4 @@
-"""Results as tables: units in the header, every digit, and the reader of traces reads them."""
+"""Results as tables: units in the header, every digit, and files that the trace reader reads."""
 
 import ast
 from pathlib import Path
@@ -58,7 +58,7 @@ def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
     wall = Force(grain=1, file=path, columns=["time", "change_force_wall"])
     np.testing.assert_array_equal(wall.times, run.time)
     np.testing.assert_array_equal(wall.force, contact.contacts(run, [12]).change[:, 0])
-    # and by the traces themselves
+    # The reader of traces reads the file, too.
     speeds.to_csv(path)
     np.testing.assert_array_equal(Traces.from_csv(path, [3, 5]).values, speeds.values)
     contact.contacts(run, [4]).to_csv(path)
@@ -68,7 +68,7 @@ def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
 
 @pytest.mark.parametrize("named", [{}, {"columns": ["time", "change_force_4"]}])
 def test_a_force_on_a_grain_is_not_read_as_one_of_a_contact(run, tmp_path: Path, named):
-    """It was, without a word: a fit compared it with another force."""
+    """A fit must not compare the force on a grain with a contact force."""
     path = tmp_path / "trace.csv"
     traces.gather(run, force=[4], above_rest=True).to_csv(path)
     with pytest.raises(InputError, match="change_force_4 is the force of a grain"):
@@ -80,7 +80,7 @@ def test_a_force_on_a_grain_is_not_read_as_one_of_a_contact(run, tmp_path: Path,
         InputError, match="of a contact, including its value at rest, not change_contact_4"
     ):
         Traces.from_csv(path, [4], field="contact", columns=["time", "force_contact_4"])
-    # but the force of a wall is that of its contact
+    # The force of a wall equals the force of its contact.
     traces.gather(run, force=["wall"], above_rest=True).to_csv(path)
     change = Traces.from_csv(path, [12], field="contact", columns=["time", "change_force_wall"])
     np.testing.assert_array_equal(change.values, contact.contacts(run, [12]).change)
@@ -138,7 +138,7 @@ def test_every_result_is_a_table(run, tmp_path: Path):
 
 
 def test_what_can_be_drawn_is_a_table():
-    """Every class with a picture; scenes, chains and what is a function of a place are none."""
+    """Every class with a picture is a table, except scenes, chains and functions of place."""
     others = {"ChainPicture", "Scene", "Soliton", "ExponentFit"}
     drawn = set()
     for file in (Path(__file__).parents[2] / "lmpchain").rglob("*.py"):

@@ -1,4 +1,4 @@
-"""Text of templates: what is filled in, what is refused and why; tables; names and modules."""
+"""Templates: filling in, rejected templates with reasons; tables; names and modules."""
 
 import hashlib
 import os

@@ -1,4 +1,4 @@
-"""Checked values: every fault at once, in words, on both sides of each limit; checked copies."""
+"""Checked values: all faults at once, in words, on both sides of each limit; checked copies."""
 
 import copy
 import pickle

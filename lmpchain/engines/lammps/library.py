@@ -10,7 +10,6 @@ from typing import Any
 
 from ...errors import EngineUnavailable
 from ...util import mpi
-from ...util.leftovers import remove_leftovers, unname_shared_memory
 from ...util.remarks import warn
 
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
@@ -44,8 +43,8 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         ) from None
     if mpi.count_processes() == 1:
         # of several processes, `mpi.settle` does it
-        unname_shared_memory()
-    remove_leftovers()
+        mpi.unname_shared_memory()
+    mpi.remove_leftovers()
     try:
         check_packages(instance, "GRANULAR")
     except EngineUnavailable:

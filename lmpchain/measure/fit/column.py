@@ -99,7 +99,7 @@ class FrontLaw(Fitted, Tabular):
         return (self.time - self.shift) / self.law - 1
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the times against depth, with the law, both logarithmic; returns the axes."""
+        """Draw the times against depth, with the law, both logarithmic; return the axes."""
         ax = axes_in_units(ax, "", "")
         ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
         less = self.time - self.shift
@@ -148,7 +148,7 @@ class ContinuumFit(Fitted, Tabular):
     front: FrontLaw | None
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the amplitude, the law of the front, and what the amplitude leaves."""
+        """Yield the amplitude, the law of the front, and the residual of the amplitude."""
         name = "amplitude C of Eq. (35)"
         yield FittedNumber("continuum", name, self.amplitude, self.error, self.expected)
         if self.front:
@@ -156,14 +156,16 @@ class ContinuumFit(Fitted, Tabular):
         yield FittedNumber("continuum", "residual", self.residual, expected=0.0)
 
     def notes(self) -> Iterator[str]:
-        """Yield which grains were fitted."""
+        """Yield the range of fitted grains."""
         yield (
             f"C from grains {self.grain.min()} to {self.grain.max()}, each until the echo from "
             "the bottom is near"
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw C of every sample and of the fit over that of theory; returns the axes."""
+        """Draw the ratio of C to its theoretical value for each sample and the fit; return the
+        axes.
+        """
         from matplotlib.ticker import LogLocator
 
         ax = axes_in_units(ax, "", "")
@@ -238,7 +240,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
     clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
     grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
     values = trajectory.displacement[behind] / (strike * chain.time_scale)
-    # for unit strike and unit amplitude
+    # The shape has unit strike and unit amplitude.
     shape = peaked(grain - 0.5, clock, 0.0, 1.0, 0.0, delta)
 
     def regress(chosen: np.ndarray) -> tuple[float, float]:
@@ -248,7 +250,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
         return slope, float(np.sqrt(((y - slope * x) ** 2).sum() / max(1, x.size - 1) / (x @ x)))
 
     amplitude, error = regress(np.ones(clock.size, dtype=bool))
-    # corrections fall as 1/tau: half the samples, twice as late, show them
+    # Corrections fall as 1/tau, so the later half of the samples shows their size.
     later, _ = regress(clock >= (since + clock.max()) / 2)
     error = float(stats.t.ppf(0.975, clock.size - 1)) * error + 3 * abs(later - amplitude)
     return ContinuumFit(
@@ -278,17 +280,17 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
         return None
     h = n - 0.5
     time = front.time / chain.time_scale
-    # the peak of a chain of grains lags behind the front of the continuum
+    # The peak of a discrete chain lags behind the front of the continuum.
     shift = theory.peak_time(n, delta) - chi(h, delta)
     if not (time > shift).all():
-        # noise
+        # Noise.
         return None
     order = 1 / 3 + 1 / delta
     step = 1 / delta - 1 / 3
     try:
         fit = fit_power(h, time - shift, order, order + step)
     except InputError:
-        # after so strong a strike there is no such law
+        # The law does not describe such a strong strike.
         return None
     power, scale, correction = fit.values.tolist()
     factor = float(np.exp(scale))
@@ -306,16 +308,16 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     )
 
 
-# the law of a solitary wave that feels no gravity, which a strike number above some 10^3 makes
+# Exponents of a solitary wave without gravity, which a strike number above some 10^3 makes.
 STRONG = {"velocity": 0.0, "displacement": 0.0, "time": 1.0, "speed": 0.0, "width": 0.0}
 WINDOW = 11  # grains of a local exponent
-# strength of a wave from which on the law of weak waves, fitted to it, says nothing of great depth
+# Wave strength above which the fitted law of weak waves says nothing of great depth.
 STILL_STRONG = 0.3
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ExponentFit(Fitted):
-    """Exponents of the front with depth: local ones, and those of power laws at great depth.
+    """Exponents of the front with depth: local exponents, and exponents of laws at great depth.
 
     Attributes
     ----------
@@ -342,7 +344,7 @@ class ExponentFit(Fitted):
     strength: Array = field(default_factory=lambda: np.zeros(0))
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the local exponents at the deepest grains, and the exponents of great depth."""
+        """Yield the local exponents at the deepest grains, and the exponents at great depth."""
         if self.strength.size:
             yield FittedNumber(
                 "exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1])
@@ -366,7 +368,7 @@ class ExponentFit(Fitted):
         return bool(self.strength.size) and float(self.strength[-1]) > STILL_STRONG
 
     def notes(self) -> Iterator[str]:
-        """Yield which laws the local exponents approach, and which grains were fitted."""
+        """Yield the laws that the local exponents approach, and the range of fitted grains."""
         verdicts: dict[str, list[str]] = {}
         for name in self.local:
             verdicts.setdefault(self.approach(name), []).append(name)
@@ -404,7 +406,8 @@ class ExponentFit(Fitted):
         return "towards no law within these grains"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw local exponents over depth less those of a weak wave, with errors; returns the axes.
+        """Draw local exponents less the weak-wave exponents over depth, with errors; return the
+        axes.
 
         Points at the right are the exponents of great depth.
         """
@@ -436,7 +439,7 @@ class ExponentFit(Fitted):
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
-    """Fit the exponents with which the front of a strike on the top changes with depth.
+    """Fit the exponents of the front of a strike on the top as functions of depth.
 
     Local ones by `lmpchain.measure.front.exponent`, with their confidence intervals, and those of
     great depth by `lmpchain.measure.front.asymptotic`, with the correction for finite depth. The
@@ -472,7 +475,7 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
         raise InputError.at("front", f"{need}; this run shows {size}: record longer")
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):
-        # behind a strong wave the displacement has no maximum
+        # Behind a strong wave the displacement has no maximum.
         fronts["displacement"] = (
             "amplitude",
             front_before_echo(trajectory, "displacement", first, last),

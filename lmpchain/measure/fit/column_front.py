@@ -1,4 +1,4 @@
-"""Front of a struck column, as far as no echo from below reaches it."""
+"""Front of a struck column before the echo from below."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from ...trajectory.trajectory import Trajectory
 from ..front import Front, track
 from ..recorded import Field
 
-# least drop behind a front, over the largest motion, if the error of a trajectory is unknown
+# Least drop behind a front, relative to the largest motion, if the trajectory error is unknown.
 QUIET = 1e-6
 
 
 def front_before_echo(
     trajectory: Trajectory, field: Field, first: int, last: int | None = None
 ) -> Front:
-    """Track the front as far as no echo reaches it."""
+    """Track the front down to the grains that an echo reaches."""
     estimate = trajectory.error_estimate
     chain = trajectory.scene.chain
     if not np.isfinite(estimate.solver):
         trajectory = replace(trajectory, error_estimate=replace(estimate, solver=QUIET))
     if last is None:
-        # some widths of the front, in grains
+        # Some widths of the front, in grains.
         last = int(chain.grains - 3 - 2.5 * np.cbrt(chain.grains))
     return track(trajectory, field).between(first, last)
 
@@ -39,14 +39,14 @@ def bottom(grains: int, delta: float) -> tuple[float, float]:
 
 
 def is_uniform(chain: Chain) -> bool:
-    """Return whether the grains of a chain, two or more, and its contacts are equal."""
+    """Return whether the grains of a chain (two or more) and its contacts are equal."""
     return all(
         np.ptp(values) <= 1e-9 * values[0] for values in (chain.masses, chain.contact_constants)
     )
 
 
 def strike_at_top(trajectory: Trajectory) -> float:
-    """Return the velocity of the strike, m/s; raise `InputError` if the scene is another."""
+    """Return the velocity of the strike, m/s; raise `InputError` for any other scene."""
     scene = trajectory.scene
     chain = scene.chain
     excitation = scene.excitation

@@ -72,7 +72,7 @@ class Trace(Shown):
         values: Any,
         field: Field = "velocity",
     ):
-        # copies, which their owner cannot change any more
+        # Copies cannot be changed by the caller later.
         times = np.array(numbers(time, "time"))
         rows = np.array(numbers(values, "values"))
         grains = np.atleast_1d(whole_numbers(grain, "grain"))
@@ -86,7 +86,7 @@ class Trace(Shown):
     def of(
         cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity"
     ) -> Trace:
-        """Return the trace of grains of a trajectory, by default of all recorded that move."""
+        """Return the trace of grains of a trajectory, by default of all recorded moving grains."""
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
         return cls(trajectory.time, grains, _select(trajectory, np.array(grains), field), field)
@@ -140,20 +140,20 @@ class ParameterFit(Fitted, Tabular):
     runs: int
 
     def __repr__(self) -> str:
-        """Return the parameter with its error, and what is left of the trace."""
+        """Return the parameter with its error, and the relative residual of the trace."""
         unit = UNITS_OF_TRACES[self.parameter]
         value = f"{round_to_error(self.value, self.error)} ± {self.error:.1g} {unit}"
         left = f"residual {self.residual:.1g}, {counted(self.runs, 'run')}"
         return f"ParameterFit({self.parameter} = {value}, {left})"
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the parameter, and what the scene with it leaves of the trace."""
+        """Yield the parameter, and the relative residual of the trace."""
         unit = UNITS_OF_TRACES[self.parameter]
         yield FittedNumber("parameter", self.parameter, self.value, self.error, unit=unit)
         yield FittedNumber("parameter", "residual", self.residual, expected=0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw some of the traces as points and the fit as lines; returns the axes."""
+        """Draw some of the traces as points and the fit as lines; return the axes."""
         trace = self.trace
         ax = axes_in_units(ax, "s", UNITS_OF_TRACES[trace.field])
         for i in choose_few(trace.grain.size):
@@ -255,7 +255,7 @@ def fit_parameter(
     )
     x = float(solution.x[0])
     slope = float(np.linalg.norm(solution.jac))
-    # a parameter that changes nothing would be fitted to rounding
+    # A parameter without effect would be fitted to rounding errors.
     if slope < 1e-9:
         raise InputError.at(
             parameter, "the trace does not depend on it: choose another parameter or another grain"
@@ -278,14 +278,16 @@ def fit_parameter(
 
 
 def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
-    """Return the value with the smallest residuals; raises `InputError` if none has an answer."""
+    """Return the value with the smallest residuals; raise `InputError` if no value can be
+    simulated.
+    """
     misfits = []
     faults = [("simulate", "gives nothing that is finite: choose another value to begin with")]
     for value in values:
         try:
             misfits.append(float(np.sum(residuals(np.array([value])) ** 2)))
         except InputError as error:
-            # such as a load that crushes the grains
+            # A large load may crush the grains.
             misfits.append(np.inf)
             faults = error.faults
     if not np.isfinite(misfits).any():
@@ -321,7 +323,7 @@ def _parameter(
         )
     if faults:
         raise InputError(faults)
-    # a force on a grain takes its neighbours, too
+    # The force on a grain needs its neighbours, too.
     near = np.unique(np.clip([trace.grain - 1, trace.grain, trace.grain + 1], 1, chain.grains))
     time = _times(scene, trace.time)
     recording = {"duration": float(time[-1]), "samples": time.size, "grains": near.tolist()}
@@ -330,7 +332,7 @@ def _parameter(
 
 
 def _parameter_faults(scene: Scene, parameter: Parameter) -> Iterator[tuple[str, str]]:
-    """Yield why a scene does not have a parameter."""
+    """Yield the reasons why a scene lacks the parameter."""
     if parameter == "velocity" and not isinstance(scene.excitation, Impulse):
         yield "excitation", "only an impulse has a velocity to fit: give the scene one"
     if parameter == "youngs_modulus":
@@ -342,7 +344,7 @@ def _parameter_faults(scene: Scene, parameter: Parameter) -> Iterator[tuple[str,
 
 
 def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
-    """Return the field of the scene that holds the parameter, with this value."""
+    """Return the changed field of the scene for this value of the parameter."""
     if parameter == "velocity":
         return {"excitation": scene.excitation.replace(velocity=value)}
     if parameter == "top_load":
@@ -352,12 +354,12 @@ def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
 
 
 def _times(scene: Scene, times: Array) -> Array:
-    """Return evenly spaced times from 0: these, or close enough to interpolate between."""
+    """Return evenly spaced times from 0: the given ones, or fine enough to interpolate between."""
     even = np.arange(times.size) * times[-1] / (times.size - 1)
     if np.abs(even - times).max() <= 1e-9 * times[-1]:
         return even
     edge = scene.chain.band_edge
-    # 60 samples a period of the fastest wave, so that splines of fifth order lose nothing
+    # With 60 samples a period of the fastest wave, quintic splines are exact to rounding errors.
     interval = min(0.1 / edge, times[-1] / 200) if edge else times[-1] / 2000
     return np.linspace(0, times[-1], int(np.ceil(times[-1] / interval)) + 1)
 

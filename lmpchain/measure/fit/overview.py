@@ -1,4 +1,4 @@
-"""All fits of the theory to a trajectory, and their summary."""
+"""Summary of all fits of the theory to a trajectory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .solitary import fit_soliton
 from .table import TITLES, Fitted, FittedNumber
 from .waves import ModeFit, fit_bessel, fit_modes
 
-# strike number up to which linear theory is right to about 1 % in peak velocities
+# Strike number up to which linear theory has errors of about 1 % in peak velocities.
 WEAK_STRIKE = 0.3  # analysis/calibration/fit_thresholds.py
 MOST_MODES = 3000  # grains up to which all eigenmodes take seconds only
 
@@ -73,7 +73,7 @@ class Summary(Shown):
 
 
 def summary(trajectory: Trajectory) -> Summary:
-    """Fit everything that applies to the scene of a trajectory.
+    """Apply every suitable fit to a trajectory.
 
     Parameters
     ----------

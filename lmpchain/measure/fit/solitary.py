@@ -1,4 +1,4 @@
-"""Fit of a solitary wave: speed, amplitude and width beside those of the exact one."""
+"""Fit of a solitary wave: speed, amplitude and width compared with the exact wave."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 END_GRAINS = 5  # at an end a wave meets its own reflection
-# relative scatter of the height, and errors of speed and width, up to which a wave is solitary
+# Largest relative scatter of the height, and errors of speed and width, of a solitary wave.
 SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
 
 
@@ -69,7 +69,7 @@ class SolitonFit(Fitted, Tabular):
         """Yield height, speed and width, and the speed by the long-wave formula."""
         _, speed, width = self.expected.tolist()
         errors = self.error.tolist()
-        # the height is that of the exact wave, with which the others are compared
+        # The exact wave has the measured height by definition.
         yield FittedNumber("soliton", "largest velocity", self.amplitude, errors[0], unit="m/s")
         yield FittedNumber("soliton", "speed", self.speed, errors[1], speed, "grains/s")
         yield FittedNumber("soliton", "width", self.width, errors[2], width, "grains")
@@ -77,14 +77,14 @@ class SolitonFit(Fitted, Tabular):
         yield FittedNumber("soliton", formula, self.formula, expected=speed, unit="grains/s")
 
     def notes(self) -> Iterator[str]:
-        """Yield which grains were fitted."""
+        """Yield the range of fitted grains."""
         yield (
             f"grains {self.grain.min()} to {self.grain.max()}; grains within {END_GRAINS} of an "
             "end, where the wave meets its reflection, are left out"
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw what sets peak velocity and local speed off the exact wave; returns the axes."""
+        """Draw the relative deviations of peak velocity and local speed from the exact wave."""
         ax = axes_in_units(ax, "", "")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
         height = np.abs(self.velocity / self.amplitude - 1)
@@ -101,7 +101,7 @@ class SolitonFit(Fitted, Tabular):
 def fit_soliton(
     trajectory: Trajectory, first: int | None = None, last: int | None = None
 ) -> SolitonFit:
-    """Recognise a solitary wave by speed and width, which its height decides.
+    """Identify a solitary wave by its speed and width, which its height determines.
 
     Parameters
     ----------
@@ -139,15 +139,15 @@ def fit_soliton(
         first = int(later.min(initial=chain.grains))
         last = int(later.max(initial=1))
     front = front.between(first or 1, last or chain.grains)
-    # a striker, or a lump on the way, may be of another kind
+    # A striker, or a different grain on the way, may be excluded.
     chain = _uniform_piece(chain, front.grain)
-    # the recording may end within the wave
+    # The recording may end within the wave.
     complete = np.isfinite(front.width) & np.isfinite(front.width_error)
     if complete.sum() < FEWEST:
         need = f"must pass {FEWEST} or more recorded grains as a whole, not {complete.sum()}"
         raise InputError.at("front", f"{need}: record for longer, or more grains")
     line = stats.linregress(front.grain, front.time)
-    # compression moves grains along with the wave
+    # Compression moves grains in the direction of the wave.
     if (front.amplitude * line.slope <= 0).any():
         raise InputError.at("front", "grains move against it: no solitary wave under compression")
     amplitude = float(np.abs(front.amplitude).mean())
@@ -172,7 +172,7 @@ def fit_soliton(
     else:
         formula = nesterenko_speed(amplitude, wave.delta)
     quantile = stats.t.ppf(0.975, complete.sum() - 2)
-    # a line through times that are each off by e, over the length L, has a slope off by 3 e / L
+    # If each time has the error e, the slope over the length L has the error 3 e / L.
     sampling = np.array(
         [
             front.amplitude_error.max(),
@@ -180,7 +180,7 @@ def fit_soliton(
             front.width_error[complete].max() * speed,
         ]
     )
-    # from the residuals, as linregress takes the error from 1 - r^2, which is lost in rounding here
+    # The residuals give the error; `linregress` computes it from 1 - r^2, which rounding destroys.
     distance = front.grain - front.grain.mean()
     residual = front.time - front.time.mean() - line.slope * distance
     slope_error = float(np.sqrt(residual @ residual / (residual.size - 2) / (distance @ distance)))
@@ -216,8 +216,8 @@ def check_chain(chain: Chain) -> None:
 
 
 def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
-    """Return the piece of chain that these grains make; raise `InputError` if it is not uniform."""
-    # too few are refused with the rest of the front
+    """Return the part of the chain with these grains; raise `InputError` if it is not uniform."""
+    # Too few grains are rejected with the rest of the front.
     piece = chain.part(int(grains[0]), int(grains[-1])) if grains.size > 1 else chain
     if not is_uniform(piece):
         raise InputError.at("chain", "must be uniform where the wave passes: choose first and last")
@@ -225,11 +225,11 @@ def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:
 
 
 def exact_wave(chain: Chain, velocity: float) -> tuple[Soliton, float]:
-    """Return the solitary wave whose grains reach this velocity, m/s, and its unit of time, s."""
+    """Return the solitary wave with this largest grain velocity, m/s, and its unit of time, s."""
     delta = chain.law.power_of("a solitary wave")
     if chain.compressed:
         speed = velocity * chain.time_scale / chain.length_scale
         return struck(speed, delta), chain.time_scale
-    # in a sonic vacuum there is no time of linear waves: (m / K)^(1 / (1 + delta)) takes its place
+    # A sonic vacuum has no time of linear waves; use (m / K)^(1 / (1 + delta)).
     unit = (chain.masses[0] / chain.contact_constants[0]) ** (1 / (1 + delta))
     return solve(delta, velocity=velocity), float(unit)

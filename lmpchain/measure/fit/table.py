@@ -44,18 +44,18 @@ class FittedNumber:
 
 
 class Fitted(Shown):
-    """A fit, which prints as a table of its numbers."""
+    """A fit that prints as a table of its numbers."""
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the fitted numbers, with their errors and what theory says of them."""
+        """Yield the fitted numbers, with their errors and theoretical values."""
         raise NotImplementedError
 
     def notes(self) -> Iterator[str]:
-        """Yield what else is to be said: what was left out, which law is approached."""
+        """Yield further remarks, such as left-out grains and the law that is approached."""
         yield from ()
 
     def _summary(self) -> Iterator[Sequence[str]]:
-        # in a notebook, too
+        # Notebooks show this table, too.
         yield from table_of(self.rows())
 
     def table(self) -> str:
@@ -66,14 +66,14 @@ class Fitted(Shown):
 
 
 def table_of(rows: Iterable[FittedNumber]) -> list[Sequence[str]]:
-    """Return the cells of a table of numbers; columns in which nothing stands are left out."""
+    """Return the cells of a table of numbers without empty columns."""
     cells = [TITLES, *(row.cells() for row in rows)]
     columns = [column for column in zip(*cells, strict=True) if any(column[1:])]
     return list(zip(*columns, strict=True))
 
 
 def round_to_error(value: float, error: float = math.nan) -> str:
-    """Return a number rounded to the digits that its error leaves significant.
+    """Return a number rounded to its significant digits, given its error.
 
     Examples
     --------
@@ -85,7 +85,7 @@ def round_to_error(value: float, error: float = math.nan) -> str:
     if math.isnan(value):
         return ""
     if not error > 0 or not math.isfinite(error) or value == 0:
-        # six digits of a number whose error is unknown; two where all are significant or none
+        # Show six digits if the error is unknown, and two if all or none are significant.
         return f"{value:.6g}" if math.isnan(error) else f"{value:.2g}"
     digits = max(2, min(10, 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(error))))
     return f"{value:.{digits}g}"

@@ -91,7 +91,7 @@ class ModeFit(Fitted, Tabular):
     given: float = math.nan
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield energy, strongest mode, and what the linear motion leaves."""
+        """Yield the energy, the strongest mode, and the residual of the linear motion."""
         mode = int(self.energy.argmax())
         total = float(self.energy.sum())
         share = f"share of mode {mode + 1}, strongest"
@@ -114,7 +114,7 @@ class ModeFit(Fitted, Tabular):
         return self.energy_error / (self.energy.sum() or 1.0)
 
     def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Axes:
-        """Draw the shares of energy over frequency, or the residual over time; returns the axes."""
+        """Draw the shares of energy over frequency, or the residual over time; return the axes."""
         if what == "residual":
             ax = axes_in_units(ax, "s", "")
             ax.plot(self.time, self.residual)
@@ -168,7 +168,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         raise InputError.at("top", "a wall that only touches cannot be linearised: give a top_load")
     modes = eigenmodes(chain)
     u, v = motion(trajectory, np.arange(1, chain.movable + 1))
-    # orthonormal in mass: the projection on a mode is a sum over m_n X_pn phi_n
+    # The modes are orthonormal in mass, so the projection is a sum over m_n X_pn phi_n.
     weight = modes.mass[:, None] * modes.shape
     amplitude = u @ weight
     rate = v @ weight
@@ -243,7 +243,7 @@ class BesselFit(Fitted, Tabular):
     residual: float
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield amplitude, wave speed, delay and kappa, and what the solution leaves."""
+        """Yield amplitude, wave speed, delay and kappa, and the relative residual."""
         unit = UNITS_OF_FIELDS[self.field]
         values = {
             "amplitude": (self.amplitude, unit),
@@ -258,7 +258,7 @@ class BesselFit(Fitted, Tabular):
         yield FittedNumber("bessel", "residual", self.residual, expected=0.0)
 
     def notes(self) -> Iterator[str]:
-        """Yield which grains were fitted, and how long."""
+        """Yield the range of fitted grains and times."""
         yield (
             f"grains {self.grain.min()} to {self.grain.max()}, each until the first echo from an "
             "end of the uniform piece of chain can come"
@@ -273,7 +273,7 @@ class BesselFit(Fitted, Tabular):
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the motion of some grains as points and the fit as lines; returns the axes."""
+        """Draw the motion of some grains as points and the fit as lines; return the axes."""
         ax = axes_in_units(ax, "s", UNITS_OF_FIELDS[self.field])
         moving = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
         for grain in moving[choose_few(moving.size)]:
@@ -353,7 +353,7 @@ def fit_bessel(
     n = np.broadcast_to(trajectory.grains, inside.shape)[inside]
     time = np.broadcast_to(trajectory.time[:, None], inside.shape)[inside]
     values = getattr(trajectory, field)[inside]
-    # at t = 0 it is prescribed
+    # The value at t = 0 is prescribed.
     largest = np.abs(values[time > 0]).max(initial=0.0)
     if n.size < REGION.fewest or largest < REGION.arrival * abs(size):
         fault = f"{n.size} values lie where the solution can hold, too few, or without the wave"
@@ -374,7 +374,7 @@ def fit_bessel(
         residuals, [1.0, 1.0, 0.0], jac=slope, method="lm", xtol=1e-15, ftol=1e-15, gtol=1e-15
     )
     scatter = 2 * solution.cost / (n.size - 3) * np.linalg.pinv(solution.jac.T @ solution.jac)
-    # from the fitted numbers to amplitude, rate and delay = x_2 / (x_1 rate)
+    # Transform the fitted numbers to amplitude, rate and delay = x_2 / (x_1 rate).
     share, factor, angle = solution.x
     change = np.diag([size, rate, 1 / (factor * rate)])
     change[2, 1] = -angle / (factor**2 * rate)
@@ -403,7 +403,7 @@ def fit_bessel(
 def _window(
     trajectory: Trajectory, p: int, rate: float, grains: tuple[int, int] | None, until: float | None
 ) -> np.ndarray:
-    """Return where the solution of the uniform chain can hold, (T, G) bool."""
+    """Return the samples at which the solution of the uniform chain may apply, (T, G) bool."""
     chain = trajectory.scene.chain
     n = trajectory.grains
     time = trajectory.time[:, None]
@@ -423,7 +423,7 @@ def _window(
     inside = (n >= first) & (n <= last)
     if until is not None:
         return inside & (time <= until)
-    # orders of the Bessel functions of the echoes from both ends
+    # Orders of the Bessel functions of the echoes from both ends.
     order = 2.0 * (2 * last - n - p)
     if first > 1 or chain.top == "wall":
         order = np.minimum(order, 2.0 * (n + p - 2 * first))
@@ -432,11 +432,11 @@ def _window(
 
 
 def _thin(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
-    """Leave out grains at rest where there are too many values, and then some of the others."""
+    """Leave out grains at rest if there are too many values, and then some of the others."""
     if np.count_nonzero(inside) <= REGION.most:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
-    # beyond, J_m(z) is below 1e-17
+    # At larger distances J_m(z) is below 1e-17.
     near = 2 * np.abs(trajectory.grains - p) <= reach + 12 * np.cbrt(reach) + 20
     columns = np.flatnonzero(near & inside.any(0))
     stride = max(1, -(-np.count_nonzero(inside[:, columns]) // REGION.most))
@@ -446,10 +446,10 @@ def _thin(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np
 
 
 def _uniform_part(chain: Chain, p: int) -> tuple[int, int]:
-    """Return first and last grain of the uniform part around grain p."""
+    """Return the first and last grain of the uniform part around grain p."""
     k = chain.linear_stiffness
     m = chain.masses
-    # contact n between grains n and n + 1
+    # Contact n lies between grains n and n + 1.
     equal_contact = np.abs(k / k[min(p, k.size) - 1] - 1) <= REGION.unevenness
     equal_mass = np.abs(m / m[p - 1] - 1) <= REGION.unevenness
     equal_mass[-1] |= chain.bottom == "fixed"

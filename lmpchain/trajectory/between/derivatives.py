@@ -19,12 +19,12 @@ from ...util.lazy import listed
 __dir__ = listed(__name__)
 
 NEWS = "the measures", 8  # topic and seconds of the compilation
-# columns of bodies at rest, and of bodies that were not recorded: any number below 0 would do
+# Columns of bodies at rest and of unrecorded bodies; any negative numbers would do.
 STILL = -1
 UNKNOWN = -2
-# a division by 0 gives infinity, as in numpy, and no branch that would keep loops from vectors
+# Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation.
 compiled = numba.njit(error_model="numpy", pipeline_class=Ingredient)
-# for functions that take records of arrays, whose copies would cost more than the work
+# Functions with records of arrays are inlined, because copies of the records would be expensive.
 joined = numba.njit(error_model="numpy", forceinline=True, pipeline_class=Ingredient)
 
 
@@ -37,9 +37,9 @@ class OpeningErrors(NamedTuple):
     Attributes
     ----------
     kink : float
-        In units of h times the jump of the jerk.
+        Error in units of h times the jump of the jerk.
     collision : float
-        In units of the jump of the velocity over h, if the two bodies were closer in between.
+        Error in units of the jump of the velocity over h, if the bodies were closer in between.
     """
 
     kink: float = 0.12
@@ -141,13 +141,13 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     law = chain.law
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
-    # a held grain is never accelerated
+    # A held grain is never accelerated.
     inverse_mass[chain.movable :] = 0.0
     pressed = contacts.pressed
     length = np.where(pressed, contacts.length, 1.0)
     strength = np.where(pressed, contacts.force, contacts.constant)
     if linear:
-        # the force of a spring of this length
+        # The force of a spring of this length.
         strength = contacts.stiffness * length
     rows = np.array([1 / length, strength, pressed])
     exponent = 1.0 if linear else law.onset
@@ -161,7 +161,7 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
 
 
 def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamples:
-    """Return what the excitation imposes at consecutive samples.
+    """Return the imposed motion and acceleration at consecutive samples.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
     time: Array = step * np.arange(first, first + count, dtype=float)
     grain = 0
     driven = False
-    # a wall and a driven grain have a displacement, of which this is the second derivative
+    # The excitation imposes a displacement, of which the second derivative is the acceleration.
     order, share = 2, 1.0
     if excitation.wall:
         wall[:] = [wave.at(time, n) for n in range(4)]
@@ -194,11 +194,11 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
         grain = excitation.acts_on
         driven = bool(excitation.driven)
         if not driven:
-            # a pushed grain has a force
+            # The excitation imposes a force.
             order, share = 0, 1 / scene.chain.masses[grain - 1]
         acceleration[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
         jumps = acceleration
-    # between corners a waveform is smooth, and Hermite interpolation takes care of itself
+    # The waveform is smooth between corners, where the error of Hermite interpolation is included.
     corners = np.array(wave.corners)
     corner = np.diff(np.searchsorted(corners, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
@@ -207,7 +207,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
     if wave.spline and inside.size:
         from scipy.interpolate import CubicHermiteSpline
 
-        # several corners may lie between two samples, whose slopes show none of them
+        # Samples do not resolve several corners in one interval.
         between = CubicHermiteSpline(time, *jumps)
         off = np.abs(share * wave.at(inside, order) - between(inside))
         np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
@@ -217,7 +217,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
 
 def by_body(field: Array) -> Array:
     """Return a (T, C) field as (C, T), so that the samples of a body lie side by side."""
-    # a copy even of a single column: the kernels are compiled for arrays that may be written to
+    # A single column is copied, too, because the kernels are compiled for writable arrays.
     return np.array(np.transpose(field), float, order="C")
 
 
@@ -230,7 +230,7 @@ def _push_hertz(r, closing, inverse_length, strength, pressed, force, rate):
         y = y if y > 0.0 else 0.0
         root = math.sqrt(y)
         full = y * root
-        # a difference of forces would lose the digits of a weak wave
+        # A difference of forces would lose the digits of a weak wave.
         closed = s * (3.0 + s * (3.0 + s)) / (1.0 + full)
         change = closed if (pressed > 0.0) & (y > 0.0) else full - pressed
         force[i] = strength * change
@@ -269,11 +269,11 @@ def _push(r, closing, contact, law, n, force, rate):
             force[i] = strength * exponent * s
             rate[i] = strength * exponent * inverse_length * closing[i]
         elif y == 0.0:
-            # open: the force at rest is gone, and 0 to a power below 1 has no rate
+            # The contact is open: the force at rest is gone, and 0 to a power below 1 has no rate.
             force[i] = -strength * pressed
             rate[i] = 0.0
         else:
-            # (1 + s)^delta - 1 in this form keeps the digits of a weak wave
+            # The formula (1 + s)^delta - 1 in this form keeps the digits of a weak wave.
             change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
             force[i] = strength * change
             rate[i] = strength * exponent * y ** (exponent - 1.0) * inverse_length * closing[i]
@@ -281,14 +281,14 @@ def _push(r, closing, contact, law, n, force, rate):
 
 @joined
 def _visits(one, other, rise, climb):
-    """Return whether tangents at both ends, where values have one sign, meet beyond zero."""
+    """Return whether the tangents at both ends meet beyond zero."""
     s = (other - climb - one) / (rise - climb)
     return rise != climb and 0.0 < s < 1.0 and (one + rise * s > 0.0) != (one > 0.0)
 
 
 @compiled
 def _nearly_opens(r, closing, contact, h):
-    """Return at how many samples a contact is open, or may be one interval later or earlier."""
+    """Return the number of samples within one interval of an open contact."""
     inverse_length, _, pressed = contact
     count = 0
     for i in range(r.size):
@@ -298,7 +298,7 @@ def _nearly_opens(r, closing, contact, h):
 
 @compiled
 def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
-    """Raise the error of an acceleration where the contact opens or closes behind a sample.
+    """Raise the error of an acceleration if the contact opens or closes behind a sample.
 
     There the jerk jumps, so that the acceleration has a kink; see `OpeningErrors`.
     """
@@ -312,8 +312,8 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
         if not (changed or _visits(before, after, rise, climb)):
             continue
         off = OPENINGS.kink * h * abs(rate[i + 1] - rate[i])
-        # both bodies were closer in between, in a collision shorter than an interval, if they still
-        # approach as the contact opens, or already recede as it closes
+        # In a collision shorter than an interval, the bodies were closer in between: they still
+        # approach as the contact opens, or already recede as the contact closes.
         nearer = (after > 0.0 and climb < 0.0) or (before > 0.0 and rise > 0.0)
         if nearer if changed else after <= 0.0:
             off = max(off, OPENINGS.collision * mass * abs(closing[i + 1] - closing[i]) / h)
@@ -345,7 +345,7 @@ def _push_contact(block, n, work):
     rest, r, closing, force, rate = work
     above, above_rate = _motion(block, n, rest)
     below, below_rate = _motion(block, n + 1, rest)
-    # a loop for each result, for then the compiler makes vectors of it
+    # One loop for each result lets the compiler vectorise it.
     for i in range(r.size):
         r[i] = above[i] - below[i]
     for i in range(r.size):
@@ -389,7 +389,7 @@ def _quintic(u, v, h, k, s):
     """
     above = u[k + 1] - u[k]
     below = u[k - 1] - u[k]
-    # sums and differences of the two ends part the even from the odd powers
+    # Sums and differences of the two ends separate even and odd powers.
     even = (above + below) / 2
     odd = (above - below) / 2 - h * v[k]
     steep = h * (v[k + 1] - v[k - 1]) / 4
@@ -404,10 +404,10 @@ def _quintic(u, v, h, k, s):
 
 @compiled
 def _differentiate(u, v, h, rows):
-    """Fill in accelerations from the samples alone: of quintics through three of them."""
+    """Compute accelerations from the samples alone, by quintics through three samples."""
     a, j, doubt = rows
     last = u.size - 1
-    # fewer than four samples have no second quintic to compare with
+    # Fewer than four samples have no second quintic for comparison.
     if last < 3:
         for i in range(last + 1):
             doubt[i] = math.inf
@@ -417,7 +417,7 @@ def _differentiate(u, v, h, rows):
         a[i], j[i] = _quintic(u, v, h, k, float(i - k))
         earlier = max(k - 1, 1)
         later = min(k + 1, last - 1)
-        # the quintics of the neighbours at the same sample show the error
+        # The quintics of the neighbours at the same sample give the error.
         one, _ = _quintic(u, v, h, earlier, float(i - earlier))
         other, _ = _quintic(u, v, h, later, float(i - later))
         doubt[i] = max(abs(one - a[i]), abs(other - a[i]))
@@ -443,7 +443,7 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def _fill_derived(block, grains, row, derived, work):
-    """Fill in what `derive` returns; `row` is -1 for each body, and becomes its row in that."""
+    """Fill in the results of `derive`, and the row of each body in them (-1 if absent)."""
     law = block.law
     imposed = block.imposed
     for g in range(grains.size):
@@ -458,7 +458,7 @@ def _fill_derived(block, grains, row, derived, work):
                 derived[g, 0, i] = imposed.acceleration[0, i]
                 derived[g, 1, i] = imposed.acceleration[1, i]
                 derived[g, 2, i] = imposed.doubt[i]
-    # contact by contact, so that each force is computed once for its two bodies
+    # The loop runs over contacts, so that each force is computed once for its two bodies.
     for contact in range(row.size - 1):
         above = row[contact]
         below = row[contact + 1]

@@ -1,4 +1,4 @@
-"""Wave fronts of grains: which of their maxima they are, their errors and widths, compiled."""
+"""Wave fronts of grains: choice among the maxima, errors and widths, compiled."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class Rules(NamedTuple):
     Attributes
     ----------
     fraction : float
-        Of the largest size, that the front has at least.
+        Smallest height of the front, relative to the largest size.
     error : float
-        Of all values, besides that of the polynomials.
+        Error of all values, besides that of the polynomials.
     fall : float
-        By which the size falls at least after the front.
+        Smallest decrease of the size after the front.
     frequency : float
-        Highest one of these errors, rad/s.
+        Highest frequency of these errors, rad/s.
     step, duration : float
-        Time between two samples, and of the whole motion, s.
+        Time between two samples, and duration of the whole motion, s.
     kind : int
         DISPLACEMENT or VELOCITY: the size whose fronts these are.
     width : bool
-        Whether their widths are asked for.
+        Whether widths are computed.
     """
 
     fraction: float
@@ -50,7 +50,7 @@ class Rules(NamedTuple):
 
 @compiled
 def _first(events, lowest, fall, share):
-    """Return the first maximum of a size that falls by so much and a share of its error, or -1."""
+    """Return the first maximum above a size that is followed by a sufficient decrease, or -1."""
     first = -1
     for k in range(events.size):
         event = events[k]
@@ -64,37 +64,37 @@ def _first(events, lowest, fall, share):
 
 @compiled
 def _choose(events, largest, start, rules):
-    """Return which event of a grain is its front, or -1; `start` is the size at t = 0."""
+    """Return the event of a grain that is its front, or -1; `start` is the size at t = 0."""
     enough = rules.fraction * largest
     if largest <= rules.error or largest < SMALLEST or start >= enough:
         return -1
-    # what falls by no more than its error may turn where nothing does
+    # A decrease within the error may be an artefact.
     return _first(events, enough, rules.fall, 1.0)
 
 
 @compiled
 def _spread(event, rules):
-    """Return the error of the time of a maximum by the errors of its slope, or of its height."""
+    """Return the error of the time of a maximum due to the errors of slope or height."""
     top = abs(event.height)
-    # errors of slope and curvature that an error of the highest frequency has
+    # Errors of slope and curvature for an error of the highest frequency.
     swift = rules.frequency * rules.error
     bend = event.bend - rules.frequency * swift
     if bend > 0.0:
-        # the slope is 0 at the maximum, and changes by the curvature times the time
+        # The slope is 0 at the maximum, and its rate of change is the curvature.
         return (event.tilt + swift) / bend
     if event.bend > 0.0:
-        # so long it is as large within its error: twice the root for a parabola
+        # Time within which the size stays within its error: twice the root for a parabola.
         return min(3.0 * math.sqrt((event.off + rules.error) / event.bend), rules.duration)
-    # where a grain flies freely, or nearly so, it is of that size for long
+    # In nearly free flight the size stays within its error for long.
     flat = max(event.until - event.when, rules.step)
     return min(flat + swift * rules.step**2 / (FLAT * top), rules.duration)
 
 
 @compiled
 def _earlier(events, when, lowest, late, rules):
-    """Return since when the rise before a time may have turned, for it is slow, and the size there.
+    """Return the earliest time at which the rise before `when` may have turned, and the size there.
 
-    That is more than `late` before; else the time itself and 0.
+    The time is more than `late` before `when`; else `when` and 0 are returned.
     """
     begin = when
     height = 0.0
@@ -103,7 +103,7 @@ def _earlier(events, when, lowest, late, rules):
         event = events[k]
         if event.kind != SHOULDER or event.when >= when or abs(event.height) < lowest:
             continue
-        # error of the slope, which grows from its least with the square of the time
+        # Error of the slope, which grows from its minimum with the square of the time.
         slack = event.tilt + swift
         if slack >= 0.0:
             start = max(event.when - math.sqrt(2.0 * slack / event.bend), 0.0)
@@ -115,7 +115,7 @@ def _earlier(events, when, lowest, late, rules):
 
 @compiled
 def _doubt_choice(events, at, late, largest, rules):
-    """Return the errors of time and height of a front, for other maxima may be the front.
+    """Return the errors of time and height of a front that follow from other possible fronts.
 
     Parameters
     ----------
@@ -139,23 +139,23 @@ def _doubt_choice(events, at, late, largest, rules):
     top = abs(front.height)
     off = front.off + rules.error
     enough = rules.fraction * largest[VALUE]
-    # what a front has at least, if all errors lie on one side or on the other
+    # Lowest and highest threshold of a front, given all errors.
     lower = rules.fraction * (largest[LOW] - rules.error) - off
     upper = rules.fraction * (largest[HIGH] + rules.error) + off
     apart = 0.0
-    # the rise may have turned before
+    # The rise may have turned before.
     begin, height = _earlier(events, when, lower, late, rules)
     if begin < when:
         late = when - begin
         apart = abs(top - height)
-    # an earlier maximum may be high enough
+    # An earlier maximum may be high enough.
     other = _first(events, lower, 0.0, 0.0)
     if other >= 0 and events[other].when < when:
         late = max(late, when - events[other].when)
         apart = max(apart, abs(abs(events[other].height) - top))
     end = rules.duration - when
     fall = rules.fall + 2.0 * rules.error
-    # this one may be too low, or not fall enough: then it is a later one
+    # This maximum may be too low, or may not decrease enough: then a later one is the front.
     if top < upper or top - front.since <= fall + 2.0 * front.off:
         other = _first(events, upper, fall, 2.0)
         late = max(late, abs(events[other].when - when) if other >= 0 else end)
@@ -170,7 +170,7 @@ def _doubt_choice(events, at, late, largest, rules):
 
 @compiled
 def _events_of_grain(events, begin, latest, few):
-    """Fill in the events of a grain, from one of all on, and its latest; return their number."""
+    """Fill in the events of a grain, from `begin` on, and the latest one; return their number."""
     count = 0
     while begin + count < events.size and events[begin + count].grain == latest.grain:
         few[count] = events[begin + count]
@@ -181,7 +181,7 @@ def _events_of_grain(events, begin, latest, few):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def _fill_arrivals(events, latest, largest, start, rules, few, out):
-    """Fill in what `arrivals` returns."""
+    """Fill in the results of `arrivals`."""
     begin = 0
     for g in range(latest.size):
         count = _events_of_grain(events, begin, latest[g], few)
@@ -198,9 +198,9 @@ def _fill_arrivals(events, latest, largest, start, rules, few, out):
 def arrivals(
     events: np.ndarray, latest: np.ndarray, largest: Array, start: Array, rules: Rules
 ) -> Array:
-    """Return when the front passes each of G grains, and the error of that, (2, G) s.
+    """Return the arrival time of the front at each of G grains, and its error, (2, G) s.
 
-    Both are NaN where none passes.
+    Both are NaN for a grain without a front.
 
     Parameters
     ----------
@@ -220,9 +220,9 @@ def arrivals(
 
 @compiled
 def _crossings(p, front, level, rules, work):
-    """Return when a size has risen to a level before a front, and has fallen to it after the front.
+    """Return the times when a size crosses a level before and after a front, and the largest error.
 
-    They are NaN if it does not; the largest error of the polynomials on the way comes with them.
+    Times without a crossing are NaN. The error is that of the polynomials on the way.
     """
     when, height, _ = front
     h = rules.step
@@ -246,7 +246,7 @@ def _crossings(p, front, level, rules, work):
                 if step * (place - here) > 0.0 and math.isnan(crossed):
                     crossed = (i + place) * h
             i += step
-            # in the intervals that follow, any place lies on the way
+            # In the intervals that follow, every place is on the way.
             here = -1.0 if step > 0 else 2.0
         if step < 0:
             begin = crossed
@@ -257,7 +257,7 @@ def _crossings(p, front, level, rules, work):
 
 @compiled
 def _last_as_large(p, front, rules, work):
-    """Return how long before or after a maximum the size is the same within its error."""
+    """Return the largest distance in time from a maximum with the same size within the error."""
     when, height, off = front
     level = abs(height) - 2.0 * (off + rules.error)
     begin, end, _ = _crossings(p, front, level, rules, work)
@@ -268,9 +268,9 @@ def _last_as_large(p, front, rules, work):
 
 @compiled
 def _still_as_large(p, front, late, rules, work):
-    """Return whether a size is the same within its error so long before or after a maximum.
+    """Return whether the size at this distance in time from a maximum is as large within the error.
 
-    False also where that time is in another interval.
+    Return False, too, if that time is in another interval.
     """
     when, height, off = front
     h = rules.step
@@ -294,7 +294,7 @@ def _width(p, front, apart, rules, work):
     width = after - before
     if not math.isfinite(width):
         return np.nan, np.nan
-    # another maximum may be the front, of any width
+    # Another maximum, of unknown width, may be the front.
     if apart > 0.0:
         return width, rules.duration
     unsure = (3.0 * rules.error + off) / 2 + error
@@ -310,7 +310,7 @@ def _width(p, front, apart, rules, work):
 
 @compiled_once(*NEWS, nogil=True, error_model="numpy")
 def _fill_fronts(block, grains, derived, events, latest, largest, start, rules, few, p, work, out):
-    """Fill in what `fronts` returns."""
+    """Fill in the results of `fronts`."""
     begin = 0
     for g in range(grains.size):
         count = _events_of_grain(events, begin, latest[g], few)

@@ -1,8 +1,8 @@
-"""The motion between samples by Hermite interpolation, compiled.
+"""Motion between the samples by Hermite interpolation, compiled.
 
 Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v,
 the acceleration a and the jerk j at both ends, and carries the grain from one recorded
-displacement u to the other. Without that last condition it is the quintic through v, a and j; by
+displacement u to the other. Without the condition on u it is the quintic through v, a and j; by
 how much that misses the recorded displacement shows the error of both.
 
 Polynomials are in Bernstein form: the sum of c_k B_k(s), s = t / h from 0 to 1. They lie between
@@ -26,7 +26,7 @@ from .derivatives import compiled, joined
 # Values of interest: |u|, |v|, or u with its sign.
 DISPLACEMENT, VELOCITY, RAISED = range(3)
 HALVINGS = 40  # of an interval: roots so close are one or none
-# least curvature, over the value, that is no rounding, as it is in free flight
+# Smallest curvature, relative to the value, above the rounding errors of free flight.
 FLAT = 1e-9
 BINOMIALS = np.array([[math.comb(degree, k) for k in range(8)] for degree in range(8)], float)
 
@@ -125,10 +125,10 @@ def size(y, kind):
     return y if kind == RAISED else abs(y)
 
 
-# without NaN and signed zeros the compiler takes the maximum of several numbers at a time
+# Without NaN and signed zeros the compiler vectorises the maximum.
 @numba.njit(error_model="numpy", fastmath={"nnan", "nsz"}, pipeline_class=Ingredient)
 def highest(y, begin, end, kind):
-    """Return the largest size of values from one place to before another."""
+    """Return the largest size of the values from `begin` to before `end`."""
     top = size(y[begin], kind)
     for i in range(begin + 1, end):
         top = larger(size(y[i], kind), top)
@@ -137,7 +137,7 @@ def highest(y, begin, end, kind):
 
 @joined
 def _velocity(p, i, h):
-    """Return the coefficients of the velocity from sample i to the next but for the middle one.
+    """Return the coefficients of the velocity from sample i to the next, except the middle one.
 
     c_0 = v_i, c_1 = v_i + h a_i / 6, c_2 = v_i + h a_i / 3 + h^2 j_i / 30, likewise from the other
     end; c_3 follows from (c_0 + ... + c_6) / 7 = (u_{i+1} - u_i) / h.
@@ -160,23 +160,23 @@ def _velocity(p, i, h):
 
 @compiled
 def bound(p, kind, h):
-    """Fill in middle coefficients, errors and bounds on sizes, as loops that become vectors."""
+    """Compute middle coefficients, errors and bounds on sizes, in vectorised loops."""
     last = p.shape[1] - 1
     for i in range(last):
         c1, c2, c4, c5 = _velocity(p, i, h)
-        # the mean of all seven is the way over h
+        # The mean of all seven coefficients is the displacement over h.
         others = p[V, i] + c1 + c2 + c4 + c5 + p[V, i + 1]
         p[MIDDLE, i] = (p[U, i + 1] - p[U, i]) * (7 / h) - others
-    # the integral of the shape is 1: a displacement is off by h / height times as much
+    # The integral of the shape is 1, so the error of a displacement is h / height times as large.
     factor = 1.0 if kind == VELOCITY else h / SHAPE.height
     for i in range(last):
-        # the middle coefficient of the quintic through v, a and j alone, raised by one degree
+        # The middle coefficient of the quintic through v, a and j, raised by one degree.
         quintic = (p[V, i] + p[V, i + 1]) / 2 + h * (1 / 5) * (p[A, i] - p[A, i + 1])
         quintic += h * h * (1 / 40) * (p[J, i] + p[J, i + 1])
         missed = SHAPE.safety * SHAPE.height / 7 * abs(p[MIDDLE, i] - quintic)
         p[ERROR, i] = factor * (missed + SHAPE.push * h * p[DOUBT, i])
     before = p[ERROR, 0]
-    # a misfit may vanish by chance: its neighbours count, too
+    # A misfit may vanish by chance, so the misfits of the neighbours are included.
     for i in range(last):
         here = p[ERROR, i]
         p[ERROR, i] = larger(larger(before, here), p[ERROR, min(i + 1, last - 1)])
@@ -191,7 +191,8 @@ def bound(p, kind, h):
     w = h * (1 / 7)
     for i in range(last):
         c1, c2, c4, c5 = _velocity(p, i, h)
-        # each coefficient of the displacement adds one of the velocity; the last is that of the end
+        # Each coefficient of the displacement adds one of the velocity; the last one is the end
+        # value.
         d1 = p[U, i] + w * p[V, i]
         d2 = d1 + w * c1
         d3 = d2 + w * c2
@@ -205,17 +206,14 @@ def bound(p, kind, h):
 
 @compiled
 def differentiate(c, count, out):
-    """Fill in the coefficients of the derivative of a polynomial with so many coefficients."""
+    """Compute the coefficients of the derivative of a polynomial with `count` coefficients."""
     for k in range(count - 1):
         out[k] = (count - 1) * (c[k + 1] - c[k])
 
 
 @compiled
 def fill_polynomial(p, kind, h, i, work):
-    """Fill in a polynomial from sample i to the next and its derivative; return its coefficients.
-
-    Returned is how many coefficients the polynomial has.
-    """
+    """Fill in a polynomial behind sample i and its derivative; return its coefficient count."""
     c = work[C]
     c1, c2, c4, c5 = _velocity(p, i, h)
     c[0] = p[V, i]
@@ -240,7 +238,7 @@ def fill_polynomial(p, kind, h, i, work):
 
 @compiled
 def value(c, count, s):
-    """Return a polynomial with so many coefficients at a place."""
+    """Return the value of a polynomial with `count` coefficients at a place."""
     degree = count - 1
     power = s
     y = c[0] * (1 - s)
@@ -252,7 +250,7 @@ def value(c, count, s):
 
 @compiled
 def _changes(c, count):
-    """Return how often coefficients change sign; 0 counts as positive."""
+    """Return the number of sign changes of the coefficients; 0 counts as positive."""
     changes = 0
     for k in range(1, count):
         changes += (c[k] < 0.0) != (c[k - 1] < 0.0)
@@ -261,13 +259,13 @@ def _changes(c, count):
 
 @compiled
 def _root(c, count):
-    """Return the only root of a polynomial whose coefficients change sign once; `c` is lost."""
+    """Return the root of a polynomial with one sign change of its coefficients; overwrite `c`."""
     degree = count - 1
     first = c[0]
     last = c[degree]
     if first == last:
         return 0.0
-    # in powers of s, which are evaluated faster
+    # Powers of s are evaluated faster.
     for order in range(1, count):
         for k in range(degree, order - 1, -1):
             c[k] -= c[k - 1]
@@ -286,11 +284,11 @@ def _root(c, count):
             high = s
         else:
             low = s
-        # Newton's step, or bisection where that leaves the bracket
+        # Newton's step, or bisection if Newton's step leaves the bracket.
         following = s - y / steep if steep != 0.0 else low
         if not low < following < high:
             following = (low + high) / 2
-        # it converges with the square: the next change would be below 1e-16
+        # Convergence is quadratic: the next change would be below 1e-16.
         if abs(following - s) < 1e-12:
             return following
         s = following
@@ -299,14 +297,14 @@ def _root(c, count):
 
 @compiled
 def roots(c, count, places, work):
-    """Fill in where a polynomial changes sign, in order; return how many places these are."""
+    """Fill in the places where a polynomial changes sign, in order; return their number."""
     for k in range(count):
         work[PIECES, k] = c[k]
     work[PIECES, BEGIN] = 0.0
     work[PIECES, WIDTH] = 1.0
     waiting = PIECES
     found = 0
-    # halve it until each piece has one root or none
+    # Halve the polynomial until each piece has at most one root.
     while waiting >= PIECES:
         right = work[waiting]
         changes = _changes(right, count)
@@ -314,12 +312,12 @@ def roots(c, count, places, work):
         if changes > 1 and not small:
             right[WIDTH] /= 2
             left = work[waiting + 1]
-            # de Casteljau's algorithm
+            # De Casteljau's algorithm.
             for step in range(count):
                 left[step] = right[0]
                 for k in range(count - 1 - step):
                     right[k] = (right[k] + right[k + 1]) / 2
-            # the left half goes on top: it is taken first, so that roots come in order
+            # The left half goes on top of the stack, so that roots are found in order.
             left[BEGIN] = right[BEGIN]
             left[WIDTH] = right[WIDTH]
             right[BEGIN] += right[WIDTH]
@@ -333,5 +331,5 @@ def roots(c, count, places, work):
 
 
 def scratch() -> Array:
-    """Return the array that `follow` works in."""
+    """Return the work array of `follow`."""
     return np.zeros((PIECES + HALVINGS + 2, WIDTH + 1))

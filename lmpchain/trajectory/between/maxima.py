@@ -45,12 +45,12 @@ from .hermite import (
     value,
 )
 
-# Kinds of events. Before the first one there may be a level: maxima are looked for above it.
+# Kinds of events. Before the first event there may be a level: maxima above it are sought.
 MAXIMUM, SHOULDER, HIDDEN, LEVEL = range(4)
 NO_FALL = 1e-12  # of a largest value: a fall by less is rounding
 ROOM = 32  # events by which a log grows, at least, and more than an interval has
-# An event of a grain that may be its front, as its size exceeds all sizes before: a maximum of the
-# size, a shoulder of its rise, or intervals in which a larger one may be hidden.
+# An event of a grain that may be its front, because its size exceeds all earlier sizes: a maximum
+# of the size, a shoulder of its rise, or intervals that may hide a larger maximum.
 EVENT = np.dtype([
     ("grain", int),  # number in the reduction
     ("kind", int),
@@ -86,7 +86,7 @@ AT_REST, NONE = Missing()
 
 
 class Window(NamedTuple):
-    """Intervals of a block to take in, from `begin` to before `end`.
+    """Intervals of a block to process, from `begin` to before `end`.
 
     Attributes
     ----------
@@ -108,7 +108,7 @@ def estimate(largest: Array, error: float) -> tuple[Array, Array]:
 
 
 def events_of(values: Array) -> np.ndarray:
-    """Return the events that the first samples of G grains are."""
+    """Return the events of the first samples of G grains."""
     events = np.zeros(values.size, EVENT)
     events["grain"] = np.arange(values.size)
     events["height"] = values
@@ -117,7 +117,7 @@ def events_of(values: Array) -> np.ndarray:
 
 
 def levels_of(values: Array) -> np.ndarray:
-    """Return the levels above which the maxima of G grains are looked for."""
+    """Return the levels above which the maxima of G grains are sought."""
     events = events_of(values)
     events["kind"] = LEVEL
     events["since"] = 0.0
@@ -126,7 +126,7 @@ def levels_of(values: Array) -> np.ndarray:
 
 @joined
 def hidden(p, kind, h, ceiling, i):
-    """Return a bound on the sizes behind sample i; -1 where the polynomial shows all of them."""
+    """Return a bound on the sizes behind sample i; -1 if the polynomial shows all of them."""
     if ceiling.size == 0 or ceiling[i] < 0.0:
         return -1.0
     if kind == VELOCITY:
@@ -139,7 +139,7 @@ def _log_hidden(events, used, last, limit, begin, end):
     """Log that a size up to a limit may be hidden from one time to another."""
     if limit < abs(last.height):
         return used
-    # intervals that follow one another are one event
+    # Consecutive intervals are one event.
     if used > 0:
         before = events[used - 1]
         if before.kind == HIDDEN and before.grain == last.grain and before.until == begin:
@@ -164,21 +164,21 @@ def _slope(c, count, s, work):
 
 @joined
 def sure_bend(slopes, count, s, top, error, work):
-    """Return h^2 times the least curvature at a place, for value and error there; 0 if unsure."""
+    """Return h^2 times a lower bound of the curvature at a place; 0 if it may vanish."""
     bend = abs(_slope(slopes, count, s, work))
     return larger(bend - SHAPE.curvature * error - FLAT * top, 0.0)
 
 
 @compiled
 def _log_shoulders(p, i, h, t, count, stretch, last, events, used, work):
-    """Log where a rise beyond all sizes before is slowest for a while, within a stretch of it."""
+    """Log local minima of the slope in a rise beyond all earlier sizes, within a stretch."""
     slopes = work[D]
     bends = work[BEND]
     sign = 1.0 if slopes[0] + slopes[count - 2] > 0.0 else -1.0
     slower = 0
     while slower < count - 2 and sign * (slopes[slower + 1] - slopes[slower]) >= 0.0:
         slower += 1
-    # most rises are never slower and then faster
+    # Most rises never slow down and speed up again.
     if slower >= count - 3:
         return used
     differentiate(slopes, count - 1, bends)
@@ -204,22 +204,22 @@ def _log_shoulders(p, i, h, t, count, stretch, last, events, used, work):
 
 @joined
 def _has_fallen(last):
-    """Return whether the size has fallen since the last maximum, by more than rounding."""
+    """Return whether the size has fallen since the last maximum, by more than rounding errors."""
     return last.since < (1.0 - NO_FALL) * abs(last.height)
 
 
 @compiled
 def _exceed(last, begin, error, h, t, s, height, bend):
-    """Let a size at place s, that exceeds all before, take the place of the last maximum.
+    """Replace the last maximum by a larger size at place s.
 
     The interval begins at time t with the size `begin`; the curvature `bend` is 0 if unsure.
     """
     top = abs(height)
     if bend == 0.0 and top > 0.0:
-        # in free flight, maybe: the maximum is where that began
+        # Possibly free flight: the maximum is at the start of the flight.
         flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
         if flat and not _has_fallen(last):
-            # or it is higher, by an error that the interval before need not have
+            # The size may be larger by an error that the interval before does not have.
             last.off = larger(last.off, error)
             last.tilt = larger(last.tilt, SHAPE.slope * error / h)
             return
@@ -235,7 +235,7 @@ def _exceed(last, begin, error, h, t, s, height, bend):
 
 @compiled
 def _turns_or_slows(p, kind, i, count, slopes):
-    """Return whether a polynomial may turn behind sample i, or rise slower and then faster."""
+    """Return whether a polynomial may turn behind sample i, or slow down and speed up again."""
     top = slopes[0]
     low = slopes[0]
     for k in range(1, count - 1):
@@ -244,7 +244,7 @@ def _turns_or_slows(p, kind, i, count, slopes):
     row = J if kind == VELOCITY else A
     before = p[row, i]
     after = p[row, i + 1]
-    # a derivative of one sign turns nowhere; it slows and then speeds up if its own slope says so
+    # A derivative of one sign has no turn; its own slope shows whether it slows and speeds up.
     if top >= -low:
         return low < 0.0 or before < 0.0 < after
     return top > 0.0 or before > 0.0 > after
@@ -252,7 +252,7 @@ def _turns_or_slows(p, kind, i, count, slopes):
 
 @compiled
 def _begin(last, t, height):
-    """Let the size at a sample be the last maximum."""
+    """Set the last maximum to the size at a sample."""
     last.kind = MAXIMUM
     last.when = t
     last.until = t
@@ -262,7 +262,7 @@ def _begin(last, t, height):
 
 @joined
 def _log_maxima(p, interval, ends, counts, last, events, used, work):
-    """Take in the turns and the end of an interval; return the number of events.
+    """Process the turns and the end of an interval; return the number of events.
 
     `ends` are the values at its ends, and `counts` the numbers of coefficients of its polynomial, 0
     if that neither turns nor slows, and of its turns.
@@ -273,7 +273,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
     error = p[ERROR, i]
     here = before
     begin = 0.0
-    # from turn to turn the size only rises or only falls
+    # The size is monotonic between turns.
     for k in range(turns + 1):
         s = work[TURNS, k] if k < turns else 1.0
         there = value(work[C], count, s) if k < turns else after
@@ -293,7 +293,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
         last.since = min(last.since, abs(there))
         here = there
         begin = s
-    # both sizes may be off, to opposite sides
+    # The errors of both sizes may have opposite signs.
     if last.since >= abs(last.height) - 2.0 * last.off:
         last.until = t + h
     return used
@@ -301,7 +301,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
 
 @compiled
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
-    """Take in some intervals of a body; return the log of its events and their number.
+    """Process some intervals of a body; return the log of its events and their number.
 
     Parameters
     ----------
@@ -330,7 +330,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     d = work[D]
     turning = work[TURNS]
     bound(p, kind, h)
-    # samples first: what stays below them need not be looked at
+    # Samples first: intervals below their largest size need no search.
     top = highest(y, window.begin, window.end + 1, kind)
     for k in range(3):
         largest[k, n] = larger(largest[k, n], top)
@@ -346,7 +346,8 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
         dips = False
         if latest.size:
             height = abs(latest[n].height)
-            # what stays below counts only if it dips, unless the size has been 0 before
+            # An interval below the last maximum matters only if it dips, unless the size was 0
+            # before.
             rises = seen and reach >= height
             dips = seen and reach < height and latest[n].since > 0.0
             dips = dips and slopes[i] * before < 0.0 < slopes[i + 1] * after
@@ -369,14 +370,14 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
             largest[HIGH, n] = larger(largest[HIGH, n], limit)
         if latest.size and (rises or not seen or latest[n].kind != LEVEL):
             if used + ROOM > events.size:
-                # twice as many, so that the copies cost no more than the events
+                # Doubling the size keeps the cost of copies below that of the events.
                 grown = np.empty(2 * events.size + ROOM, EVENT)
                 for k in range(used):
                     grown[k] = events[k]
                 events = grown
             t = (window.first + i) * h
             if latest[n].kind == LEVEL:
-                # maxima are looked for from here on
+                # Maxima are sought from here on.
                 _begin(latest[n], t, before)
             if not seen:
                 used = _log_hidden(events, used, latest[n], limit, t, t + h)
@@ -389,7 +390,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
 
 @compiled
 def _add_row(row, sign, values):
-    """Add the values of a body at its samples, or their negatives, to those of a row."""
+    """Add the values of a body at its samples, times a sign, to a row."""
     for i in range(row.size):
         row[i] += sign * values[i]
 
@@ -399,7 +400,7 @@ def _add_body(p, sign, block, derived, place, n):
     """Add the motion of a body to a path; its derivatives are in a row of `derived`, unless -1."""
     column = block.column[n]
     if n == 0:
-        # body 0 is the top wall, whose motion is imposed
+        # Body 0 is the top wall, which has an imposed motion.
         for k in range(4):
             _add_row(p[k], sign, block.imposed.wall[k])
         _add_row(p[DOUBT], 1.0, block.imposed.doubt)
@@ -414,7 +415,7 @@ def _add_body(p, sign, block, derived, place, n):
 
 @compiled
 def fill_path(p, block, derived, body, row, lower):
-    """Fill in the motion of a body, or that relative to the body below it; return if it moves.
+    """Fill in the motion of a body, or relative to the body below it; return whether it moves.
 
     `row` and `lower` are rows of the two in `derived`, see `table_of`.
     """
@@ -431,7 +432,7 @@ def fill_path(p, block, derived, body, row, lower):
 
 
 def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) -> np.ndarray:
-    """Return what `reduce` follows, (F, 5) integers: these sizes of G grains, and P contacts.
+    """Return the table for `reduce`, (F, 5) integers: the sizes of G grains, and P contacts.
 
     Each row has the number of a body, its row in `derivatives.derive`, the row of the body below it
     if the approach of the two is followed, the kind of size, and its place in the largest ones.
@@ -462,7 +463,7 @@ def reduce(
     latest: np.ndarray,
     events: np.ndarray,
 ) -> np.ndarray:
-    """Take in some intervals of the motion of grains and contacts; return the events so far.
+    """Process some intervals of the motion of grains and contacts; return the events so far.
 
     Parameters
     ----------

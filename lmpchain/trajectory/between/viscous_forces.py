@@ -17,13 +17,14 @@ from ...chain.damping import viscous_force
 from ...util.arrays import Array
 from .maxima import Window
 
-# of an interval, at which forces are compared; and how often the two around the largest are divided
-# in as many
+# Number of points of an interval at which forces are compared, and number of refinements around the
+# largest force.
 POINTS = 33
 ZOOMS = 4
-# of the difference of two polynomials: with a contact that opens among their samples either is off
+# Safety factor on the difference of two polynomials, because either may span an opening of the
+# contact.
 SAFETY = 4.0
-# of the largest at samples: what is smaller at both ends of an interval stays so
+# Fraction of the largest force at the samples. Intervals with less at both ends stay below it.
 HIGH = 0.8
 
 
@@ -59,7 +60,7 @@ class Polynomials(NamedTuple):
         """Return approaches and rates, (I, P) m and m/s, at (I, P) times from 0 to 1."""
         value = np.zeros(when.shape)
         slope = np.zeros(when.shape)
-        # term by term: the bits of a product of matrices depend on how many intervals there are
+        # Sum term by term, because the bits of a matrix product depend on the number of intervals.
         for coefficient in self.coefficients.T[::-1]:
             slope = slope * when + value
             value = value * when + coefficient[:, None]
@@ -67,9 +68,9 @@ class Polynomials(NamedTuple):
 
 
 def _between(motion: Array, h: float, first: Array, nodes: range) -> Polynomials:
-    """Return polynomials through samples with these numbers on, which lie at these nodes."""
+    """Return polynomials through the samples from these numbers on, at these nodes."""
     near = motion[:, first[:, None] + np.arange(len(nodes))]
-    # slopes in units of the interval
+    # Slopes are in units of the interval.
     data = np.concatenate((near[0], h * near[1]), axis=1)
     terms = (data[:, [k]] * row for k, row in enumerate(_hermite(tuple(nodes)).T))
     return Polynomials(sum(terms, np.zeros((1, 1))), h)
@@ -94,13 +95,13 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
     numbers = numbers[higher >= HIGH * higher.max()]
     best = np.full(4, -np.inf)
     count = motion.shape[1]
-    # at the ends of a run intervals lie at the ends of their samples
+    # At the ends of a run, intervals are at the ends of their samples.
     begins = np.clip(numbers - 1, 0, max(count - 4, 0))
     for offset in np.unique(numbers - begins).tolist():
         first = begins[numbers - begins == offset]
         size = min(4, count)
         fine = _between(motion, h, first, range(-offset, size - offset))
-        # three samples around the interval
+        # Three samples around the interval.
         skip = min(max(offset - 1, 0), size - 3) if size > 3 else 0
         begin = skip - offset
         rough = _between(motion, h, first + skip, range(begin, begin + min(3, size)))
@@ -119,7 +120,7 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
             at = middle[[top]]
             closer, closing = (x[0, 0] for x in Polynomials(fine.coefficients[[top]], h).at(at))
             other = Polynomials(rough.coefficients[[top]], h).at(at)
-            # where it closes: how the force falls from the point that is nearest
+            # If the contact closes, add the decrease of the force from the nearest point.
             fall = np.abs(np.diff(force[top]))[max(point[top] - 1, 0) : point[top] + 1].min()
             error = SAFETY * abs(value - contact.force(*other)[0, 0]) + fall
             best[:] = value, error, closer, closing
