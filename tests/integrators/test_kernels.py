@@ -54,7 +54,7 @@ def links_of(
     """Return contacts without one that only touches."""
     loops = np.array(forces.addresses(form))
     numbers = 0.0, int(form), loops, precompressed, series(exponent)
-    return Links(inverse_length, strength, *numbers, np.zeros((strength.size, 0)))
+    return Links(inverse_length, strength, *numbers, np.zeros((0, strength.size)), 0)
 
 
 def force(
