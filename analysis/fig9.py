@@ -45,11 +45,7 @@ def main() -> None:
     close = chi > tau - 20
     airy = front.displacement(n[close], float(tau))
 
-    title = (
-        "Fig. 9: strike on the top, Eq. (35).  "
-        "Corrected: causal, nothing moves ahead of the light cone"
-    )
-    picture, pairs = page(title, 2, width=12)
+    picture, pairs = page(2)
     inside = chi < 0.5 * tau
     ahead = chi > 1.1 * tau
     off = np.abs(chain[inside] / causal[inside] - 1).max()
@@ -89,7 +85,7 @@ def main() -> None:
     pairs[0][0].set_title(
         f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.0f} µs", fontsize="medium"
     )
-    pairs[1][0].set_title("the front", fontsize="medium")
+    pairs[1][0].set_title("The front")
     say("causal Eq. (35), largest relative error behind half the light cone", off)
     say("Eq. (27) solved, the same", np.abs(field[inside] / causal[inside] - 1).max())
     say("Eq. (35) as printed, ahead of the light cone", wrong)
