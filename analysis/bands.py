@@ -46,7 +46,7 @@ def main() -> None:
         found.wavenumber / np.pi, found.frequency / 1e3, level, cmap="Greys", vmin=-50, vmax=0
     )
     image.set_rasterized(True)
-    picture.colorbar(image, ax=waves, label="velocity (dB)", location="left", shrink=0.8)
+    picture.colorbar(image, ax=waves, label="velocity (dB)")
     for number, (name, colour) in enumerate((("acoustic", SHADES[0]), ("optical", SHADES[5]))):
         waves.plot(
             found.wavenumber / np.pi,
@@ -68,8 +68,9 @@ def main() -> None:
         loc="upper center",
         ncols=2,
         fontsize="small",
-        title="a strike excites both branches",
     )
+
+    waves.set_title("A strike excites both branches")
 
     frequency = np.linspace(1e-3, 1.15, 1500) * bands.frequency.max()
     states.plot(

@@ -92,6 +92,7 @@ def main() -> None:
     noise.set(xlabel="grain, from the top", ylabel="|mean − ordered| / max", ylim=(1e-4, 2))
     weighted.set_title("One column, weighted sum")
     wave.set_title(f"Mean over {columns} columns ± standard error")
+    wave.set_ylim(-0.25, 0.75)
     legends(picture)
     finish(picture, given.output)
 

@@ -66,7 +66,7 @@ def main() -> None:
         colors="w",
         linewidths=1,
     )
-    for text in mean.clabel(lines, manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)]):
+    for text in mean.clabel(lines, colors="k", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)]):
         text.set_path_effects(OUTLINE)
     picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
     for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
@@ -79,7 +79,7 @@ def main() -> None:
 
     weighted.set_title("One column, weighted sum")
     mean.set_title(f"Mean over {columns} columns, smoothed contours")
-    noise.set_title("Jumps where another grain comes to have the largest mean")
+    noise.set_title("Error of the mean")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))

@@ -124,14 +124,8 @@ def main() -> None:
     exponent = np.polyfit(np.log(h[deep]), np.log(amplitudes[1][deep]), 1)[0]
     say("exponent of the amplitude of the chain", exponent)
     microseconds = tau * chain.time_scale * 1e6
-    wave.set_title(
-        f"Displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain",
-        fontsize="medium",
-    )
-    height.set_title(
-        f"Amplitudes: the chain's fall as $h^{{{exponent:.4f}}}$ (limit: $h^{{-1/12}}$, -0.0833)",
-        fontsize="medium",
-    )
+    wave.set_title(f"At τ = {tau:.1f}, {microseconds:.0f} µs")
+    height.set_title(f"Chain: $h^{{{exponent:.4f}}}$")
     legends(picture, loc="upper right")
     finish(picture, given.output)
 

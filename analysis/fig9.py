@@ -58,7 +58,7 @@ def main() -> None:
             fine + 0.5,
             continuum.peaked(fine, float(tau), 0.0, continuum.impulse_amplitude(), 0.0),
             **PRINTED,
-            label=f"Eq. (35) as printed, |...|: {wrong:.2f} where all is at rest",
+            label=f"Eq. (35) as printed, |...|: {wrong:.2f} ahead",
         )
         wave.plot(
             fine + 0.5,
@@ -78,7 +78,7 @@ def main() -> None:
         apart(below, n, printed, chain, 1.0, **PRINTED)
         apart(below, n, causal, chain, 1.0, **THEORY)
         apart(below, n, field, chain, 1.0, color=SHADES[1], lw=1)
-        wave.set(xlim=limits if whole else (limits[0] * cone, limits[1] * cone), ylim=(-0.05, 1.6))
+        wave.set(xlim=limits if whole else (limits[0] * cone, limits[1] * cone), ylim=(-0.05, 2.0))
         below.set(xlabel="grain, from the top", ylim=(1e-7, 5))
     pairs[0][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
     pairs[0][1].set_ylabel("|difference|")

@@ -87,6 +87,7 @@ def draw_train(ax: "Axes", quick: bool) -> None:
     ratio = train.behind.overlap / train.simple.overlap
     say("plateau over that of a simple wave", ratio)
     train.plot_map(ax)
+    ax.get_legend().remove()
     bar = ax.figure.axes[-1]
     bar.yaxis.set_major_formatter(lambda overlap, _: f"{1e6 * overlap:.2g}")
     bar.set_ylabel("overlap (µm)")

@@ -104,7 +104,7 @@ def main() -> None:
                 depths,
                 values,
                 **marks,
-                label=f"δ = {delta:g}: {100 * off:.2g} % off at n = {deepest}",
+                label=f"δ = {delta:g}: {100 * off:.2g} % off",
             )
             apart(
                 below,
@@ -123,7 +123,7 @@ def main() -> None:
                 "--",
                 color=shade,
                 lw=1.2,
-                label=f"δ = 1.5 with its correction, 1 − {NEXT} n$^{{-1/3}}$: {last:.2g} % off",
+                label=f"δ = 1.5, corrected: {last:.2g} %",
             )
             apart(
                 speed_off,
@@ -160,7 +160,7 @@ def main() -> None:
         label="displacement: −1/10",
     )
     power.errorbar(delta, -p, error, ls="none", marker="s", ms=4, mfc="none", color=SHADES[0],
-                   label=f"velocity, fitted to grains {deepest // 10} to {deepest}")  # fmt: skip
+                   label="velocity, fitted")  # fmt: skip
     expected = np.array([front.decay(x)[0] for x in delta])
     apart(
         power_off,
@@ -180,7 +180,7 @@ def main() -> None:
     labels = ("peak velocity / $v_0$", "time of the peak, τ", "energy in the first pulse / $E_0$")
     for axes, label in zip((speed, time, energy), labels, strict=True):
         axes.set_ylabel(label)
-    power.set_ylabel("exponent p of $h^p$")
+    power.set(ylabel="exponent p of $h^p$", ylim=(-0.36, 0.12))
     for lower in (speed_off, time_off, energy_off):
         lower.set(xlabel="grain n, or length of the chain", ylabel="|run / theory − 1|")
     power_off.set(xlabel="exponent δ of the contacts", ylabel="difference")

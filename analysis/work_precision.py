@@ -101,6 +101,9 @@ def few(result: WorkPrecision, rows: list[dict[str, Any]]) -> Figure:
         [["time", "evaluations"], ["bars", "bars"]], height_ratios=(3, 1.4)
     )
     draw(replace(result, curves=curves), list(rooms.values()), best)
+    bars = rooms["bars"]
+    names = [label.get_text().replace("lammps", "LAMMPS") for label in bars.get_yticklabels()]
+    bars.set_yticks(bars.get_yticks(), names)
     explained = rooms["time"].get_legend_handles_labels()
     rooms["evaluations"].get_legend().remove()
     picture.legend(*explained, loc="outside lower center", ncols=4)

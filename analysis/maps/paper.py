@@ -74,16 +74,16 @@ def draw(data: dict[str, Any]) -> Figure:
     linear.set_title("Linear theory: velocities at 100 µs")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")
     for tau, travelled, error in data["Fig. 2"]:
-        label = f"Fig. 2, τ = {tau}: {100 * error:.2g} %"
+        label = f"τ = {tau}: {100 * error:.2g} %"
         _point(
             uniform,
             MOVED,
             travelled,
             label,
-            (8, 2 if tau > 10 else -8),
-            "left",
+            (-8, 2 if tau > 10 else -8),
+            "right",
         )
-    uniform.set_title("Eq. (6), one κ for all grains")
+    uniform.set_title("Fig. 2 and Eq. (6), one κ")
     _draw_continuum(continuous, *(np.array(x) for x in data["Fig. 8"]))
     return picture
 

@@ -22,7 +22,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, prefixed, set_title, si
+from ..util.plotting import axes_in_units, choose_few, colour_bar, legend, prefixed, set_title
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
 from .flight import summit
@@ -190,7 +190,7 @@ class Shock(Shown, Tabular):
             ax.text(
                 share,
                 y,
-                f"{name}: {state.velocity:.3g} m/s, {si(state.overlap, 'm')}",
+                f"{name}: {state.velocity:.3g} m/s, {prefixed(state.overlap, 'm', 3)}",
                 transform=ax.transAxes,
                 ha="left" if share < 0.5 else "right",
                 va="center",
