@@ -69,7 +69,7 @@ def main() -> None:
         )
         ax.set(xlabel="amplitude of the drive (µm)", ylabel="force below the driven sphere (N)")
         ax.set(xlim=(0, 1e6 * STRONGEST), ylim=(0, None))
-        title = f"driven at {frequency / 1e3:g} kHz, in the gap"
+        title = f"Driven at {frequency / 1e3:g} kHz, in the gap"
         ax.set_title(title)
     finish(picture, given.output)
 

@@ -94,7 +94,7 @@ def main() -> None:
     answer.set_title("Periodic answers, unstable ones dotted")
     answer.legend()
     sent.axvspan(0, modes[-2] / 1e3, color="0.9", lw=0, zorder=0)
-    sent.set(xlabel="frequency (kHz)", ylabel="force at the far wall (N)")
+    sent.set(xlabel="frequency (kHz)", ylabel="amplitude at the far wall (N)")
     sent.set(xlim=(0, 24), ylim=(1e-15, 1e3))
     sent.set_title("Spectra of runs, the band shaded")
     sent.legend(loc="upper right")

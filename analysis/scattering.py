@@ -93,7 +93,7 @@ def main() -> None:
     for engine, value in far.items():
         say(f"packets in {engine}, largest distance from theory", value)
     axes[0].set_title("One bead differs")
-    axes[1].set_title("Two neighbours differ: transparent at one frequency")
+    axes[1].set_title("Two neighbours differ")
     for engine, style in (("native", NATIVE), ("LAMMPS", LAMMPS)):
         axes[0].plot([], [], **style, label=f"packets, {engine}")
     for panel in axes:
