@@ -21,8 +21,8 @@ def main() -> None:
     n = np.arange(1, grains)
     picture, pairs = page(2)
     cases = {
-        "Displaced, Eq. (11)": (1, bessel.free_end),
-        "Struck, Eq. (13)": (0, bessel.free_end_impulse),
+        "a: displaced, Eq. (11)": (1, bessel.free_end),
+        "b: struck, Eq. (13)": (0, bessel.free_end_impulse),
     }
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
         scene = weak_scene(grains, tau, 2, 1e-2, delta=1.0, moved=moved)
@@ -33,7 +33,7 @@ def main() -> None:
             off = end_of_run((wave, below), scene, engine, unit, exact)
             wave.lines[-1].set_label(f"{engine}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
-        wave.set_title(f"{name}, at τ = {tau}")
+        wave.set_title(f"{name[3].upper()}{name[4:]}, at τ = {tau}")
         below.set(xlabel="grain, from the top", xlim=(0, 1.4 * tau), ylim=(1e-17, 1e-5))
     pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")

@@ -53,8 +53,8 @@ def main() -> None:
     n = np.arange(1, grains)
     picture, pairs = page(2)
     cases = {
-        "Displaced, Eq. (19)": (1, bessel.finite),
-        "Struck, Eq. (19) integrated": (0, bessel.finite_impulse),
+        "a: displaced, Eq. (19)": (1, bessel.finite),
+        "b: struck, Eq. (19) integrated": (0, bessel.finite_impulse),
     }
     for (name, (moved, theory)), (wave, below) in zip(cases.items(), pairs, strict=True):
         exact = theory(kappa(grains), n, 1, float(tau))
@@ -77,7 +77,7 @@ def main() -> None:
             )
             wave.lines[-1].set_label(f"{engine}, strength {strength:.0e}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
-        wave.set_title(f"{name}, at τ = {tau}")
+        wave.set_title(f"{name[3].upper()}{name[4:]}, at τ = {tau}")
         below.set(xlabel="grain, from the top", xlim=(0, grains), ylim=(1e-16, 1e1))
     pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
