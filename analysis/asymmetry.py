@@ -64,11 +64,7 @@ def main() -> None:
     )
     v = dict(zip(depths, run.velocity.T / scene.excitation.velocity, strict=True))
 
-    title = (
-        "Asymmetry of the peaked mode: steep in front, a long tail behind.  "
-        "Corrected: Eq. (35) within the cone only"
-    )
-    picture, ((pulse, below), (width, off)) = page(title, 2, width=12)
+    picture, ((pulse, below), (width, off)) = page(2)
     for n, shade in zip(shown, SHADES, strict=False):
         chi = float(continuum.chi(n - 0.5))
         w = (n - 0.5) ** (1 / 6) / 4 ** (1 / 3)

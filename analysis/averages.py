@@ -68,8 +68,8 @@ def draw_time(ax: "Axes", quick: bool) -> None:
     ax.set(xscale="log", xlabel="time (s)", ylabel="over that of the ensemble, less 1")
     ax.set_yscale("symlog", linthresh=1e-3)
     ax.set_ylim(-0.1, 0.1)
-    ax.set_title("kinetic energy of 38 beads, intervals of 95 %", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Kinetic energy of 38 beads, intervals of 95 %")
+    ax.legend()
 
 
 def draw_sizes(ax: "Axes", quick: bool) -> None:
@@ -94,8 +94,8 @@ def draw_sizes(ax: "Axes", quick: bool) -> None:
     ax.set_xticks(sizes, [f"{size}" for size in sizes])
     ax.xaxis.set_minor_formatter("")
     ax.set(xlabel="beads", ylabel="variance of K / E")
-    ax.set_title("fluctuations of the kinetic energy", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Fluctuations of the kinetic energy")
+    ax.legend()
 
 
 def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
@@ -115,24 +115,24 @@ def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
     one.plot([], [], color=SHADES[5], label="does not")
     one.axhline(1, color="k", lw=0.8, ls="--", label="5/9 of a 24th of the energy")
     one.set(ylim=(0.85, 1.2), xlabel="trial", ylabel="energy of bead 3 over the exact mean")
-    one.set_title("the first hundred intervals of 95 %", loc="left", fontsize="medium")
-    one.legend(frameon=False, fontsize="small", ncols=3)
+    one.set_title("The first hundred intervals of 95 %")
+    one.legend(ncols=3)
     count = np.arange(1, trials + 1)
     share = 100 * np.cumsum(covers) / count
     least, most = (100 * stats.binom.ppf(p, count, 0.95) / count for p in (0.025, 0.975))
     all_of_them.fill_between(count, least, most, color="0.85", lw=0, label="chance, 95 %")
     all_of_them.plot(count, share, color=SHADES[0], lw=1.4, label="intervals that cover")
     all_of_them.axhline(95, color="k", lw=0.8, ls="--")
-    all_of_them.set(xlim=(1, trials), ylim=(85, 100), xlabel="trials", ylabel="%")
-    all_of_them.set_title("how many cover", loc="left", fontsize="medium")
-    all_of_them.legend(frameon=False, fontsize="small", loc="lower right")
+    all_of_them.set(xlim=(1, trials), ylim=(85, 100), xlabel="trials", ylabel="covering (%)")
+    all_of_them.set_title("How many cover")
+    all_of_them.legend(loc="lower right")
     say("intervals that cover", float(share[-1]), "%")
 
 
 def main() -> None:
     """Draw the four panels."""
     given = arguments(__file__, __doc__)
-    picture = figure(11, 8)
+    picture = figure(7.5, 6.5)
     axes = picture.subplots(2, 2)
     draw_time(axes[0, 0], given.quick)
     draw_sizes(axes[0, 1], given.quick)

@@ -6,13 +6,12 @@ end.
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, say
+from figures import SHADES, arguments, finish, one_above_two, say
 
 import lmpchain
 from lmpchain.chain.patterns import periodic
 from lmpchain.measure.spectrum import dispersion
 from lmpchain.theory.bands import Cell, branches, gap_modes
-from lmpchain.util.plotting import figure
 
 KILO = 1e3 * 2 * np.pi
 
@@ -34,8 +33,7 @@ def main() -> None:
     grains, tau = (120, 100) if given.quick else (320, 300)
     chain = dimer(grains)
     unit = chain.time_scale
-    picture = figure(12, 4.8)
-    waves, states, surface = picture.subplots(1, 3, width_ratios=(2, 1, 1.6))
+    picture, waves, states, surface = one_above_two()
     cell = Cell(chain.masses[:2], chain.linear_stiffness[:2])
     q = np.linspace(0, np.pi, 400)
     bands = branches(cell, q)
@@ -48,7 +46,7 @@ def main() -> None:
         found.wavenumber / np.pi, found.frequency / 1e3, level, cmap="Greys", vmin=-50, vmax=0
     )
     image.set_rasterized(True)
-    picture.colorbar(image, ax=waves, label="velocity (dB)", location="left", shrink=0.8)
+    picture.colorbar(image, ax=waves, label="velocity (dB)")
     for number, (name, colour) in enumerate((("acoustic", SHADES[0]), ("optical", SHADES[5]))):
         waves.plot(
             found.wavenumber / np.pi,
@@ -70,8 +68,9 @@ def main() -> None:
         loc="upper center",
         ncols=2,
         fontsize="small",
-        title="a strike excites both branches",
     )
+
+    waves.set_title("A strike excites both branches")
 
     frequency = np.linspace(1e-3, 1.15, 1500) * bands.frequency.max()
     states.plot(
@@ -87,7 +86,7 @@ def main() -> None:
         ylim=waves.get_ylim(),
     )
     states.set_xlim(0, 8 * 1e3 * 2 * np.pi / bands.frequency.max())
-    states.set_title("density of states", loc="left", fontsize="medium")
+    states.set_title("Density of states")
     low, high = bands.gaps[0] / KILO
     for axes in (waves, states):
         axes.axhspan(low, high, color=SHADES[1], alpha=0.15, lw=0)
@@ -117,8 +116,8 @@ def main() -> None:
         xlabel="grain from the light end",
         ylabel="|displacement| / largest",
     )
-    surface.set_title(f"surface mode in the gap, {w / KILO:.1f} kHz", loc="left", fontsize="medium")
-    surface.legend(frameon=False, fontsize="small")
+    surface.set_title(f"Surface mode in the gap, {w / KILO:.1f} kHz")
+    surface.legend()
     finish(picture, given.output)
 
 

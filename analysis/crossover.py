@@ -7,7 +7,7 @@ at rest there can hold, which falls as h^(-5/6) at least.
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, legends, say, weak_scene
+from figures import SHADES, arguments, finish, say, weak_scene
 
 import lmpchain
 from lmpchain.measure import front as measured
@@ -53,11 +53,8 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     deepest, strikes = (200, (1e-2, 1e2, 1e4)) if given.quick else (DEEPEST, STRIKES)
     depths = np.unique(np.geomspace(4, deepest, 48).astype(int))
-    picture = figure(12, 5.2)
+    picture = figure(7.5, 4)
     over_depth, over_strength = picture.subplots(1, 2, sharey=True)
-    picture.suptitle(
-        "Local exponent of the peak velocity, Eq. (1) by the native engine", fontsize="medium"
-    )
     every = [
         (f"$v_0^*$ = {x:g}", x, {"lw": 1.3, "color": SHADES[i]}) for i, x in enumerate(strikes)
     ]
@@ -79,11 +76,11 @@ def main() -> None:
         over_strength.annotate(text, (0.98, level), xycoords=("axes fraction", "data"), **above)
     over_depth.set(
         xlabel="depth h = n − 1/2 (grains)",
-        ylabel="p, as the peak velocity $h^p$",
+        ylabel="exponent p of the peak velocity, $h^p$",
         ylim=(-0.285, 0.02),
     )
     over_strength.set(xlabel="local strength: peak velocity / $\\epsilon_n \\omega_n$")
-    legends(picture, loc="upper left")
+    picture.legend(loc="outside lower center", ncols=5)
     finish(picture, given.output)
 
 

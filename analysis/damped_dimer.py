@@ -43,7 +43,7 @@ def main() -> None:
     gap = int(np.diff(modes).argmax())
     say("gap from", modes[gap] / 1e3, "kHz")
     say("gap to", modes[gap + 1] / 1e3, "kHz")
-    picture = figure(11, 4.6)
+    picture = figure(7.5, 4)
     for ax, frequency in zip(picture.subplots(1, 2), FREQUENCIES, strict=True):
         drive = lmpchain.Drive(amplitude=1e-8, frequency=frequency)
         first = orbits.find(dimer, drive=drive)
@@ -63,11 +63,14 @@ def main() -> None:
             mark = {"ms": 7, "mfc": "w", "color": "k", "ls": "none"}
             ax.plot(1e6 * event.value, force, MARKS[event.kind], label=event.kind, **mark)
         handles = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
-        ax.legend(handles.values(), handles.keys(), frameon=False, fontsize="small")
+        ax.legend(
+            handles.values(),
+            handles.keys(),
+        )
         ax.set(xlabel="amplitude of the drive (µm)", ylabel="force below the driven sphere (N)")
         ax.set(xlim=(0, 1e6 * STRONGEST), ylim=(0, None))
-        title = f"driven at {frequency / 1e3:g} kHz, in the gap"
-        ax.set_title(title, loc="left", fontsize="medium")
+        title = f"Driven at {frequency / 1e3:g} kHz, in the gap"
+        ax.set_title(title)
     finish(picture, given.output)
 
 

@@ -6,13 +6,12 @@ of a strike spreads faster than by diffusion while most of it stays where it was
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, say
+from figures import SHADES, arguments, finish, one_above_two, say
 from scipy.stats import gamma
 
 import lmpchain
 from lmpchain.disorder import density_of_states, lyapunov, spreading
 from lmpchain.theory import dyson
-from lmpchain.util.plotting import figure
 
 MARKS = {1: "o", 3: "s", 20: "^"}
 
@@ -23,8 +22,7 @@ def main() -> None:
     """
     given = arguments(__file__, __doc__)
     grains, chains, length = (600, 60, 20_000) if given.quick else (2000, 200, 100_000)
-    picture = figure(12, 4.6)
-    states, localised, spread = picture.subplots(1, 3)
+    picture, states, localised, spread = one_above_two()
 
     fine = np.geomspace(0.02, 4.5, 150)
     points = np.geomspace(0.03, 4, 15)
@@ -42,10 +40,8 @@ def main() -> None:
         )
     states.set(xscale="log", yscale="log", xlabel=r"frequency $\omega / \langle k/m \rangle^{1/2}$")
     states.set(ylabel="share of the modes below", ylim=(2e-3, 1.5))
-    states.set_title(
-        "Spectrum: exact (lines), transfer matrices (points)", loc="left", fontsize="medium"
-    )
-    states.legend(frameon=False, title="Dyson's chain", fontsize="small")
+    states.set_title("Spectrum: exact (lines) and transfer matrices (points)")
+    states.legend(title="Dyson's chain", fontsize="small")
 
     omega = np.geomspace(0.1, 2.0, 11)
     for (m, mark), colour in list(zip(MARKS.items(), SHADES, strict=False))[1:]:
@@ -58,13 +54,13 @@ def main() -> None:
         )
         say(f"Lyapunov exponent over its law, m = {m}", found.exponent[3] / law[3])
     localised.set(
-        xscale="log", yscale="log", xlabel=r"frequency $\omega / (1/m\langle 1/k \rangle)^{1/2}$"
+        xscale="log", yscale="log", xlabel=r"frequency $\omega \, (m \langle 1/k \rangle)^{1/2}$"
     )
-    localised.set_ylabel("1 / localisation length (1 / grains)")
-    localised.set_title(
-        r"Localisation: $\omega^2\,\mathrm{Var}(1/k)/8$ (lines)", loc="left", fontsize="medium"
-    )
-    localised.legend(frameon=False, title="random springs", fontsize="small")
+    localised.set_ylabel("1 / localisation length (1/grains)")
+    localised.set_title(r"Localisation of the amplitude")
+    law = r"$m \omega^2 \mathrm{Var}(1/k) / (8 \langle 1/k \rangle)$"
+    localised.plot([], [], color="0.4", lw=1.2, label=law)
+    localised.legend(title="random springs", fontsize="small")
 
     line = {
         "grains": grains,
@@ -109,8 +105,8 @@ def main() -> None:
         )
     spread.plot([], [], ":", color="0.3", label="participation, grains")
     spread.set(xscale="log", yscale="log", xlabel=r"time $\tau$", ylabel="second moment (grains²)")
-    spread.set_title("Energy spreads: power over the last octave", loc="left", fontsize="medium")
-    spread.legend(frameon=False, loc="upper left", fontsize="small")
+    spread.set_title("Energy spreads")
+    spread.legend(loc="upper left", fontsize="small")
     finish(picture, given.output)
 
 

@@ -62,20 +62,22 @@ def strike(delta: float, velocity: float) -> solitary.Train:
 def draw_shares(ax: "Axes", quick: bool) -> None:
     """Draw the share of the energy outside the first wave against the exponent."""
     exponents = [delta for delta in LENGTHS if delta >= (1.3 if quick else 1)]
-    for velocity, marker in ((0.1, "o"), (0.01, "x")):
+    for velocity, marker, size in ((0.1, "o", 8), (0.01, "x", 5)):
         trains = [strike(delta, velocity) for delta in exponents]
         share = np.array([train.share[0] for train in trains])
         error = np.array([train.share_error[0] for train in trains])
         label = f"struck at {velocity:g} m/s"
-        style = {"ls": "none", "marker": marker, "mfc": "none", "color": SHADES[velocity < 0.1]}
+        style = {"ls": "none", "marker": marker, "ms": size, "mfc": "none"} | {
+            "color": SHADES[velocity < 0.1]
+        }
         ax.errorbar(exponents, 1 - share, error, label=label, **style)
         for delta, value in zip(exponents, share, strict=True):
             say(f"share at {delta:g}, {velocity:g} m/s", float(value))
     ax.axhline(1 - 0.99366104, color="k", lw=0.8, ls="--", label="independent runs, 1.5 and 2")
     ax.axhline(1 - 0.99845214, color="k", lw=0.8, ls="--")
     ax.set(yscale="log", xlabel="exponent of the contact force", ylabel="1 − share of the energy")
-    ax.set_title("not in the solitary wave of a strike", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Not in the solitary wave of a strike")
+    ax.legend()
 
 
 def head_on(speed: float, grains: int) -> collision.Collision:
@@ -110,15 +112,15 @@ def draw_shifts(ax: "Axes", quick: bool) -> None:
     chosen = triples[: 2 if quick else 3]
     runs = [(fast - 1, overtake(fast, *others)) for fast, *others in chosen]
     _plot_ratio(ax, runs, 0, "toda", "overtaking", SHADES[5], "^")
-    _plot_ratio(ax, runs, 1, "toda", "overtaken", SHADES[5], "v")
+    _plot_ratio(ax, runs, 1, "toda", "overtaken", SHADES[1], "s")
     _plot_ratio(ax, runs, 0, "kdv", "overtaking, KdV", SHADES[2], "^")
     ax.axhline(0, color="k", lw=0.8)
     ax.set(xscale="log", xlabel="speed over that of sound, less 1 (of the faster wave)")
     ax.set_xticks([0.0125, 0.025, 0.05, 0.1, 0.2, 0.4])
     ax.xaxis.set(major_formatter="{x:g}", minor_formatter="")
     ax.set(ylabel="shift over the law, less 1")
-    ax.set_title("shifts beside Toda's law and KdV", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Shifts beside Toda's law and KdV")
+    ax.legend()
 
 
 def _plot_ratio(
@@ -167,8 +169,8 @@ def draw_power(ax: "Axes", quick: bool) -> None:
     ax.set(
         xscale="log", xlabel="amplitude of the force over the load", ylabel="% of the input power"
     )
-    ax.set_title("power behind an impurity, linear dashed", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Power behind an impurity, linear dashed")
+    ax.legend()
 
 
 def draw_bands(ax: "Axes", quick: bool) -> None:
@@ -200,14 +202,14 @@ def draw_bands(ax: "Axes", quick: bool) -> None:
     say("long waves, share of the energy at grains 300 to 480", float(last[0] / last.sum()))
     say("long waves, share of the energy next to the strike", float(first[0] / first.sum()))
     ax.set(yscale="log", ylim=(1e-7, 0.1), xlabel="grain", ylabel="share of the energy a grain")
-    ax.set_title("random masses, by wavenumber", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Random masses, by wavenumber")
+    ax.legend()
 
 
 def main() -> None:
     """Draw all four."""
     given = arguments(__file__, __doc__)
-    picture = figure(11, 8)
+    picture = figure(7.5, 7)
     axes = picture.subplots(2, 2)
     for draw, ax in zip((draw_shares, draw_shifts, draw_power, draw_bands), axes.flat, strict=True):
         draw(ax, given.quick)

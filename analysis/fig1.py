@@ -44,11 +44,7 @@ def main() -> None:
     unit = 1e3
     strike = scene.excitation.velocity
 
-    title = (
-        "Fig. 1: strike of 8.57 mm/s, 120 glass beads.  "
-        "Corrected: no tension, [overlap]$_+$, in Eq. (1)"
-    )
-    picture, ((wave, below), (ratio, opened)) = page(title, 2, width=11)
+    picture, ((wave, below), (ratio, opened)) = page(2)
     for moment, shade in zip(MOMENTS, SHADES, strict=False):
         row = int(np.abs(native.time - moment).argmin())
         v, label = native.velocity[row], f"{native.time[row] * 1e6:.1f} µs"
@@ -57,7 +53,7 @@ def main() -> None:
             v * unit,
             color=shade,
             lw=1.2,
-            label=f"native, {label}: peak at {summit(v):.2f}",
+            label=f"native, {label}",
         )
         wave.plot(lammps.grains, lammps.velocity[row] * unit, **LAMMPS | {"color": shade})
         apart(
@@ -68,9 +64,7 @@ def main() -> None:
             angle = np.linspace(-np.pi / 2, np.pi / 2, 101)
             x = angle / np.sqrt(0.4)
             shape = v.max() * np.cos(angle) ** 4
-            wave.plot(
-                summit(v) + x, shape * unit, ls=":", **THEORY, label="Nesterenko's pulse, 89.8 µs"
-            )
+            wave.plot(summit(v) + x, shape * unit, ls=":", **THEORY, label="Nesterenko, 89.8 µs")
     wave.plot([], [], **LAMMPS | {"color": "0.4"}, label="LAMMPS")
     difference = np.abs(lammps.velocity - native.velocity).max() / strike
     expected = native.error_estimate.total + lammps.error_estimate.total
@@ -81,7 +75,7 @@ def main() -> None:
         lw=1,
         label=f"expected: {expected:.0e}; measured {difference:.0e}",
     )
-    wave.set(ylabel="velocity downward (mm/s)", xlim=(0, 40))
+    wave.set(ylabel="velocity downward (mm/s)", xlim=(20, 30), ylim=(-0.6, 8.5))
     below.set(xlabel="grain, from the top", ylabel="|LAMMPS − native| / $v_0$")
 
     squeezed = -np.diff(native.displacement, axis=1) / scene.chain.equilibrium_overlap

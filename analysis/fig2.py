@@ -38,11 +38,7 @@ def main() -> None:
     phi = run.displacement / scene.excitation.displacement
     n = np.arange(1, GRAINS)
 
-    title = (
-        "Fig. 2: grain 50 is displaced and released.  "
-        "Corrected: Eq. (6), with one κ, holds at early times only"
-    )
-    picture, pairs = page(title, 2, rows=2, width=11, height=10)
+    picture, pairs = page(2, rows=2, height=8.5)
     for tau, (wave, below) in zip(TAU, pairs, strict=True):
         measured = phi[tau, :-1]
         uniform = bessel.infinite(n, MOVED, tau * np.sqrt(MOVED ** (1 / 3)))
@@ -56,7 +52,7 @@ def main() -> None:
         apart(below, n, exact, measured, np.abs(measured).max(), **THEORY)
         reach = 4 + 2.4 * tau
         time = f"{tau * scene.chain.time_scale * 1e6:.1f} µs"
-        wave.set_title(f"τ = {tau}, {time}", fontsize="medium")
+        wave.set_title(f"τ = {tau}, {time}")
         wave.set(
             xlim=(MOVED - reach, MOVED + reach),
             ylim=(wave.get_ylim()[0], 1.75 * wave.get_ylim()[1]),

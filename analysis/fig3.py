@@ -19,8 +19,7 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     grains, tau = (30, 10) if given.quick else (GRAINS, TAU)
     n = np.arange(1, grains)
-    title = "Fig. 3: a chain of springs, δ = 1.  Corrected: the velocity in Eq. (13) is dφ/dT"
-    picture, pairs = page(title, 2, width=11)
+    picture, pairs = page(2)
     cases = {
         "a: displaced, Eq. (11)": (1, bessel.free_end),
         "b: struck, Eq. (13)": (0, bessel.free_end_impulse),
@@ -34,7 +33,7 @@ def main() -> None:
             off = end_of_run((wave, below), scene, engine, unit, exact)
             wave.lines[-1].set_label(f"{engine}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
-        wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")
+        wave.set_title(f"{name[3].upper()}{name[4:]}, at τ = {tau}")
         below.set(xlabel="grain, from the top", xlim=(0, 1.4 * tau), ylim=(1e-17, 1e-5))
     pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")

@@ -51,15 +51,7 @@ def main() -> None:
     given = arguments(__file__, __doc__)
     grains, tau = (20, 7) if given.quick else (GRAINS, TAU)
     n = np.arange(1, grains)
-    title = (
-        "Fig. 4: a column under gravity, δ = 3/2.  "
-        "Corrected: the cases of Eq. (20) are j = 1 and j > 1"
-    )
-    title += (
-        "\nLAMMPS at strength 1e-4, native at 1e-9: their distances are what is nonlinear "
-        "at these strengths"
-    )
-    picture, pairs = page(title, 2, width=11)
+    picture, pairs = page(2)
     cases = {
         "a: displaced, Eq. (19)": (1, bessel.finite),
         "b: struck, Eq. (19) integrated": (0, bessel.finite_impulse),
@@ -85,12 +77,14 @@ def main() -> None:
             )
             wave.lines[-1].set_label(f"{engine}, strength {strength:.0e}: {off:.0e} off")
             say(f"{name[0]}, {engine}", off)
-        wave.set_title(f"{name}, at τ = {tau}", fontsize="medium")
+        wave.set_title(f"{name[3].upper()}{name[4:]}, at τ = {tau}")
         below.set(xlabel="grain, from the top", xlim=(0, grains), ylim=(1e-16, 1e1))
     pairs[0][0].set_ylabel("displacement / that of grain 1 at t = 0")
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
     pairs[0][1].set_ylabel("|difference| / max")
-    legends(picture)
+    for wave, _ in pairs:
+        wave.margins(y=0.6)
+    legends(picture, loc="upper left")
     finish(picture, given.output)
 
 

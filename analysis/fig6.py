@@ -42,11 +42,7 @@ def main() -> None:
     n = np.arange(1, GRAINS + 1)
     linear = np.append(bessel.finite(kappa(GRAINS), n[:-1], 1, float(TAU)), 0.0)
 
-    title = (
-        "Fig. 6: velocities at τ = 15 and disorder.  "
-        "Corrected: Eq. (22) is no average; that over columns, right"
-    )
-    picture, ((weighted, below), (wave, noise)) = page(title, 2, width=12)
+    picture, ((weighted, below), (wave, noise)) = page(2)
     m = np.geomspace(1, 1e4, 400)
     coarse = np.geomspace(1, 1e4, 25)
     for style, label, normalised in (
@@ -92,10 +88,11 @@ def main() -> None:
         apart(noise, n, mean, linear, linear.max(), color=shade, lw=1)
         say(f"mean over columns, m = {order}, largest velocity", mean.max())
         say(f"its standard error, m = {order}", error[mean.argmax()])
-    wave.set(xlim=(0, 30), ylabel="mean velocity / $v_0$", title="")
+    wave.set(xlim=(0, 30), ylabel="mean velocity / $v_0$")
     noise.set(xlabel="grain, from the top", ylabel="|mean − ordered| / max", ylim=(1e-4, 2))
-    weighted.set_title("one column, the paper's weighted sum", fontsize="medium")
-    wave.set_title(f"mean over {columns} columns for each m, ± standard error", fontsize="medium")
+    weighted.set_title("One column, weighted sum")
+    wave.set_title(f"Mean over {columns} columns ± standard error")
+    wave.set_ylim(-0.25, 0.75)
     legends(picture)
     finish(picture, given.output)
 

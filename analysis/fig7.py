@@ -7,7 +7,7 @@ Eq. (19), and the standard error of the mean.
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, kappa, legends, page, say, weak_scene
+from figures import OUTLINE, SHADES, arguments, finish, kappa, legends, page, say, weak_scene
 from matplotlib.colors import SymLogNorm
 from scipy.ndimage import gaussian_filter
 
@@ -33,10 +33,7 @@ def main() -> None:
     linear = np.zeros((SAMPLES, GRAINS))
     linear[:, :-1] = bessel.finite(kappa(GRAINS), n[:-1], 1, tau[:, None])
 
-    title = (
-        "Fig. 7: velocity, time and disorder.  Corrected: the mean over disordered columns, right"
-    )
-    picture, ((weighted, below), (mean, noise)) = page(title, 2, width=12, height=7)
+    picture, ((weighted, below), (mean, noise)) = page(2)
     m = np.geomspace(1, 100, 81)
     sums, theory = (
         np.array([dyson.average(v, n ** (1 / 3), order) for order in m]) for v in (velocity, linear)
@@ -67,9 +64,10 @@ def main() -> None:
         smooth,
         levels=(0.1, 0.2, 0.3, 0.4),
         colors="w",
-        linewidths=0.7,
+        linewidths=1,
     )
-    mean.clabel(lines, fontsize="x-small", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)])
+    for text in mean.clabel(lines, colors="k", manual=[(6, 14), (13, 10), (18, 5), (22, 1.5)]):
+        text.set_path_effects(OUTLINE)
     picture.colorbar(image, ax=mean, label="largest mean velocity / $v_0$", extend="max")
     for place, shade in zip((0, len(orders) // 2, len(orders) - 1), SHADES, strict=False):
         average = averages[place]
@@ -79,9 +77,9 @@ def main() -> None:
         )
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
-    weighted.set_title("one column, the paper's weighted sum", fontsize="medium")
-    mean.set_title(f"mean over {columns} columns for each m; contours smoothed")
-    noise.set_title("jumps where another grain comes to have the largest mean")
+    weighted.set_title("One column, weighted sum")
+    mean.set_title(f"Mean over {columns} columns, smoothed contours")
+    noise.set_title("Error of the mean")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))

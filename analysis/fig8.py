@@ -67,11 +67,7 @@ def main() -> None:
     near = continuum.chi(h) < tau - RAMP - 30  # beyond, the drive had not reached its amplitude
     cells_ = field.displacement[-1]
     grains_ = run.displacement[-1] / unit
-    title = (
-        "Fig. 8: the top driven at λ = 0.5.  "
-        "Corrected: the wave that runs down is $H^{(2)}$, of order ν"
-    )
-    picture, ((wave, below), (height, relative)) = page(title, 2, width=12)
+    picture, ((wave, below), (height, relative)) = page(2)
     good, bad, discrete = (distance(x[near], cells_[near]) for x in (wave_out, wave_in, grains_))
     wave.plot(
         n, wave_out, **THEORY, label=f"Eq. (30), $H^{{(2)}}$: {100 * good:.2g} % from Eq. (27)"
@@ -128,14 +124,8 @@ def main() -> None:
     exponent = np.polyfit(np.log(h[deep]), np.log(amplitudes[1][deep]), 1)[0]
     say("exponent of the amplitude of the chain", exponent)
     microseconds = tau * chain.time_scale * 1e6
-    wave.set_title(
-        f"displacements at τ = {tau:.1f}, {microseconds:.0f} µs; markers: every fifth grain",
-        fontsize="medium",
-    )
-    height.set_title(
-        f"amplitudes: the chain's fall as $h^{{{exponent:.4f}}}$ (limit: $h^{{-1/12}}$, -0.0833)",
-        fontsize="medium",
-    )
+    wave.set_title(f"At τ = {tau:.1f}, {microseconds:.0f} µs")
+    height.set_title(f"Chain: $h^{{{exponent:.4f}}}$")
     legends(picture, loc="upper right")
     finish(picture, given.output)
 

@@ -45,11 +45,7 @@ def main() -> None:
     close = chi > tau - 20
     airy = front.displacement(n[close], float(tau))
 
-    title = (
-        "Fig. 9: strike on the top, Eq. (35).  "
-        "Corrected: causal, nothing moves ahead of the light cone"
-    )
-    picture, pairs = page(title, 2, width=12)
+    picture, pairs = page(2)
     inside = chi < 0.5 * tau
     ahead = chi > 1.1 * tau
     off = np.abs(chain[inside] / causal[inside] - 1).max()
@@ -62,7 +58,7 @@ def main() -> None:
             fine + 0.5,
             continuum.peaked(fine, float(tau), 0.0, continuum.impulse_amplitude(), 0.0),
             **PRINTED,
-            label=f"Eq. (35) as printed, |...|: {wrong:.2f} where all is at rest",
+            label=f"Eq. (35) as printed, |...|: {wrong:.2f} ahead",
         )
         wave.plot(
             fine + 0.5,
@@ -82,14 +78,14 @@ def main() -> None:
         apart(below, n, printed, chain, 1.0, **PRINTED)
         apart(below, n, causal, chain, 1.0, **THEORY)
         apart(below, n, field, chain, 1.0, color=SHADES[1], lw=1)
-        wave.set(xlim=limits if whole else (limits[0] * cone, limits[1] * cone), ylim=(-0.05, 1.6))
+        wave.set(xlim=limits if whole else (limits[0] * cone, limits[1] * cone), ylim=(-0.05, 2.0))
         below.set(xlabel="grain, from the top", ylim=(1e-7, 5))
     pairs[0][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
     pairs[0][1].set_ylabel("|difference|")
     pairs[0][0].set_title(
         f"τ = {tau}, {tau * scene.chain.time_scale * 1e6:.0f} µs", fontsize="medium"
     )
-    pairs[1][0].set_title("the front", fontsize="medium")
+    pairs[1][0].set_title("The front")
     say("causal Eq. (35), largest relative error behind half the light cone", off)
     say("Eq. (27) solved, the same", np.abs(field[inside] / causal[inside] - 1).max())
     say("Eq. (35) as printed, ahead of the light cone", wrong)

@@ -11,11 +11,13 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import rc_context
+from matplotlib import rc_context, rcParams
 from matplotlib.collections import QuadMesh
+from matplotlib.patheffects import withStroke
 from matplotlib.text import Text
 
 import lmpchain
@@ -35,6 +37,21 @@ NATIVE, LAMMPS = (
     for (colour, marker), size in ((Native.style, 3.5), (Lammps.style, 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
+LEAST_LETTER = 8.0  # pt, in pictures that are printed 7 inches wide
+rcParams.update(
+    {
+        "font.size": 9,
+        "axes.labelsize": 8.5,
+        "xtick.labelsize": LEAST_LETTER,
+        "ytick.labelsize": LEAST_LETTER,
+        "legend.fontsize": LEAST_LETTER,
+        "legend.title_fontsize": LEAST_LETTER,
+        "legend.frameon": False,
+    }
+)
+OUTLINE = [withStroke(linewidth=2, foreground="white")]  # of letters on maps
+DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # of white lines on maps
+DIFFERENCES = "<differences>"  # the label of a panel below another one, as matplotlib's <colorbar>
 SVG = "--svg"
 PRINT_DPI = 300
 PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
@@ -77,7 +94,7 @@ def add_svg(parser: argparse.ArgumentParser) -> None:
 
 
 def page(
-    title: str, columns: int, rows: int = 1, width: float = 8.0, height: float = 6.0
+    columns: int, rows: int = 1, width: float = 7.5, height: float = 5.0
 ) -> tuple[Figure, list[tuple[Axes, Axes]]]:
     """Return a figure and its pairs of panels, row by row: curves, and their differences below."""
     picture = figure(width, height)
@@ -88,12 +105,19 @@ def page(
     for row in range(rows):
         for upper, lower in zip(axes[2 * row], axes[2 * row + 1], strict=True):
             lower.sharex(upper)
+            lower.set_label(DIFFERENCES)
             lower.set_yscale("log")
             lower.yaxis.set_minor_formatter("")
             upper.tick_params(labelbottom=False)
             pairs.append((upper, lower))
-    picture.suptitle(title)
     return picture, pairs
+
+
+def one_above_two(width: float = 7.5, height: float = 6.5) -> tuple[Figure, Axes, Axes, Axes]:
+    """Return a figure with one wide panel and two panels below it."""
+    picture = figure(width, height)
+    axes = picture.subplot_mosaic([["above", "above"], ["left", "right"]])
+    return picture, axes["above"], axes["left"], axes["right"]
 
 
 def apart(
@@ -125,7 +149,7 @@ def legends(picture: Figure, **keys: object) -> None:
     """Give every panel with labels a legend."""
     for axes in picture.axes:
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(**{"frameon": False, "fontsize": "small", **keys})
+            axes.legend(**keys)
 
 
 def random_search(
@@ -177,16 +201,17 @@ def save_for_print(picture: Figure, path: Path) -> None:
 
 
 def restyle(picture: Figure) -> None:
-    """Put titles on the left, and set powers of ten and strike numbers as formulas."""
-    if title := picture.get_suptitle():
-        picture.suptitle(title, x=0.01, ha="left")
+    """Put titles on the left behind the letters of panels, and set numbers as formulas."""
+    lettered = [axes for axes in picture.axes if not axes.get_label().startswith("<")]
     for axes in picture.axes:
-        if centred := axes.get_title():
-            axes.set_title("")
-            axes.set_title(centred, loc="left")
-        axes.set_title(axes.get_title(loc="left"), loc="left", fontsize="medium")
+        title = axes.get_title() or axes.get_title(loc="left")
+        axes.set_title("")
+        if len(lettered) > 1 and axes in lettered and not title.startswith("("):
+            title = f"({ascii_lowercase[lettered.index(axes)]}) {title}"
+        axes.set_title(title, loc="left", fontsize="medium")
     for text in picture.findobj(Text):
-        text.set_text(typeset(text.get_text()))
+        text.set_text(re.sub(r"\blammps\b", "LAMMPS", typeset(text.get_text())))
+        text.set_fontsize(max(text.get_fontsize(), LEAST_LETTER))
 
 
 def commit() -> str:

@@ -6,11 +6,10 @@ stable.
 """
 
 import numpy as np
-from figures import SHADES, arguments, finish, say
+from figures import SHADES, arguments, finish, one_above_two, say
 
 import lmpchain
 from lmpchain import orbits
-from lmpchain.util.plotting import figure
 
 
 def dimer(grains: int) -> lmpchain.Chain:
@@ -52,8 +51,7 @@ def main() -> None:
     say("least energy of a narrow one", 1e6 * both.energy[least], "µJ")
     say("period there over that of the linear mode", both.period[least] / period)
 
-    picture = figure(12, 4.8)
-    family, shape, growth = picture.subplots(1, 3, width_ratios=(1.3, 1.3, 1))
+    picture, family, shape, growth = one_above_two()
     frequency = 1 / both.period
     family.semilogy(frequency, both.energy, color=SHADES[0], lw=2, label="stable")
     unstable = np.where(both.stable, np.nan, both.energy)
@@ -63,9 +61,9 @@ def main() -> None:
     family.yaxis.set_major_formatter(lambda y, _: f"{1e6 * y:g}")
     family.set_yticks([5e-5, 1e-4, 2e-4, 5e-4])
     family.yaxis.set_minor_formatter("")
-    family.set_xlabel("frequency (kHz)", fontsize="medium")
-    family.set_ylabel("energy above rest (µJ)", fontsize="medium")
-    family.legend(frameon=False, fontsize="small", loc="lower left")
+    family.set_xlabel("frequency (kHz)")
+    family.set_ylabel("energy above rest (µJ)")
+    family.legend(loc="lower left")
     family.set_title("Energy against frequency")
     chosen = [both[0], both[least], both[-1]]
     looks = ((SHADES[2], "^", 0.79), (SHADES[0], "o", 0.86), (SHADES[5], "s", 0.93))
@@ -88,8 +86,8 @@ def main() -> None:
     shape.set_title("The orbits marked, at rest at t = 0")
     largest = [np.abs(orbit.multipliers).max() - 1 for orbit in both.orbits]
     growth.plot(1e-3 * frequency, np.maximum(largest, 0.0), ".-", color=SHADES[3])
-    growth.set(xlabel="frequency (kHz)", ylabel="largest |multiplier| − 1", ylim=(0, None))
-    growth.set_title("Growth in a period")
+    growth.set(xlabel="frequency (kHz)", ylabel="growth in a period, less 1", ylim=(0, None))
+    growth.set_title("Largest Floquet multiplier")
     finish(picture, given.output)
 
 

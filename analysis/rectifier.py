@@ -56,7 +56,7 @@ def main() -> None:
     modes = lmpchain.theory.modes.eigenmodes(chain(3)).frequency / (2 * np.pi)
     say("upper end of the band", modes[-2] / 1e3, "kHz")
     say("mode of the light sphere", modes[-1] / 1e3, "kHz")
-    picture = figure(11, 4.6)
+    picture = figure(7.5, 4)
     answer, sent = picture.subplots(1, 2)
     names = "driven at the light sphere", "driven at the other end"
     threshold = np.inf
@@ -91,13 +91,13 @@ def main() -> None:
     )
     answer.set(xlabel="amplitude of the drive (µm)", ylabel="force at the driven sphere (N)")
     answer.set(ylim=(0, None))
-    answer.set_title("periodic answers, unstable ones dotted", loc="left", fontsize="medium")
-    answer.legend(frameon=False, fontsize="small")
+    answer.set_title("Periodic answers, unstable ones dotted")
+    answer.legend()
     sent.axvspan(0, modes[-2] / 1e3, color="0.9", lw=0, zorder=0)
-    sent.set(xlabel="frequency (kHz)", ylabel="force at the far wall (N)")
+    sent.set(xlabel="frequency (kHz)", ylabel="amplitude at the far wall (N)")
     sent.set(xlim=(0, 24), ylim=(1e-15, 1e3))
-    sent.set_title("spectra of runs, the band shaded", loc="left", fontsize="medium")
-    sent.legend(frameon=False, fontsize="small", loc="upper right")
+    sent.set_title("Spectra of runs, the band shaded")
+    sent.legend(loc="upper right")
     finish(picture, given.output)
 
 

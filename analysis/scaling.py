@@ -196,8 +196,8 @@ def main() -> None:
 
 
 def draw(numbers: dict[str, Any]) -> Figure:
-    """Draw the speed against the number of grains, and say what a strike on grain 1 takes."""
-    picture = figure(7, 4.6)
+    """Draw the speed against the number of grains."""
+    picture = figure(7, 4.2)
     speed = picture.subplots()
     for name in ENGINES:
         rows = [row for row in numbers["throughput"] if row["engine"] == name]
@@ -207,23 +207,8 @@ def draw(numbers: dict[str, Any]) -> Figure:
             label=name,
             **STYLES[name],
         )
-    milliseconds = [1e3 * row["seconds"] for row in numbers["answers"]]
-    speed.annotate(
-        "A strike on grain 1, from its parameters to the solution for 100 µs:\n"
-        f"{min(milliseconds):.1f} to {max(milliseconds):.1f} ms at each of these lengths, "
-        f"as at most {max(row['active_grains'] for row in numbers['answers'])} grains are computed",
-        (0.02, 0.03),
-        xycoords="axes fraction",
-        fontsize="small",
-    )
     speed.set(xlabel="grains, all in motion", ylabel="grain-steps (1/s)", ylim=(3e6, 3e9))
     legends(picture, loc="center right")
-    versions = numbers["throughput"][0]["provenance"]
-    about = [
-        numbers["machine"],
-        *(f"{name} {versions[name]}" for name in ("lmpchain", "python", "numpy", "numba")),
-    ]
-    picture.supxlabel(", ".join(about), fontsize="x-small", x=0.01, ha="left")
     return picture
 
 

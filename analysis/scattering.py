@@ -67,7 +67,7 @@ def main() -> None:
     frequency, with packets in two engines.
     """
     given = arguments(__file__, __doc__)
-    picture = figure(10, 4.8)
+    picture = figure(7.5, 4)
     axes = picture.subplots(1, 2, sharey=True)
     frequency = np.sin(np.linspace(0.02, np.pi - 0.004, 500) / 2)
     places = (0.35, 0.75) if given.quick else (0.25, 0.4, 0.55, 0.7, 0.82)
@@ -92,17 +92,15 @@ def main() -> None:
                     panel.plot(place, share, **style)
     for engine, value in far.items():
         say(f"packets in {engine}, largest distance from theory", value)
-    axes[0].set_title("One bead differs", loc="left", fontsize="medium")
-    axes[1].set_title(
-        "Two neighbours differ: transparent at one frequency", loc="left", fontsize="medium"
-    )
+    axes[0].set_title("One bead differs")
+    axes[1].set_title("Two neighbours differ")
     for engine, style in (("native", NATIVE), ("LAMMPS", LAMMPS)):
         axes[0].plot([], [], **style, label=f"packets, {engine}")
     for panel in axes:
         panel.set(xlabel="frequency / band edge of the chain", xlim=(0, 1), ylim=(-0.02, 1.04))
     axes[0].set_ylabel("transmitted share of the energy")
-    axes[0].legend(frameon=False, fontsize="small", loc="upper right")
-    axes[1].legend(frameon=False, fontsize="small", loc="lower left")
+    axes[0].legend(loc="upper right")
+    axes[1].legend(loc="lower left")
     finish(picture, given.output)
 
 

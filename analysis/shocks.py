@@ -72,8 +72,8 @@ def draw_edges(ax: "Axes", quick: bool) -> None:
             say(f"{name} edge off Whitham's, in that of sound, jump {jump:.2f}", float(off))
             say(f"its error, {name} edge, jump {jump:.2f}", float(spread))
     ax.set(xlabel="overlap behind over that ahead", ylabel="speed over that of sound")
-    ax.set_title("edges of a dispersive shock", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("Edges of a dispersive shock")
+    ax.legend()
 
 
 def draw_train(ax: "Axes", quick: bool) -> None:
@@ -87,10 +87,11 @@ def draw_train(ax: "Axes", quick: bool) -> None:
     ratio = train.behind.overlap / train.simple.overlap
     say("plateau over that of a simple wave", ratio)
     train.plot_map(ax)
+    ax.get_legend().remove()
     bar = ax.figure.axes[-1]
     bar.yaxis.set_major_formatter(lambda overlap, _: f"{1e6 * overlap:.2g}")
     bar.set_ylabel("overlap (µm)")
-    ax.set_title("dispersive shock before a piston", loc="left", fontsize="medium")
+    ax.set_title("Dispersive shock before a piston")
 
 
 def draw_steady(ax: "Axes", quick: bool) -> None:
@@ -110,7 +111,7 @@ def draw_steady(ax: "Axes", quick: bool) -> None:
         middle = _middle(wave, share)
         width = wave.predictions["burgers"].height
         say(f"thickness over Burgers's, A times sound {viscosity:g}", wave.thickness / width)
-        label = f"A c = {viscosity:g} grains"
+        label = f"A$c_0$ = {viscosity:g} grains"
         ax.plot(wave.contact - middle, share, color=colour, lw=1.4, label=label)
         place = np.linspace(-20, 20, 400)
         # A tanh profile with this steepest slope.
@@ -119,8 +120,8 @@ def draw_steady(ax: "Axes", quick: bool) -> None:
     ax.axhline(1, color="k", lw=0.8, ls="--", label="Rankine and Hugoniot")
     ax.plot([], [], ":", color="0.4", label="Burgers")
     ax.set(xlim=(-20, 20), xlabel="contacts ahead of half the jump", ylabel="share of the jump")
-    ax.set_title("steady shocks of viscous chains", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small", loc="lower left", handlelength=1.2)
+    ax.set_title("Steady shocks of viscous chains")
+    ax.legend(loc="lower left", handlelength=1.2)
 
 
 def _middle(wave: shock.Shock, share: np.ndarray) -> float:
@@ -158,14 +159,14 @@ def draw_rarefaction(ax: "Axes", quick: bool) -> None:
     low = 0.9 * wave.behind.overlap * 1e6
     ax.set(ylim=(low, 1.05e6 * wave.ahead.overlap))
     ax.set(xlim=(start, grains), xlabel="contact, from the top", ylabel="overlap (µm)")
-    ax.set_title("a rarefaction, from a step", loc="left", fontsize="medium")
-    ax.legend(frameon=False, fontsize="small")
+    ax.set_title("A rarefaction, from a step")
+    ax.legend()
 
 
 def main() -> None:
     """Draw all four."""
     given = arguments(__file__, __doc__)
-    picture = figure(11, 9)
+    picture = figure(7.5, 7)
     axes = picture.subplots(2, 2)
     panels = (draw_train, draw_edges, draw_steady, draw_rarefaction)
     for draw, ax in zip(panels, axes.flat, strict=True):

@@ -7,11 +7,10 @@ Coste's long waves are wider and slower.
 """
 
 import numpy as np
-from figures import LAMMPS, NATIVE, SHADES, arguments, finish, say
+from figures import LAMMPS, NATIVE, SHADES, arguments, finish, one_above_two, say
 
 import lmpchain
 from lmpchain.theory import soliton
-from lmpchain.util.plotting import figure
 
 EXACT = {"color": "0.2", "lw": 1.4}
 BEADS = {"diameter": 1e-3, "material": "steel", "gravity": 0.0}
@@ -41,8 +40,7 @@ def behind_a_strike(engine: str, tolerance: float) -> tuple[np.ndarray, np.ndarr
 def main() -> None:
     """Draw the shape, the tails, and the speed against the force of solitary waves."""
     given = arguments(__file__, __doc__)
-    picture = figure(12, 4.8)
-    shape, tails, speeds = picture.subplots(1, 3)
+    picture, shape, tails, speeds = one_above_two()
     vacuum = soliton.solve(velocity=1.0)
     x = np.linspace(-3, 3, 601)
     shape.plot(x, vacuum.velocity(x), **EXACT, label="exact")
@@ -66,8 +64,8 @@ def main() -> None:
     shape.set(
         xlabel="x − Vt (grains)", ylabel="velocity / largest", ylim=(-0.03, 1.35), xlim=(-3, 3)
     )
-    shape.set_title("sonic vacuum", loc="left", fontsize="medium")
-    shape.legend(frameon=False, fontsize="small", ncols=2, loc="upper center")
+    shape.set_title("Sonic vacuum")
+    shape.legend(ncols=2, loc="upper center")
 
     waves = [(vacuum, "sonic vacuum")] + [
         (soliton.solve(speed=c), f"loaded, {c:g} c$_0$") for c in (3.0, 1.5, 1.1)
@@ -82,8 +80,8 @@ def main() -> None:
         xlim=(0, 12),
         ylim=(1e-15, 2),
     )
-    tails.set_title("tails: double exponential, exponential", loc="left", fontsize="medium")
-    tails.legend(frameon=False, fontsize="small", loc="upper right")
+    tails.set_title("Tails: double exponential, exponential")
+    tails.legend(loc="upper right")
 
     c = (
         np.array([1.01, 1.1, 1.5, 3.0])
@@ -109,8 +107,8 @@ def main() -> None:
     )
     speeds.set_yticks([1, 2, 3, 4, 5], labels=["1", "2", "3", "4", "5"])
     speeds.minorticks_off()
-    speeds.set_title("under a load", loc="left", fontsize="medium")
-    speeds.legend(frameon=False, fontsize="small", loc="upper left")
+    speeds.set_title("Under a load")
+    speeds.legend(loc="upper left")
     finish(picture, given.output)
 
 

@@ -66,12 +66,8 @@ def main() -> None:
     """Strike columns of several exponents; draw velocity, time and energy against depth."""
     given = arguments(__file__, __doc__)
     deepest, deltas, further = (200, (1.0, 1.5), ()) if given.quick else (DEEPEST, DELTAS, FURTHER)
-    title = (
-        "Transport: the first pulse of a weak strike on the top, native engine against "
-        "theory.front (lines)"
-    )
-    picture, ((speed, speed_off), (power, power_off)) = page(title, 2, width=12, height=5.6)
-    supplement, ((time, time_off), (energy, energy_off)) = page(title, 2, width=12, height=5.6)
+    picture, ((speed, speed_off), (power, power_off)) = page(2)
+    supplement, ((time, time_off), (energy, energy_off)) = page(2)
     depths = np.unique(np.geomspace(5, deepest, 40).astype(int))
     exponents = []
     for place, delta in enumerate(sorted((*deltas, *further))):
@@ -108,7 +104,7 @@ def main() -> None:
                 depths,
                 values,
                 **marks,
-                label=f"δ = {delta:g}: {100 * off:.2g} % off at n = {deepest}",
+                label=f"δ = {delta:g}: {100 * off:.2g} % off",
             )
             apart(
                 below,
@@ -127,7 +123,7 @@ def main() -> None:
                 "--",
                 color=shade,
                 lw=1.2,
-                label=f"δ = 1.5 with its correction, 1 − {NEXT} n$^{{-1/3}}$: {last:.2g} % off",
+                label=f"δ = 1.5, corrected: {last:.2g} %",
             )
             apart(
                 speed_off,
@@ -152,16 +148,19 @@ def main() -> None:
     delta, p, error = np.array(exponents).T
     fine = np.linspace(1, 2.6, 100)
     power.plot(
-        fine, [front.decay(x)[0] for x in fine], **THEORY, label="velocity, theory: 4/15 for Hertz"
+        fine,
+        [-front.decay(x)[0] for x in fine],
+        **THEORY,
+        label="velocity: −4/15 for Hertz",
     )
     power.plot(
         fine,
-        [front.decay(x)[1] for x in fine],
+        [-front.decay(x)[1] for x in fine],
         **THEORY | {"ls": ":"},
-        label="displacement, theory: 1/10",
+        label="displacement: −1/10",
     )
-    power.errorbar(delta, p, error, ls="none", marker="s", ms=4, mfc="none", color=SHADES[0],
-                   label=f"velocity, fitted to grains {deepest // 10} to {deepest}")  # fmt: skip
+    power.errorbar(delta, -p, error, ls="none", marker="s", ms=4, mfc="none", color=SHADES[0],
+                   label="velocity, fitted")  # fmt: skip
     expected = np.array([front.decay(x)[0] for x in delta])
     apart(
         power_off,
@@ -181,7 +180,7 @@ def main() -> None:
     labels = ("peak velocity / $v_0$", "time of the peak, τ", "energy in the first pulse / $E_0$")
     for axes, label in zip((speed, time, energy), labels, strict=True):
         axes.set_ylabel(label)
-    power.set_ylabel("p, as $h^{-p}$")
+    power.set(ylabel="exponent p of $h^p$", ylim=(-0.36, 0.12))
     for lower in (speed_off, time_off, energy_off):
         lower.set(xlabel="grain n, or length of the chain", ylabel="|run / theory − 1|")
     power_off.set(xlabel="exponent δ of the contacts", ylabel="difference")

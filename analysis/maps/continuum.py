@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from figures import no_answer
+from figures import DARK_OUTLINE, OUTLINE, no_answer
 from laws.theories import behind_front, continuum_width, phase_velocity
 from laws.theory_errors import continuum_error, fronts, impulse_error, phase_velocities
 from matplotlib.colors import LogNorm
@@ -49,7 +49,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the two maps and two cuts."""
-    picture = figure(12, 9.6)
+    picture = figure(7.5, 7.5)
     (plane, spread), (waves, edge) = picture.subplots(2, 2)
     draw_strike(plane, data, picture)
     _draw_spread(spread, data, picture)
@@ -78,19 +78,16 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
         label="front of Eq. (7), τ = n$^{5/6}$",
     )
     law = "1 %, law: τ = χ + √h + 3.3 h$^{1/4}$"
-    plane.plot(fine, behind_front(fine), color="white", ls="--", lw=1.6, label=law)
+    plane.plot(fine, behind_front(fine), color=SHADES[3], ls="--", lw=1.8, label=law)
     plane.set(
         xlim=(1, fine[-1]),
         ylim=(0, times[-1]),
         xlabel="grain, from the top",
         ylabel="time τ after the strike",
     )
-    plane.set_title(
-        "Strike on grain 1: Eq. (35) holds behind the front", loc="left", fontsize="medium"
-    )
+    plane.set_title("Eq. (35) after a strike on grain 1")
     no_answer(plane)
-    legend = plane.legend(fontsize="small", loc="lower right")
-    legend.get_frame().set(facecolor="0.75", alpha=1)
+    plane.legend(loc="lower right", frameon=True)
 
 
 def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
@@ -108,15 +105,15 @@ def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
         levels=[-2, -1],
         colors="white",
         linestyles="solid",
-        linewidths=3.5,
-    )
+        linewidths=2.5,
+    ).set_path_effects(DARK_OUTLINE)
     for level in (0.01, 0.1):
         plane.loglog([continuum_width(level, t) for t in tau], tau, color="black", ls="--", lw=1.4)
         right = 1.15 * continuum_width(level, tau[0])
-        plane.text(right, 1.15 * tau[0], f"{100 * level:.0f} %", color="white")
+        plane.text(right, 1.15 * tau[0], f"{100 * level:.0f} %", path_effects=OUTLINE)
     plane.set(xlim=(width[0], width[-1]), ylim=(tau[0], tau[-1]))
     plane.set(xlabel="width of a strike spread over the top (grains)", ylabel="time τ")
-    plane.set_title("Eq. (27): measured (solid) and law (dashed)", loc="left", fontsize="medium")
+    plane.set_title("Eq. (27): measured (solid) and law (dashed)")
 
 
 def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
@@ -144,8 +141,8 @@ def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
     axes.set(xlabel="wavelength λ (grains)", ylabel="1 − phase velocity / that of long waves")
     axes.set_xticks([2, 4, 8, 12.8, 20, 40], labels=["2", "4", "8", "12.8", "20", "40"])
     axes.minorticks_off()
-    axes.set_title("Dispersion: 1 % at 12.8 grains, 10 % at 4", loc="left", fontsize="medium")
-    axes.legend(frameon=False, fontsize="small")
+    axes.set_title("Dispersion")
+    axes.legend()
 
 
 def _draw_front(axes: Axes, data: dict[str, Any]) -> None:
@@ -174,5 +171,5 @@ def _draw_front(axes: Axes, data: dict[str, Any]) -> None:
         grain, grain ** (5 / 6), color="black", ls=":", lw=1.5, label="the paper's τ = n$^{5/6}$"
     )
     axes.set(xlabel="grain, from the top", ylabel="τ", ylim=(0.8, 3 * arrival[-1]))
-    axes.set_title("The front: when it comes and how long it lasts", loc="left", fontsize="medium")
-    axes.legend(frameon=False, fontsize="small", loc="upper left")
+    axes.set_title("Arrival and width of the front")
+    axes.legend(loc="upper left")

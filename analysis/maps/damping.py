@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from figures import DARK_OUTLINE, OUTLINE
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
@@ -68,10 +69,15 @@ def _errors(passed: int, number: float, viscosities: np.ndarray) -> list[float]:
     return errors
 
 
+def percent(level: float) -> str:
+    """Return the label of a contour of the logarithm of the error."""
+    return f"{100 * 10**level:.0f} %"
+
+
 def draw(data: dict[str, Any]) -> Figure:
     """Draw a map a distance: white lines are measured, dashed ones the law."""
     distances = list(data["error"])
-    picture = figure(5 * len(distances), 4.8)
+    picture = figure(7.5, 3.6)
     panels = picture.subplots(1, len(distances), sharey=True, squeeze=False)[0]
     x = np.array(data["A omega"])
     for axes, grains in zip(panels, distances, strict=True):
@@ -90,11 +96,15 @@ def draw(data: dict[str, Any]) -> Figure:
                 x, data["strike number"], values, levels=np.log10(LEVELS), colors=colour,
                 linestyles=style, linewidths=2,
             )  # fmt: skip
-            axes.clabel(lines, fmt=lambda level: f"{100 * 10**level:.0f} %", fontsize="small")
+            if colour == "white":
+                lines.set_path_effects(DARK_OUTLINE)
+            for text in axes.clabel(
+                lines, colors="black", fmt=lambda level: f"{100 * 10**level:.0f} %"
+            ):
+                text.set_path_effects(OUTLINE)
         axes.set_xlim(x[0], x[-1])
-        axes.set_title(f"after {grains} grains", loc="left", fontsize="medium")
+        axes.set_title(f"After {grains} grains")
     panels[0].set_ylabel("strike number v0*")
     label = "error of the lossless model"
     picture.colorbar(shades, ax=list(panels), label=label, extend="both")
-    picture.suptitle("Solid: measured, 1 % and 10 %; dashed: the law", fontsize="medium")
     return picture

@@ -6,13 +6,14 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from figures import one_above_two
 from laws.openings import drift
 
 import lmpchain
 from lmpchain.integrators.methods import METHODS
 from lmpchain.stability.step_limit import EnergyError, energy_error
 from lmpchain.util.compilation import compiled_once
-from lmpchain.util.plotting import SHADES, SHAPES, figure
+from lmpchain.util.plotting import look_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -141,12 +142,8 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the energy over time, its trend with its confidence, and its error against the step."""
-    picture = figure(15, 5.6)
-    over_time, trends, orders = picture.subplots(1, 3, width_ratios=(1.25, 0.9, 1))
-    styles = {
-        name: {"color": colour, "marker": shape}
-        for name, colour, shape in zip(data["long"], SHADES, SHAPES, strict=True)
-    }
+    picture, over_time, trends, orders = one_above_two()
+    styles = {name: look_of(name) for name in data["long"]}
     _over_time(over_time, data, styles)
     _trends(trends, data, styles)
     for name, record in data["spread"].items():
@@ -158,9 +155,9 @@ def draw(data: dict[str, Any]) -> Figure:
     orders.set_xticks([0.02, 0.05, 0.1, 0.2, 0.5])
     orders.xaxis.set_major_formatter("{x:g}")
     orders.xaxis.set_minor_formatter("")
-    orders.set(xlabel="step × band edge", ylabel="standard deviation of the relative energy error")
-    orders.set_title("Splittings: it goes as step$^{order}$", loc="left", fontsize="medium")
-    orders.legend(frameon=False, fontsize="small")
+    orders.set(xlabel="step × band edge", ylabel="spread of the energy error")
+    orders.set_title("Spread against the step")
+    orders.legend()
     return picture
 
 
@@ -181,7 +178,7 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
     ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
     height = -math.inf
     for name in sorted(ends, key=ends.__getitem__):
-        height = max(height + 0.45, math.log10(ends[name]))  # labels must not overlap
+        height = max(height + 0.75, math.log10(ends[name]))  # labels must not overlap
         text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
         ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
                     color=styles[name]["color"], annotation_clip=False)  # fmt: skip
@@ -189,8 +186,8 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
         "million steps", (1.03, 1.02), xycoords="axes fraction", color="0.35", fontsize="small"
     )
     ax.set(xlabel="periods of the band edge", ylabel="largest relative error of the energy so far")
-    ax.set_title("All at equal work: splittings keep the energy", loc="left", fontsize="medium")
-    ax.legend(frameon=False, loc="upper left")
+    ax.set_title("Energy at equal work")
+    ax.legend(loc="upper left")
 
 
 def _trends(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) -> None:
@@ -212,5 +209,5 @@ def _trends(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]]) ->
     ax.set_xscale("symlog", linthresh=0.1)
     ax.set(xlim=(-1e7, 1e7), xticks=[-1e6, -1e3, -1, 0, 1, 1e3, 1e6])
     ax.set_yticks(-np.arange(len(data["long"])), list(data["long"]))
-    ax.set_xlabel("trend over the run ÷ fluctuation, 99 % confidence")
-    ax.set_title("Trend: 0 for splittings alone", loc="left", fontsize="medium")
+    ax.set_xlabel("trend ÷ fluctuation, 99 % confidence")
+    ax.set_title("Trend of the energy")

@@ -72,13 +72,13 @@ def _dyson(m: float) -> tuple[float, float, float]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw a panel a limit: laws are lines, points are measured."""
-    picture = figure(11, 8)
+    picture = figure(7.5, 7.5)
     panels = picture.subplots(2, 2).ravel()
     for axes, panel in zip(panels, (_overlaps, _bending, _weights, _functions), strict=True):
         axes.set(xscale="log", yscale="log")
         panel(axes, data)
         axes.title.set_fontsize("medium")
-        axes.legend(frameon=False, fontsize="small")
+        axes.legend()
     return picture
 
 
@@ -106,9 +106,7 @@ def _overlaps(axes: Axes, data: dict[str, Any]) -> None:
         ylabel="overlap / diameter; relative difference",
         ylim=(1e-12, 1e5),
     )
-    axes.set_title(
-        "Deep overlaps: the energy bounds them,\nand LAMMPS follows as far as they are allowed"
-    )
+    axes.set_title("Deep overlaps")
 
 
 def _bending(axes: Axes, data: dict[str, Any]) -> None:
@@ -126,9 +124,7 @@ def _bending(axes: Axes, data: dict[str, Any]) -> None:
         ha="right",
     )
     axes.set(xlabel="diameter drawn (m)", ylabel="growth of a bend (1/s)", ylim=(None, 2e6))
-    axes.set_title(
-        "A column bends in LAMMPS, the faster the finer it is drawn,\nas linear stability says"
-    )
+    axes.set_title("Bending of a column in LAMMPS")
 
 
 def _weights(axes: Axes, data: dict[str, Any]) -> None:
@@ -148,10 +144,7 @@ def _weights(axes: Axes, data: dict[str, Any]) -> None:
         "overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED
     )
     axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
-    axes.set_title(
-        "Dyson's weight, Eq. (23), loses digits as κ is rounded;\n"
-        f"as printed it overflows beyond m = {limits.MOST_PRINTED:.0f}"
-    )
+    axes.set_title(f"Dyson's weight, Eq. (23): overflow at m = {limits.MOST_PRINTED:.0f}")
 
 
 def _functions(axes: Axes, data: dict[str, Any]) -> None:
@@ -172,4 +165,4 @@ def _functions(axes: Axes, data: dict[str, Any]) -> None:
         label="theory.bessel.free_end at T = n - 1/2",
     )
     axes.set(xlabel="grain n", ylabel="relative error", ylim=(1e-17, 1e-8))
-    axes.set_title("Bessel functions of large order lose no more\nthan the rounding of T costs")
+    axes.set_title("Bessel functions of large order")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from figures import DARK_OUTLINE
 from laws.theories import bessel_law, far_field_law, uniform_law, uniform_reach
 from laws.theory_errors import bessel_error, far_field_error, local_error, uniform_error
 from matplotlib.colors import LogNorm
@@ -55,7 +56,7 @@ def _reach(width: float, travelled: np.ndarray, level: float) -> float:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the map and three cuts."""
-    picture = figure(12, 9.6)
+    picture = figure(7.5, 7.5)
     (plane, width), (strike, eight) = picture.subplots(2, 2)
     grains = data["grain"]
     travelled = data["travelled"]
@@ -71,19 +72,16 @@ def draw(data: dict[str, Any]) -> Figure:
         levels=[-2, -1],
         colors="white",
         linestyles="solid",
-        linewidths=3.5,
-    )
+        linewidths=2.5,
+    ).set_path_effects(DARK_OUTLINE)
     draw_boundaries(plane, grains[0], grains[-1])
-    plane.set_title(
-        "Eq. (6), one κ for all grains: solid, measured; dashed, law",
-        loc="left",
-        fontsize="medium",
-    )
+    plane.set_title("Eq. (6), one κ for all grains")
     _draw_width(width, data)
     _draw_strike(strike, data)
     _draw_seven_and_eight(eight, data)
-    for axes in (width, strike, eight):
-        axes.legend(frameon=False, fontsize="small")
+    width.legend()
+    for axes in (strike, eight):
+        axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.2))
     return picture
 
 
@@ -133,9 +131,7 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
         xlabel="standard deviation of the displacement (grains)",
         ylabel="grains that the wave may go",
     )
-    axes.set_title(
-        f"Eq. (6) around grain {DEEP}: the wider, the longer", loc="left", fontsize="medium"
-    )
+    axes.set_title(f"Eq. (6) around grain {DEEP}")
 
 
 def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
@@ -156,11 +152,7 @@ def _draw_strike(axes: Axes, data: dict[str, Any]) -> None:
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="error (package's norm)", ylim=(1e-6, 30))
-    axes.set_title(
-        'Engine "bessel", strike on top: points, measured; lines, law',
-        loc="left",
-        fontsize="medium",
-    )
+    axes.set_title('Engine "bessel", strike on top')
 
 
 def _draw_seven_and_eight(axes: Axes, data: dict[str, Any]) -> None:
@@ -189,4 +181,4 @@ def _draw_seven_and_eight(axes: Axes, data: dict[str, Any]) -> None:
     for level in LEVELS:
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
     axes.set(xlabel="time τ", ylabel="relative error", ylim=(1e-5, 30))
-    axes.set_title("Eqs. (7) and (8): points, measured; lines, law", loc="left", fontsize="medium")
+    axes.set_title("Eqs. (7) and (8)")

@@ -66,14 +66,13 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw a panel a limit: laws are lines, points are measured."""
-    picture = figure(11, 8)
+    picture = figure(7.5, 7.5)
     panels = picture.subplots(2, 2).ravel()
     for axes, panel in zip(panels, (_vacuum, _fields, _springs, _periods), strict=True):
         axes.set(xscale="log", yscale="log")
         panel(axes, data)
         axes.title.set_fontsize("medium")
-        axes.legend(frameon=False, fontsize="small")
-    picture.suptitle("Limits: laws are lines, points are measured", fontsize="medium")
+        axes.legend()
     return picture
 
 
@@ -88,7 +87,7 @@ def _vacuum(axes: Axes, data: dict[str, Any]) -> None:
         name = f"δ = {exponent:g}, {'loaded' if load else 'no load'}: $g^{{{power:.2g}}}$"
         axes.plot(g, values, **POINT, marker="o", color=colour, label=name)
     axes.set(xlabel="gravity (m/s²)", ylabel="relative distance from g = 0", ylim=(None, 1e4))
-    axes.set_title("Gravity vanishes: answers go on to g = 0")
+    axes.set_title("Vanishing gravity")
 
 
 def _fields(axes: Axes, data: dict[str, Any]) -> None:
@@ -108,7 +107,7 @@ def _fields(axes: Axes, data: dict[str, Any]) -> None:
         label="linear theory",
     )
     axes.set(xlabel="gravity (m/s²)", ylabel="relative error", ylim=(None, 30))
-    axes.set_title("... but linear theory ends (struck at 10 µm/s)")
+    axes.set_title("Linear theory, struck at 10 µm/s")
 
 
 def _springs(axes: Axes, data: dict[str, Any]) -> None:
@@ -119,7 +118,7 @@ def _springs(axes: Axes, data: dict[str, Any]) -> None:
         axes.plot(data["excess"], data[f"{key}_law"], color=colour, lw=1.2)
         axes.plot(data["excess"], data[key], **POINT, marker=marker, color=colour, label=name)
     axes.set(xlabel="δ - 1", ylabel="relative distance")
-    axes.set_title("δ → 1: springs, at first order")
+    axes.set_title("Towards springs, δ → 1")
 
 
 def _periods(axes: Axes, data: dict[str, Any]) -> None:
@@ -139,4 +138,4 @@ def _periods(axes: Axes, data: dict[str, Any]) -> None:
             label=f"{name}: {far:.0e} off",
         )
     axes.set(xlabel="strike number", ylabel="period / that of the top mode", ylim=(None, 300))
-    axes.set_title("Two and three grains: period by quadrature")
+    axes.set_title("Period of two and three grains")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from figures import DARK_OUTLINE, one_above_two
 from laws.theory_errors import BEAD, column, linear_error, theory
 from matplotlib.colors import LogNorm
 
@@ -14,7 +15,7 @@ from lmpchain.engines.linear.model_error import expected_error
 from lmpchain.scene.excitation import Impulse
 from lmpchain.scene.scene import Scene
 from lmpchain.stability.linear_theory import LINEAR, linear_law, strike_number_at
-from lmpchain.util.plotting import COLOURS, figure
+from lmpchain.util.plotting import COLOURS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -69,8 +70,7 @@ def strike_unit(gravity: np.ndarray | float) -> np.ndarray | float:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the map and, at g, the norms and the package's estimates."""
-    picture = figure(15, 5.6)
-    plane, norms, own = picture.subplots(1, 3, width_ratios=(1.15, 1, 1))
+    picture, plane, norms, own = one_above_two()
     gravity = data["gravity"]
     error = np.array(data["error"]).T
     shades = plane.pcolormesh(
@@ -84,13 +84,13 @@ def draw(data: dict[str, Any]) -> Figure:
         levels=[-2, -1],
         colors="white",
         linestyles="solid",
-        linewidths=3.5,
-    )
+        linewidths=2.5,
+    ).set_path_effects(DARK_OUTLINE)
     draw_boundaries(plane, gravity[0], gravity[-1])
     plane.set(ylim=(data["v0"][0], data["v0"][-1]))
     plane.text(300, 3e-8, "linear", color="white", ha="center")
     plane.text(3e-2, 5e-2, "as in the sonic vacuum")
-    plane.set_title("Linear theory: measured (solid), law (dashed)", loc="left", fontsize="medium")
+    plane.set_title("Linear theory: measured (solid), law (dashed)")
     _draw_norms(norms, data)
     _draw_own(own, data)
     for axes in (norms, own):
@@ -101,9 +101,7 @@ def draw(data: dict[str, Any]) -> Figure:
             ylabel="relative error",
             ylim=(1e-5, 3),
         )
-        axes.legend(
-            frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize="small"
-        )
+        axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.24))
     return picture
 
 
@@ -119,9 +117,9 @@ def draw_boundaries(plane: Axes, least: float, most: float, background: str = "w
         plane.loglog(gravity, line, color="black", ls=style, lw=1.4)
         label = f"{name}: v0* = {number:.2g}"
         colour = background if number < 1 else "black"
-        start = 1.3 * least, 2.4 * line[0]
+        start = 1.3 * least, 1.7 * line[0]
         plane.text(
-            *start, label, rotation=25, rotation_mode="anchor", color=colour, fontsize="small"
+            *start, label, rotation=14, rotation_mode="anchor", color=colour, fontsize="small"
         )
     plane.set(xlim=(least, most), xlabel="gravity (m/s²)", ylabel="velocity of the strike (m/s)")
 
@@ -136,7 +134,7 @@ def _draw_norms(axes: Axes, data: dict[str, Any]) -> None:
         axes.plot(data["strike number"], error, "o", ms=4.5, mfc="none", color=colour, label=label)
     for level in (0.01, 0.1):
         axes.axhline(level, color="0.7", lw=0.8, zorder=0)
-    axes.set_title("At g, four norms: points, measured; lines, law", loc="left", fontsize="medium")
+    axes.set_title("At g, four norms")
 
 
 def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
@@ -154,4 +152,4 @@ def _draw_own(axes: Axes, data: dict[str, Any]) -> None:
     axes.plot(
         numbers, data["norms"]["package"], "o", ms=4.5, mfc="none", color="black", label="measured"
     )
-    axes.set_title("At g, the package's estimates", loc="left", fontsize="medium")
+    axes.set_title("At g, the estimates")

@@ -11,7 +11,7 @@ from laws.openings import errors_through_openings, order_through_openings
 import lmpchain
 from lmpchain.benchmark.reference import reference
 from lmpchain.integrators.methods import METHODS
-from lmpchain.util.plotting import SHADES, SHAPES, figure
+from lmpchain.util.plotting import figure, look_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,7 +80,7 @@ def labelled(name: str, reach: list[float], error: list[float]) -> str:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw error against step, with the slope of every method."""
-    picture = figure(12, 6)
+    picture = figure(7.5, 5)
     axes = picture.subplots(1, 2, sharey=True)
     for ax, kind, said in zip(
         axes,
@@ -90,16 +90,13 @@ def draw(data: dict[str, Any]) -> Figure:
     ):
         reach = data[kind]["reach"]
         errors = data[kind]["error"]
-        for name, colour, shape in zip(METHODS, SHADES, SHAPES, strict=False):
-            if name in errors:
-                label = labelled(name, reach, errors[name])
-                ax.loglog(
-                    reach, errors[name], color=colour, marker=shape, ms=5, lw=1.3, label=label
-                )
-        ax.set_title(said, loc="left", fontsize="medium")
+        for name, error in errors.items():
+            label = labelled(name, reach, error)
+            ax.loglog(reach, error, **look_of(name), ms=4, lw=1.3, label=label)
+        ax.set_title(said)
         ax.set_xlabel("step × highest frequency")
         place = "lower right" if kind == "one length" else "upper left"
-        ax.legend(title="slope", alignment="left", frameon=False, loc=place, fontsize="small")
+        ax.legend(title="slope", alignment="left", loc=place, fontsize="small")
     x = np.array([2e-3, 0.1])
     shape = order_through_openings("rkn6", EXPONENT)
     for order, height, name in (

@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from figures import one_above_two
 from laws.theories import harmonic_law
 from laws.theory_errors import harmonic_error, linear_error, uniform_error
 
 from lmpchain.scene.scene import Scene
-from lmpchain.util.plotting import COLOURS, figure
+from lmpchain.util.plotting import COLOURS
 
 from . import homogeneous, linearisation
 
@@ -57,8 +58,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the figures as points on the maps."""
-    picture = figure(15, 5.2)
-    linear, uniform, continuous = picture.subplots(1, 3)
+    picture, linear, uniform, continuous = one_above_two()
     linearisation.draw_boundaries(linear, 0.1, 1000, background="black")
     for name, strike in data["strikes"].items():
         label = f"{name}\n{100 * strike['velocity']:.0f} % off"
@@ -71,19 +71,19 @@ def draw(data: dict[str, Any]) -> Figure:
             "center",
         )
     linear.set(ylim=(3e-8, 0.1))
-    linear.set_title("Linear theory: velocities at 100 µs", loc="left", fontsize="medium")
+    linear.set_title("Linear theory: velocities at 100 µs")
     homogeneous.draw_boundaries(uniform, 10, 1000, background="black")
     for tau, travelled, error in data["Fig. 2"]:
-        label = f"Fig. 2, τ = {tau}: {100 * error:.2g} %"
+        label = f"τ = {tau}: {100 * error:.2g} %"
         _point(
             uniform,
             MOVED,
             travelled,
             label,
-            (-8, 3) if tau > 1 else (0, -14),
-            "right" if tau > 1 else "center",
+            (-8, 2 if tau > 10 else -8),
+            "right",
         )
-    uniform.set_title("Eq. (6), one κ for all grains", loc="left", fontsize="medium")
+    uniform.set_title("Fig. 2 and Eq. (6), one κ")
     _draw_continuum(continuous, *(np.array(x) for x in data["Fig. 8"]))
     return picture
 
@@ -127,4 +127,4 @@ def _draw_continuum(axes: Axes, h: np.ndarray, error: np.ndarray) -> None:
     axes.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], labels=["0.1", "0.2", "0.5", "1", "2", "4"])
     axes.minorticks_off()
     axes.set(xlim=(1, 1000), ylim=(0.1, 4), xlabel="depth h (grains)", ylabel="frequency ω of τ")
-    axes.set_title("Continuum, Eq. (27): phase ω³√h / 12", loc="left", fontsize="medium")
+    axes.set_title("Continuum, Eq. (27): phase ω³√h / 12")

@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from figures import OUTLINE
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.stability.predictability import SEED, growth, predicted_time
@@ -65,7 +66,7 @@ def draw(data: dict) -> Figure:
     panels = data["panels"]
     velocities = np.array(data["velocities"])
     times = 1e3 * np.array(data["times"])
-    picture = figure(4.2 * len(panels) + 1.2, 5.2)
+    picture = figure(7.5, 4.6)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, panel in zip(axes, panels, strict=True):
         decades = np.array(panel["decades"]).T
@@ -75,14 +76,14 @@ def draw(data: dict) -> Figure:
         levels = [np.log10(tol / SEED) for tol in TOLERANCES]
         lines = ax.contour(velocities, times, decades, levels=levels, colors="black")
         names = dict(zip(levels, NAMES, strict=True))
-        for text in ax.clabel(lines, fmt=names, fontsize="small"):
-            text.set_bbox({"facecolor": "w", "lw": 0, "pad": 0.8, "alpha": 0.85})
+        for text in ax.clabel(lines, fmt=names):
+            text.set_path_effects(OUTLINE)
         for predicted in panel["law"].values():
             law = 1e3 * np.array(predicted)
             ax.plot(panel["valid"], law, color="white", lw=3.5)
             ax.plot(panel["valid"], law, color="#D55E00", lw=1.8, ls="--")
         ax.set(xscale="log", xlim=velocities[[0, -1]], ylim=times[[0, -1]], xlabel="strike (m/s)")
-        ax.set_title(f"{panel['grains']} grains", fontsize="medium")
+        ax.set_title(f"{panel['grains']} grains")
     axes[0].set_ylabel("time after the strike (ms)")
     axes[0].plot(
         [],
@@ -98,8 +99,6 @@ def draw(data: dict) -> Figure:
         ls="--",
         label="predicted: 0.9 (1 - exp(-N/20)) decades per reflection",
     )
-    picture.legend(
-        *axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False
-    )
+    picture.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=1)
     picture.colorbar(mesh, ax=axes, label="growth of a small change (decades)", pad=0.01)
     return picture

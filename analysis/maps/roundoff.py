@@ -58,7 +58,7 @@ def measure(quick: bool) -> dict:
 def draw(data: dict) -> Figure:
     """Draw a panel for each length of column."""
     panels = data["panels"]
-    picture = figure(4.0 * len(panels) + 0.6, 4.9)
+    picture = figure(7.5, 4.4)
     axes = picture.subplots(1, len(panels), sharex=True, sharey=True, squeeze=False)[0]
     for ax, panel in zip(axes, panels, strict=True):
         for name, (colour, marker) in zip(WAYS, STYLES, strict=True):
@@ -76,10 +76,10 @@ def draw(data: dict) -> Figure:
         ax.axhline(TOLERANCE, color="0.5", lw=1, ls=":", zorder=0)
         ax.axvline(1, color="0.85", lw=0.8, zorder=0)
         ax.set_title(
-            f"{panel['grains']} grains, {1e3 * (panel['grains'] - 1) * 1e-3:g} mm high",
+            f"{panel['grains']} grains",
             fontsize="medium",
         )
-        ax.set_xlabel(r"strike number $v_0^*$  (1 is 0.1 mm/s here)")
+        ax.set_xlabel("strike number $v_0^*$")
         ax.set_ylim(1e-15, 3)
     axes[0].set_ylabel("relative error from rounding alone")
     axes[0].text(
@@ -92,6 +92,9 @@ def draw(data: dict) -> Figure:
     )
     handles, labels = axes[0].get_legend_handles_labels()
     picture.legend(
-        handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize="small"
+        handles,
+        labels,
+        loc="outside lower center",
+        ncols=2,
     )
     return picture

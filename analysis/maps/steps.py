@@ -74,14 +74,14 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw a panel for every integrator, and one for the sonic vacuum."""
-    picture = figure(13, 7.2)
-    panels = picture.subplots(2, 4).ravel()
+    picture = figure(7.5, 9.5)
+    panels = picture.subplots(4, 2).ravel()
     for place, (ax, name) in enumerate(zip(panels, METHODS, strict=False)):
         _panel(ax, data, name)
-        ax.tick_params(labelleft=place % 4 == 0)
-        if place % 4 == 0:
-            ax.set_ylabel("longest step × band edge at rest")
-        if place > 3:
+        ax.tick_params(labelleft=place % 2 == 0)
+        if place % 2 == 0:
+            ax.set_ylabel("longest step ×\nband edge at rest")
+        if place > 4:
             ax.set_xlabel("strike number $v_0^*$")
     panels[0].annotate("predicted", (30, 1.5), color="0.2")
     panels[1].annotate("predicted", (2e-2, 2.1), color="0.2")
@@ -91,14 +91,7 @@ def draw(data: dict[str, Any]) -> Figure:
     entries: dict[str, Any] = {}
     for ax in panels[:2]:
         entries |= {str(artist.get_label()): artist for artist in ax.get_legend_handles_labels()[0]}
-    picture.legend(
-        entries.values(), entries.keys(), loc="outside lower center", ncols=3, frameon=False
-    )
-    said = (
-        "The longest step that a loaded chain of 12 grains survives for 100 periods, "
-        "after strikes from weak to strong"
-    )
-    picture.suptitle(said, x=0.01, ha="left")
+    picture.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=2)
     return picture
 
 
@@ -119,7 +112,7 @@ def _panel(ax: Any, data: dict[str, Any], name: str) -> None:
         if name in data[engine]:
             ax.loglog(data[key], np.array(data[engine][name]) * edge, **style(engine, size))
     ax.set(ylim=(0.12, 20), xlim=(6e-3, 1.7e4), yticks=(0.2, 0.5, 1, 2, 5, 10))
-    ax.set_title(f"{name}: refused above {limit:.3g}", loc="left", fontsize="medium")
+    ax.set_title(f"{name}: refused above {limit:.3g}")
     ax.yaxis.set_major_formatter("{x:g}")
 
 
@@ -135,7 +128,7 @@ def _vacuum(ax: Any, data: dict[str, Any]) -> None:
         ax.annotate(name, (speeds[0], expected[0]), (6, 4), textcoords="offset points")
     ax.loglog(speeds, steps["lammps"]["verlet"], **style("lammps", 9))
     ax.set(xlabel="strike velocity (m/s)", ylim=(1e-6, 1e-4))
-    ax.set_title("sonic vacuum: longest step (s)", loc="left", fontsize="medium")
+    ax.set_title("Sonic vacuum: longest step (s)")
 
 
 def style(engine: str, size: float) -> dict[str, Any]:

@@ -141,14 +141,15 @@ def _draw_errors(
     ax.set(xscale="log", yscale="log")
     ax.grid(color="0.94", lw=0.6)
     ax.set_axisbelow(True)
-    lines = {name: _pairs(points, cost) for name, points in curves.items()}
+    # by cost, so that no curve runs backwards
+    lines = {name: sorted(_pairs(points, cost)) for name, points in curves.items()}
     pairs = list(chain.from_iterable(lines.values()))
     if pairs:
         best = zip(*(pairs[index] for index in front(pairs)), strict=True)
         band: dict[str, Any] = {"lw": 9, "alpha": 0.5, "zorder": 0.5, "solid_capstyle": "round"}
         ax.plot(*best, color=FRONT, label="Pareto front", **band)
     # one entry in the legend for all grey curves: names with _ have none
-    unnamed = "others"
+    unnamed = _name_of_grey(curves, styles)
     alone = []
     for name, points in lines.items():
         if not points:
@@ -190,6 +191,14 @@ def _draw_errors(
         ha="center",
         arrowprops={"arrowstyle": "-|>", "color": "0.3", "lw": 1.5},
     )
+
+
+def _name_of_grey(
+    curves: Mapping[str, Iterable[Mapping[str, Any]]], styles: Mapping[str, dict[str, Any]]
+) -> str:
+    """Return the name of the grey curves in the legend: that of a single curve, or "others"."""
+    grey = [name for name, points in curves.items() if name not in styles and len(list(points)) > 1]
+    return grey[0] if len(grey) == 1 else "others"
 
 
 def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:

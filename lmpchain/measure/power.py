@@ -30,6 +30,7 @@ __dir__ = listed(__name__)
 
 SAMPLES = 8  # in a period, at least
 POINTS = 32  # in a period, at which the power is averaged
+PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,11 +84,18 @@ class Power(Shown, Tabular):
         return self.linear / self.linear_input
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the power over time, its mean, and the mean in linear theory (dashed); return the
-        axes.
+        """Draw the least and largest power over time and its mean; return the axes.
+
+        The power of linear theory is dashed.
         """
         ax = axes_in_units(ax, "s", "W")
-        ax.plot(self.time, self.power, color="0.6", lw=0.6)
+        time, *envelope = np.transpose(
+            [
+                (self.time[piece[0]], self.power[piece].min(), self.power[piece].max())
+                for piece in np.array_split(np.arange(len(self.time)), min(PIECES, len(self.time)))
+            ]
+        )
+        ax.fill_between(time, *envelope, color="0.8", lw=0, label="least to largest")
         window = [self._begin, self.time[-1]]
         ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {prefixed(self.mean, 'W')}")
         if np.isfinite(self.linear):

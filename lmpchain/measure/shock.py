@@ -29,7 +29,6 @@ from ..util.plotting import (
     finish,
     prefixed,
     set_title,
-    si,
 )
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
@@ -199,7 +198,7 @@ class Shock(Shown, Tabular):
             ax.text(
                 share,
                 y,
-                f"{name}: {state.velocity:.3g} m/s, {si(state.overlap, 'm')}",
+                f"{name}: {state.velocity:.3g} m/s, {prefixed(state.overlap, 'm', 3)}",
                 transform=ax.transAxes,
                 ha="left" if share < 0.5 else "right",
                 va="center",

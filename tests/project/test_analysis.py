@@ -436,20 +436,21 @@ def whole_history() -> set[str] | None:
 def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As large as the PNG, the same each time, without fonts, and small for all cells of a map."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])
-    picture, ((upper, _),) = figures.page("velocities at v0* = 1e-06", 1)
+    picture, ((upper, _),) = figures.page(1)
+    upper.set_title("velocities at v0* = 1e-06")
     upper.pcolormesh(np.random.default_rng(0).random((300, 300)))
     figures.finish(picture, tmp_path / "one.png")
     figures.finish(picture, tmp_path / "two.png")
     text = (tmp_path / "one.svg").read_text(encoding="utf-8")
     assert text == (tmp_path / "two.svg").read_text(encoding="utf-8")
     size = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', text)
-    assert [float(length) / 72 for length in size.groups()] == [8.0, 6.0]
+    assert [float(length) / 72 for length in size.groups()] == [7.5, 5.0]
     with Image.open(tmp_path / "one.png") as pixels:
-        assert pixels.size == (8 * 110, 6 * 110)
+        assert pixels.size == (825, 550)
     assert "<text" not in text
     assert "data:image/png" in text
     assert len(text) < 1e6
-    assert picture.get_suptitle() == "velocities at $v_0^*$ = $10^{-6}$"
+    assert upper.get_title(loc="left") == "velocities at $v_0^*$ = $10^{-6}$"
 
 
 @pytest.mark.slow
