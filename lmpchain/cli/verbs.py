@@ -26,7 +26,7 @@ def _duration(text: str) -> float:
     match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
-    # 90 alone is a time in seconds, but 0:00:90 is a slip of the pen
+    # A plain 90 is a time in seconds, but 0:00:90 is a typing error.
     if not total or (hours and float(seconds) >= 60):
         raise argparse.ArgumentTypeError(
             f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})"
@@ -34,7 +34,7 @@ def _duration(text: str) -> float:
     return total
 
 
-# names and options, as `add_argument` of argparse takes them
+# Names and options, as `add_argument` of argparse accepts them.
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
@@ -53,7 +53,7 @@ def _argument(*names: str, **options: Any) -> Argument:
     return names, options
 
 
-# arguments that several verbs share
+# Arguments that several commands share.
 SCENE = _argument("scene", metavar="SCENE.toml", help="scene file")
 TOLERANCE = _argument(
     "--tolerance",
@@ -92,7 +92,7 @@ DUMP_UNITS = _argument(
     help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
     "what the dump says, or si)",
 )
-# a saved run, or a dump with its scene
+# A saved run, or a dump with its scene.
 RUN = (
     _argument(
         "run",
@@ -315,7 +315,7 @@ VERBS = {
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
                 "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
             ),
-            # one option for each parameter that may be uncertain
+            # Each parameter that may be uncertain has an option.
             *(
                 _argument(
                     f"--{name}",
