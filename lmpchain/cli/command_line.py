@@ -14,9 +14,10 @@ import os
 import resource
 import signal
 import sys
+import textwrap
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
@@ -25,7 +26,7 @@ from ..util import mpi
 from .common import complain
 from .parser import Parser, ShowVersion
 from .run import resume, run, run_folder, sweep
-from .verbs import VERBS
+from .verbs import GROUPS, VERBS
 
 # Most objects that a command makes at its start live to its end. Python's default frequency of
 # garbage collection, and the collection at exit, would take a quarter of the time of a short run.
@@ -38,6 +39,17 @@ BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 # If memory is limited, as by `ulimit -v`, OpenBLAS requests memory for its threads for ever.
 SMALL_MEMORY = 2**32  # bytes
 ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
+HELP_WIDTH = 78  # columns
+PURPOSE = (
+    "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
+    "an estimate of its own error. All quantities are in SI units. Begin with `lmpchain new "
+    "scene.toml`; `lmpchain COMMAND --help` shows the options of a command."
+)
+EXIT_CODES = (
+    "Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the "
+    "time limit --max-wall was reached before the end of the run, 130 after Ctrl-C, 143 after "
+    "SIGTERM."
+)
 
 
 class _Terminated(BaseException):
@@ -213,22 +225,36 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
     complain(str(message), "warning")
 
 
+def _show_help(_: argparse.Namespace) -> int:
+    """Print the help; the exit code is that of wrong input, because a command is missing."""
+    _parser().print_help()
+    return 2
+
+
+def _list_commands() -> Iterator[str]:
+    """Yield each group of commands with their summaries, as a paragraph of the help."""
+    for title, names in GROUPS.items():
+        lines = [f"{title}:"]
+        for name in names:
+            indents = {"initial_indent": f"  {name:<13}", "subsequent_indent": " " * 15}
+            lines += textwrap.wrap(VERBS[name].summary, HELP_WIDTH, **indents)
+        yield "\n".join(lines)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
-        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by "
-        "side, each with an estimate of its own error. All quantities are in SI units. Begin with "
-        "`lmpchain new scene.toml`.",
-        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is "
-        "wrong, 75 the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after "
-        "SIGTERM.",
+        usage="lmpchain [-h] [--version] COMMAND ...",
+        description="\n\n".join([textwrap.fill(PURPOSE, HELP_WIDTH), *_list_commands()]),
+        epilog=textwrap.fill(EXIT_CODES, HELP_WIDTH),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(command=_show_help)
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
-    verbs = parser.add_subparsers(metavar="COMMAND", required=True)
+    verbs = parser.add_subparsers(metavar="COMMAND", prog="lmpchain", help=argparse.SUPPRESS)
     for name, verb in VERBS.items():
         sub = verbs.add_parser(
             name,
-            help=verb.summary,
             description=f"{verb.summary[0].upper()}{verb.summary[1:]}.",
             epilog=f"Example: lmpchain {verb.example}",
         )

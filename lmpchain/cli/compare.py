@@ -77,7 +77,7 @@ def compare(arguments: argparse.Namespace) -> int:
         print(result.table())
     _print_lines(
         *wrap(*filter(None, [remark, *remarks])),
-        *(f"left out: {reason} ({key})" for key, reason in refusals),
+        *(f"left out: {name}: {why}" for name, why in refusals.items()),
     )
     if trajectories:
         keep(result, numbers, picture)
@@ -86,8 +86,8 @@ def compare(arguments: argparse.Namespace) -> int:
     return 1 if failures or not trajectories else 0
 
 
-def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return the engines that can do a scene, and why others cannot.
+def _able(names: list[str], scene: Scene) -> tuple[list[str], dict[str, str]]:
+    """Return the engines that can solve a scene, and the main reason why each other one cannot.
 
     Raises
     ------
@@ -97,11 +97,11 @@ def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, st
     from .. import engines
 
     reasons = {name: engines.obstacles(engines.get(name), scene) for name in names}
-    refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
     able = [name for name in names if not reasons[name]]
     if not able:
-        raise InputError(refusals)
-    return able, refusals
+        raise InputError([(key, f"{name}: {why}") for name in names for key, why in reasons[name]])
+    refused = {name: engines.brief(name, why[0][1]) for name, why in reasons.items() if why}
+    return able, refused
 
 
 def _print_lines(*lines: str) -> None:

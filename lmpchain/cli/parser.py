@@ -15,6 +15,9 @@ from .common import complain
 class Parser(argparse.ArgumentParser):
     """An argument parser that reports a fault in one line, without the usage message."""
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Report unknown arguments here, because the options of the command are known only here."""
         arguments, unknown = super().parse_known_args(args, namespace)

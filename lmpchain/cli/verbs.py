@@ -568,3 +568,12 @@ VERBS = {
     ),
     "docs": Verb(docs, "open the pages of the documentation", "docs", ()),
 }
+
+# Groups of commands in the help.
+GROUPS = {
+    "begin": ("new", "docs", "doctor"),
+    "solve scenes": ("run", "resume", "sweep", "averages", "orbit"),
+    "choose an engine": ("plan", "compare", "workprec", "stability"),
+    "evaluate a run": ("check", "fit", "sensitivity", "dyson", "report", "explore", "export"),
+    "write LAMMPS input": ("deck",),
+}

@@ -50,6 +50,18 @@ def test_help(command: list[str], capsys: pytest.CaptureFixture[str]):
     assert said.err == ""
 
 
+def test_without_a_command_the_grouped_help_is_shown(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 2
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert main(["--help"]) == 0
+    assert capsys.readouterr().out == shown.out
+    assert sorted(name for names in GROUPS.values() for name in names) == sorted(VERBS)
+    for title, commands in GROUPS.items():
+        group = shown.out.split(f"\n{title}:\n")[1].split("\n\n")[0]
+        assert tuple(re.findall(r"^  (\w+)", group, re.MULTILINE)) == commands
+
+
 def test_version(capsys: pytest.CaptureFixture[str]):
     assert main(["--version"]) == 0
     assert re.fullmatch(r"lmpchain \d+\.\d+\S*\n", capsys.readouterr().out)
@@ -57,8 +69,8 @@ def test_version(capsys: pytest.CaptureFixture[str]):
 
 @pytest.mark.parametrize(
     "arguments",
-    [[], ["walk"], ["run"], ["run", "a", "b"], ["run", "a", "--step", "long"], ["deck", "a"],
-     ["run", "a", "--diameter", "huge"], ["compare", "a", "--colour"]],
+    [["walk"], ["run"], ["run", "a", "b"], ["run", "a", "--step", "long"], ["deck", "a"],
+     ["run", "a", "--diameter", "huge"], ["compare", "a", "--colour"], ["run", "a", "--tol", "1"]],
 )  # fmt: skip
 def test_arguments_that_make_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]):
     assert main(arguments) == 2
