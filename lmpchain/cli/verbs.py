@@ -110,7 +110,7 @@ RUN = (
 VERBS = {
     "new": Verb(
         new,
-        "begin here: write a commented scene, which the commands below take",
+        "write a commented example scene, which the other commands read",
         "new striker.toml --example striker",
         (
             _argument("scene", metavar="SCENE.toml", help="file to write"),
@@ -234,7 +234,7 @@ VERBS = {
     ),
     "averages": Verb(
         averages,
-        "time averages with intervals, for chains whose motion no run predicts",
+        "compute time averages with confidence intervals, for chaotic chains",
         "averages box.toml --of temperature,force:10 --time 10 -o averages.png",
         (
             SCENE,
@@ -304,7 +304,7 @@ VERBS = {
     ),
     "sensitivity": Verb(
         sensitivity,
-        "what an answer of a saved run depends on, grain by grain",
+        "rank the influence of each grain on an answer of a saved run",
         "sensitivity run.nc --of peak_force:10 --diameter 0.01 -o sensitivity.png",
         (
             _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
@@ -368,7 +368,7 @@ VERBS = {
     ),
     "dyson": Verb(
         dyson,
-        "weighted velocities of Eq. (22), beside the mean over random chains",
+        "compute the weighted velocities of Eq. (22), and their mean over random chains",
         "dyson run.nc --m 1,5,20 -o dyson.png",
         (
             *RUN,
@@ -427,7 +427,7 @@ VERBS = {
     ),
     "check": Verb(
         check,
-        "how wrong is my own run or deck: its true error, why, and what helps",
+        "measure the true error of a run or deck, its causes and its cures",
         "check column.lammpstrj --scene scene.toml --tolerance 1e-3",
         (
             _argument(

@@ -19,6 +19,7 @@ from lmpchain.report import document, origin, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import _view, title
 from lmpchain.report.live import crop, extent, figure_numbers
+from lmpchain.report.verdicts import _contacts_verdict
 from lmpchain.trajectory.record import ErrorEstimate
 
 
@@ -364,3 +365,22 @@ def test_a_file_says_it_in_its_history(tmp_path: Path):
     }
     unknown = {"date": "not recorded", "command": "not recorded"}
     assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown
+
+
+@pytest.mark.parametrize(
+    ("displacement", "verdict"),
+    [(-1.5, "1 of 4 open"), (1.5, "1 of 4 open"), (0.5, "none opens"), (-0.5, "none opens")],
+)
+def test_contacts_open_where_grains_part_by_more_than_their_overlap(
+    displacement: float, verdict: str
+):
+    """Grain 2 moves up or down by a multiple of the overlap at rest, and parts from 3 or 1."""
+    chain = Chain(grains=5, diameter=1e-3, gravity=0, top_load=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=2)
+    overlap = chain.equilibrium_overlap
+    assert overlap[0] == pytest.approx(overlap[1], rel=1e-9)
+    motion = np.zeros((2, 5))
+    motion[1, 1] = displacement * overlap[0]
+    run = replace(simulate(scene), displacement=motion)
+    assert _contacts_verdict(run) == verdict
+    assert _contacts_verdict(replace(run, displacement=np.zeros((2, 5)))) == "none opens"
