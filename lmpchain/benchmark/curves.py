@@ -180,7 +180,7 @@ class WorkPrecision(Shown, Tabular):
         return [self._choose(curves, target, engine) for target in TARGETS]
 
     def _choose(self, curves: Sequence[EngineCurve], target: float, engine: str) -> Choice:
-        """Return the cheapest point within an error, or the reason if there is none."""
+        """Return the cheapest point within an error; without one, a choice with the reason."""
         points = [point for curve in curves for point in curve.points]
         good = [point for point in points if point.error <= target]
         if good:

@@ -43,7 +43,7 @@ HELP_WIDTH = 78  # columns
 PURPOSE = (
     "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
     "an estimate of its own error. All quantities are in SI units. Begin with `lmpchain new "
-    "scene.toml`; `lmpchain COMMAND --help` shows the options of a command."
+    "scene.toml`. `lmpchain COMMAND --help` shows the options of a command."
 )
 EXIT_CODES = (
     "Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the "
@@ -226,7 +226,7 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 
 
 def _show_help(_: argparse.Namespace) -> int:
-    """Print the help; the exit code is that of wrong input, because a command is missing."""
+    """Print the help, and return the exit code of wrong input because a command is missing."""
     _parser().print_help()
     return 2
 
@@ -236,8 +236,12 @@ def _list_commands() -> Iterator[str]:
     for title, names in GROUPS.items():
         lines = [f"{title}:"]
         for name in names:
-            indents = {"initial_indent": f"  {name:<13}", "subsequent_indent": " " * 15}
-            lines += textwrap.wrap(VERBS[name].summary, HELP_WIDTH, **indents)
+            lines += textwrap.wrap(
+                VERBS[name].summary,
+                HELP_WIDTH,
+                initial_indent=f"  {name:<13}",
+                subsequent_indent=" " * 15,
+            )
         yield "\n".join(lines)
 
 

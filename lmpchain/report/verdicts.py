@@ -59,7 +59,7 @@ def unit_of_key(name: str, kind: str) -> str:
 
 
 def linear_theory(run: Trajectory) -> Trajectory | None:
-    """Return the same scene solved by linear theory, None if linear theory does not apply."""
+    """Solve the scene of a run by linear theory; return None if linear theory does not apply."""
     return _linear_run(run.scene)
 
 

@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what it prints, what it writes, and its exit codes."""
+"""The command line from the user's side: printed text, written files, and exit codes."""
 
 import json
 import os
@@ -256,7 +256,7 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
         assert keys(capsys.readouterr()) == [output]
         assert main(["compare", str(scene), "--json", output]) == 2
         assert keys(capsys.readouterr()) == [output]
-    # for `run`, a run folder
+    # The output of `run` is a run folder.
     assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2
     assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
     assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
@@ -453,6 +453,17 @@ def test_compare_with_engines_that_are_not_there(
     assert keys(capsys.readouterr()) == ["engines"]
 
 
+def test_an_engine_that_refuses_has_one_short_line(scene: Path, capsys: pytest.CaptureFixture[str]):
+    pushed = SCENE.replace('kind = "impulse"', 'kind = "impulse"\ngrain = 3')
+    assert pushed != SCENE
+    scene.write_text(pushed)
+    assert main(["plan", str(scene)]) == 0
+    assert "bessel: needs an impulse on grain 1" in capsys.readouterr().out.splitlines()
+    assert main(["compare", str(scene), "--engines", "native,bessel"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "left out: bessel: needs an impulse on grain 1"
+
+
 def test_compare_leaves_out_an_engine_that_refuses(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -629,7 +640,7 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     "words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]]
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
-    """As behind `| head`, once it has read enough: the exit code is that of a SIGPIPE."""
+    """A closed reader, such as `| head`, gives the exit code of SIGPIPE."""
     (tmp_path / "scene.toml").write_text(SCENE)
     read, write = os.pipe()
     os.close(read)

@@ -43,7 +43,7 @@ def test_examples_are_what_they_say(tmp_path: Path):
     assert np.abs(scenes["disorder"].chain.diameters / 5e-3 - 1).max() <= 0.05
     struck = scenes["striker"].chain
     assert struck.by_grain("density").tolist() == [2200.0] + [8000.0] * 60
-    # the striker touches, and the row is pressed together
+    # The striker touches, and the row is pressed together.
     assert struck.equilibrium_force == pytest.approx([0.0] + [2.38] * 59, rel=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""What a sweep keeps is whole and on the disk before it counts as done, or done again."""
+"""Results of a sweep count as done only after they are whole and on the disk."""
 
 import json
 import os
