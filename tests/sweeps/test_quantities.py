@@ -47,7 +47,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def whole() -> Any:
-    """Return the same scene with all grains recorded at many times."""
+    """Return the scene with all grains recorded at many times."""
     return simulate(SCENE.replace(samples=4001), "native", 1e-10)
 
 

@@ -262,7 +262,7 @@ def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
 
 @pytest.mark.parametrize("log", [False, True])
 def test_drawn_numbers_obey_their_law(tmp_path, log):
-    """Mean and deviation are those of the number; a seed gives the same numbers for any count."""
+    """Mean and deviation are those of the number; a seed fixes the numbers for any count."""
     law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
     asked = {
         "scene": SHORT,
