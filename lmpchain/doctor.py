@@ -22,7 +22,7 @@ from importlib.metadata import PackageNotFoundError, metadata, requires, version
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-# all else is imported by the check that needs it, as it may be broken
+# All other modules are imported by the checks that need them, because they may be broken.
 from .errors import LmpchainError
 from .util import mpi
 from .util.memory import machine_memory
@@ -117,7 +117,7 @@ _CHECKS: list[tuple[str, str, Check]] = []
 
 
 def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagnosis:
-    """Check everything this package needs: versions, MPI, LAMMPS, folders, a wave in each engine.
+    """Check all requirements of this package: versions, MPI, LAMMPS, folders, each engine.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
 
 
 def compile_all(progress: bool = False) -> None:
-    """Compile what runs and gradients need, so that no later process waits: for images of machines.
+    """Compile the loops of runs and gradients beforehand, for images of machines.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def compile_all(progress: bool = False) -> None:
     strong = weak.replace(excitation=Impulse(velocity=1e-2))
     watched = strong.replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"])
     methods = {"rkn4": 8.0, "dop853": 10.0, "gear4": 3.0}
-    # About the time that each takes to compile on a machine that does nothing else, s.
+    # Expected time to compile each on an otherwise idle machine, s.
     jobs: list[tuple[float, Callable[[], object]]] = [
         *((0.7, partial(addresses, form)) for form in FORMS),
         *(
@@ -184,7 +184,7 @@ def compile_all(progress: bool = False) -> None:
             bar.advance()
             done += seconds
             left -= seconds
-            # What was compiled before takes next to no time, and promises the same of the rest.
+            # A loop that is already compiled takes no time, which predicts the same for the others.
             left_s = (compiled_s() - before) / done * left
             if not told and is_long(left_s):
                 told = True
@@ -205,7 +205,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
                 findings.append(finding)
         except Exception as error:
             kind = "" if isinstance(error, LmpchainError) else f"{type(error).__name__}: "
-            # some errors name a cure themselves
+            # Some errors name their own cure.
             text = f"{kind}{error}".split(": pip install")[0]
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
@@ -224,7 +224,7 @@ def _versions() -> Iterator[Finding]:
     for need in (f"python{metadata('lmpchain')['Requires-Python']}", *(requires("lmpchain") or [])):
         match = re.fullmatch(r"([\w.-]+)[^;>]*(?:>=\s*([\d.]+))?[^;]*", need)
         if not match:
-            # of an extra, whose requirements contain a ;
+            # Requirements with a semicolon belong to an extra.
             continue
         name = match[1]
         required = match[2] or "0"
@@ -252,7 +252,7 @@ def _version(name: str) -> str:
     "mpiexec",
     "pip install --force-reinstall mpich mpi4py (or put the mpiexec of your own MPI first in PATH)",
 )
-# before MPI starts in this process, which may disturb another mpiexec
+# This check runs before MPI starts in this process, because MPI may disturb another mpiexec.
 def _mpiexec() -> Iterator[Finding]:
     path = mpi.launcher()
     command = [path, "-n", "2", sys.executable, "-c", SIZES_SEEN]
@@ -302,7 +302,7 @@ def _lammps() -> Iterator[Finding]:
             warn("LAMMPS was built without MPI, so it runs on one rank only", stacklevel=1)
     finally:
         close_lammps(instance)
-    # two libraries of one name in one process, as of two MPIs, fail in strange ways
+    # Two libraries of one name in one process, as from two MPI installations, fail unpredictably.
     loaded = Path("/proc/self/maps").read_text()
     for name in ("liblammps", "libmpi"):
         paths = sorted(set(re.findall(rf"/\S*/{name}(?:_(?!cxx)\w+)?\.so\S*", loaded)))
@@ -334,7 +334,7 @@ def _cache() -> Iterator[Finding]:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") != "0":
         warn("nothing is compiled and runs are slow: unset NUMBA_DISABLE_JIT", stacklevel=1)
         return
-    # numba writes to it, or raises
+    # Numba raises an error if it cannot write to its cache.
     path = str(numba.njit(cache=True)(march.py_func).stats.cache_path)
     yield Finding("numba cache", "ok", path)
     asked = os.environ.get("NUMBA_CACHE_DIR", "")
@@ -345,7 +345,7 @@ def _cache() -> Iterator[Finding]:
 @_register("temporary folder", "set TMPDIR to a folder that you may write to and that has room")
 def _temporary_folder() -> Iterator[Finding]:
     with tempfile.TemporaryFile() as opened:
-        # a full disk lets a file be made, but not be filled
+        # A full disk allows creating a file, but not writing to it.
         opened.write(bytes(2**20))
     yield Finding("temporary folder", "ok", tempfile.gettempdir())
 

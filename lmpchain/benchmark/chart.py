@@ -1,4 +1,4 @@
-"""The work-precision chart: what leads and LAMMPS in colour, times, the cheapest ways."""
+"""The work-precision chart: errors against times, and the cheapest engine for each error."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def draw(
     result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
 ) -> Axes:
     """Draw error against time and force evaluations, and times to one error."""
-    # a figure of our own has room for the legend below, where no curve is
+    # A figure made here has room for the legend below the axes, where there are no curves.
     axes, below = _figure(result) if ax is None else (ax, None)
     over_time, *rest = panels(axes)
     curves: dict[str, list[Mapping[str, Any]]] = {
@@ -81,17 +81,17 @@ def _figure(result: Any) -> tuple[list[Axes], Axes]:
 
 
 def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]]:
-    """Return the looks of the curves in colour: those that lead, and LAMMPS."""
+    """Return the colours and lines of the curves on the Pareto front, and of LAMMPS."""
     stepped = [curve for curve in result.curves if len(curve.points) > 1 or curve.to_tolerance]
 
-    # a curve to a tolerance is what users get, and is always in colour
+    # A curve to a tolerance is the usual way to run, so it is always in colour.
     def rank(curve: Any) -> tuple[bool, float]:
         seconds = times[curve.name]
         return not curve.to_tolerance, math.inf if math.isnan(seconds) else seconds
 
     soonest = sorted(stepped, key=rank)[:LABELLED]
     styles = {curve.name: _style(curve) for curve in soonest}
-    # in its colour wherever it stands: whoever has a deck looks for it
+    # LAMMPS is always in colour, because users with a deck look for it.
     for curve in result.curves:
         if curve.engine == "lammps":
             styles[curve.name] = look_of(curve.integrator) | LAMMPS
@@ -99,7 +99,7 @@ def _styles(result: Any, times: Mapping[str, float]) -> dict[str, dict[str, Any]
 
 
 def _write_ways(ax: Axes, result: Any) -> None:
-    """Write the cheapest way to each error below the charts, LAMMPS in its colour."""
+    """Write the cheapest engine for each error below the charts, with LAMMPS in its colour."""
     ax.set_axis_off()
     rows = [[typeset_cell(cell) for cell in row] for row in result.ways()]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -148,7 +148,7 @@ def _draw_errors(
         best = zip(*(pairs[index] for index in front(pairs)), strict=True)
         band: dict[str, Any] = {"lw": 9, "alpha": 0.5, "zorder": 0.5, "solid_capstyle": "round"}
         ax.plot(*best, color=FRONT, label="Pareto front", **band)
-    # one entry in the legend for all grey curves: names with _ have none
+    # One entry in the legend for all grey curves: names with _ have none.
     unnamed = _name_of_grey(curves, styles)
     alone = []
     for name, points in lines.items():
@@ -166,7 +166,7 @@ def _draw_errors(
         longest = _pairs((vars(point) for point in curve.points if point.longest), cost)
         if longest and curve.name in styles:
             ax.plot(*longest[0], "o", ms=14, mfc="none", mec=styles[curve.name]["color"], mew=1.2)
-    # errors below the floor are those of the reference as much as of the engine
+    # Errors below this floor are as much those of the reference as those of the engine.
     ax.set_ylim(floor / 4, min(ax.get_ylim()[1], 5))
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(
@@ -179,7 +179,7 @@ def _draw_errors(
         color="0.4",
         fontsize="x-small",
     )
-    # above the slopes of the orders, where these are drawn
+    # The legend stands above the slopes of the orders if these are drawn.
     foot = 0.1 if cost == "seconds" else 0.46
     ax.annotate(
         "better",
@@ -202,12 +202,12 @@ def _name_of_grey(
 
 
 def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
-    """Draw engines with one point each (error, cost, name), and name those of about one error."""
+    """Draw engines that have a single point each (error, cost, name), and label groups of them."""
 
     def height(point: tuple[float, float, str]) -> int:
         return round(2 * math.log10(max(point[0], LEAST_ERROR)))
 
-    # settles the limits, on which places depend
+    # This call fixes the axis limits, on which the positions of the labels depend.
     ax.get_xlim()
     for _, group in groupby(points, key=height):
         errors, costs, names = zip(*group, strict=True)
@@ -215,7 +215,7 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
             ax.plot(cost, error, class_of(name).style[1], color="0.8", mec="k", ms=8, zorder=5)
         label = textwrap.fill(", ".join(names), 20)
         place = ax.transAxes.inverted().transform(ax.transData.transform((max(costs), errors[0])))
-        # on the side where there is room
+        # The label stands on the side with more room.
         late = place[0] > ROOM
         ax.annotate(
             label,
@@ -231,11 +231,11 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
 
 
 def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[str, Any]]) -> None:
-    """Mark the time that each curve takes to one error, and name those that never reach it."""
+    """Mark the time of each curve to reach one error, and name the curves that never reach it."""
     reached = sorted((name for name in times if math.isfinite(times[name])), key=times.__getitem__)
     rows = range(len(reached))
     for row, name in enumerate(reached):
-        # a dot: on a logarithmic axis the length of a bar would mean nothing
+        # A dot is drawn because the length of a bar has no meaning on a logarithmic axis.
         look = styles.get(name, GREY)
         mark = {"color": look["color"], "marker": look.get("marker", "."), "ms": 7}
         ax.plot(1e3 * times[name], row, ls="none", **mark)

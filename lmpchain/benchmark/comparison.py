@@ -59,7 +59,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
 
 
 def error(trajectory: Trajectory, reference: Reference) -> float:
-    """Return the error of a trajectory: the larger of those of displacement and velocity.
+    """Return the relative error of a trajectory, the larger of the two of `errors`.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def error(trajectory: Trajectory, reference: Reference) -> float:
     float
         Relative to the largest value.
     """
-    # unlike that of Python, this maximum keeps a NaN
+    # Unlike the maximum of Python, this one returns NaN if any value is NaN.
     return float(np.max(errors(trajectory, reference)))
 
 
@@ -280,7 +280,7 @@ def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
 
 
 WIDEST = 60  # grains of the wave that are shown
-# points from a marker to its name, and whether that is above: neighbours in turn
+# Offsets of names from their markers in points; neighbours alternate above and below.
 NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
 
 
@@ -305,7 +305,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
             answer.velocity[-1, visible] / unit,
             linestyle="none",
             marker=class_of(answer.engine).style[1],
-            # smaller and smaller, so that none hides the one below
+            # Markers become smaller so that none hides another one.
             markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,
@@ -316,7 +316,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
     grains = f"Grains {first} to {end} of {scene.chain.grains}"
     set_title(axes, f"{grains} at t = {scene.duration * 1e6:g} µs")
-    # the truth sets the scale, which answers that are far off leave
+    # The reference sets the scale; answers with large errors may leave the axes.
     span = np.array([last.min(), last.max()])
     if np.ptp(span):
         axes.set_ylim(span + 0.25 * np.ptp(span) * np.array([-1, 1]))
@@ -328,7 +328,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
 
 
 def _shown(comparison: Comparison) -> list[Trajectory]:
-    """Return the trajectories of Eq. (1), and of all others the one with the smallest error."""
+    """Return all trajectories of Eq. (1), and the most accurate one of the other equations."""
     pairs = list(zip(comparison.rows, comparison.trajectories, strict=True))
     approximate = [(row.error, index) for index, (row, _) in enumerate(pairs) if row.equation != 1]
     best = min(approximate)[1] if approximate else None
@@ -349,7 +349,7 @@ def _window(velocity: Array) -> tuple[int, int]:
     moving = np.flatnonzero(speed > 1e-3 * speed.max())
     if moving.size == 0:
         return 1, min(WIDEST, velocity.size)
-    # with four grains at rest on either side
+    # Four grains at rest are shown on either side.
     first = max(0, moving[0] - 4)
     last = min(velocity.size - 1, moving[-1] + 4)
     if last - first >= WIDEST:
@@ -366,7 +366,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
     for answer, row, curve in zip(comparison.trajectories, comparison.rows, curves, strict=True):
         values = np.maximum(curve, LEAST_ERROR)
         colour = class_of(answer.engine).style[0]
-        # at t = 0 the error is 0
+        # The first sample is left out because its error is 0.
         axes.semilogy(time[1:], values[1:], color=colour, lw=1.3, label=answer.engine)
         axes.axhline(max(row.expected_error, LEAST_ERROR), color=colour, ls="--", lw=1.3)
     axes.axhline(max(reference.error, LEAST_ERROR), color="0.55", ls=":", lw=1.5)

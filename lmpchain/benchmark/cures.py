@@ -19,8 +19,8 @@ from .comparison import error
 from .reference import Reference
 
 TARGETS = (1e-3, 1e-6)
-# what users of LAMMPS have, and the best beside; of chains that lose energy, whose forces depend on
-# velocities, those that can do them
+# Methods that LAMMPS users have, and the most accurate ones. Chains with damping use those of them
+# that support forces that depend on velocities.
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6", "dop853")
 MOST_INTEGRATORS = 3
 
@@ -85,7 +85,7 @@ def twin_run(scene: Scene, integrator: str, step: float) -> Trajectory | None:
     """Return the native run of all grains with this step, s; None where it breaks down."""
     everything = scene.ungathered.replace(grains="all")
     try:
-        # errors are measured, and need no warning
+        # The errors are measured here, so warnings about expected errors are suppressed.
         with warnings_aside():
             return simulate(everything, Native(integrator, step), on_miss="warn")
     except (InputError, RunFailed):
@@ -101,7 +101,7 @@ def stability_limit(scene: Scene, integrator: str) -> float:
 def height_round_off(
     scene: Scene, integrator: str, steps: int, solution: Reference, gauge: float = 0.0
 ) -> float:
-    """Return the relative round-off that heights of LAMMPS are expected to have in so many steps.
+    """Return the expected relative rounding error of heights in LAMMPS after a number of steps.
 
     The `gauge` is the diameter with which grains are drawn, m, 0 for the physical one.
     """
@@ -114,7 +114,7 @@ def height_round_off(
 
 
 def cures(scene: Scene, solution: Reference, integrator: str) -> tuple[Cure, ...]:
-    """Return the longest steps that reach some errors, of the integrator of a run and of others."""
+    """Return the longest steps with which several integrators reach each target error."""
     methods = methods_of(scene.chain.damped)
     names = [name for name in dict.fromkeys((integrator, *INTEGRATORS)) if name in methods]
     rows = [cure for name in names[:MOST_INTEGRATORS] for cure in _cures_of(scene, solution, name)]
@@ -123,7 +123,7 @@ def cures(scene: Scene, solution: Reference, integrator: str) -> tuple[Cure, ...
 
 def _cures_of(scene: Scene, solution: Reference, integrator: str) -> Iterator[Cure]:
     interval = scene.sampling_interval
-    # of a driven scene the overlaps, and so the gauge diameter, are not known beforehand
+    # The overlaps of a driven scene, and so its gauge diameter, are not known beforehand.
     gauge = 0.0 if scene.excitation.does_work else gauge_diameter(scene)
     measured: dict[int, float] = {}
     for target in TARGETS:
@@ -150,7 +150,7 @@ def _cures_of(scene: Scene, solution: Reference, integrator: str) -> Iterator[Cu
 def _fewest_steps(
     scene: Scene, solution: Reference, integrator: str, target: float, measured: dict[int, float]
 ) -> int | None:
-    """Return about the fewest steps a sample with an error up to the target; None if none has.
+    """Return about the fewest steps per sample that reach the target error; None if none does.
 
     Errors by numbers of steps are kept in `measured`.
     """
@@ -166,7 +166,7 @@ def _fewest_steps(
         return measured[steps]
 
     def steps_for(steps: int, aim: float) -> int:
-        """Return how many steps should have an error, from the one with these and the order."""
+        """Extrapolate a measured error by the order of the method to the steps that reach `aim`."""
         return math.ceil(steps * (measured[steps] / aim) ** (1 / method.order))
 
     steps = max(1, math.ceil(interval / stability_limit(scene, integrator)))
@@ -187,12 +187,12 @@ def _fewest_steps(
         cost = engine.cost(scene, method, steps * scene.intervals)
         if cost > SEARCH.cost_s or (stalled > SEARCH.patience and not coarse):
             return None
-    # one step back, where the last one went too far
+    # The last jump was too long, so this tries one step less far.
     fewer = max(steps_for(steps, target), failing + 1)
     return fewer if fewer < steps and measure(fewer) <= target else steps
 
 
 def distance(answer: Trajectory, twin: Trajectory, solution: Reference) -> float:
-    """Return how far two runs are apart, relative to the largest motion of a solution."""
+    """Return the relative difference of two runs, scaled by the largest motion of the solution."""
     other = Reference(twin.time, twin.displacement, twin.velocity, 0.0, "", solution.scale)
     return error(answer, other)

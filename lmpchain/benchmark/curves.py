@@ -96,7 +96,7 @@ class Choice(NamedTuple):
 
 
 def _cells(choice: Choice, name: str) -> Sequence[str]:
-    """Return the cells of a row; without a choice, why there is none for the engine of a name."""
+    """Return the cells of a row: the choice and its cost, or the reason if no point reaches it."""
     target = f"{choice.target:.0e}"
     if not choice.engine:
         return target, name, "-", "-", "-", choice.why
@@ -180,7 +180,7 @@ class WorkPrecision(Shown, Tabular):
         return [self._choose(curves, target, engine) for target in TARGETS]
 
     def _choose(self, curves: Sequence[EngineCurve], target: float, engine: str) -> Choice:
-        """Return the cheapest point of some curves up to an error, or why there is none."""
+        """Return the cheapest point within an error; without one, a choice with the reason."""
         points = [point for curve in curves for point in curve.points]
         good = [point for point in points if point.error <= target]
         if good:
@@ -195,10 +195,10 @@ class WorkPrecision(Shown, Tabular):
         return Choice(target, "", "", math.nan, math.nan, math.nan, False, why)
 
     def _obstacle(self, points: Sequence[CurvePoint], engine: str) -> str:
-        """Return why no point of an engine reaches an error."""
+        """Return the reason why no point of an engine reaches an error."""
         if points:
             least = min(points, key=lambda point: point.error)
-            # where shorter steps were tried in vain, rounding is what is left
+            # If shorter steps did not help, rounding error limits the accuracy.
             finest = max(p.steps for p in points if p.integrator == least.integrator)
             end = "round-off" if least.steps < finest else "time over"
             return f"at best {least.error:.0e}: {end}"
@@ -206,15 +206,15 @@ class WorkPrecision(Shown, Tabular):
         return next((text.partition(": ")[2] for text in reasons), "none was measured")
 
     def best(self) -> list[str]:
-        """Return the cheapest way to each error as lines of a table, with that of LAMMPS beside."""
+        """Return the lines of a table: the cheapest engine for each error, and LAMMPS beside it."""
         return align(self.ways())
 
     def ways(self) -> list[Sequence[str]]:
-        """Return the rows of that table."""
+        """Return the rows of the table of `best`."""
         rows: list[Sequence[str]] = [("to reach", "engine", "step", "error", "time", "")]
         for pair in zip(self.cheapest(), self.cheapest("lammps"), strict=True):
             for choice, name in zip(pair, ("none", "lammps"), strict=True):
-                # where LAMMPS is the cheapest of all, a row says it
+                # LAMMPS has no second row if it is the cheapest engine.
                 if name == "none" or choice.engine != pair[0].engine:
                     rows.append(_cells(choice, name))
         return rows
@@ -240,7 +240,7 @@ class WorkPrecision(Shown, Tabular):
         """
         curves: dict[str, Iterable[tuple[float, float]]] = {}
         for curve in self.curves:
-            # two codes are compared by what both do: integrate
+            # Other codes have no error estimate, so only integration times are compared.
             curves[curve.name] = [(point.seconds, point.error) for point in curve.points]
             if curve.to_tolerance:
                 curves[WITHOUT.format(curve.name)] = [

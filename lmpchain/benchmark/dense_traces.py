@@ -48,10 +48,10 @@ def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     try:
         values = smooth(times, values[:, None], lowpass)[:, 0]
     except InputError:
-        # a filter needs points at equal distances
+        # The filter needs equally spaced points.
         options = f"every={every}"
     if scene.drive:
-        # a motion begins with 0
+        # A drive starts at displacement 0.
         values = values - values[0]
     thinner = scene.replace(
         excitation=excitation.replace(times=times[::every], **{name: values[::every]})
@@ -65,7 +65,7 @@ def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
 
 
 def _change(scene: Scene, thinner: Scene, tolerance: float) -> str:
-    """Return in words how much two scenes differ by the native engine."""
+    """Return a sentence with the difference of two scenes in runs of the native engine."""
     try:
         with warnings_aside():
             whole, part = (simulate(each, "native", tolerance) for each in (scene, thinner))

@@ -1,4 +1,4 @@
-"""How wrong is a run: its true error, what of it is the step and what is digits, and what helps."""
+"""True error of a run, separated into step and rounding error, and steps that reduce it."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ArrivalError(NamedTuple):
 
 
 class Cause(NamedTuple):
-    """A cause of an error: the equation, the step or the digits.
+    """A cause of an error: the equation, the time step, or rounding.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunCheck(Shown):
-    """The true error of a run, its causes, and what would reach smaller ones.
+    """The true error of a run, its causes, and the steps that reach smaller errors.
 
     Errors are relative to the largest motion of any grain at any time of the run.
 
@@ -131,7 +131,7 @@ class RunCheck(Shown):
         return max(self.causes, key=lambda cause: cause.error).name
 
     def exceeds(self, tolerance: float) -> bool:
-        """Return whether the error is above a tolerance, or no number."""
+        """Return whether the error is above a tolerance or NaN."""
         return not self.error <= tolerance
 
     def _summary(self) -> Iterator[Sequence[str]]:
@@ -206,7 +206,7 @@ def check(
     units: str | Sequence[float] | None = None,
     progress: bool = False,
 ) -> RunCheck:
-    """Measure how wrong a run is: its true error, what of it is the step, and what is digits.
+    """Measure the true error of a run and how much of it comes from time step and rounding.
 
     The error is that against a Taylor series in extended precision. A native run with the
     integrator and the step of the run, in displacements, has its error of the step and not its
@@ -255,7 +255,7 @@ def check(
 def check_deck(
     folder: str | PathLike[str], scene: Scene | None = None, *, progress: bool = False
 ) -> RunCheck:
-    """Tell how wrong a deck will be before it runs, from `in.column` and `column.data`.
+    """Predict the error of a LAMMPS deck from `in.column` and `column.data` before it runs.
 
     Nothing in it is executed. Its chain is read from the two files, also where they were edited,
     and a native run with its integrator and its step is compared with the reference; the round-off
@@ -344,14 +344,14 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
 
 
 def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
-    """Return the integrators and steps, s, that a run may have had, the likeliest first."""
+    """Return possible integrators and steps, s, of a run, the most likely first."""
     name = answer.cost.integrator
     if name != UNKNOWN_METHOD:
         return [(name, answer.cost.step_s)]
     pairs = [("verlet", answer.cost.step_s)]
     composed = SPLITTINGS["kahan-li6"]
     runs = deck_steps(composed)
-    # of our decks, whose steps are several of LAMMPS
+    # A deck of lmpchain with a composed method takes several LAMMPS steps per time step.
     if answer.scene.chain.damped:
         # With fix nve, which most users take.
         pairs.append((LAGGED.name, answer.cost.step_s))
@@ -372,7 +372,7 @@ def _compare_with_limit(scene: Scene, integrator: str, step: float) -> str:
 def _step_cause(
     scene: Scene, twin: Trajectory | None, solution: Reference, integrator: str, step: float
 ) -> Cause:
-    """Return what of an error the step makes; infinite where a run with it breaks down."""
+    """Return the error caused by the time step; infinite if a run with this step breaks down."""
     why = _compare_with_limit(scene, integrator, step)
     if twin is not None:
         return Cause("step", error(twin, solution), why)
@@ -383,19 +383,19 @@ def _step_cause(
 def _digits(
     answer: Trajectory, solution: Reference, integrator: str, step: float, distance: float
 ) -> Cause:
-    """Return what of an error digits make, from how far a run is from its native twin."""
+    """Return the rounding error of a run, from its distance to a native run with the same step."""
     if distance == math.inf:
         return Cause("digits", 0.0, "cannot be told apart, as the same steps break down")
     scene = answer.scene
     digit, speed_digit = (
         float(answer.provenance.get(f"{name}_digit", 0.0)) for name in ("displacement", "velocity")
     )
-    # heights at rest are rounded, too
+    # Heights at rest are rounded as well.
     rounded = digit if answer.provenance.get("displacement") != "v_phi" else digit / 2
     printed = float(np.max(np.array([rounded, speed_digit / 2]) / solution.scale))
     steps = round(scene.duration / step)
     heights = height_round_off(scene, integrator, steps, solution)
-    # what makes the reference itself uncertain does so to every run
+    # If the scene amplifies rounding, the rounding error of the run grows as much.
     heights *= max(1.0, solution.error / DIGITS.amplified)
     if distance <= DIGITS.printed * printed and printed > heights:
         places = max(1, round(-math.log10(min(printed, 0.1))))
@@ -435,7 +435,7 @@ def _record(
     steps = round(scene.duration / step) if step else 0
     if answer is not None:
         if answer.cost.integrator != UNKNOWN_METHOD and step:
-            # adaptive steps are more than the equal ones
+            # Adaptive runs make more steps than runs with equal steps.
             steps = answer.cost.steps
         displacement, velocity = errors(answer, solution)
         true = as_trajectory(answer.scene, solution)
@@ -463,7 +463,7 @@ def _energy_error(answer: Trajectory, true: Trajectory) -> float:
     try:
         total, exact = (energy.ledger(run).total for run in (answer, true))
     except InputError:
-        # grains that move were not recorded
+        # The energy is unknown because grains that move were not recorded.
         return math.nan
     largest = float(np.abs(exact).max())
     return float(np.abs(total - exact).max()) / largest if largest else math.nan
@@ -475,7 +475,7 @@ def _arrival(answer: Trajectory, true: Trajectory) -> ArrivalError | None:
         tracked, exact = (front.track(run) for run in (answer, true))
     except InputError:
         return None
-    # where another maximum may be the front, a difference says nothing
+    # A grain is skipped if another maximum may be its front.
     clear = exact.time_error <= ARRIVAL * exact.time
     grains, here, there = np.intersect1d(tracked.grain, exact.grain[clear], return_indices=True)
     times = exact.time[clear][there]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-# times the error of the reference, below which errors are not known well enough
+# Errors below this multiple of the error of the reference are not accurate enough.
 KNOWN = 10.0
 
 

@@ -21,7 +21,7 @@ __dir__ = listed(__name__)
 Long = np.longdouble
 Longs = NDArray[np.longdouble]
 EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference at 1
-# motion below it is rest, and shorter steps would not advance the time
+# Smaller motion counts as rest; a smaller relative step would not advance the time.
 NEGLIGIBLE = 1e-6 * EXTENDED
 # Relative tolerances of the reference for laws by formula, and of the run that shows its error.
 SCIPY_TOLERANCES = (1e-13, 1e-12)
@@ -31,7 +31,7 @@ MOST_RADIANS = 1.0
 SCIPY_EVALUATIONS = 100
 SCIPY_CALL_S = 1e-4
 SCIPY_GRAIN_S = 2e-7
-# error that both runs share: equilibrium and steps, and rounding of the result
+# Error that both runs share: equilibrium, rounded steps, and rounding of the result.
 SHARED = 50 * EXTENDED + EPSILON
 
 
@@ -43,7 +43,7 @@ class TaylorSettings(NamedTuple):
 
 
 ANSWER = TaylorSettings(32, 0.1 * EXTENDED)
-# a second run with other steps shows the error
+# A second run with other steps estimates the error.
 CHECK = TaylorSettings(24, 10 * EXTENDED)
 
 
@@ -151,7 +151,7 @@ def reference(scene: Scene) -> Reference:
 
 
 def expected_seconds(scene: Scene) -> float:
-    """Return about how long `reference` will take, s.
+    """Return the expected time of `reference`, s.
 
     Parameters
     ----------
@@ -170,10 +170,10 @@ def expected_seconds(scene: Scene) -> float:
     duration = float(motion.instants[-1])
     width = (np.ptp(moving) if moving.size else 0) + ANSWER.order + duration
     grains = min(scene.chain.grains, width)
-    # a strong damping shortens the steps
+    # Strong damping shortens the steps.
     duration *= float(scene.chain.damping.fastest_rate(1 / float(motion.time)) * motion.time)
     steps = duration / (COST.smooth if scene.strike_number < 1 else COST.broken) + 1
-    # steps end at the points of what acts
+    # Steps end at every point of a sampled force or drive.
     steps += np.count_nonzero(motion.knots < motion.instants[-1])
     return 2 * steps * (COST.step_s + COST.grain_s * float(grains))
 
@@ -328,7 +328,7 @@ class _Motion:
         largest = np.abs(self.start).max(axis=1)
         state = self.start.copy()
         moving = slice(0, self.start.shape[1])
-        # where in a step the largest motion is looked for
+        # Fractions of a step at which the largest motion is sampled.
         within = np.arange(1, 17, dtype=Long)[:, None] / 16
         knots = self.knots[(self.knots > 0) & (self.knots < self.instants[-1])]
         t = Long(0)
@@ -357,15 +357,15 @@ class _Motion:
         """Return the grains that move, widened on either side by the reach of a series."""
         moving = before.start + np.flatnonzero(state[:, before].any(axis=0))
         if self.wave:
-            # a grain that is acted on counts even while it rests
+            # A grain with an applied force counts even while it rests.
             moving = np.union1d(moving, self.pushed or 0).astype(int)
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
-        # two orders a grain, and one where forces know velocities
+        # A series moves two orders per grain, and one if forces depend on velocities.
         reach = order if self.viscosity.any() else order // 2
         return slice(max(0, first - reach), min(state.shape[1], last + 1 + reach))
 
     def _shut(self, overlap: Longs, grains: slice, tolerance: float) -> NDArray[np.bool_]:
-        """Return which contacts push noticeably; others may be neglected for one unit of time."""
+        """Return contacts with a noticeable force; others are negligible for one unit of time."""
         contacts = _contacts(grains)
         impulse = self.push[contacts] * (1 + self.viscosity[contacts])
         return impulse * np.maximum(overlap, 0) ** self.delta > tolerance
@@ -410,11 +410,11 @@ class _Motion:
                 exact = np.expm1(self.delta * np.log1p(np.where(pressed, strain, 0)))
                 change[0] = np.where(pressed, exact, power[0] - at_rest)
                 continue
-            # from y (y^delta)' = delta y' y^delta
+            # The recursion follows from the identity y (y^delta)' = delta y' y^delta.
             weight = (self.delta + 1) * k[1 : i + 1] - i
             total = np.einsum("j,jn,jn->n", weight, y[1 : i + 1], power[i - 1 :: -1])
             change[i] = power[i] = shut * total / (i * overlap)
-            # the viscous force holds the next power of the elastic one
+            # The viscous force contains the next power of the elastic force.
             force = strength * (change[i - 1] + viscosity * i * change[i])
             pull = (force[:-1] - force[1:] + outside[i - 1]) * self.mobility[grains]
             following = pull / (i * (i + 1)) - drag * x[i] / (i + 1)
@@ -444,13 +444,13 @@ class _Motion:
         return series
 
     def _step(self, x: Longs, y: Longs, grains: slice, longest: Long, tolerance: float) -> Long:
-        """Return how long the series converge to this error, until a contact opens or closes."""
+        """Return the step within which the series converge and no contact opens or closes."""
         step = longest
         order = len(x) - 1
         for k in (order - 1, order):
             last = np.abs(x[k]).max()
             if last > 0:
-                # the terms of this power, in displacement and in velocity
+                # The terms of this order in displacement and in velocity.
                 displacement = (tolerance / last) ** (1 / Long(k))
                 velocity = (tolerance / (k * last)) ** (1 / Long(k - 1))
                 step = min(step, displacement, velocity)
@@ -477,7 +477,7 @@ class _Motion:
         strength: tuple[Long, Long],
         tolerance: float,
     ) -> Long:
-        """Return how long, up to `longest`, a contact that closes at `root` may be ignored.
+        """Return the time, up to `longest`, for which a contact closing at `root` is negligible.
 
         `strength` is its push and its viscosity.
         """
@@ -488,7 +488,7 @@ class _Motion:
         while True:
             deepest = depth + after * (rate + after * _bend(overlap, root + after) / 2)
             elastic = deepest**self.delta * after
-            # over a time, A dF/dt adds up to A times the change of the force
+            # The integral of A dF/dt over a time is A times the change of the force.
             viscous = viscosity * (deepest**self.delta - depth**self.delta)
             if push * (elastic + viscous) <= tolerance:
                 return after
@@ -522,11 +522,11 @@ def _first_root(gap: Longs, end: Long) -> Long:
     slope = _slope(gap)
     bend = _bend(gap, end)
     at = Long(0)
-    # if 60 iterations do not converge, the step ends before the root
+    # If 60 iterations do not converge, the step ends before the root.
     for _ in range(60):
         height = np.maximum(_at(gap, at), 0)
         rate = _at(slope, at)
-        # of height + rate z - bend z^2 / 2
+        # The root of the lower bound height + rate z - bend z^2 / 2.
         root = np.sqrt(rate**2 + 2 * bend * height)
         ahead = (rate + root) / bend if rate > 0 else 2 * height / ((root - rate) or 1)
         at += ahead
@@ -542,7 +542,7 @@ def _slope(series: Longs) -> Longs:
 
 def _bend(series: Longs, end: Long) -> Long:
     """Return an upper bound, above 0, of the second derivative between 0 and `end`."""
-    # 1e-200 is negligible beside any number that occurs, but no divisor of 0
+    # The constant 1e-200 is negligible beside any occurring number, and avoids division by 0.
     return _at(np.abs(_slope(_slope(series))), end) + 1e-200
 
 

@@ -1,4 +1,4 @@
-"""The solution that errors are measured against: the reference, or a tight run of a long scene."""
+"""The solution for true errors: the reference, or a tight native run of a long scene."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
     if needed_s <= LONGEST_S:
         announce(needed_s, "the reference by Taylor series", "a shorter duration takes less")
         return reference(scene)
-    # errors are relative to the largest motion of any grain, so that all must be recorded
+    # Errors are relative to the largest motion of any grain, so all grains must be recorded.
     all_grains = Scene(
         chain=scene.chain,
         excitation=scene.excitation,
@@ -50,12 +50,12 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
 
 
 def _solve_tightly(scene: Scene, tolerance: float, progress: bool) -> tuple[Trajectory, float]:
-    """Return the answer to a hundredth of a tolerance, or to all of it, and which it is."""
+    """Return a native run at a hundredth of the tolerance, or at the tolerance, and its name."""
     tight = max(tolerance / 100, TIGHTEST)
     try:
         return simulate(scene, "native", tight, progress=progress), tight
     except ToleranceNotMet as error:
-        # the answer to the beginning of what cannot be predicted is none to the whole
+        # A run that ends early because of chaos is no reference for the whole scene.
         if error.trajectory and error.trajectory.scene == scene:
             return error.trajectory, tight
     return simulate(scene, "native", tolerance, progress=progress), tolerance

@@ -26,7 +26,7 @@ def averages(arguments: argparse.Namespace) -> int:
     )
     print(result.table())
     keep(result, numbers, None)
-    # a panel a quantity, where other commands draw one result
+    # Each average has a panel of its own, so `keep` does not apply.
     if picture:
         from ..util.plotting import figure, save
 

@@ -9,7 +9,7 @@ from .common import collect, keep, on_terminal, output, read_scene
 
 
 def check(arguments: argparse.Namespace) -> int:
-    """Print the true error, its causes and its cures; exit code 1 if it is above a tolerance."""
+    """Print the true error of a run, its causes and cures; exit code 1 if it misses a tolerance."""
     subject = arguments.run or arguments.deck
     if not subject or (arguments.run and arguments.deck):
         raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")

@@ -14,9 +14,10 @@ import os
 import resource
 import signal
 import sys
+import textwrap
 import threading
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
 from typing import Any
 
@@ -25,23 +26,34 @@ from ..util import mpi
 from .common import complain
 from .parser import Parser, ShowVersion
 from .run import resume, run, run_folder, sweep
-from .verbs import VERBS
+from .verbs import GROUPS, VERBS
 
-# Nearly all that a command makes while it starts stays to its end: looking through it for garbage
-# as often as Python does, and once more at the end, takes a quarter of the time of a short one.
+# Most objects that a command makes at its start live to its end. Python's default frequency of
+# garbage collection, and the collection at exit, would take a quarter of the time of a short run.
 OBJECTS_BETWEEN_LOOKS = 20_000
-# NumPy's threads wait busily for work, for 2^26 cycles, before they sleep: a twentieth of that time
+# The threads of NumPy spin for 2^26 cycles before they sleep, which costs a twentieth of that time
 # on each core.
 BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 
 
-# Under a limit on memory, as of `ulimit -v`, OpenBLAS asks for the memory of its threads for ever.
+# If memory is limited, as by `ulimit -v`, OpenBLAS requests memory for its threads for ever.
 SMALL_MEMORY = 2**32  # bytes
 ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
+HELP_WIDTH = 78  # columns
+PURPOSE = (
+    "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
+    "an estimate of its own error. All quantities are in SI units. Begin with `lmpchain new "
+    "scene.toml`. `lmpchain COMMAND --help` shows the options of a command."
+)
+EXIT_CODES = (
+    "Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the "
+    "time limit --max-wall was reached before the end of the run, 130 after Ctrl-C, 143 after "
+    "SIGTERM."
+)
 
 
 class _Terminated(BaseException):
-    """SIGTERM arrived; no `Exception`, so that no handler of faults catches it."""
+    """Raised when SIGTERM arrives; not an `Exception`, so that no handler of faults catches it."""
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,7 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(*ONE_THREAD)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
-            # the first one does it all
+            # The first process does all the work.
             return 0
         mpi.leave()
         return _run(argv)
@@ -77,17 +89,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     except LmpchainError as error:
         complain(str(error))
         return 1
-    # LAMMPS is loaded only here, as most commands do without it
+    # LAMMPS is imported only here, because most commands do not need it.
     from ..engines.lammps.communicators import shutdown_workers, worker_loop
 
-    # ranks beyond the first only serve LAMMPS
+    # Ranks beyond the first only serve LAMMPS.
     if world.rank > 0:
         worker_loop(world)
         return 0
     try:
         return _run(argv)
     finally:
-        # else the other ranks would wait for ever
+        # Without this call the other ranks would wait for ever.
         shutdown_workers(world)
 
 
@@ -97,7 +109,7 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
         try:
             arguments = _parser().parse_args(argv)
         except SystemExit:
-            # wrong, as the first process is about to say
+            # The first process reports the faults of the arguments.
             return False
     from ..engines import class_of
 
@@ -113,25 +125,25 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    """Run the command line; end in silence where no one reads on, as behind `| head`."""
+    """Run the command line; end in silence if the reader of a pipe closes it, as `head` does."""
     try:
         code = _main(argv)
         for stream in (sys.stdout, sys.stderr):
             if stream is not None:
-                # as it is where it was closed
+                # Python sets a stream that was closed before the start to None.
                 stream.flush()
         return code
     except BrokenPipeError:
-        # Python flushes its streams at exit, into the closed pipe
+        # Python flushes its streams at exit, and would fail again at the closed pipe.
         nowhere = os.open(os.devnull, os.O_WRONLY)
         for stream in (sys.stdout, sys.stderr):
-            # what is left in them is flushed at exit
+            # The rest of the buffers goes to the null device at exit.
             with suppress(AttributeError, OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
-        # as a shell says of a tool that SIGPIPE ends
+        # This is the exit code in a shell of a program that SIGPIPE ends.
         return 128 + signal.SIGPIPE
     except OSError as error:
-        # such as a full disk behind stdout
+        # The disk behind stdout may be full.
         with suppress(OSError, ValueError):
             sys.stdout.close()
         complain(str(error))
@@ -141,13 +153,13 @@ def _run(argv: Sequence[str] | None) -> int:
 def _main(argv: Sequence[str] | None) -> int:
     try:
         arguments = _parser().parse_args(argv)
-    # --help, --version, or arguments that argparse refused and explained
+    # SystemExit comes from --help, --version, or faults that argparse has reported.
     except SystemExit as end:
         return int(end.code or 0)
     before = _on_sigterm(_raise_terminated)
     try:
         with warnings.catch_warnings():
-            # a warning is one line here, without the line of Python that it comes from
+            # A warning is printed as one line, without the line of Python code that raised it.
             warnings.showwarning = _show_warning  # type: ignore[assignment]
             return arguments.command(arguments)
     except InputError as error:
@@ -158,7 +170,7 @@ def _main(argv: Sequence[str] | None) -> int:
         complain(str(error))
         return 1
     except BrokenPipeError:
-        # it is an OSError, too, but no fault: `_run` ends in silence
+        # BrokenPipeError is an OSError but no fault: `_run` ends in silence.
         raise
     except OSError as error:
         complain(str(error))
@@ -179,7 +191,7 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _describe_rest(arguments: argparse.Namespace) -> str:
-    """Return in words what a stopped command has left on the disk."""
+    """Return a sentence about the files that a stopped command has left."""
     from ..simulation.folder_files import is_run, resume_command
 
     if arguments.command is sweep:
@@ -200,11 +212,11 @@ def _raise_terminated(*_: Any) -> None:
 
 
 def _on_sigterm(handler: Any) -> Any:
-    """Install a handler and return the one before; other threads than the main one may not."""
+    """Install a handler of SIGTERM and return the previous one; only the main thread may do so."""
     if threading.current_thread() is not threading.main_thread():
         return None
     before = signal.getsignal(signal.SIGTERM)
-    # None stands for a handler of C, which Python cannot install again
+    # None stands for a handler written in C, which Python cannot install again.
     signal.signal(signal.SIGTERM, signal.SIG_DFL if handler is None else handler)
     return before
 
@@ -213,18 +225,37 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
     complain(str(message), "warning")
 
 
+def _show_help(_: argparse.Namespace) -> int:
+    """Print the help, and return the exit code of wrong input because a command is missing."""
+    _parser().print_help()
+    return 2
+
+
+def _list_commands() -> Iterator[str]:
+    """Yield each group of commands with their summaries, as a paragraph of the help."""
+    for title, names in GROUPS.items():
+        lines = [f"{title}:"]
+        for name in names:
+            lines += textwrap.wrap(
+                VERBS[name].summary,
+                HELP_WIDTH,
+                initial_indent=f"  {name:<13}",
+                subsequent_indent=" " * 15,
+            )
+        yield "\n".join(lines)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
-        description="Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by "
-        "side, each with an estimate of its own error. All quantities are in SI units. Begin with "
-        "`lmpchain new scene.toml`.",
-        epilog="Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is "
-        "wrong, 75 the time of --max-wall was over before the run was, 130 after Ctrl-C, 143 after "
-        "SIGTERM.",
+        usage="lmpchain [-h] [--version] COMMAND ...",
+        description="\n\n".join([textwrap.fill(PURPOSE, HELP_WIDTH), *_list_commands()]),
+        epilog=textwrap.fill(EXIT_CODES, HELP_WIDTH),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
+    parser.set_defaults(command=_show_help)
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
-    verbs = parser.add_subparsers(metavar="COMMAND", required=True)
+    verbs = parser.add_subparsers(metavar="COMMAND", prog="lmpchain", help=argparse.SUPPRESS)
     for name, verb in VERBS.items():
         sub = verbs.add_parser(
             name,

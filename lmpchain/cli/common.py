@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TextIO
 from ..errors import InputError
 from ..util.suggestions import either
 
-# heavy modules are imported inside the functions, so that wrong input is reported at once
+# Heavy modules are imported inside the functions, so that wrong input is reported at once.
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
@@ -21,7 +21,7 @@ KIND_STYLES = {"error": "bold red", "fault": "bold red", "warning": "bold yellow
 
 def complain(text: str, kind: str = "error") -> None:
     """Print a fault on stderr in one line, with unprintable characters escaped."""
-    # a name of a file may hold a line break, or a code that moves the cursor
+    # A file name may contain a line break, or a code that moves the cursor.
     letters = (
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in " ".join(text.split())
@@ -31,7 +31,7 @@ def complain(text: str, kind: str = "error") -> None:
 
 def show(kind: str, text: str, stream: TextIO | None) -> None:
     """Print a line that begins with its kind, in colour on a terminal, unless NO_COLOR is set."""
-    # a closed stream is None
+    # A closed stream is None.
     if stream is None or not stream.isatty():
         print(f"{kind}{text}", file=stream, flush=True)
         return
@@ -48,10 +48,10 @@ def on_terminal() -> bool:
 
 
 def collect(*checks: Callable[[], Any]) -> list[Any]:
-    """Return what the checks return; raise one `InputError` with the faults of all of them."""
+    """Call all checks and return their results; raise one `InputError` with all faults."""
     results = []
     faults = []
-    # all of them, so that the user corrects all faults at once
+    # All checks run, so that the user sees all faults at once.
     for check in checks:
         try:
             results.append(check())
@@ -86,7 +86,7 @@ def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool =
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
         raise InputError.at(name, f"there is no folder {path.parent}; make it first")
-    # the folder must take a new file: outputs are written beside and then renamed
+    # The folder must accept a new file, because outputs are written beside and then renamed.
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError.at(name, "you may not write there; choose another place")
@@ -141,7 +141,7 @@ def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: An
 
         from ..util.plotting import save
 
-        # a command opens no window
+        # A command opens no window.
         matplotlib.use("agg")
         save(result.plot(*arguments), picture, overwrite=True)
         print(f"picture: {picture}")

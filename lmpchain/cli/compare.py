@@ -65,7 +65,7 @@ def compare(arguments: argparse.Namespace) -> int:
     trajectories, failures, remarks = _run_engines(scene, tolerances, arguments.budget)
     beginning = min((each.scene for each in trajectories), key=_count_samples, default=scene)
     if beginning.samples < scene.samples:
-        # of what cannot be predicted to its end the beginning is compared
+        # If a scene cannot be predicted to its end, its predictable part is compared.
         scene = scene.replace(duration=beginning.duration, samples=beginning.samples)
         tolerances = {each.engine: tolerances[each.engine] for each in trajectories}
         trajectories, _, shorter = _run_engines(scene, tolerances, arguments.budget)
@@ -77,7 +77,7 @@ def compare(arguments: argparse.Namespace) -> int:
         print(result.table())
     _print_lines(
         *wrap(*filter(None, [remark, *remarks])),
-        *(f"left out: {reason} ({key})" for key, reason in refusals),
+        *(f"left out: {name}: {why}" for name, why in refusals.items()),
     )
     if trajectories:
         keep(result, numbers, picture)
@@ -86,8 +86,8 @@ def compare(arguments: argparse.Namespace) -> int:
     return 1 if failures or not trajectories else 0
 
 
-def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return the engines that can do a scene, and why others cannot.
+def _able(names: list[str], scene: Scene) -> tuple[list[str], dict[str, str]]:
+    """Return the engines that can solve a scene, and the main reason why each other one cannot.
 
     Raises
     ------
@@ -97,11 +97,11 @@ def _able(names: list[str], scene: Scene) -> tuple[list[str], list[tuple[str, st
     from .. import engines
 
     reasons = {name: engines.obstacles(engines.get(name), scene) for name in names}
-    refusals = [(key, f"{name}: {why}") for name in names for key, why in reasons[name]]
     able = [name for name in names if not reasons[name]]
     if not able:
-        raise InputError(refusals)
-    return able, refusals
+        raise InputError([(key, f"{name}: {why}") for name in names for key, why in reasons[name]])
+    refused = {name: engines.brief(name, why[0][1]) for name, why in reasons.items() if why}
+    return able, refused
 
 
 def _print_lines(*lines: str) -> None:
@@ -135,7 +135,7 @@ def _names(given: str | None) -> list[str]:
 def _run_engines(
     scene: Scene, tolerances: dict[str, float], budget_s: float
 ) -> tuple[list[Trajectory], list[str], list[str]]:
-    """Run every engine; return the trajectories, and failures and remarks in words.
+    """Run every engine; return the trajectories, the failures and the remarks.
 
     An engine that would exceed the budget, in s, gets ten times its tolerance in `tolerances`,
     again and again, and is left out if none below 1 is within the budget, which holds for all
@@ -176,14 +176,14 @@ def _run_engines(
 
 
 def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajectory:
-    """Return the answer of an engine.
+    """Return the answer of an engine, with the time of the fastest of several short runs.
 
     Short runs are repeated: the first one also loads what was compiled.
     """
     from ..engines.cost_model import budget
     from ..simulation.api import simulate
 
-    # the table shows the errors
+    # The table lists the errors, so warnings are suppressed.
     with warnings_aside():
         with budget(budget_s):
             answer = simulate(scene, name, tolerance, progress=on_terminal())
@@ -194,7 +194,7 @@ def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajecto
 
 
 def _lossless(scene: Scene, tolerance: float, budget_s: float) -> Trajectory | None:
-    """Return the answer of a damped scene without its damping, if there is one."""
+    """Return the answer of a damped scene without its damping, if some engine can solve it."""
     from ..engines.cost_model import TooLong, budget
     from ..simulation.api import simulate
 
@@ -249,7 +249,7 @@ def stability(arguments: argparse.Namespace) -> int:
 
 
 def _show(result: WorkPrecision | Stability, numbers: Path | None, picture: Path | None) -> None:
-    """Print the table of a result and what it leaves out; write numbers and picture."""
+    """Print the table of a result and the engines left out; write numbers and picture."""
     print(result.table())
     for reason in result.left_out:
         print(f"left out: {reason}")

@@ -1,4 +1,4 @@
-"""The command `explore`: a page with a slider a key, through runs made beforehand."""
+"""The command `explore`: a page with a slider for each key, through precomputed runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def explore(arguments: argparse.Namespace) -> int:
     keys = [key for key, _ in axes]
     if twice := [key for key in dict.fromkeys(keys) if keys.count(key) > 1]:
         raise InputError.at(twice[0], "has two sliders: name each key once")
-    # the file and not the scene, as a key may stand for what the file leaves out
+    # The file is passed on because a key may be absent from the file and have a default.
     source = {"scene": arguments.scene, "over": dict(axes), "tolerance": arguments.tolerance}
     explore(source, path, progress=on_terminal(), overwrite=True)
     runs = math.prod(len(values) for _, values in axes)
@@ -49,11 +49,11 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
         raise InputError.at(key, f"the range must go up (got {low:g}:{high:g})")
     if log and low <= 0:
         raise InputError.at(key, f"a range in equal ratios must begin above 0 (got {low:g})")
-    # numbers are heavy, and help needs none
+    # NumPy is imported late, because the help does not need it.
     import numpy as np
 
     values = (np.geomspace if log else np.linspace)(low, high, count)
-    # numbers of grains and the like, if both ends are written so
+    # A range whose two ends are whole numbers has whole values.
     if all(word.lstrip("+-").isdecimal() for word in bounds[:2]):
         whole = np.unique(values.round().astype(int)).tolist()
         if log or len(whole) < count or np.allclose(values, whole):
@@ -62,7 +62,7 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
 
 
 def _count(key: str, word: str) -> int:
-    # numbers of more digits are too many runs anyway
+    # A number of runs with more digits is refused anyway.
     count = int(word[:9]) if word.isdecimal() else 0
     if count < 2:
         raise InputError.at(key, f"the number of runs must be from 2 (got {shown(word)})")

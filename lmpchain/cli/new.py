@@ -1,4 +1,4 @@
-"""The command `new`: a commented scene to begin with."""
+"""The command `new`: write a commented example scene."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import shlex
 from ..errors import InputError
 from .common import beside, output
 
-# example, and what it shows
+# Examples, and what each of them shows.
 EXAMPLES = {
     "column": "glass beads under gravity, struck on the top one",
     "striker": "a ball of PTFE strikes a precompressed row of steel balls",
@@ -26,7 +26,7 @@ def new(arguments: argparse.Namespace) -> int:
     path = output(name, "", (".toml",), force=True)
     if path.exists() and not arguments.force:
         raise InputError.at(name, "is there already: name another file, or add --force")
-    # it stands in comments, which a line break would end
+    # The name stands in comments, which a line break would end.
     if not name.isprintable():
         raise InputError.at("scene", "must be a name of letters that can be printed")
     from ..util.files import write_aside

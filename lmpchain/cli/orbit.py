@@ -1,4 +1,4 @@
-"""The command `orbit`: a nonlinear normal mode, or the answer of a chain to a drive."""
+"""The command `orbit`: a nonlinear normal mode, or the response of a chain to a drive."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def orbit(arguments: argparse.Namespace) -> int:
-    """Follow a mode of the chain of a scene up to an energy, or the answer to its drive."""
+    """Continue a nonlinear mode up to an energy, or the response to a drive up to a value."""
     scene, (name, until), picture, numbers = collect(
         lambda: read_scene(arguments.scene),
         lambda: _read_goal(arguments),
@@ -31,7 +31,7 @@ def orbit(arguments: argparse.Namespace) -> int:
         family = mode_family(scene.chain, arguments.mode, arguments.energy, progress=on_terminal())
     print("\n".join(_describe(family)))
     keep(family, numbers, None)
-    # both the family and its last orbit, where other commands draw one result
+    # This command draws two results: the family and its last orbit.
     if picture:
         from ..util.plotting import save
 
@@ -41,7 +41,7 @@ def orbit(arguments: argparse.Namespace) -> int:
 
 
 def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
-    """Return the number that is followed, and up to where; no name for a mode."""
+    """Return the continuation parameter and its last value; an empty name for a mode."""
     mode = arguments.mode is not None and arguments.energy is not None
     if mode == (arguments.follow is not None):
         cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
@@ -59,7 +59,7 @@ def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
 
 
 def _answers(scene: Scene, name: str, until: float) -> Family:
-    """Return the answers to the drive of a scene, along a number up to a value."""
+    """Return the periodic responses to a drive, continued in a parameter up to a value."""
     from .. import orbits
 
     first = orbits.find(scene.chain, drive=scene.excitation)
@@ -67,7 +67,7 @@ def _answers(scene: Scene, name: str, until: float) -> Family:
 
 
 def _describe(family: Family) -> list[str]:
-    """Return lines about the last orbit and the events on the way to it."""
+    """Return lines about the last orbit and the bifurcations before it."""
     last = family[-1]
     state = "stable" if last.stable else f"unstable, largest multiplier {abs(last.unstable[0]):.6g}"
     driven = last.drive is not None

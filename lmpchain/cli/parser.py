@@ -1,4 +1,4 @@
-"""Argument parser that reports faults as all commands do."""
+"""Argument parser that reports faults like all commands."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from .common import complain
 
 
 class Parser(argparse.ArgumentParser):
-    """Argument parser that reports faults like all others, without the usage message."""
+    """An argument parser that reports a fault in one line, without the usage message."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Complain of unknown arguments here, where the options of the verb are known."""
+        """Report unknown arguments here, because the options of the command are known only here."""
         arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
             options = self._option_string_actions
@@ -26,15 +29,15 @@ class Parser(argparse.ArgumentParser):
         return arguments, unknown
 
     def print_help(self, file: Any = None) -> None:
-        """Print the help; a closed pipe is an error here, which argparse may ignore."""
+        """Print the help; raise an error if the pipe is closed, which argparse may ignore."""
         print(self.format_help(), end="", file=file)
 
     def error(self, message: str) -> NoReturn:
-        """Report what is wrong with the arguments in one line, and end with exit code 2."""
-        # argparse says what may be chosen, but not which of these was meant
+        """Report a fault of the arguments in one line, and exit with code 2."""
+        # The message of argparse lists the choices, but does not suggest the most similar one.
         if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
             message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
-        # a long word, such as a scene in place of its name, would hide the message
+        # A long word, such as a scene in place of its file name, would hide the message.
         brief = re.sub(rf"\S{{{SHOWN_LETTERS},}}", lambda match: short(match[0]), message)
         named = brief.removeprefix("argument ")
         complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
@@ -42,7 +45,7 @@ class Parser(argparse.ArgumentParser):
 
 
 class ShowVersion(argparse.Action):
-    """Show the version, which is looked up only on demand."""
+    """Option that shows the version, which is looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         """Print the version and end."""

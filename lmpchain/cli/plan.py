@@ -22,7 +22,7 @@ def plan(arguments: argparse.Namespace) -> int:
         ),
         lambda: check_tolerance(arguments.tolerance),
     )
-    # first, so that the proposals below rest on the new speeds
+    # Calibration runs first, so that the proposals below use the new speeds.
     if arguments.calibrate:
         _calibrate()
     if scene:

@@ -17,7 +17,7 @@ TABLES = (".csv", ".txt")
 
 
 def dyson(arguments: argparse.Namespace) -> int:
-    """Compute Eq. (22) for a run, beside the mean over chains with random stiffness."""
+    """Print Eq. (22) for a run, beside its mean over chains with random stiffness."""
     from ..disorder.averages import at_the_end
     from ..measure.dyson import orders, sums
 
@@ -56,14 +56,14 @@ def export(arguments: argparse.Namespace) -> int:
             above_rest=arguments.above_rest,
         ).to_csv(path, overwrite=True)
     else:
-        # all that was recorded
+        # All recorded grains are exported.
         run.to_csv(path, overwrite=True)
     print(f"traces: {path}")
     return 0
 
 
 def _places(text: str | None, key: str, words: Sequence[str] = ()) -> list[int | str]:
-    """Return the grains that a text names, such as 1,5, and walls by these words."""
+    """Return the grain numbers, and the names from `words`, in a text such as "1,5"."""
     places: list[int | str] = []
     for entry in filter(None, map(str.strip, (text or "").split(","))):
         if entry not in words and not entry.isdecimal():
@@ -97,7 +97,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     path = arguments.run
     scene = arguments.scene
     axis = arguments.axis
-    # the mistakes that are likely, each with its cure, before anything heavy is loaded
+    # Likely mistakes are reported before any heavy module is loaded.
     from ..trajectory.dump_frames import is_dump
     from ..util.files import expanded
 
@@ -120,7 +120,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         run = load(path)
     else:
         run = Trajectory.from_dump(path, read_scene(scene), axis=axis, units=arguments.units)
-    # a run folder whose run has just begun
+    # A run folder has no samples yet if its run has just begun.
     if run.time.size < 2:
         raise InputError.at(
             path, "has too few samples yet: go on with the run, or run the scene anew"

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
-    """Return the engine with its options, None for "auto"."""
+    """Return the engine with the options of the command line, None for "auto"."""
     from ..simulation.choice import engine_for
 
     names = ("integrator", "step", "threads", "diameter", "ranks", "template", "include")
@@ -34,7 +34,7 @@ def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
 def run(arguments: argparse.Namespace) -> int:
     """Solve a scene and save the trajectory, in a file or in a run folder."""
     name = arguments.output or beside(arguments.scene, ".nc")
-    # a name that ends in / is a folder, even if it is not there yet
+    # A name that ends in / is a folder, even if it does not exist yet.
     in_folder = run_folder(arguments) is not None
     scene, path, engine, _ = collect(
         lambda: read_scene(arguments.scene),
@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if reasons := refusals(scene, engine):
         raise InputError(reasons)
-    # only now, when nothing is wrong with the input, is an earlier run taken away
+    # An earlier run is removed only now, after all input has been checked.
     if in_folder and is_run(path):
         remove(path)
     for warning in pre_run_warnings(scene, engine, arguments.tolerance):
@@ -160,9 +160,9 @@ def _report(
     try:
         trajectory = answer()
     except Stopped as stopped:
-        # by --max-wall; signals are handled elsewhere
+        # Only --max-wall raises `Stopped` here; signals are handled elsewhere.
         print(stopped, file=sys.stderr)
-        # try again later
+        # This exit code asks a job scheduler to try again later.
         return os.EX_TEMPFAIL
     except ToleranceNotMet as error:
         if error.trajectory is None:
@@ -174,7 +174,8 @@ def _report(
     print(_summary(trajectory, tolerance, path))
     if missed:
         complain(missed)
-    # A named engine that solves another equation than Eq. (1) has warned of its model error.
+    # A named engine that solves another equation than Eq. (1) has already warned of its model
+    # error.
     return int(bool(missed) or trajectory.error_estimate.model > tolerance)
 
 
@@ -188,7 +189,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     scene = trajectory.scene
     grains = counted(scene.chain.grains, "grain")
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
-    # Eq. (1) is solved without a model error
+    # Eq. (1) has no model error.
     shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
     fixed = trajectory.provenance.get("tolerance") == GIVEN_STEP
     asked = "no tolerance: the step is given" if fixed else f"tolerance {tolerance:g}"
@@ -243,7 +244,7 @@ def sweep(arguments: argparse.Namespace) -> int:
             "sweep", "does not run under mpirun: use --workers, or --scheduler for several machines"
         )
     folder = arguments.output
-    # a queue may leave this process fewer cores than the machine has
+    # A batch queue may give this process fewer cores than the machine has.
     cores = len(os.sched_getaffinity(0))
     workers = cores if arguments.workers is None else arguments.workers
     results = sweep(

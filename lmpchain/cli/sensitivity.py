@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import InputError
 from .common import check_outputs, collect, keep
 
-# option of the command, parameter and what it is
+# Option of the command, parameter, and description.
 UNCERTAIN = {
     "diameter": ("diameters", "diameter"),
     "youngs-modulus": ("youngs_modulus", "Young's modulus"),
@@ -20,7 +20,7 @@ UNCERTAIN = {
 
 
 def sensitivity(arguments: argparse.Namespace) -> int:
-    """Rank what an answer of a saved run depends on."""
+    """Rank the parameters by their influence on an answer of a saved run."""
     from ..design import sensitivities
 
     scene, picture, numbers, _ = collect(

@@ -26,7 +26,7 @@ def _duration(text: str) -> float:
     match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
-    # 90 alone is a time in seconds, but 0:00:90 is a slip of the pen
+    # A plain 90 is a time in seconds, but 0:00:90 is a typing error.
     if not total or (hours and float(seconds) >= 60):
         raise argparse.ArgumentTypeError(
             f"must be a time above 0, as H:MM:SS or in seconds (got {shown(text)})"
@@ -34,7 +34,7 @@ def _duration(text: str) -> float:
     return total
 
 
-# names and options, as `add_argument` of argparse takes them
+# Names and options, as `add_argument` of argparse accepts them.
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
@@ -53,7 +53,7 @@ def _argument(*names: str, **options: Any) -> Argument:
     return names, options
 
 
-# arguments that several verbs share
+# Arguments that several commands share.
 SCENE = _argument("scene", metavar="SCENE.toml", help="scene file")
 TOLERANCE = _argument(
     "--tolerance",
@@ -92,7 +92,7 @@ DUMP_UNITS = _argument(
     help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
     "what the dump says, or si)",
 )
-# a saved run, or a dump with its scene
+# A saved run, or a dump with its scene.
 RUN = (
     _argument(
         "run",
@@ -110,7 +110,7 @@ RUN = (
 VERBS = {
     "new": Verb(
         new,
-        "begin here: write a commented scene, which the commands below take",
+        "write a commented example scene, which the other commands read",
         "new striker.toml --example striker",
         (
             _argument("scene", metavar="SCENE.toml", help="file to write"),
@@ -234,7 +234,7 @@ VERBS = {
     ),
     "averages": Verb(
         averages,
-        "time averages with intervals, for chains whose motion no run predicts",
+        "compute time averages with confidence intervals, for chaotic chains",
         "averages box.toml --of temperature,force:10 --time 10 -o averages.png",
         (
             SCENE,
@@ -304,7 +304,7 @@ VERBS = {
     ),
     "sensitivity": Verb(
         sensitivity,
-        "what an answer of a saved run depends on, grain by grain",
+        "rank the influence of each grain on an answer of a saved run",
         "sensitivity run.nc --of peak_force:10 --diameter 0.01 -o sensitivity.png",
         (
             _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
@@ -315,7 +315,7 @@ VERBS = {
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
                 "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
             ),
-            # one option for each parameter that may be uncertain
+            # Each parameter that may be uncertain has an option.
             *(
                 _argument(
                     f"--{name}",
@@ -368,7 +368,7 @@ VERBS = {
     ),
     "dyson": Verb(
         dyson,
-        "weighted velocities of Eq. (22), beside the mean over random chains",
+        "compute the weighted velocities of Eq. (22), and their mean over random chains",
         "dyson run.nc --m 1,5,20 -o dyson.png",
         (
             *RUN,
@@ -427,7 +427,7 @@ VERBS = {
     ),
     "check": Verb(
         check,
-        "how wrong is my own run or deck: its true error, why, and what helps",
+        "measure the true error of a run or deck, its causes and its cures",
         "check column.lammpstrj --scene scene.toml --tolerance 1e-3",
         (
             _argument(
@@ -567,4 +567,13 @@ VERBS = {
         ),
     ),
     "docs": Verb(docs, "open the pages of the documentation", "docs", ()),
+}
+
+# Groups of commands in the help.
+GROUPS = {
+    "begin": ("new", "docs", "doctor"),
+    "solve scenes": ("run", "resume", "sweep", "averages", "orbit"),
+    "choose an engine": ("plan", "compare", "workprec", "stability"),
+    "evaluate a run": ("check", "fit", "sensitivity", "dyson", "report", "explore", "export"),
+    "write LAMMPS input": ("deck",),
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import cache
 from importlib import import_module
@@ -112,6 +113,11 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
         cure = f"use {_those_that(lambda engine: engine.moves_grains)}"
         reasons = [*reasons, ("quantities", f"{why}; {cure}")]
     return reasons
+
+
+def brief(engine: str, refusal: str) -> str:
+    """Return the first reason of a refusal, without the name of the engine and the remedy."""
+    return re.split("; |: ", refusal.removeprefix(f"{engine} "))[0]
 
 
 def _those_that(do: Callable[[Engine], bool]) -> str:

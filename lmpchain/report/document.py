@@ -37,7 +37,7 @@ PANELS: dict[str, Callable[[Trajectory], Panel]] = {
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page: a picture, or a table, or a text, or why there is none."""
+    """A part of the page: a picture, a table, a text, or the reason why it is missing."""
 
     title: str
     panel: Panel | None = None
@@ -84,11 +84,11 @@ def page(
     -------
     str
     """
-    # the wave and the fits take time, too
+    # The wave and the fits are steps of the progress bar, too.
     steps = len(PANELS) + 2
     with ProgressBar(steps, "report", " parts", shown=progress) as bar:
         bar.describe("The wave in space and time")
-        # for readers without JavaScript, and on paper
+        # This picture is for readers without JavaScript, and for printing.
         still = panels.wave(trajectory)
         linear = linear_theory(live.crop(trajectory))
         numbers = live.figure_numbers([_view(trajectory, linear)])
@@ -115,11 +115,11 @@ def page(
 
 
 def _view(trajectory: Trajectory, linear: Trajectory | None) -> live.View:
-    """Return what the live figure shows of the run."""
+    """Return the data of the live figure of a run."""
     try:
         front = front_below(trajectory)
     except InputError:
-        # the panel about the front says why
+        # The panel about the front gives the reason.
         front = None
     between = live.extent(live.crop(trajectory))
     shown = live.view(trajectory, between, linear=linear, front=front)
@@ -137,7 +137,7 @@ def title(trajectory: Trajectory) -> str:
 
 
 def _citation(trajectory: Trajectory) -> str:
-    """Return the entry of a bibliography for the version that solved the run."""
+    """Return a bibliography entry for the version of lmpchain that computed the run."""
     release = trajectory.provenance.get("lmpchain", version("lmpchain"))
     lines = [
         "@software{lmpchain,",
@@ -152,14 +152,14 @@ def _citation(trajectory: Trajectory) -> str:
 
 
 def _of_load(chain: Chain) -> str:
-    """Return which grain the top load acts on, unless it is the first."""
+    """Return a text with the grain of the top load, empty for the first grain."""
     return f" on grain {chain.load_grain}" if chain.top_load and chain.load_grain > 1 else ""
 
 
 def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
     for name, draw in PANELS.items():
         bar.describe(name)
-        # a fault leaves a picture out, never the page
+        # A fault removes one picture, never the whole page.
         try:
             yield Section(name, draw(trajectory))
         except LmpchainError as error:
@@ -210,7 +210,7 @@ def _facts(trajectory: Trajectory) -> Iterator[tuple[str, str]]:
     yield "recorded", f"{counted(trajectory.grains.size, 'grain')} at {samples}"
     yield "largest velocity", f"{np.abs(trajectory.velocity).max():.6g} m/s"
     yield "largest displacement", f"{np.abs(trajectory.displacement).max():.6g} m"
-    # the fields of the cost name their unit
+    # The fields of the cost name their unit.
     for key, value in cost._asdict().items():
         name = f"{key.removesuffix('_s')} (s)" if key.endswith("_s") else key
         yield name.replace("_", " "), f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""A page with a slider a key, which goes through runs made beforehand."""
+"""A page with a slider for each key, which goes through precomputed runs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class PageLimits(NamedTuple):
 
 
 PAGE = PageLimits()
-# steps to the largest value where there are many runs: a screen has fewer, and they pack well
+# Resolution of the values if there are many runs; a screen shows no more, and they compress well.
 LEVELS = 2047
 
 
@@ -146,7 +146,7 @@ def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
         faults += error.faults
     if faults:
         raise InputError(faults)
-    # a single run is a grid of one, along a key that it has anyway
+    # A single run is a grid of one, along a key that every scene has.
     table = {"scene": source.get("scene"), "grid": values or {"recording.samples": [PAGE.samples]}}
     options = {key: source[key] for key in ("engine", "tolerance") if key in source}
     try:
@@ -156,10 +156,10 @@ def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
             (key.removeprefix("grid."), message) for key, message in error.faults
         ) from None
     with warnings_aside():
-        # their remarks are those of runs, which stand on the page
+        # The remarks of the runs stand on the page.
         list(plan.trials())
     kind = plan.tables.get("excitation", {}).get("kind", "")
-    # a scene knows the values that its tables leave out
+    # The scene supplies the values that its tables leave out.
     scene = source["scene"] if isinstance(source.get("scene"), Scene) else plan.tables
     return plan, [_axis(key, sweep, scene, kind) for key, sweep in values.items()]
 
@@ -187,7 +187,7 @@ def _check_values(sweep: Any) -> list[float]:
     """Return the values of a slider; raises `InputError`."""
     numbers = isinstance(sweep, Sequence | np.ndarray) and not isinstance(sweep, str | bytes)
     values = [plain(value) for value in sweep] if numbers else []
-    # True is a number of Python, and none of a slider
+    # True is a number in Python, but not a value of a slider.
     numbers = all(type(x) in (int, float) and math.isfinite(x) for x in values)
     if not values or not numbers or any(a >= b for a, b in pairwise(values)):
         raise InputError.at("", f"must be a list of numbers, ascending (got {shown(sweep)})")
@@ -195,14 +195,14 @@ def _check_values(sweep: Any) -> list[float]:
 
 
 def _axis(key: str, values: list[float], scene: Any, kind: str) -> Slider:
-    """Return the slider of a key; evenly spaced ratios are those of a logarithmic one."""
+    """Return the slider of a key; values with constant ratios give a logarithmic slider."""
     name = key.rpartition(".")[2]
     unit = unit_of_key(name, kind)
     log = values[0] > 0 and len(values) > 2
     if log:
         ratios = np.diff(np.log(values))
         log = bool(np.ptp(ratios) < 1e-6 * ratios.max()) or values[-1] > 100 * values[0]
-    # where the scene itself is, or in the middle
+    # A slider starts at the value of the scene, or in the middle.
     own: Any = scene
     for word in key.split("."):
         own = own.get(word) if isinstance(own, Mapping) else getattr(own, word, None)
@@ -225,7 +225,7 @@ def _make_grid(plan: Sweep) -> _Grid:
     with warnings_aside():
         scenes = [plan.scene(plan.place(number)) for number in range(plan.count)]
     turn = max(scene.total_phase for scene in scenes)
-    # such that samples show the front, as far as they may
+    # The samples are close enough to resolve the front, up to the limit of the page.
     samples = min(max(*(s.samples for s in scenes), math.ceil(turn) + 1), PAGE.samples)
     with warnings_aside():
         scenes = [scene.ungathered.replace(samples=samples, grains="all") for scene in scenes]
@@ -234,7 +234,7 @@ def _make_grid(plan: Sweep) -> _Grid:
 
 
 def _find_extent(plan: Sweep, scenes: Sequence[Scene]) -> tuple[int, int]:
-    """Return the first and the last grain to show: of all runs the same, so that they compare.
+    """Return the first and last grain to show, equal for all runs so that they can be compared.
 
     They are those that move in the runs at the ends of the sliders.
     """
@@ -250,16 +250,16 @@ def _find_extent(plan: Sweep, scenes: Sequence[Scene]) -> tuple[int, int]:
 
 
 def _run_scenes(plan: Sweep, scenes: Sequence[Scene]) -> Iterator[Trajectory | str]:
-    """Yield the runs of scenes, or why there is none."""
+    """Yield the run of each scene, or the reason why it failed."""
     with warnings_aside():
-        # a tolerance that is missed is said beside the run
+        # The page names a missed tolerance beside the run.
         try:
             yield from simulate_many(scenes, plan.tolerance, plan.engine, on_miss="warn")
             return
         except InputError:
             raise
         except LmpchainError:
-            # one of them: the others are solved one by one
+            # One scene failed, so that the others are solved one by one.
             pass
     for scene in scenes:
         try:
@@ -270,7 +270,7 @@ def _run_scenes(plan: Sweep, scenes: Sequence[Scene]) -> Iterator[Trajectory | s
 
 
 def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
-    """Return what the page shows of a run."""
+    """Return the data of one run on the page."""
     linear = linear_theory(run)
     front = None
     try:
@@ -284,7 +284,7 @@ def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
 
 
 def _fit(views: list[View | str], axes: list[Slider], plan: Sweep, grid: _Grid) -> str:
-    """Return the page with as many times and grains as it has room for."""
+    """Return the page with as many times and grains of each run as its size allows."""
     for times, grains in PAGE.views:
         thin = [view if isinstance(view, str) else view.thinned(times, grains) for view in views]
         page = _render(live.figure_numbers(thin, axes, LEVELS), thin, axes, plan, grid)
@@ -321,7 +321,7 @@ def _render(
 
 
 def _caption(view: View, runs: int, plan: Sweep) -> str:
-    """Return what the figure shows and what was left out of it."""
+    """Return the caption of the figure, with the omitted grains and times."""
     made = (
         f"The sliders go through {runs} runs made beforehand; a value between them shows the "
         "nearest run."

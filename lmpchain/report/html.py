@@ -28,6 +28,6 @@ def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
     str
     """
     script = render("live.js")
-    # the policy of the page names the script by its hash, so that no other runs
+    # The policy of the page names the script by its hash, so that no other script runs.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return render(template, live=numbers, script=Markup(script), digest=digest, **values)

@@ -1,4 +1,4 @@
-"""The live figure: what it shows of one run or of a grid of them, in 16 bits a number."""
+"""Data of the live figure of one run, or of a grid of runs, as 16-bit integers."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ NAN_STEPS = np.iinfo(np.int16).min  # in place of NaN, which integers lack
 
 @dataclass(frozen=True)
 class View:
-    """What the live figure shows of a run, at T times and G grains.
+    """Data of one run in the live figure, at T times and G grains.
 
     Attributes
     ----------
@@ -86,13 +86,13 @@ class View:
     facts: Mapping[str, str] = field(default_factory=dict)
 
     def thinned(self, times: int, grains: int) -> View:
-        """Return so many times and grains at most, evenly spaced.
+        """Return a view with at most this number of times and grains, evenly spaced.
 
         Of every few grains, the velocity is that of the one that moves most.
         """
         rows = np.unique(np.linspace(0, self.time.size - 1, times).round().astype(int))
         first, loudest = loudest_rows(self.velocity[rows].T, grains)
-        # the overlap between two grains that stay is that of all contacts between
+        # The overlap between two remaining grains is the sum over all contacts between them.
         height = np.concatenate(([0.0], np.cumsum(self.rest)))
         return replace(
             self,
@@ -114,7 +114,7 @@ def _pick(values: Array | None, indices: np.ndarray) -> Array | None:
 
 
 def crop(trajectory: Trajectory) -> Trajectory:
-    """Return the grains that ever leave rest and a few beside them; pictures show no others."""
+    """Return the grains that ever leave rest, and a few neighbours."""
     u = np.asarray(trajectory.displacement)
     v = np.asarray(trajectory.velocity)
     grains = trajectory.grains
@@ -125,7 +125,7 @@ def crop(trajectory: Trajectory) -> Trajectory:
     last = moving.max() + VIEW.margin
     columns = as_slice(np.flatnonzero((grains >= first) & (grains <= last)))
     grains = grains[columns]
-    # the scene says which grains were recorded, and must agree with the columns
+    # The scene lists the recorded grains, and must agree with the columns.
     scene = trajectory.scene.replace(grains=grains.tolist())
     return replace(
         trajectory, scene=scene, grains=grains, displacement=u[:, columns], velocity=v[:, columns]
@@ -133,7 +133,7 @@ def crop(trajectory: Trajectory) -> Trajectory:
 
 
 def extent(trajectory: Trajectory) -> tuple[int, int]:
-    """Return the first and the last grain to show: those that move, and a few beside them."""
+    """Return the first and last grain to show: the moving grains, and a few neighbours."""
     largest = np.abs(trajectory.velocity).max(0)
     first = int(trajectory.grains.min())
     last = int(trajectory.grains.max())
@@ -151,7 +151,7 @@ def view(
     front: Front | None = None,
     facts: Mapping[str, str] | None = None,
 ) -> View:
-    """Return what the live figure shows of a run between two grains.
+    """Return the data of the live figure for the grains between two grains.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def view(
     """
     columns = _columns(trajectory, between)
     grains = trajectory.grains[columns]
-    # NaN has no place among integers
+    # JSON integers cannot represent NaN.
     velocity: Array = np.nan_to_num(np.asarray(trajectory.velocity)[:, columns])
     overlap = np.concatenate(([0.0], np.cumsum(trajectory.scene.chain.equilibrium_overlap)))
     kinetic, total = _energies(trajectory)
@@ -221,7 +221,7 @@ def _law(trajectory: Trajectory, grains: np.ndarray) -> Array | None:
 
 
 class Slider(NamedTuple):
-    """A slider: its key and unit, its values, log-spaced or not, and where it begins."""
+    """A slider: its key and unit, its values, their scale, and its initial position."""
 
     key: str
     unit: str
@@ -302,7 +302,7 @@ class _ViewStore:
         largest = largest or float(np.nanmax(np.abs(values), initial=0.0)) or 1.0
         unit = largest / self.levels
         steps = np.where(np.isnan(values), NAN_STEPS, np.round(np.nan_to_num(values) / unit))
-        # differences of neighbouring times are small, and pack well; they wrap round, as int16 does
+        # Differences between neighbouring times are small and compress well; they wrap like int16.
         whole = steps.astype(np.int64)
         changes = np.diff(whole, axis=0, prepend=0).astype("<i8").astype("<u2").ravel()
         digest = hashlib.sha256(changes.tobytes()).digest()
@@ -313,7 +313,7 @@ class _ViewStore:
         return [self._places[digest], unit]
 
     def packed(self) -> str:
-        """Return all arrays, low bytes first, then high ones, deflated, in letters."""
+        """Return all arrays as text: low bytes first, then high bytes, compressed."""
         joined = np.concatenate(self._arrays) if self._arrays else np.zeros(0, "<u2")
         planes = joined.astype("<u2").view(np.uint8).reshape(-1, 2).T
         return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")

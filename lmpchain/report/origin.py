@@ -1,4 +1,4 @@
-"""Date and command of a saved run, where the files name them."""
+"""Date and command of a saved run, from its files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ NOT_RECORDED = {"date": "not recorded", "command": "not recorded"}
 
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
-    """Return date and command of a saved run; the date of the file where it does not say."""
+    """Return date and command of a saved run; the date of the file if none is stored."""
     answer = dict(NOT_RECORDED)
     if path is None:
         return answer
@@ -22,7 +22,7 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
     with suppress(OSError, ValueError):
         written = datetime.fromtimestamp(path.stat().st_mtime, UTC)
         answer["date"] = f"{_in_minutes(written)} (file)"
-    # whatever else the file may hold
+    # The file may have any content.
     with suppress(OSError, ValueError, LookupError, TypeError, RecursionError):
         date, command = _of_folder(path) if path.is_dir() else _of_file(path)
         answer = {"date": _in_minutes(datetime.fromisoformat(date)), "command": command}
@@ -30,7 +30,7 @@ def origin(path: str | PathLike[str] | None) -> dict[str, str]:
 
 
 def _of_folder(path: Path) -> tuple[str, str]:
-    # bytes: more sessions than any run has
+    # The limit in bytes exceeds the length of any such file.
     check_readable(path / "run.json", 2**24)
     first = json.loads((path / "run.json").read_bytes())["sessions"][0]
     return str(first["began"]), str(first["command"])

@@ -20,7 +20,7 @@ from .verdicts import departure, front_below, linear_theory
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# parts of the duration at which waveforms are drawn, and their colours
+# Fractions of the duration at which waveforms are drawn, and their colours.
 MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}
 WIDTH = 4.7  # inches: letters are readable on a phone, and two pictures fit side by side
 
@@ -42,7 +42,7 @@ PANEL_LIMITS = PictureLimits()
 
 @dataclass(frozen=True)
 class Panel:
-    """A picture, its text, and whether it is a map, whose colours stay in the dark."""
+    """A picture, its text, and whether it is a map, whose colours do not change in the dark."""
 
     caption: str
     alt: str
@@ -54,7 +54,7 @@ def _panel(ax: Axes, caption: str, alt: str = "", map: bool = False) -> Panel:
     import matplotlib
 
     buffer = BytesIO()
-    # equal runs give equal pages, byte by byte
+    # A fixed salt makes equal runs give equal pages, byte by byte.
     with matplotlib.rc_context({"svg.hashsalt": "lmpchain"}):
         metadata = {"Date": None, "Creator": None}
         ax.figure.figure.savefig(buffer, format="svg", transparent=True, metadata=metadata, dpi=200)
@@ -77,13 +77,13 @@ def wave(run: Trajectory) -> Panel:
 
 
 def waveforms(run: Trajectory) -> Panel:
-    """Draw velocity over grains at some times, with linear theory where there is one."""
+    """Draw velocity over grain number at several times, with linear theory if it applies."""
     from ..util.ticks import UnitFormatter
 
     run = crop(run)
     picture = figure(WIDTH, 4.4)
     rows = picture.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-    # the motion above, its difference from linear theory below
+    # The upper axes show the motion, the lower axes its difference from linear theory.
     above, below = (axes_in_units(ax, "", "") for ax in rows)
     linear = linear_theory(run)
     largest = np.abs(run.velocity).max() or 1.0
@@ -116,7 +116,7 @@ def waveforms(run: Trajectory) -> Panel:
     peak = f"grain {run.grains[end.argmax()]}, {si(end.max(), 'm/s', 1)}"
     caption = f"At the end the motion is largest at {peak}. "
     if linear is None:
-        # no axes without a curve
+        # Axes without a curve are removed.
         below.remove()
         above.tick_params(labelbottom=True)
         above.set_xlabel("grain, from the top")
@@ -130,7 +130,7 @@ def waveforms(run: Trajectory) -> Panel:
 
 
 def arrival(run: Trajectory) -> Panel:
-    """Draw height and arrival of the front against depth, each with its law where there is one."""
+    """Draw peak velocity and arrival time of the front against depth, with their power laws."""
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
     from ..util.ticks import UnitFormatter
@@ -144,13 +144,13 @@ def arrival(run: Trajectory) -> Panel:
     height.plot(depth, values, ".", ms=4, label="this run")
     power, name = _decay(run)
     if power is not None:
-        # through the deepest point: the law holds far from the strike
+        # The curve passes through the deepest point, because the law holds far from the strike.
         law = values[-1] * (depth / depth[-1]) ** -power
         label = f"{name}: power -{power:.3g}" if power else f"{name}: constant"
         height.plot(depth, law, "--", lw=1, label=label)
     height.set(xscale="log", yscale="log")
     height.set(xlabel="depth h = n − 1/2 (grains)", ylabel="peak velocity")
-    # depths are numbers of grains, "0.5" and not "500 m"
+    # Depths are numbers of grains, and are labelled "0.5" and not "500 m".
     for axis, form in (
         (height.xaxis, StrMethodFormatter("{x:g}")),
         (height.yaxis, UnitFormatter("m/s")),
@@ -174,13 +174,13 @@ def arrival(run: Trajectory) -> Panel:
 
 
 def _decay(run: Trajectory) -> tuple[float | None, str]:
-    """Return the power with which the peak velocity falls with depth, and the kind of wave."""
+    """Return the exponent with which the peak velocity falls with depth, and the kind of wave."""
     chain = run.scene.chain
     excitation = run.scene.excitation
     single = chain.grains == 1 or not is_uniform(chain)
     if single or not run.scene.strike_velocity or chain.law.power is None:
         return None, ""
-    # without compression a strike breaks up into waves that keep their heights
+    # A strike on an uncompressed chain splits into solitary waves of constant height.
     if not chain.compressed:
         return 0.0, "solitary wave of the sonic vacuum"
     if chain.loose_grains:
@@ -200,7 +200,7 @@ def spectra(run: Trajectory) -> Panel:
     ax.locator_params(axis="x", nbins=4)
     first, last = extent(run)
     ax.set_ylim(last + 0.5, first - 0.5)
-    # a grain that stays displaced has all of its motion at 0 Hz, which is no tone
+    # A lasting displacement appears at 0 Hz, which is ignored because it is no oscillation.
     heard = np.where(result.frequency[:, None] > 0, result.amplitude, 0.0)
     row = np.unravel_index(heard.argmax(), heard.shape)[0]
     strongest = si(result.frequency[row], "Hz", 1)
@@ -226,7 +226,7 @@ def forces(run: Trajectory) -> Panel:
     history = contact.contacts(run)
     ax = history.plot(_axes(), above_rest=True)
     first, last = extent(run)
-    # many contacts are drawn as a map over depth, a few as lines
+    # Many contacts are drawn as a map over depth, few as lines.
     many = len(history.contact) > contact.LINES
     if many:
         ax.set_ylim(last + 0.5, first - 0.5)
@@ -241,7 +241,7 @@ def forces(run: Trajectory) -> Panel:
 
 
 def _name(run: Trajectory, contact: int) -> str:
-    """Return the name of a contact; those of the ends are walls."""
+    """Return the name of a contact; the first and last one may touch a wall."""
     if contact == 0:
         return "the contact with the top wall"
     return f"contact {contact}" if contact < run.scene.chain.grains else "the bottom wall"

@@ -1,4 +1,4 @@
-"""What pages say of a run in a sentence: strike, linear theory, front, contacts, error."""
+"""Sentences of a page about a run: strike, linear theory, front, contacts, error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..util.remarks import warnings_aside
 
 
 class FrontLimits(NamedTuple):
-    """Limits of what is called a front.
+    """Limits for the detection of a front.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class FrontLimits(NamedTuple):
 
 
 FRONT_LIMITS = FrontLimits()
-# units of keys by their last word; an amplitude is a force only where a force acts
+# Units of keys by their last word; an amplitude is a force only where a force acts.
 UNITS_OF_KEYS = {
     "velocity": "m/s",
     "displacement": "m",
@@ -59,11 +59,11 @@ def unit_of_key(name: str, kind: str) -> str:
 
 
 def linear_theory(run: Trajectory) -> Trajectory | None:
-    """Return the same scene by linear theory, None where it does not apply."""
+    """Solve the scene of a run by linear theory; return None if linear theory does not apply."""
     return _linear_run(run.scene)
 
 
-# the parts of a page ask for it one after the other
+# Several parts of the page need this run, so the last one is stored.
 @lru_cache(maxsize=1)
 def _linear_run(scene: Scene) -> Trajectory | None:
     linear = [engine for engine in map(engines.plain, engines.names()) if engine.equation == 3]
@@ -72,12 +72,12 @@ def _linear_run(scene: Scene) -> Trajectory | None:
         return None
     cheapest = min(able, key=lambda engine: engine.propose(engine.part(scene), 0.5).cost_s)
     with warnings_aside():
-        # the difference is shown
+        # The page shows the difference, so warnings are suppressed.
         return simulate(scene, cheapest)
 
 
 def departure(run: Trajectory, linear: Trajectory) -> float:
-    """Return the largest error of linear theory, over the largest velocity."""
+    """Return the largest error of linear theory, relative to the largest velocity."""
     largest = np.abs(run.velocity).max(initial=0.0) or 1.0
     return float(np.abs(run.velocity - linear.velocity).max(initial=0.0) / largest)
 
@@ -106,10 +106,10 @@ def front_below(run: Trajectory) -> front.Front:
     if track.grain.size < fewest:
         raise missing
     step = scene.sampling_interval
-    # times nearer to one another than the samples show tell nothing of their order
+    # Arrival times closer than the sampling error do not show their order.
     shown = track.time_error < step
     resolved = np.diff(track.time[shown])
-    # what does not pass one grain after the other is no front, but a mode that swings
+    # A mode that oscillates has maxima in no order; a front passes the grains one by one.
     if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT_LIMITS.onward:
         return track.where(shown)
     needed = 1 + int(np.ceil(scene.total_phase / front.RESOLVED_TURN))
@@ -133,7 +133,7 @@ def short_power(number: float) -> str:
 
 
 def strike_verdict(run: Trajectory, linear: Trajectory | None) -> str:
-    """Return the strike number, and what it means for this run."""
+    """Return a sentence with the strike number and its meaning for this run."""
     number = run.scene.strike_number
     if not np.isfinite(number):
         return "Sonic vacuum: no contact is compressed at rest, and no linear theory applies."
@@ -143,12 +143,12 @@ def strike_verdict(run: Trajectory, linear: Trajectory | None) -> str:
 
 
 def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
-    """Return the error of linear theory in words."""
+    """Return a sentence with the error of linear theory."""
     error = departure(run, linear)
     if error < 1e-5:
         return "linear theory holds to better than 0.001 % of the largest velocity"
     kind = "holds to" if error < 0.05 else "is off by"
-    # 140 %, not 1.4e+02 %
+    # The format gives 140 %, not 1.4e+02 %.
     percent = float(f"{100 * error:.2g}")
     return f"linear theory {kind} {percent:g} % of the largest velocity"
 
@@ -187,14 +187,14 @@ def facts(
 
 
 def _front_verdict(passed: front.Front) -> str:
-    """Return how far and how fast a front goes, from its last grains."""
+    """Return a phrase with the last grain that a front reaches, and its speed there."""
     last = min(10, passed.grain.size)
     slope = np.polyfit(passed.depth[-last:], passed.time[-last:], 1)[0]
     return f"reaches grain {passed.grain[-1]}, at {1 / slope:.3g} m/s"
 
 
 def _contacts_verdict(run: Trajectory) -> str:
-    """Return how many of the contacts between recorded grains are open at some time."""
+    """Return a phrase with the number of contacts between recorded grains that ever open."""
     order = np.argsort(run.grains)
     grains = run.grains[order]
     neighbours = np.flatnonzero(np.diff(grains) == 1)

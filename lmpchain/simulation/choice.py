@@ -21,6 +21,7 @@ from ..util.provenance import versions
 from ..util.suggestions import not_among
 
 AUTO = "auto"
+REFUSED = "cannot do it: "  # begins the verdict on an engine that refuses a scene
 GIVEN_STEP = "none, for a step was given"  # recorded in place of the tolerance
 # Names of theories by equation.
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
@@ -145,7 +146,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
     """Return the proposals of engines that are asked only if no other one can do the scene."""
     if any(proposal.possible for proposal in others):
-        why = "only if asked for by name, or if no other engine can do the scene"
+        why = "only if asked for by name, or if no other engine can"
         return [Proposal(name, why=why) for name in engines.automatic("last")]
     return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
 
@@ -167,7 +168,7 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     name = engine.name
     equation = engine.equation
     if reasons := engines.obstacles(engine, scene):
-        why = "cannot do it: " + "; ".join(dict.fromkeys(reason for _, reason in reasons))
+        why = REFUSED + "; ".join(dict.fromkeys(reason for _, reason in reasons))
         return Proposal(name, equation, why=why)
     try:
         proposal = engine.propose(engine.part(scene), tolerance)
@@ -188,7 +189,7 @@ def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     if proposal.solver_error > tolerance:
         why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"
     elif math.isnan(proposal.model_error):
-        why = f"the error of {theory} here is not known before the run"
+        why = f"the error of {theory} is not known before the run"
     else:
         error = percent(proposal.model_error)
         why = f"strike number {scene.strike_number:.2g}: {theory} leaves out up to {error}"

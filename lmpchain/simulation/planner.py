@@ -18,7 +18,7 @@ from ..util.notebook import Shown
 from ..util.plotting import LEAST_ERROR, axes_in_units, legend
 from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
-from .choice import ask, cheapest, propose, reason
+from .choice import REFUSED, ask, cheapest, propose, reason
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -221,10 +221,14 @@ def _label(proposal: Proposal) -> str:
 
 
 def _verdict(proposal: Proposal) -> str:
-    """Return the verdict on a proposal as text."""
+    """Return the verdict on a proposal as text; one short line if it is dropped."""
+    if proposal.why.startswith(REFUSED):
+        return engines.brief(proposal.engine, proposal.why.removeprefix(REFUSED))
+    if not proposal.kept:
+        return f"dropped: {proposal.why.partition('; ')[0]}"
     diameter = proposal.choices.get("diameter")
     drawn = f"; {diameter} diameter: {proposal.choices['why']}" if diameter else ""
-    return f"{'kept' if proposal.kept else 'dropped'}: {proposal.why}{drawn}"
+    return f"kept: {proposal.why}{drawn}"
 
 
 def _cells(proposal: Proposal) -> Iterator[str]:

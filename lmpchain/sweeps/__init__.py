@@ -1,1 +1,1 @@
-"""Many scenes in one go."""
+"""Sweeps over many scenes."""

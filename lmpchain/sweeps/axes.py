@@ -95,7 +95,7 @@ def _numeric(values: Sequence[Any]) -> bool:
 
 
 def _coordinate(values: Sequence[Any]) -> Array | list[str]:
-    """Return numbers as an array, lists of them as rows filled up with NaN, all else as words."""
+    """Return numbers as an array, lists of numbers as rows padded with NaN, all else as text."""
     if not _numeric(values):
         return [
             value if isinstance(value, str) else json.dumps(value, default=str) for value in values
@@ -106,7 +106,7 @@ def _coordinate(values: Sequence[Any]) -> Array | list[str]:
 
 
 def make_axes(tables: Mapping[str, Any]) -> list[Axis]:
-    """Return the axes that the tables of a sweep file describe; values are not checked yet.
+    """Return the axes that the tables of a sweep file describe; their values are not checked yet.
 
     Raises
     ------
@@ -154,7 +154,7 @@ def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fa
 
 
 def _overlap_faults(keys: Sequence[str]) -> Iterator[Fault]:
-    """Yield the keys that are swept twice, or that hold one another."""
+    """Yield a fault for each key that is swept twice, or that contains another one."""
     for first, second in itertools.combinations(keys, 2):
         if first == second:
             yield second, "is swept twice"
@@ -181,7 +181,7 @@ def _list(table: dict[str, Any]) -> list[Axis]:
 
 
 def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
-    """Return the lists of values of a table by key, in numbers of Python."""
+    """Return the lists of values of a table by key, as Python numbers."""
     lists = {
         key: list(value) if isinstance(value, tuple | np.ndarray) else value
         for key, value in _leaves(table)
@@ -210,7 +210,7 @@ def _random(table: dict[str, Any]) -> list[Axis]:
     ranges = {key: law for key, law in laws.items() if key not in by_grain}
     columns = {}
     if ranges:
-        # a Latin hypercube: each range is divided evenly, and each part drawn once
+        # Latin hypercube: each range is divided into equal parts, and each part is sampled once.
         rng = np.random.default_rng(options.seed)
         shares = qmc.LatinHypercube(len(ranges), seed=rng).random(options.draws)
         columns = {
@@ -234,7 +234,7 @@ def _only(table: dict[str, Any], key: str) -> dict[str, Any]:
 
 
 def _number(axis: Axis) -> Axis:
-    """Return the axis of disorder with contacts that are drawn anew for each realisation."""
+    """Return the axis of disorder, with contacts drawn anew for each realisation."""
     return replace(axis, columns={INDEX: range(len(axis))})
 
 

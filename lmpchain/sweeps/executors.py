@@ -1,4 +1,4 @@
-"""Executors that answer the scenes of a sweep on this machine."""
+"""Executors that solve the scenes of a sweep on this machine."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SPAWN = get_context("spawn")  # a forked process would share LAMMPS, MPI and thr
 
 
 class Here(Executor):
-    """Does everything in this process, at once."""
+    """Executor that calls everything in this process, at once."""
 
     def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
         """Call the function and return a future that is done; Ctrl-C is not caught."""
@@ -42,7 +42,7 @@ class Here(Executor):
 
 
 class Processes(Executor):
-    """Processes, each in a pool of its own: one that dies loses no task but its own.
+    """Executor with one pool per process, so that a process that dies loses only its own task.
 
     That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The
     processes end when this one does, even if it is killed.
@@ -52,9 +52,9 @@ class Processes(Executor):
         self._local = threading.local()
         self._pools: list[ProcessPoolExecutor] = []
         self._child_end, self._parent_end = SPAWN.Pipe(duplex=False)
-        # its start unblocks Ctrl-C in the thread that asks for it
+        # The start of a process unblocks Ctrl-C in the thread that starts it.
         resource_tracker.ensure_running()
-        # threads that block Ctrl-C start processes that do: only the main process is to answer it
+        # Processes inherit the blocked Ctrl-C of their thread: only the main process handles it.
         block = signal.SIG_BLOCK, {signal.SIGINT}
         self._threads = ThreadPoolExecutor(
             workers, initializer=signal.pthread_sigmask, initargs=block
@@ -72,7 +72,8 @@ class Processes(Executor):
                 "workers", f"processes cannot start here ({cause}): use --workers 1"
             ) from None
         except BrokenExecutor:
-            # one that is killed, as where memory runs out, is no fault of the script
+            # A process that is killed, for example because memory runs out, is no fault of the
+            # script.
             if _fails_on_import():
                 self.shutdown()
                 raise InputError.at("workers", UNGUARDED) from None
@@ -94,18 +95,18 @@ class Processes(Executor):
         try:
             return pool.submit(function, *values, **named).result()
         except BrokenExecutor:
-            # the pool is broken for good: the next task of this thread starts another
+            # A broken pool stays broken, so the next task of this thread starts another one.
             self._local.pool = None
             self._pools.remove(pool)
             pool.shutdown()
             raise
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """End the processes: at once after an error or a stop, or else when they are done."""
+        """End the processes: at once after an error or a stop, otherwise after their tasks."""
         self.shutdown(cancel_futures=kind is not None)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes, in the middle of their tasks if futures are to be cancelled."""
+        """End the processes, and interrupt their tasks if futures are to be cancelled."""
         self._threads.shutdown(wait=False, cancel_futures=cancel_futures)
         if cancel_futures:
             self._parent_end.close()
@@ -117,7 +118,7 @@ class Processes(Executor):
 
 
 def _fails_on_import() -> bool:
-    """Say whether a process ends by itself as it imports the script of this one."""
+    """Return whether a process ends by itself when it imports the script of this process."""
     process = SPAWN.Process(target=os.getpid)
     process.start()
     process.join()
@@ -127,7 +128,7 @@ def _fails_on_import() -> bool:
 def end_if_imported() -> None:
     """End a process that is about to start others while it imports the script of its parent."""
     if getattr(current_process(), "_inheriting", False):
-        # the parent says what is wrong
+        # The parent reports the fault.
         sys.exit(IMPORT_FAILED)
 
 
@@ -136,7 +137,7 @@ def _end_with(line: Connection) -> None:
 
     def wait() -> None:
         line.poll(None)
-        # even in the middle of a run: no parent waits for it any more
+        # The process ends even during a run, because no parent waits for its result.
         os._exit(1)
 
     threading.Thread(target=wait, daemon=True).start()

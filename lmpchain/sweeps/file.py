@@ -1,4 +1,4 @@
-"""Sweep files: the scenes of a sweep, and the quantities to keep of each."""
+"""Sweep files: the scenes of a sweep, and the quantities to store for each scene."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Place = tuple[int, ...]
 
 
 class Disorder(Checked):
-    """A chain with random contacts, as for `disorder.realisation`."""
+    """A chain with random contacts, as `disorder.realisation` makes it."""
 
     m: Positive
     seed: Seed
@@ -51,22 +51,22 @@ class Disorder(Checked):
 
 @dataclass(frozen=True)
 class Sweep:
-    """Sweep: tables of its scenes, axes along which they change, quantities to keep.
+    """A sweep: the tables of its scenes, its axes, and the quantities to store.
 
     Attributes
     ----------
     tables : dict
-        The tables of the scene that all start from, which may lack what is swept, and that of the
+        The tables that all scenes share, which may lack the swept keys, and the table of the
         disorder.
     folder : Path
-        Where the CSV files lie that they name.
+        Folder of the CSV files that the tables name.
     engine : str
     tolerance : float
     keep : list of str
         Names of `quantities.QUANTITIES`.
     axes : list of Axis
     source : dict
-        The same as a sweep file with the tables of the scene in it, and the hashes of CSV files.
+        The sweep file with the tables of the scene, and the hashes of CSV files.
     """
 
     tables: dict[str, Any]
@@ -89,21 +89,21 @@ class Sweep:
 
     @cached_property
     def text(self) -> str:
-        """All options that shape the answers and their quantities, as JSON."""
-        # in order: that of the axes is in it
+        """All options that determine the results, as JSON."""
+        # Keys are not sorted, because the order of the axes matters.
         return json.dumps({"format": FORMAT, **self.source}, default=as_json)
 
     @property
     def name(self) -> str:
-        """Name of the results: a hash of all that shapes them."""
+        """Name of the results: a hash of all options that determine them."""
         return hashlib.sha256(self.text.encode()).hexdigest()[:16]
 
     def place(self, number: int) -> Place:
-        """Return the place of a scene; the last axis is the fastest."""
+        """Return the index of a scene along each axis; the last axis varies fastest."""
         return tuple(int(index) for index in np.unravel_index(number, self.shape))
 
     def key(self, number: int) -> bytes:
-        """Return a hash of all options that shape the answer to one scene and its quantities."""
+        """Return a hash of all options that determine the stored quantities of one scene."""
         position = self.place(number)
         laws = [
             (law.key, type(law.law).__name__, law.law.given(), law.seed, index)
@@ -116,7 +116,7 @@ class Sweep:
         return hashlib.sha256(text.encode()).digest()[:16]
 
     def tables_at(self, position: Place) -> dict[str, Any]:
-        """Return the tables of one scene, without the numbers that are drawn for each grain."""
+        """Return the tables of one scene, without the numbers drawn for each grain."""
         tables = self.tables
         for axis, index in zip(self.axes, position, strict=True):
             for key, values in axis.columns.items():
@@ -144,7 +144,7 @@ class Sweep:
         return count
 
     def regular_scene(self, position: Place) -> Scene:
-        """Make a scene with all but the random contacts of its chain; raises `InputError`."""
+        """Make a scene without the random contacts of its chain; raise `InputError` if invalid."""
         tables = self.tables_at(position)
         if any(axis.arrays for axis in self.axes):
             grains = self.grains(position)
@@ -173,7 +173,7 @@ class Sweep:
             raise InputError(error.under("disorder")) from None
 
     def trials(self) -> Iterator[Scene]:
-        """Yield scenes until each value has been in one; drawn values count as one.
+        """Yield scenes until each value was in one of them; drawn values count as one value.
 
         Raises
         ------
@@ -187,7 +187,7 @@ class Sweep:
         for position in itertools.product(*map(range, lengths)):
             if len(usable) == count:
                 break
-            # drawn values count as one: there is none of them that the user could correct
+            # Drawn values count as one value, because the user cannot correct a single one.
             values = {(n, 0 if self.axes[n].drawn else index) for n, index in enumerate(position)}
             if values <= usable:
                 continue
@@ -204,7 +204,7 @@ class Sweep:
             raise InputError(dict.fromkeys(fault for value in unusable for fault in faults[value]))
 
     def _trial(self, position: Place) -> Scene:
-        """Make a scene that the engine can answer; raises `InputError`."""
+        """Make a scene that the engine can solve; raise `InputError` otherwise."""
         engine = engines.get(self.engine)
         scene = with_gathered(self.scene(position), self.keep, engine.moves_grains)
         if reasons := engines.obstacles(engine, scene):
@@ -212,7 +212,7 @@ class Sweep:
         return scene
 
 
-# realisations of one chain follow one another
+# Realisations of one chain follow one another.
 @lru_cache(maxsize=4)
 def _make_scene(text: str, folder: Path) -> Scene:
     return Scene.from_dict(json.loads(text)[0], folder)
@@ -221,7 +221,7 @@ def _make_scene(text: str, folder: Path) -> Scene:
 def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -> dict[str, str]:
     """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
     sections = [table for table in tables.values() if isinstance(table, dict)]
-    # the start of a drive is a table in one
+    # The start of a drive is a nested table.
     inner = [table for section in sections for table in section.values() if isinstance(table, dict)]
     names = [table.get("file") for table in (*sections, *inner)]
     for axis in axes:
@@ -254,7 +254,7 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
 
 
 def read_text(text: str, folder: Path) -> Sweep:
-    """Return the sweep with this `Sweep.text`; its CSV files lie in `folder`."""
+    """Return the sweep with this `Sweep.text`; its CSV files are in `folder`."""
     data = json.loads(text)
     if not isinstance(data["scene"], dict):
         raise InputError.at("scene", "must be tables: a sweep that is kept names no other file")
@@ -264,7 +264,7 @@ def read_text(text: str, folder: Path) -> Sweep:
 
 
 def is_name(text: Any) -> bool:
-    """Return whether a text may be the name of results, as `Sweep.name`."""
+    """Return whether a text may be the name of results (see `Sweep.name`)."""
     return isinstance(text, str) and bool(re.fullmatch("[0-9a-f]{16}", text))
 
 
@@ -290,14 +290,14 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
             faults += error.faults
     if faults:
         raise InputError(faults)
-    # all checks ran, so that every fault is reported at once
+    # All checks run, so that every fault is reported at once.
     (tables, folder), engine, _, keep, axes = results
     folder = folder.absolute()
     tolerance = float(tolerance)
     source = {"scene": tables, "engine": engine, "tolerance": tolerance, "keep": keep, **kinds}
     source["files"] = _hash_files(tables, axes, folder) if files is None else files
     if any(key.startswith("disorder.") for axis in axes for key in axis.columns):
-        # the options of random contacts, without their number and the laws of grains
+        # These are the options of random contacts, without their number and the laws of grains.
         options = {
             key: value
             for key, value in kinds["disorder"].items()
@@ -308,7 +308,7 @@ def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
 
 
 def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:
-    """Return the tables that all scenes start from, and the folder of their CSV files."""
+    """Return the common tables of all scenes, and the folder of their CSV files."""
     if isinstance(source, Scene):
         return source.to_dict(), folder
     if isinstance(source, str):
@@ -332,7 +332,8 @@ def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:
 def _take_engine(name: Any) -> str:
     if not isinstance(name, str):
         raise InputError.at("engine", f"must be the name of an engine (got {shown(name)})")
-    # one engine for all: small scenes go together, and bits do not depend on the speed of a machine
+    # One engine for all scenes allows batches, and makes results independent of the machine's
+    # speed.
     return engines.get(engines.DEFAULT if name == "auto" else name).name
 
 
@@ -350,19 +351,19 @@ def _take_names(names: Any) -> list[str]:
 
 
 def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
-    """Return the table with a value set at a path; the name of a material becomes its constants."""
+    """Return the table with a value set at a path; material names become constants."""
     if not path:
         return value
     first = path[0]
     rest = path[1:]
-    # a single constant of a named material can be swept
+    # A single constant of a named material can be swept.
     if material := table if isinstance(table, Material) else named(table):
         table = {
             name: getattr(material, name)
             for name in ("density", "youngs_modulus", "poissons_ratio")
         }
     if isinstance(table, list):
-        # no number of thousands of digits, which Python refuses to read
+        # Python refuses to convert numbers of thousands of digits.
         if not (first.isdecimal() and len(first) < MOST_DIGITS and int(first) < len(table)):
             raise InputError.at(
                 key, f"there is no entry {short(first)}: the scene has {len(table)}, counted from 0"
@@ -376,12 +377,12 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
 
 
 def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
-    """Return the tables with a value for each grain, in a material of its own if need be."""
+    """Return the tables with one value for each grain, in materials of their own if necessary."""
     path = key.split(".")
     if path[1] != "material":
         return _set_value(tables, path, values.tolist(), key)
     try:
-        # a cell has no entry for every grain
+        # A unit cell has fewer entries than the chain has grains.
         chain = write_out(tables.get("chain") or {})
     except InputError as error:
         raise InputError(error.under("chain")) from None

@@ -1,4 +1,4 @@
-"""Labels of the results of a sweep, where scenes may differ in their samples and grains."""
+"""Labels of the results of a sweep, whose scenes may record different samples and grains."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..util.remarks import warnings_aside
 from .file import Place, Sweep
 from .store import StoredArray
 
-# keys that decide which grains and times a scene records
+# Keys that determine the grains and times that a scene records.
 SHAPING = ("chain.grains", "chain.file", "recording")
 
 
@@ -45,15 +45,15 @@ class Labels(NamedTuple):
 
 
 def make_labels(plan: Sweep) -> Labels:
-    """Return the labels of a sweep; scenes that cannot be made have none."""
-    # along other axes all scenes record the same: the first stands for them
+    """Return the labels of a sweep; invalid scenes contribute none."""
+    # Along the other axes all scenes record the same, so the first one represents them.
     lengths = [
         len(axis) if any(key == "chain" or key.startswith(SHAPING) for key in axis.columns) else 1
         for axis in plan.axes
     ]
     shapes = set()
     for position in itertools.product(*map(range, lengths)):
-        # warnings are those of the trial scenes
+        # The trial scenes already gave these warnings.
         with suppress(InputError), warnings_aside():
             shapes.add(_find_shape(plan, position))
     times = {(shape.samples, shape.duration) for shape in shapes}
@@ -76,7 +76,7 @@ def make_labels(plan: Sweep) -> Labels:
 
 
 def find_recorded(plan: Sweep, position: Place, size: int) -> np.ndarray:
-    """Return the grains that a scene with a chain of this size records, (G,)."""
+    """Return the grains that a scene records in a chain of this size, (G,)."""
     return _read_recording(json.dumps(plan.tables_at(position).get("recording")), size)[1]
 
 
@@ -98,7 +98,7 @@ def _find_shape(plan: Sweep, position: Place) -> _Shape:
 
 @lru_cache(maxsize=64)
 def _read_recording(table: str, size: int) -> tuple[Recording, np.ndarray]:
-    """Return the recording that a table asks for, and its grains in a chain of this size."""
+    """Return the recording that a table requests, and its grains in a chain of this size."""
     options = json.loads(table)
     options.pop("quantities", None)
     recording = Recording(**options)

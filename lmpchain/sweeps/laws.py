@@ -1,4 +1,4 @@
-"""Random laws of a sweep: one number for each scene, or one for each grain of it."""
+"""Random laws of a sweep: one number for each scene, or one for each of its grains."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ CONTACT_CONSTANTS = "chain.contact_constants"
 VISCOSITY = "chain.damping.viscoelastic"
 BETWEEN_GRAINS = (CONTACT_CONSTANTS, VISCOSITY)
 DAMPING = (VISCOSITY, "chain.damping.drag")
-# of the scene file, with a number for each grain or, of `BETWEEN_GRAINS`, for each contact
+# Keys of a scene file with a number for each grain, or for each contact (`BETWEEN_GRAINS`).
 GRAIN_KEYS = (
     "chain.masses",
     "chain.diameter",
@@ -47,14 +47,14 @@ class Uniform(Checked):
             yield "low", f"must be above 0 where log is true (got {self.low:g})"
 
     def at(self, share: Array) -> Array:
-        """Return the numbers below which these shares of all draws lie."""
+        """Return the quantiles of the distribution at these probabilities."""
         if self.log:
             return np.exp(math.log(self.low) + share * math.log(self.high / self.low))
         return self.low + share * (self.high - self.low)
 
 
 class Normal(Checked):
-    """Normal distribution of a value or of its logarithm; mean and deviation are of the value."""
+    """Normal distribution of a value or its logarithm; mean and deviation of the value."""
 
     mean: Real
     deviation: Positive
@@ -66,11 +66,11 @@ class Normal(Checked):
             yield "mean", f"must be above 0 where log is true (got {self.mean:g})"
 
     def at(self, share: Array) -> Array:
-        """Return the numbers below which these shares of all draws lie."""
+        """Return the quantiles of the distribution at these probabilities."""
         from scipy.special import ndtri
 
         if self.log:
-            # the normal distribution whose exponential has this mean and deviation
+            # These are the parameters of the normal distribution of the logarithm.
             variance = math.log1p((self.deviation / self.mean) ** 2)
             return self.mean * np.exp(math.sqrt(variance) * ndtri(share) - variance / 2)
         return self.mean + self.deviation * ndtri(share)
@@ -86,7 +86,7 @@ def make_law(table: Any) -> Uniform | Normal:
 
 @dataclass(frozen=True)
 class GrainLaw:
-    """A key of which every grain gets a number of its own, drawn anew for every scene.
+    """A key with a random number for each grain, drawn anew for every scene.
 
     Scene number i takes its numbers from `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i,
     k)))`, k being the first four bytes of the SHA-256 of the key, so that they depend on nothing
@@ -99,19 +99,19 @@ class GrainLaw:
 
     @property
     def of_contacts(self) -> bool:
-        """Whether the numbers are those of contacts, of which there is one fewer."""
+        """Whether each contact has a number; there is one contact fewer than grains."""
         return self.key in BETWEEN_GRAINS
 
     def values(self, index: int, grains: int) -> Array:
         """Return the numbers of a scene, one for each grain or contact."""
-        # numbers of one key depend on no other key, nor on the order of the axes
+        # Numbers of one key depend on no other key, nor on the order of the axes.
         mark = int.from_bytes(hashlib.sha256(self.key.encode()).digest()[:4], "big")
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index, mark)))
         return self.law.at(rng.random(grains - self.of_contacts))
 
 
 def bind_laws(laws: Mapping[str, Uniform | Normal], seed: int) -> tuple[GrainLaw, ...]:
-    """Return the laws of numbers for each grain; raises `InputError` for keys without such."""
+    """Return the laws of numbers for each grain; raise `InputError` for other keys."""
     cure = f"those that have are {', '.join(GRAIN_KEYS)}"
     if faults := [(key, f"has no value a grain; {cure}") for key in laws if key not in GRAIN_KEYS]:
         raise InputError(faults)

@@ -1,4 +1,4 @@
-"""Quantities that a sweep keeps of each scene: its motion, or numbers read off it, with errors."""
+"""Quantities that a sweep stores for each scene: its motion, or derived numbers with errors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..util.arrays import Array
 
 
 class SweepQuantity(NamedTuple):
-    """A quantity that is kept of a motion.
+    """A quantity that a sweep can store.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ def _energy(motion: Motion, grains: NDArray[np.intp]) -> tuple[Array, Array]:
     chain = motion.scene.chain
     bodies = columns(chain.grains, chain.movable, grains) != UNKNOWN
     grain = np.isin(energy.grain, grains)
-    # a contact counts if both of its bodies are kept, or stand still
+    # A contact counts if both of its bodies are recorded or fixed.
     contact = bodies[energy.contact] & bodies[energy.contact + 1]
     value = energy.kinetic[:, grain].sum(1) + energy.elastic[:, contact].sum(1)
     error = energy.kinetic_error[:, grain].sum(1) + energy.elastic_error[:, contact].sum(1)
@@ -75,7 +75,7 @@ def _contact_energy(motion: Motion, _: NDArray[np.intp]) -> Array:
     from ..measure.energy import shares
 
     energy = shares(motion)
-    # of the contact below each grain; that of the last one, or with a wall, may be unknown
+    # Each row is the contact below a grain; the last contact, or one with a wall, may be unknown.
     below = np.full((2, *energy.kinetic.shape), np.nan)
     _, rows, places = np.intersect1d(energy.grain, energy.contact, return_indices=True)
     below[:, :, rows] = np.stack([energy.elastic, energy.elastic_error])[:, :, places]
@@ -93,7 +93,7 @@ QUANTITIES = {
     "velocity": SweepQuantity(
         ("time", "grain"), "m s-1", "velocity, downward", lambda motion, _: (motion.velocity,), True
     ),
-    # those that a run can gather on its way have its names and units
+    # Quantities that a run can accumulate have the same names and units as there.
     "peak_displacement": SweepQuantity(
         *gathered.QUANTITIES["peak_displacement"],
         lambda motion, _: motion.peaks("displacement")[1:],
@@ -130,31 +130,31 @@ QUANTITIES = {
 
 
 UNSURE = 0.1  # of the largest of a quantity: with a larger error it says nothing
-# quantities of all times, which a run can gather on its way
+# Quantities over all times, which a run can accumulate.
 ALONG_THE_RUN = ("peak_displacement", "peak_velocity", "arrival_time", "wall_force")
 
 
 def is_extreme(name: str) -> bool:
-    """Say whether a quantity is one of all times: a largest value, or when a front passes."""
+    """Return whether a quantity is a largest value over all times, or an arrival time."""
     return name in ALONG_THE_RUN or of_contact(name)
 
 
 def of_contact(name: str) -> bool:
-    """Say whether a quantity is the largest force of a contact, as "peak_force:40"."""
+    """Return whether a quantity is the largest force of one contact, such as "peak_force:40"."""
     return name.partition(":")[0] == PEAK and contact_of(name) is not None
 
 
 def quantity(name: str) -> SweepQuantity:
-    """Return one of the quantities, or the largest force of a contact."""
+    """Return the quantity with a name, or the largest force of one contact."""
     if name in QUANTITIES:
         return QUANTITIES[name]
     dimensions, units, title = gathered.QUANTITIES[PEAK]
-    # it is gathered on the way: there is nothing to measure afterwards
+    # The run accumulates this force, so nothing remains to be measured.
     return SweepQuantity(dimensions, units, f"{title} {contact_of(name)}", lambda motion, _: ())
 
 
 def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scene:
-    """Return the scene with those quantities gathered along the run that its samples do not show.
+    """Return the scene with all quantities accumulated that its samples do not resolve.
 
     Parameters
     ----------
@@ -169,11 +169,11 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     InputError
         If there is no such contact.
     """
-    # between samples closer than this the equation of motion leaves no room for a larger value;
-    # with damping accelerations follow from samples, which must be closer
+    # For closely spaced samples the equation of motion bounds the values in between; with damping
+    # the accelerations follow from samples, which must be closer.
     resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
     swift = scene.sampling_phase > resolved
-    # not where it is closest: samples alone do not show the largest force of a viscous contact
+    # With viscous contacts the largest force need not occur at the closest approach.
     viscous = scene.chain.damping.longest_time > 0
     gathered_names = {
         _gathered_name(scene, name)
@@ -186,10 +186,10 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
 
 
 def _gathered_name(scene: Scene, name: str) -> str:
-    """Return the name under which a run gathers a quantity; empty for a wall that is not there."""
+    """Return the name under which a run accumulates a quantity; empty if there is no such wall."""
     if name != "wall_force":
         return name
-    # below the last grain that moves
+    # The last moving grain touches this wall.
     return "" if scene.chain.bottom == "free" else f"{PEAK}:{scene.chain.movable}"
 
 
@@ -199,7 +199,7 @@ def measured(
     grains: NDArray[np.intp],
     gathered_arrays: Mapping[str, Array],
 ) -> dict[str, Array]:
-    """Return the quantities of a motion that are kept, at these of its grains.
+    """Return the quantities of a motion to store, at these of its grains.
 
     Errors are under the name with _error. `gathered_arrays` are those of the run, by name.
     """
@@ -208,7 +208,7 @@ def measured(
     for name in keep:
         of_grains = "grain" in quantity(name).dimensions
         values = _read(motion, name, grains, gathered_arrays)
-        # the motion itself comes without an error
+        # The motion itself has no separate error.
         for key, array in zip((name, f"{name}_error"), values, strict=False):
             arrays[gathered.file_name(key)] = array[..., rows] if of_grains else array
     return arrays
@@ -217,24 +217,24 @@ def measured(
 def _read(
     motion: Motion, name: str, grains: NDArray[np.intp], gathered_arrays: Mapping[str, Array]
 ) -> Iterable[Array]:
-    """Return a quantity and its error: as gathered along the run, else from the samples."""
+    """Return a quantity and its error, accumulated by the run or computed from its samples."""
     along = _gathered_name(motion.scene, name)
     if along not in gathered_arrays:
         return quantity(name).measure(motion, grains)
     value = gathered_arrays[along]
     if name == "wall_force":
-        # a grain that is held presses with its own weight, too
+        # A grain that is held also presses with its own weight.
         value = value + motion.scene.chain.held_weight
     return value, gathered_arrays[f"{along}_error"]
 
 
 def is_gathered(scene: Scene, name: str) -> bool:
-    """Say whether a run of the scene gathers a quantity on its way."""
+    """Return whether the run of a scene accumulates a quantity."""
     return _gathered_name(scene, name) in scene.quantities
 
 
 def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
-    """Add to errors how far quantities of the beginning of a scene are from those of the whole.
+    """Add to each error the difference between the predictable part and the whole run.
 
     What is larger later on was not the largest of all times.
     """
@@ -245,7 +245,7 @@ def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
 
 
 def leave_out_unsure(arrays: dict[str, Array], names: Iterable[str]) -> list[str]:
-    """Make those of these quantities NaN whose error is above a tenth of them, and name them.
+    """Set quantities with a relative error above a tenth to NaN, and return their names.
 
     A tenth of the largest of all grains, for many hardly move.
     """

@@ -1,4 +1,4 @@
-"""Scenes that differ in numbers of their grains and contacts only, derived together."""
+"""Batches of scenes that differ only in numbers of their grains and contacts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Result = Scene | InputError
 
 
 def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Result]:
-    """Return so many scenes of a sweep, or why they cannot be made.
+    """Return consecutive scenes of a sweep, or the errors that prevent them.
 
     Those that are alike are made `together`, if that is asked for. Every grain is recorded that
     measuring what is kept takes; such scenes answer, but do not describe themselves in full.
@@ -36,14 +36,14 @@ def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Result]:
     length = len(plan.axes[-1]) if together and _alike(plan) else 1
     while len(results) < count:
         number = first + len(results)
-        # up to the end of the last axis: beyond, scenes differ in more
+        # A batch ends with the last axis, because scenes differ in other keys beyond it.
         end = min(number + length - number % length, first + count)
         results += _together(plan, range(number, end))
     return results
 
 
 def _alike(plan: Sweep) -> bool:
-    """Say whether scenes differ along the last axis in numbers of grains and contacts only."""
+    """Return whether scenes along the last axis differ only in numbers of grains and contacts."""
     last = plan.axes[-1]
     return (
         last.drawn
@@ -53,10 +53,10 @@ def _alike(plan: Sweep) -> bool:
 
 
 def _together(plan: Sweep, numbers: range) -> list[Result]:
-    """Return neighbours along the last axis, made with the others or alone."""
+    """Return neighbours along the last axis, derived together if possible."""
     derived: list[Scene | None] = [None] * len(numbers)
     if len(numbers) > 1:
-        # a fault of what they share is one of each of them
+        # A fault of the common tables is a fault of every scene.
         with suppress(InputError):
             derived = _derive(plan, [plan.place(number) for number in numbers]) or derived
     return [
@@ -73,7 +73,7 @@ def _alone(plan: Sweep, number: int) -> Result:
 
 
 def _wider(scene: Scene, plan: Sweep) -> Scene:
-    """Return the scene with all grains and forces recorded that measuring what is kept takes."""
+    """Return the scene with all grains and forces recorded that the quantities need."""
     keep = plan.keep
     scene = with_gathered(scene, keep, engines.get(plan.engine).moves_grains)
     if scene.grains == "all" or all(
@@ -81,7 +81,7 @@ def _wider(scene: Scene, plan: Sweep) -> Scene:
     ):
         return scene
     last = scene.chain.grains
-    # forces and energies of its contacts take the neighbours of a grain
+    # Forces and energies of contacts also need the neighbours of a grain.
     numbers = {n for grain in scene.recorded.tolist() for n in (grain - 1, grain, grain + 1)}
     numbers |= {last - 1, last} if "wall_force" in keep else set()
     grains = tuple(sorted(numbers - {0, last + 1}))
@@ -91,7 +91,7 @@ def _wider(scene: Scene, plan: Sweep) -> Scene:
 
 
 def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
-    """Return neighbouring scenes whose chains are derived at once, or None if that cannot be.
+    """Return scenes whose chains are derived in one batch, or None if this is not possible.
 
     The first stands for all that they share; raises `InputError` if it has a fault. None stands
     for each that is not sound beyond doubt.
@@ -99,25 +99,25 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     common = _wider(plan.regular_scene(places[0]), plan)
     disorder = plan.disorder(places[0])
     chain = common.chain
-    # each would be cut to the grains that its wave reaches, or have an excitation of its own
+    # Each scene would have a light cone or an excitation of its own.
     if common.light_cone is not None or common.excitation.of_chain:
         return None
     if chain.grains == 1 or (disorder and disorder.of not in OF_CONTACTS):
         return None
     values = [plan.draw_values(place, chain.grains) for place in places]
-    # nothing at rest follows from damping, which is drawn with the rest of a chain
+    # Damping is drawn with the chain, and does not change the equilibrium.
     if any(key in DAMPING for key in values[0]):
         return None
     drawn = {
         key.removeprefix("chain."): np.array([row[key] for row in values]) for key in values[0]
     }
-    # a chain of impossible numbers is made alone, which says why
+    # A chain with invalid numbers is made alone, which raises an error with the reason.
     with np.errstate(all="ignore"):
         equilibria = derive_chain(chain, drawn)
         if disorder:
             law = {key: value for key, value in disorder.given().items() if key != "index"}
             factors = drawn_constants(chain, indices=[place[-1] for place in places], **law)
-            # factors of what the contacts are with the grains that were drawn
+            # The random contacts multiply the contacts between the drawn grains.
             constants = equilibria.contacts.constant[..., 1:-1] * factors
             equilibria = derive_chain(chain, drawn | {"contact_constants": constants})
         sound = _sound(chain, equilibria, drawn)
@@ -129,20 +129,20 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
 
 
 def _sound(chain: Chain, equilibria: Equilibrium, drawn: Mapping[str, Array]) -> NDArray[np.bool_]:
-    """Say which of R chains like this `Chain` accepts beyond doubt, (R,)."""
+    """Return a mask of the R chains that `Chain` certainly accepts, (R,)."""
     sound = equilibria.computable(chain.movable)
     sound &= (equilibria.contacts.constant[:, 1:-1] > 0).all(1)
     for key, values in drawn.items():
         low, high = (-1.0, 0.5) if key == "material.poissons_ratio" else (0.0, np.inf)
         sound &= ((values > low) & (values <= high) & np.isfinite(values)).all(1)
-    # random contacts alone may be as soft as they come out
+    # Random contacts have no lower limit of their stiffness.
     if drawn:
         sound &= (equilibria.compression <= LIMITS.compression).all(1)
     return sound
 
 
 def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
-    """Return R chains like this with these equilibria, and with their diameters if these differ."""
+    """Return R chains like this one, with these equilibria and, if they differ, diameters."""
     fields = {key: value for key, value in chain.given().items() if key != "impurity"}
     edges = band_edges(*map(np.ascontiguousarray, equilibria.dynamical_matrix(chain.movable)))
     chains = []
@@ -152,18 +152,18 @@ def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
         fields["contact_constants"] = equilibrium.contacts.constant[1:-1]
         if widths or chain.impurity:
             fields["diameter"] = equilibrium.diameters
-        # what is derived already is handed on, or each chain would derive it again
+        # Known results are passed on, because each chain would derive them again.
         derived = {"equilibrium": equilibrium, "band_edge": edge}
         chains.append(with_derived(make_unchecked(Chain, **fields), **derived))
     return chains
 
 
 def _scene(common: Scene, chain: Chain, checked: bool) -> Scene | None:
-    """Return the common scene with another chain; None if it is struck too hard for that."""
+    """Return the common scene with another chain; None if the strike is too hard for the chain."""
     fields = common.given() | {"chain": chain}
     try:
         scene = Scene(**fields) if checked else make_unchecked(Scene, **fields)
     except InputError:
         return None
-    # as of the first: all of them fit in one batch
+    # All scenes share the grains of the first one, so that they fit in one batch.
     return with_derived(scene, light_cone=None)

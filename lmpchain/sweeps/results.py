@@ -25,24 +25,24 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     Parameters
     ----------
     folder : path
-        That `sweep` has made.
+        A folder that `sweep` has written.
 
     Returns
     -------
     xarray.Dataset
-        Its dimensions are what was swept: those of the grid under the names of their keys, `case`
-        for a list, `draw` for random draws, `realisation` for disorder; then `time` in s (or
-        `sample`, with the times as a coordinate, if scenes differ in them) and `grain`. What is
-        read off a motion comes with its error, under the name with `_error`. Arrays are
-        read from their files when they are used. Where a scene has failed or is not done, all
-        values are NaN, and `reason` says why; it is empty for the others. Of a scene that cannot be
-        predicted to its end, largest values and fronts stay that are settled before; what samples
-        do not show to a tenth is NaN, too.
+        The dimensions are the axes of the sweep: those of a grid have the names of their keys, a
+        list of cases is `case`, random draws are `draw`, and disorder is `realisation`. Then
+        follow `time` in s (or `sample`, with the times as a coordinate, if scenes differ in them)
+        and `grain`. A derived quantity has its error under its name with `_error`. Arrays are
+        read from their files when they are used. If a scene has failed or is not done, all its
+        values are NaN and `reason` gives the reason; it is empty for the others. If a scene
+        becomes unpredictable, largest values and arrival times that are known before are stored,
+        and quantities with an error above a tenth are NaN.
 
     Raises
     ------
     InputError
-        If the folder holds no sweep, or a damaged one.
+        If the folder contains no sweep, or a damaged one.
     """
     folder = expanded(folder)
     index = _read_json(folder / NAME)
@@ -62,10 +62,11 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
             values = read_column(results, layout, name, np.arange(layout.count)).reshape(plan.shape)
             data[name] = swept, values.astype(object) if column.dtype is str else values, attributes
             continue
-        # larger arrays stay in their files until they are used
+        # Larger arrays stay in their files until they are used.
         array = indexing.LazilyIndexedArray(_Stored(results, layout, name, plan.shape))
         inner = column.dimensions
-        # where scenes differ in their times, samples are numbered and the times a coordinate
+        # If scenes differ in their times, the dimension is the sample number, and time a
+        # coordinate.
         if "time" in layout.columns:
             inner = tuple(key.replace("time", "sample") for key in inner)
         variables = coordinates if name == "time" or name in laws else data
@@ -74,7 +75,7 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
 
 
 def _read_labels(results: Path, layout: StoreLayout) -> dict[str, Any]:
-    """Return the coordinates that are no arrays over the scenes; raises `InputError`."""
+    """Return the coordinates that are not arrays over the scenes; raise `InputError` if damaged."""
     store = open_store(results)
     try:
         return {
@@ -83,14 +84,14 @@ def _read_labels(results: Path, layout: StoreLayout) -> dict[str, Any]:
             if name not in layout.columns
         }
     except Exception as error:
-        # whatever a damaged file makes zarr raise
+        # A damaged file makes zarr raise many kinds of errors.
         raise InputError.at(
             str(results), f"is damaged ({short(error)}): remove it, and sweep again"
         ) from None
 
 
 def read_results(results: Path) -> tuple[Sweep, StoreLayout]:
-    """Return the sweep of a folder of results, and their layout; raises `InputError`."""
+    """Return the sweep of a folder of results, and its layout; raise `InputError` if damaged."""
     path = results / NAME
     try:
         check_tree(results)
@@ -107,7 +108,7 @@ def read_results(results: Path) -> tuple[Sweep, StoreLayout]:
 
 
 def _read_json(path: Path) -> Any:
-    """Return the content of a JSON file, or None if there is none."""
+    """Return the content of a JSON file, or None if the file does not exist."""
     try:
         if path.is_symlink():
             raise ValueError
@@ -122,7 +123,7 @@ def _read_json(path: Path) -> Any:
 
 
 class _Stored(BackendArray):
-    """Array over all scenes, read from the files when it is indexed, and NaN where none are."""
+    """An array over all scenes, read from files when it is indexed; NaN for missing results."""
 
     dtype = np.dtype(float)
 
@@ -141,7 +142,7 @@ class _Stored(BackendArray):
     def _read(self, key: tuple) -> Array:
         chosen = [np.arange(size)[index] for size, index in zip(self.shape, key, strict=True)]
         rows = [np.atleast_1d(indices) for indices in chosen]
-        # numbers of the scenes at all combinations of the indices
+        # These are the numbers of the scenes at all combinations of the indices.
         outer = np.ix_(*rows[: len(self._swept)])
         inner = rows[len(self._swept) :]
         numbers = np.ravel_multi_index(outer, self._swept).ravel()

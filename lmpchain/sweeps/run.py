@@ -1,4 +1,4 @@
-"""Runs of a sweep: which scenes are left to do, and the processes that answer them."""
+"""Runs of a sweep: the remaining scenes, and the processes that solve them."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def sweep(
                 SweepTask(results, plan.folder, layout, grains, first) for first in work.firsts
             )
             faults = work.do(chosen, tasks, bar, pending)
-        # of workers that died on the way
+        # Workers that died may have left incomplete files.
         clean(results, layout)
     answers = load_sweep(folder)
     if faults:
@@ -131,7 +131,7 @@ def sweep(
 def _executor(
     workers: int, scheduler: str | None, executor: Executor | None
 ) -> AbstractContextManager[Executor]:
-    """Return the executor of a sweep; one that the user made stays open."""
+    """Return the executor of a sweep; an executor given by the user stays open."""
     if scheduler is not None:
         return dask(scheduler)
     if executor is not None:
@@ -140,10 +140,10 @@ def _executor(
 
 
 def _try_scenes(plan: Sweep) -> int:
-    """Make a scene of each value, with warnings; return the number of scenes in a batch."""
+    """Make a scene with each value, with warnings; return the number of scenes in a batch."""
     with warnings_aside() as texts:
         batch = min(count_scenes(plan.engine, scene) for scene in plan.trials())
-    # one warning of each kind, the first: they differ in their numbers
+    # Only the first warning of each kind is shown, because they differ in numbers alone.
     remarks = {re.sub(r"\d\S*", "", text): text for text in reversed(texts)}
     for remark in remarks.values():
         warn(f"{remark}; perhaps in other scenes, too", stacklevel=3)
@@ -182,7 +182,7 @@ def _prepare(plan: Sweep, folder: Path, batch: int) -> tuple[Path, StoreLayout, 
 
 
 def _check_same_sweep(results: Path, plan: Sweep) -> None:
-    """Raise `InputError` if a folder of results holds those of another sweep."""
+    """Raise `InputError` if a folder of results belongs to another sweep."""
     path = results / NAME
     try:
         if results.exists():
@@ -196,8 +196,8 @@ def _check_same_sweep(results: Path, plan: Sweep) -> None:
 
 
 def _check_index(path: Path) -> None:
-    """Raise `InputError` if a file of a user's own bears the name of the index of a folder."""
-    # as earlier versions wrote it
+    """Raise `InputError` if a user's own file has the name of the index of a folder."""
+    # Earlier versions wrote this text.
     older = rb'{"format": [12], "results": "[0-9a-f]{16}"}'
     foreign = path.is_symlink() or (
         path.is_file()
@@ -248,7 +248,7 @@ def _lock(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def dask(address: str) -> Iterator[Executor]:
-    """Yield an executor whose work is done by the workers of a Dask scheduler.
+    """Return an executor that uses the workers of a Dask scheduler.
 
     Raises
     ------
@@ -285,7 +285,7 @@ LOST = (
 
 
 class _Work:
-    """Batches of scenes to answer, and shards to gather when all of their batches are there."""
+    """Batches of scenes to solve, and shards to write after the last of their batches."""
 
     def __init__(self, folder: Path, layout: StoreLayout):
         present = whole_parts(folder).keys()
@@ -296,7 +296,7 @@ class _Work:
             for shard in range(layout.shards)
             if not complete(folder, shard)
         }
-        # first scene of each missing batch, and the scenes that are done
+        # First scene of each missing batch, and scenes that are done.
         self.firsts = [first for firsts in self._missing.values() for first in sorted(firsts)]
         missing = sum(min(layout.batch, layout.count - first) for first in self.firsts)
         self.scenes = layout.count - missing
@@ -321,7 +321,7 @@ class _Work:
                     error = _find_error(future)
                     died = isinstance(error, BrokenExecutor)
                     deaths[job] += died
-                    # the cause may pass, as a lack of memory does
+                    # The cause may pass, for example a lack of memory.
                     if died and deaths[job] < TASKS.deaths:
                         self._submit(executor, job, pending)
                         continue
@@ -329,7 +329,7 @@ class _Work:
                         faults.append(_describe_machine_fault(error))
                     if isinstance(job, SweepTask):
                         bar.advance(job.count)
-                        # a shard is gathered once all of its batches are on the disk
+                        # A shard is written after all of its batches are on the disk.
                         if error is None and self._completes_shard(job):
                             self._submit(executor, job.first // self._layout.shard, pending)
         finally:
@@ -337,14 +337,14 @@ class _Work:
                 future.cancel()
 
     def _submit(self, executor: Executor, job: SweepTask | int, pending: dict[Future, Any]) -> None:
-        """Answer the scenes of a task, or gather the batches of a shard."""
+        """Solve the scenes of a task, or join the batches of a shard."""
         if isinstance(job, SweepTask):
             pending[executor.submit(answer, job)] = job
         else:
             pending[executor.submit(join_parts, self._folder, self._layout, job)] = job
 
     def _completes_shard(self, task: SweepTask) -> bool:
-        """Note that a batch is done; return whether it was the last one of its shard."""
+        """Mark a batch as done; return whether it was the last one of its shard."""
         firsts = self._missing[task.first // self._layout.shard]
         firsts.discard(task.first)
         return not firsts
@@ -374,7 +374,7 @@ def _find_error(future: Future) -> Exception | None:
 
 
 def _describe_machine_fault(error: Exception) -> str:
-    """Return a fault of the machine or the cluster, not of a scene, in words."""
+    """Return a sentence about a fault of the machine or the cluster, not of a scene."""
     if isinstance(error, BrokenExecutor):
         return f"the process that was at it died {TASKS.deaths} times"
     if isinstance(error, LmpchainError):

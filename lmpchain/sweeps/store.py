@@ -41,14 +41,14 @@ PARTS = "parts"
 RESULTS = "results.zarr"
 NOT_DONE = "not done"
 SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of its solution"}
-# all that is in a folder of results
+# All names in a folder of results.
 OWN = re.compile(
     rf"{re.escape(NAME)}|{PARTS}/[0-9]{{7}}(\.some)?\.npz|"
     rf"{seals.OF_STORE}|{seals.OF_SHARDS}/[0-9]+\.json|"
     rf"{re.escape(RESULTS)}/([^/]+/)?zarr\.json|{re.escape(RESULTS)}/[^/]+/c(/[0-9]+)+"
 )
 HALF_WRITTEN = re.compile(r"[^/]+\.[0-9a-f]{32}\.partial|\.[0-9]{7}(\.some)?\..*partial(\.npz)?")
-# dimensions, values and metadata by name
+# Dimensions, values and metadata by name.
 Coordinates = Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, str]]]
 
 
@@ -86,7 +86,7 @@ class StoreLayout:
     def shard(self) -> int:
         """Scenes in a shard, a whole number of batches."""
         largest = 8 * max(math.prod(column.shape) for column in self.columns.values())
-        # few large files: file systems of clusters are slow with many small ones
+        # Few large files are written, because file systems of clusters are slow with small ones.
         scenes = min(STORE.shard_scenes * len(self.columns), max(1, STORE.shard_bytes // largest))
         return self.batch * math.ceil(min(scenes, self.count) / self.batch)
 
@@ -157,7 +157,7 @@ def read_layout(folder: Path, plan: Sweep) -> StoreLayout:
 def _check_column(
     array: Mapping[str, Any], name: str, column: StoredArray, layout: StoreLayout
 ) -> None:
-    """Raise `ValueError` unless an array on the disk is this column of a layout."""
+    """Raise `ValueError` unless an array on the disk matches this column of the layout."""
     expected = {
         "shape": [layout.count, *column.shape],
         "dimension_names": ["scene", *column.dimensions],
@@ -172,7 +172,7 @@ def _check_column(
 def create_results(
     folder: Path, layout: StoreLayout, coordinates: Coordinates, swept: Mapping[str, int]
 ) -> None:
-    """Make a store without results, or put right what is damaged of one but for its results."""
+    """Make an empty store, or repair its metadata and keep its results."""
     import zarr
     from zarr.codecs import Crc32cCodec, ZstdCodec
 
@@ -214,7 +214,7 @@ def create_results(
                 dimension_names=dimensions,
                 attributes=dict(attributes),
             )[:] = array.astype(object) if text else array
-        # a kill before this leaves a folder that `clean` removes
+        # A kill before this line leaves a folder that `clean` removes.
         files = [path for path in aside.rglob("*") if path.is_file()]
         places = [folder / RESULTS / path.relative_to(aside) for path in files]
         if not (folder / RESULTS).exists():
@@ -229,7 +229,7 @@ def create_results(
 
 
 def open_store(folder: Path, writing: bool = False) -> Any:
-    """Open the store of a sweep, if it is one that this package has written.
+    """Open the store of a sweep, if this package has written all of it.
 
     Raises
     ------
@@ -246,7 +246,7 @@ def open_store(folder: Path, writing: bool = False) -> Any:
 
 @contextmanager
 def _open_checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
-    """Check a store, and yield batch and metadata; any damage meanwhile is an `InputError`."""
+    """Check a store, yield batch and metadata; raise `InputError` at any damage found meanwhile."""
     try:
         yield check_store(folder / RESULTS)
     except (
@@ -263,22 +263,22 @@ def _open_checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]
 
 
 def intact(folder: Path) -> bool:
-    """Return whether a store is as it was made, but for its results."""
+    """Return whether the metadata and coordinates of a store are unchanged."""
     return seals.is_whole(folder, folder / seals.OF_STORE, thorough=True)
 
 
 def complete(folder: Path, shard: int) -> bool:
-    """Return whether a shard is there, of every array."""
+    """Return whether a shard of every array exists."""
     return seals.is_whole(folder, seals.of_shard(folder, shard))
 
 
 def part_of(folder: Path, first: int, whole: bool = True) -> Path:
-    """Return the path of the part that begins with a scene; some are missing unless `whole`."""
+    """Return the path of the part with this first scene; some scenes are missing unless `whole`."""
     return folder / PARTS / f"{first:07d}{'' if whole else '.some'}.npz"
 
 
 def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bool = True) -> None:
-    """Write the results of some scenes, of all of their batch if `whole`."""
+    """Write the results of some scenes; if `whole`, of all scenes of their batch."""
     with replacing(part_of(folder, first, whole)) as aside, open(aside, "wb") as opened:
         rows: Any = {name: np.ascontiguousarray(values) for name, values in columns.items()}
         np.savez(opened, allow_pickle=False, **rows)
@@ -287,7 +287,7 @@ def write_part(folder: Path, first: int, columns: Mapping[str, Array], whole: bo
 
 
 def read_part(path: Path, name: str, column: StoredArray) -> Array:
-    """Return one array of a part; raises `InputError` if it is damaged."""
+    """Return one array of a part; raise `InputError` if it is damaged."""
     try:
         values: Array = unpack_one(path, name)
         if values.shape[1:] != column.shape or values.dtype.kind not in (
@@ -298,7 +298,7 @@ def read_part(path: Path, name: str, column: StoredArray) -> Array:
     except FileNotFoundError:
         raise
     except Exception as error:
-        # whatever a damaged file makes numpy and zipfile raise
+        # A damaged file makes numpy and zipfile raise many kinds of errors.
         raise InputError.at(str(path), f"cannot be read ({error}): sweep again") from None
 
 
@@ -309,10 +309,10 @@ def join_parts(folder: Path, layout: StoreLayout, shard: int) -> None:
         try:
             _write_shard(folder, layout, shard, parts)
         except FileNotFoundError:
-            # another process was faster
+            # Another process was faster.
             if not complete(folder, shard):
                 raise
-    # only now that the shard is whole
+    # The parts are removed only after the shard is whole.
     for path in parts:
         path.unlink(missing_ok=True)
 
@@ -324,13 +324,13 @@ def _write_shard(folder: Path, layout: StoreLayout, shard: int, parts: Sequence[
         values: Any = np.concatenate([read_part(path, name, column) for path in parts])
         values = values.astype(object) if column.dtype is str else values
         store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
-    # of scenes without any answer no shard is written
+    # Zarr writes no shard for scenes without any answer.
     files = [path for name in layout.columns for path in _shard_files(folder, name, shard)]
     seals.write_seal(folder, seals.of_shard(folder, shard), files)
 
 
 def _shard_files(folder: Path, name: str, shard: int) -> list[Path]:
-    """Return the file of a shard of an array, if there is one."""
+    """Return the file of a shard of an array, if it exists."""
     place = folder / RESULTS / name / "c" / str(shard)
     return [path for path in (place, *place.rglob("*")) if path.is_file()]
 
@@ -353,7 +353,7 @@ def _parts(folder: Path, kind: str) -> dict[int, Path]:
 
 
 def clean(folder: Path, layout: StoreLayout) -> None:
-    """Remove what killed processes have left half done."""
+    """Remove incomplete files of killed processes."""
     for place in (folder / PARTS, folder / RESULTS):
         for path in place.rglob("*.partial*"):
             if HALF_WRITTEN.fullmatch(path.name):
@@ -366,12 +366,12 @@ def clean(folder: Path, layout: StoreLayout) -> None:
 
 
 def forget_damaged(folder: Path, layout: StoreLayout) -> None:
-    """Take what is damaged of the results for not done, so that it is computed again."""
+    """Delete damaged results, so that they are computed again."""
     for shard in range(layout.shards):
         seal = seals.of_shard(folder, shard)
         if not seals.is_whole(folder, seal, thorough=True):
             seal.unlink(missing_ok=True)
-            # zarr would read it before it writes the shard anew
+            # Zarr would read the old file before it writes the shard anew.
             for name in layout.columns:
                 for path in _shard_files(folder, name, shard):
                     path.unlink()
@@ -384,7 +384,7 @@ def forget_damaged(folder: Path, layout: StoreLayout) -> None:
 
 
 def remove_results(folder: Path) -> None:
-    """Remove a folder of results, unless anything in it is not lmpchain's."""
+    """Remove a folder of results, unless it contains files of another origin."""
     names = [path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()]
     if all(OWN.fullmatch(name.as_posix()) for name in names):
         shutil.rmtree(folder, ignore_errors=True)
@@ -397,7 +397,7 @@ def read_column(
     numbers: np.ndarray,
     entries: Sequence[np.ndarray] = (),
 ) -> Array:
-    """Return an array at these scenes and entries, NaN where there are no results yet."""
+    """Return an array at these scenes and entries, NaN for missing results."""
     array = open_store(folder)[name]
     column = layout.columns[name]
     shards = numbers // layout.shard
@@ -407,13 +407,13 @@ def read_column(
     values: Array = np.full((numbers.size, *lengths), column.fill, array.dtype)
     rows: Any = numbers[spots]
     if spots.size and (np.diff(rows) == 1).all():
-        # a slice is read much faster
+        # Slices are read much faster.
         rows = slice(int(rows[0]), int(rows[0]) + spots.size)
     try:
         if spots.size:
             values[spots] = array.oindex[(rows, *entries)] if entries else array.oindex[rows]
     except Exception as error:
-        # whatever a damaged file makes zarr raise
+        # A damaged file makes zarr raise many kinds of errors.
         raise InputError.at(
             str(folder / RESULTS / name), f"is damaged ({error}): sweep again"
         ) from None

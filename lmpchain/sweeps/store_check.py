@@ -18,7 +18,7 @@ from ..trajectory.zarr_layout import (
 )
 from ..util.files import check_tree
 
-# types of data, and their codec
+# Data types, and their codecs.
 KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}
 FILLS = {"float64": "NaN", "string": "not done"}  # where a scene has no answer
 ENCODING = {"name": "default", "configuration": {"separator": "/"}}
@@ -70,7 +70,7 @@ def check_store(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
 
 
 def _check_array(node: Path, array: dict[str, Any]) -> None:
-    """Raise `ValueError` unless lmpchain stores an array so."""
+    """Raise `ValueError` unless lmpchain stores an array in this way."""
 
     def require(condition: object, fault: str) -> None:
         if not condition:
@@ -85,7 +85,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
     dimensions = array["dimension_names"]
     sizes = shape and all(type(length) is int and length > 0 for length in shape)
     require(sizes and len(shape) == len(dimensions), "has a shape that lmpchain does not use")
-    # labels go into pages and tables
+    # Labels are written to pages and tables.
     labels = (*dimensions, *array["attributes"].values())
     require(
         all(isinstance(label, str) for label in labels), "has labels that lmpchain does not use"
@@ -110,7 +110,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
 
 
 def _fits_shards(shape: list[int], shard: list[int], chunk: list[int]) -> bool:
-    """Return whether whole chunks of whole scenes, none too large, make up a shard."""
+    """Return whether a shard consists of whole chunks of whole scenes, none of them too large."""
     scene_bytes = 8 * math.prod(shape[1:])
     return (
         chunk[0] > 0
@@ -121,6 +121,6 @@ def _fits_shards(shape: list[int], shard: list[int], chunk: list[int]) -> bool:
 
 
 def _fits_file(shape: list[int], node: Path) -> bool:
-    """Return whether an array is small, or its compressed file large enough to hold it."""
+    """Return whether an array is small, or its compressed file large enough for its size."""
     stored = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
     return 8 * math.prod(shape) <= max(STORE.plain_bytes, MOST_SHRUNK * stored)

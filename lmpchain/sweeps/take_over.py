@@ -1,4 +1,4 @@
-"""Results of an earlier sweep in a folder, for a sweep that has some of the same scenes."""
+"""Results of an earlier sweep in a folder, for a sweep with some of the same scenes."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def list_earlier(folder: Path, results: Path) -> list[Path]:
 
 
 def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) -> None:
-    """Write the results of an earlier sweep for these scenes, if both have the same arrays."""
+    """Copy the results of an earlier sweep for these scenes, if both have the same arrays."""
     try:
         old_plan, old_layout = read_results(earlier)
     except InputError:
-        # damaged, or of another version
+        # The results are damaged, or of another version.
         return
     clean(earlier, old_layout)
     forget_damaged(earlier, old_layout)
@@ -45,7 +45,7 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
     keys, old_numbers = _done(old_plan, old_layout, earlier)
     if not keys.size:
         return
-    # equal keys stand for equal answers, wherever the scenes lie in both sweeps
+    # Equal keys mean equal results, wherever the scenes are in both sweeps.
     new_keys = np.array([plan.key(number) for number in range(plan.count)])
     spots = np.searchsorted(keys, new_keys).clip(max=keys.size - 1)
     present = keys[spots] == new_keys
@@ -54,7 +54,7 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
         numbers = begin + np.flatnonzero(present[begin : begin + layout.shard])
         if not numbers.size:
             continue
-        # in the order of the store, which is read faster
+        # Reading is faster in the order of the store.
         numbers = numbers[np.argsort(old_numbers[spots[numbers]])]
         columns = {
             name: read_column(earlier, old_layout, name, old_numbers[spots[numbers]])
@@ -85,7 +85,7 @@ def _write(results: Path, first: int, end: int, numbers: np.ndarray, batch: dict
 
 
 def _done(plan: Sweep, layout: StoreLayout, results: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return the keys of the scenes that are done, in order, and their numbers."""
+    """Return the sorted keys of the finished scenes, and their numbers."""
     reasons = read_column(results, layout, "reason", np.arange(layout.count))
     numbers = np.flatnonzero(reasons != NOT_DONE)
     keys = np.array([plan.key(int(number)) for number in numbers], dtype="S32")
@@ -94,7 +94,7 @@ def _done(plan: Sweep, layout: StoreLayout, results: Path) -> tuple[np.ndarray, 
 
 
 def drop(plan: Sweep, earlier: Path) -> None:
-    """Remove the results of another sweep if this one has all of its scenes that are done."""
+    """Remove the results of another sweep if this sweep has all of its finished scenes."""
     try:
         old_plan, old_layout = read_results(earlier)
     except InputError:

@@ -1,4 +1,4 @@
-"""Tasks of a sweep: answer some scenes, like ones in batches, and write the results."""
+"""Tasks of a sweep: solve some scenes, similar ones in batches, and write the results."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ KNOWN = 0.9  # of the time up to which a scene can be predicted
 
 
 class Beginning(NamedTuple):
-    """Answer to the beginning of a scene whose end cannot be predicted.
+    """The predictable part of a scene whose end cannot be predicted.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class SweepTask:
 
 
 def count_scenes(engine: str, scene: Scene) -> int:
-    """Return the number of scenes like this one in a task: one, unless it is small."""
+    """Return the number of scenes like this one in a task; large scenes have tasks of their own."""
     if not engines.get(engine).batches:
         return 1
     numbers = scene.fine.samples * scene.chain.grains
@@ -115,7 +115,7 @@ def count_scenes(engine: str, scene: Scene) -> int:
 def announced_work(
     plan: Sweep, scenes: Sequence[Scene], total: int, workers: int = 1
 ) -> AbstractContextManager[None]:
-    """Announce the work on all scenes of a plan, whose expected time these scenes show."""
+    """Announce the cost of all scenes of a plan, extrapolated from these scenes."""
     engine = engines.get(plan.engine)
     costs = []
     for scene in scenes[:: math.ceil(len(scenes) / TASKS.priced) or 1]:
@@ -127,7 +127,7 @@ def announced_work(
 
 
 def answer(task: SweepTask) -> None:
-    """Answer the scenes of a task, unless that was done before, and write their results."""
+    """Solve the scenes of a task, unless they are done, and write their results."""
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
@@ -138,14 +138,15 @@ def answer(task: SweepTask) -> None:
     plan = _read_plan(task.folder / NAME, task.files)
     engine = engines.get(plan.engine)
     alike = engine.batches and engine.equation == 1
-    # warnings were given when the sweep began; the error of an answer stands in the result
+    # Warnings were given when the sweep began; the result contains the error of each answer.
     with warnings_aside(), announced(0.0, "", ""):
         columns = _make_columns(task)
         remaining = dict(enumerate(scenes(plan, task.first, task.count, alike)))
-        # scenes that cannot be made are errors already
+        # Invalid scenes are already errors.
         batch = {row: scene for row, scene in remaining.items() if isinstance(scene, Scene)}
         for row, result in in_batches(engine, batch, plan.tolerance):
-            # alone it shows what is known in spite of a tolerance that is missed
+            # A scene that missed the tolerance is solved again alone, up to its predictability
+            # horizon.
             if isinstance(result, Trajectory):
                 del remaining[row]
                 _put(columns, row, result, plan, task)
@@ -166,20 +167,20 @@ def _insert_earlier(columns: dict[str, Any], task: SweepTask) -> dict[str, Any]:
         return columns
     earlier = {name: read_part(path, name, column) for name, column in task.layout.columns.items()}
     answered = earlier["reason"] != NOT_DONE
-    # scenes are the first dimension, and numpy aligns the last ones
+    # Scenes are the first dimension, but numpy broadcasts along the last ones.
     return {
         name: np.where(answered, earlier[name].T, values.T).T for name, values in columns.items()
     }
 
 
-# tasks of one sweep follow one another
+# Tasks of one sweep follow one another.
 @lru_cache(maxsize=2)
 def _read_plan(path: Path, files: Path) -> Sweep:
     return read_text(path.read_text(encoding="utf-8"), files)
 
 
 def _make_columns(task: SweepTask) -> dict[str, Any]:
-    """Return an array of NaN for each quantity, (R, ...) each, and no reasons."""
+    """Return an array of NaN for each quantity, (R, ...) each, and empty reasons."""
     columns: dict[str, Any] = {
         name: np.full((task.count, *column.shape), np.nan)
         for name, column in task.layout.columns.items()
@@ -194,7 +195,7 @@ def _put(
     plan: Sweep,
     task: SweepTask,
 ) -> None:
-    """Put the quantities of an answer in their row, or the reason why there is none."""
+    """Store the quantities of an answer in a row, or the reason for its failure."""
     if isinstance(result, LmpchainError):
         columns["reason"][row] = str(result)
         return
@@ -225,7 +226,7 @@ def _put(
     columns["reason"][row] = reason
     for name, values in arrays.items():
         index = tuple(places[dimension] for dimension in task.layout.columns[name].dimensions)
-        # a view of the row, also where it is a single number
+        # This is a view of the row, even if the row is a single number.
         columns[name][row, ...][index] = values
     columns["model_error"][row] = result.error_estimate.model
     columns["solver_error"][row] = result.error_estimate.solver
@@ -238,7 +239,7 @@ def _put(
 def _answer_alone(
     scene: Scene | InputError, engine: Engine, plan: Sweep
 ) -> Trajectory | Beginning | LmpchainError:
-    """Answer one scene or its beginning, or return the reason why there is no answer."""
+    """Solve one scene or its predictable part, or return the reason for the failure."""
     if isinstance(scene, InputError):
         return scene
     try:
@@ -252,16 +253,17 @@ def _answer_alone(
 def _answer_beginning(
     scene: Scene, engine: Engine, plan: Sweep, missed: ToleranceNotMet
 ) -> Beginning | None:
-    """Simulate a scene while it can be predicted; None if nothing that is kept is known then."""
+    """Simulate the predictable part of a scene; return None if no stored quantity is known then."""
     keep = [name for name in plan.keep if is_extreme(name)]
     if missed.known_until == math.inf or not keep:
         return None
-    # a little earlier, for the error of all runs together is to be within the tolerance there
+    # The run ends slightly earlier, because the combined error of all runs must meet the tolerance.
     beginning = scene.replace(duration=KNOWN * missed.known_until, samples=2)
     beginning = with_gathered(beginning, keep, engine.moves_grains)
     try:
         known = simulate(beginning, engine, plan.tolerance)
-        # one run of the many that are as likely, at equal steps: it shows what may still change
+        # This run with equal steps is one of many equally likely ones; it shows possible later
+        # changes.
         steady = engines.Native(known.cost.integrator, step=known.cost.step_s)
         whole = simulate(scene, steady)
     except LmpchainError:

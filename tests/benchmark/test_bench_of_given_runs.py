@@ -23,7 +23,7 @@ TRUTH = Reference(SCENE.time, np.zeros((5, 8)), np.zeros((5, 8)), 1e-16, "none")
 
 
 class Given(Bench):
-    """A bench of runs with given errors and times, on a clock that only they move."""
+    """A bench of runs with given errors and times, on a simulated clock."""
 
     def __init__(
         self, error: Callable[[int], float], seconds: Callable[[int], float] = lambda _: 0.01
@@ -90,7 +90,7 @@ def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     errors = [point.error for point in points]
     at_floor = errors.count(1e-9)
-    # four in a row do no better
+    # Four in a row do no better.
     assert at_floor == (5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4)
 
 
@@ -100,7 +100,7 @@ def test_an_error_of_1_does_not_hold(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_what_improves_by_a_fifth_goes_on(monkeypatch: pytest.MonkeyPatch):
-    """An error that falls by less than that with each step, four times in a row, is at its end."""
+    """The search stops after four points that do not reduce the error by a fifth."""
     for factor, ends in ((0.75, False), (0.85, True)):
         made = timed(monkeypatch, Given(lambda steps, f=factor: 0.5 * f ** (2 * math.log2(steps))))
         points = list(zip(range(16), made.over_steps("native", "rkn4"), strict=False))
@@ -124,7 +124,7 @@ def test_no_point_begins_that_would_take_longer_than_there_is_time(
 
 
 def test_the_search_takes_a_quarter_of_the_time(monkeypatch: pytest.MonkeyPatch):
-    """Doubling finds a step that holds; what follows to sharpen it is cut short."""
+    """A step is found by doubling, and its refinement stops when the time is used up."""
     for share, steps in ((math.inf, 544), (0.12, 640), (0.06, 768)):  # halves of 512 to 1024
         made = timed(monkeypatch, Given(fourth_order(520), lambda _: 0.02))
         made.share_s = share
@@ -153,7 +153,7 @@ def test_tolerances_tighten_by_the_root_of_10_until_one_is_not_met(monkeypatch: 
     for k in range(17):
         tolerance = 10.0 ** (-1 - k / 2)
         counts.setdefault(math.ceil(tolerance**-0.25), tolerance)
-    # one of those with the same steps
+    # One of those with the same steps.
     assert asked == pytest.approx(list(counts.values()), rel=1e-12)
     assert [point.steps for point in points] == list(counts)
 
@@ -177,7 +177,7 @@ def test_the_tightest_tolerance_is_of_round_off(monkeypatch: pytest.MonkeyPatch)
 def test_short_runs_are_repeated_more_often(
     monkeypatch: pytest.MonkeyPatch, seconds: float, runs: int
 ):
-    """Three times at least, until they have taken 50 ms, 15 times at most."""
+    """Short runs are repeated 3 to 15 times, until they have taken 50 ms."""
     clock = [0.0]
     monkeypatch.setattr(bench.time, "perf_counter", lambda: clock[0])
 
@@ -195,7 +195,7 @@ def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
     assert last == 1 + 1 + 3  # the search, a run to warm up, and three
     assert point.integration_s == point.seconds == pytest.approx(2.0 + 0.1 / last, rel=1e-12)
     assert point.setup_s == pytest.approx(0.5 + 0.1 / last, rel=1e-12)
-    # of the first that was timed
+    # This is the cost of the run that was timed first.
     assert point.estimate_s == pytest.approx(1.0 - 0.1 / 3, rel=1e-12)
     assert point.grain_steps_per_s == pytest.approx(
         4 * point.steps * 8 / point.integration_s, rel=1e-12

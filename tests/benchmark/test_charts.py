@@ -333,7 +333,7 @@ def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
 
 
 def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
-    """Return an answer whose velocities alone are off, by a share of the largest."""
+    """Return an answer with an error in its velocities alone, relative to the largest velocity."""
     u, v = wave(scene)
     counts = {"integrator": "rkn4", "steps": 40, "integration_s": 0.3} | cost
     paid = Cost(0.3, 0.1, 0.2, 40, 160, 8, "rkn4", 1e-8, 1, 2.0)._replace(**counts)
@@ -361,7 +361,7 @@ def compared(
     truth = Reference(scene.time, u, v, 1e-12, "made up")
     answers = [answer(name, scene, share) for name, share in zip(names, off, strict=True)]
     comparison: Comparison = compare(answers, truth)
-    # the map comes first, its colour bar last
+    # The map is the first of the axes, its colour bar the last.
     return comparison, comparison.plot().figure.axes[1:4]
 
 
@@ -417,9 +417,9 @@ def test_of_linear_engines_the_best_is_drawn_with_the_wave():
         "native", "modes", "chebyshev", "reference"
     }  # fmt: skip
     heights = [text.xyann[1] for text in over_time.texts]
-    # names of curves that end close to each other do not overlap
+    # Names of curves with nearby ends do not overlap.
     assert np.diff(sorted(heights)).min() >= 0.05
-    # the map shows what moves, from the top down
+    # The map shows the moving grains, from the top down.
     assert motion.get_ylim() == (drawn.get_xlim()[1], 0.5)
 
 

@@ -1,4 +1,4 @@
-"""The reference and what is measured against it."""
+"""The reference, and the errors of answers relative to it."""
 
 import json
 from dataclasses import replace
@@ -25,7 +25,7 @@ def test_the_reference_starts_where_the_scene_does():
 
 
 def test_the_reference_keeps_its_digits_however_weak_the_wave():
-    """Halving a strike that is weak enough halves the motion, to the accuracy of the linear law."""
+    """Halving a weak strike halves the motion, to the accuracy of linear theory."""
     chain = Chain(grains=10, diameter=1e-3)
     motion = [
         reference(

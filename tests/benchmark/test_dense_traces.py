@@ -42,7 +42,7 @@ def test_steps_and_samples_follow_the_motion_and_not_the_points():
     assert exact.highest_frequency <= dense.highest_frequency < 0.1 * RATE
     run = simulate(dense, "native")
     truth = simulate(exact, "native", 1e-9)
-    # the noise changes the motion by less than its own share
+    # The noise changes the motion by less than its own share.
     assert np.abs(run.velocity - truth.velocity).max() < 1e-3 * np.abs(truth.velocity).max()
     track, true_track = front.track(run), front.track(truth)
     assert track.grain.tolist() == true_track.grain.tolist()
@@ -50,7 +50,7 @@ def test_steps_and_samples_follow_the_motion_and_not_the_points():
     assert front_below(run).grain[0] == 2
     traces = Traces(run.time, [6], run.velocity[:, 5])
     assert Problem(dense, [traces], {"masses": "common"}).looks < 2000
-    # a native run with few equal steps meets what it says
+    # A native run with few equal steps meets what it says.
     fixed = simulate(dense, engines.Native(integrator="rkn6", step=5e-7))
     error = np.abs(fixed.velocity - run.velocity).max() / np.abs(run.velocity).max()
     assert error < 2 * fixed.error_estimate.total + 1e-6
@@ -71,7 +71,7 @@ def test_noise_between_samples_is_in_the_doubt_of_what_is_imposed(driven: bool):
     cubic = CubicHermiteSpline(scene.time, *imposed.acceleration)
     off = np.abs(share * excitation.waveform.at(fine, order) - cubic(fine))
     off = off[:-1].reshape(100, 200).max(axis=1)
-    # the last interval ends in a kink of its own
+    # The last interval ends in a kink of its own.
     assert (off[:-1] <= 1.1 * imposed.doubt[:-2]).all()
     assert off.max() > 1e-3 * np.abs(imposed.acceleration[0]).max()
 

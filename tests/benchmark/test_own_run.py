@@ -1,4 +1,4 @@
-"""How wrong a run is: dumps of `lmp`, causes of their errors, cures, decks before a run."""
+"""Errors of runs: dumps of `lmp`, causes of their errors, cures, and decks before a run."""
 
 import json
 import re
@@ -117,7 +117,7 @@ def test_the_front_is_late_by_what_an_independent_solution_says(tmp_path: Path):
     fine = with_dense_samples(scene)
     velocity = taylor_series.reference(fine, 1e-17)[0].velocity
     n = found.arrival.grain
-    # the peak of a parabola through the highest sample and its neighbours
+    # The peak of a parabola through the highest sample and its neighbours.
     k = int(velocity[:, n - 1].argmax())
     before, top, after = velocity[k - 1 : k + 2, n - 1]
     offset = (before - after) / (before - 2 * top + after) / 2
@@ -143,7 +143,7 @@ def test_few_digits_are_named_as_the_cause(tmp_path: Path):
     fine = check(all_digits, small())
     assert causes(fine)["digits"] < 0.1 * left_out
     assert "round-off of heights" in fine.causes[1].why
-    # and a deck says so before it runs
+    # The check of the deck predicts the same error before the run.
     (expected,) = (c.error for c in check_deck(tmp_path / "few").causes if c.name == "digits")
     assert left_out < expected < 10 * left_out
 
@@ -181,7 +181,7 @@ def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
 def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path, monkeypatch):
     scene = small(damping=Damping(viscoelastic=2e-7, drag=1e3))
     if integrator == "lagged-verlet":
-        # decks of earlier versions, and the fixes and atoms that most users have
+        # Decks of earlier versions, and the fixes and atoms that most users have.
         monkeypatch.setattr(LammpsColumn, "predicts", False)
     dump = run(scene, tmp_path, step=1e-7, pair_style=pair_style)
     monkeypatch.undo()
@@ -233,7 +233,7 @@ def test_a_deck_holds_its_scene(name: str, tmp_path: Path):
     assert deck.scene.time == pytest.approx(scene.time, rel=1e-12)
     read = simulate(deck.scene, "native", 1e-9)
     true = simulate(scene, "native", 1e-9)
-    # heights of LAMMPS leave so much of the overlaps at rest, on which a drive alone depends
+    # Heights of LAMMPS leave so much of the overlaps at rest, on which a drive alone depends.
     loose = 1e-6 if name in ("drive", "wall") else 1e-10
     for field in ("displacement", "velocity"):
         answer = getattr(true, field)
@@ -273,7 +273,7 @@ def test_a_step_beyond_the_stability_limit_is_named(tmp_path: Path, capsys):
     deck.write_text(re.sub(r"\nrun .*", "\nrun 20", deck.read_text()))
     found = check_deck(tmp_path)
     chain = small().chain
-    # of the linear chain, by its matrix
+    # The exact solution of the linear chain, from its matrix.
     k = np.append(chain.linear_stiffness, 0.0)[: chain.movable]
     matrix = np.diag(k + np.append(0.0, k[:-1])) - np.diag(k[:-1], 1) - np.diag(k[:-1], -1)
     fastest = np.sqrt(np.linalg.eigvalsh(matrix / chain.masses[0])[-1])

@@ -13,14 +13,14 @@ from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Scene
 from lmpchain.benchmark.reference import _first_root, reference
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
-# what the reference is known to when no scene amplifies round-off
+# Expected error of the reference if the scene does not amplify rounding.
 GOOD = 2e-15 if EXTENDED else 1e-12
-# tolerance of the other integrator, which then is known to some 1e-15 where contacts open
+# Tolerance of the other integrator, whose error is then some 1e-15 even if contacts open.
 TIGHT = 1e-18
 
 
 def between(excitation: Any, **keys: Any) -> Scene:
-    """Return a scene of eight glass beads between two walls, unless they are told otherwise."""
+    """Return a scene of eight glass beads between two walls, unless the options differ."""
     chain = Chain(**{"grains": 8, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
     return Scene(
         chain=chain, excitation=excitation, duration=min(7 * chain.time_scale, 4e-5), samples=4
@@ -84,7 +84,7 @@ def test_the_error_of_the_reference_is_what_it_says(scene: Scene):
     assert np.array_equal(truth.time, scene.time)
     assert truth.error < GOOD
     assert itself < (1e-13 if EXTENDED else 1e-11)
-    # what the other one says of itself is the error of its looser run
+    # The other integrator estimates the error of its looser run.
     assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(
         itself / 2, 2e-15
     )
@@ -96,13 +96,13 @@ def test_random_scenes(seed: int):
     scene = random_scene(np.random.default_rng([7, seed]))
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
-    # 1e-14 is what the last digits of a sampled drive may make
+    # The rounding of a sampled drive may cause errors of 1e-14.
     assert (
         relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
     )
 
 
-# strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings
+# Strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings.
 @pytest.mark.parametrize("seed", [0, 1, 2, 4, 5, 8, 13, 16, 17, 19, 23])
 def test_scenes_with_damping(seed: int):
     rng = np.random.default_rng(seed)
@@ -136,7 +136,7 @@ def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
 @pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)])
 def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
-    """One opening and one closing.
+    """A contact closes and opens once.
 
     Energy and momentum say what velocities are left, whatever the law of force.
     """
@@ -157,7 +157,7 @@ def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, fl
 
 
 def test_a_grain_that_is_thrown_up_falls_back_as_fast():
-    """It flies free of contact 1 on a parabola: lands after 2 v / g, but for the contact."""
+    """The flight between two contacts is a parabola of duration 2 v / g."""
     chain = Chain(grains=2, diameter=1e-3)
     flight = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=3e-3, samples=31)
     truth = reference(flight)
@@ -178,7 +178,7 @@ def test_energy_is_kept_where_contacts_open():
 
 
 def test_grains_that_nothing_has_reached_make_no_difference():
-    """120 grains and 10 000, for which units of time and length are others too."""
+    """The chains have 120 and 10,000 grains, with different units of time and length."""
     short = paper("fig5 g", samples=3)
     long = Scene(**short.given() | {"chain": Chain(grains=10_000, diameter=1e-3)})
     few = reference(short)
@@ -198,7 +198,7 @@ def test_grains_that_nothing_has_reached_make_no_difference():
 
 
 def test_samples_between_steps_are_as_good():
-    """Up to the last digit of their times, which is worth 2e-15 here."""
+    """Samples are exact up to the rounding of their times, which contributes 2e-15."""
     few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
     assert (
         relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity)
@@ -216,7 +216,7 @@ def test_it_says_how_it_was_found():
 
 
 def test_steps_end_at_the_first_root_of_an_overlap():
-    """To the last digit, or at a bound below it, or at the end: never beyond it."""
+    """The step is the root within rounding, or a lower bound of it, or the end of the interval."""
     wide = np.longdouble
     for roots in ([0.3], [0.3, 0.31], [0.9, 0.2], [0.5, 0.5], [1e-3, 0.7], [0.4, 2.0, 3.0]):
         gap = np.ones(1, dtype=wide)

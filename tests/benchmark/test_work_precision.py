@@ -65,7 +65,7 @@ def test_every_engine_and_integrator_is_there(found):
 
 
 def test_errors_are_true(found):
-    """Run again what the points say, and hold it against an independent integrator."""
+    """Repeat the runs of the points, and compare them with an independent integrator."""
     u, v, itself = extended_reference(SCENE)
     for curve in stepped(found):
         point = curve.points[len(curve.points) // 2]
@@ -101,7 +101,7 @@ def test_steps_shorten_until_round_off():
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     least = min(point.error for point in points)
     assert least < 1e-12
-    # it ends where no more is to be had
+    # The curve ends where the error stops falling.
     assert all(point.error > 0.5 * least for point in points[-4:])
 
 
@@ -205,7 +205,7 @@ def test_the_picture(found, tmp_path):
     } == {"log"}
     assert over_time.get_xlabel() == "time (s)"
     assert over_time.get_ylabel() == "relative error"
-    # beside the cheapest ways, where no curve is
+    # Beside the cheapest ways, where no curve is.
     assert over_evaluations.get_legend() is None
     shown = [text.get_text().replace("\n", " ") for text in ways.get_legend().get_texts()]
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
@@ -213,7 +213,7 @@ def test_the_picture(found, tmp_path):
     assert {"lammps, verlet", "lammps, rkn6"} <= set(shown)
     lines = [text.get_text() for text in ways.texts]
     assert lines[1].startswith("10⁻³")
-    # columns of raised powers stand below each other
+    # Columns of raised powers stand below each other.
     start = lines[0].index("engine")
     assert all(re.fullmatch(r" \S", line[start - 1 : start + 1]) for line in lines)
     assert not any(" us" in line for line in lines)
@@ -247,7 +247,7 @@ def test_runs_to_a_tolerance_are_named_however_few(found):
 def test_a_picture_in_axes_of_ones_own(found):
     mine = figure()
     axes = mine.subplots(1, 3)
-    # a busy machine may measure nothing that reaches the target, but the others do
+    # A busy machine may measure nothing that reaches the target, but the others do.
     assert found.plot(axes, PEERS) is axes[0]
     assert found.plot(ax=figure().subplots()).lines
     assert all(ax.has_data() for ax in axes)
@@ -266,7 +266,7 @@ def test_the_cheapest_way_to_an_error_has_it(found):
     """A run with the engine, the integrator and the step of a row, by an independent integrator."""
     u, v, _ = extended_reference(SCENE)
     ways = [*found.cheapest(), *found.cheapest("lammps")]
-    # on a busy machine the time ends early
+    # On a busy machine the time ends early.
     assert ways[0].engine
     for way in ways:
         points = [p for p in found.points if p.error <= way.target and way.engine in ("", p.engine)]

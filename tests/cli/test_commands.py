@@ -174,7 +174,7 @@ def terminate(*_: Any, **__: Any) -> None:
 def test_a_stopped_command_says_what_is_kept(
     stop: Any, code: int, name: str, scene: Path, monkeypatch: Any, capsys: Any
 ):
-    # sweeps first: their import takes `simulate` by name, and would keep what is put in its place
+    # Sweeps first: their import takes `simulate` by name, and would keep what is put in its place.
     monkeypatch.setattr("lmpchain.sweeps.run.sweep", stop)
     monkeypatch.setattr("lmpchain.simulation.api.simulate", stop)
     monkeypatch.setattr("lmpchain.simulation.planner.plan", stop)
@@ -303,7 +303,7 @@ def verbs() -> dict[str, argparse.ArgumentParser]:
 
 @pytest.mark.parametrize("verb", list(verbs()))
 def test_help_states_the_defaults(verb: str):
-    """A number that the help of an option calls its default is the one it has."""
+    """A number that the help calls a default is the default of the option."""
     for action in verbs()[verb]._actions:
         if action.dest == "help":
             continue
@@ -394,7 +394,7 @@ def test_times_that_are_none(text: str, capsys: pytest.CaptureFixture[str]):
 
 
 def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
-    """By the quickest of some; long ones are not."""
+    """A short run has the time of its fastest repetition; a long run is not repeated."""
     times = iter([3.0, 0.75, 1.5, 0.5, 9.0, 9.0, 9.0])
     cost = answer.cost._replace(integration_s=0.4, estimate_s=0.5, setup_s=0.6)
 
@@ -647,7 +647,7 @@ def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: A
         doctor.compile_all()
     texts = [str(each.message) for each in told]
     assert len(texts) == said
-    # 139 s for the jobs after the first one, which takes 0.7 s
+    # 139 s for the jobs after the first one, which takes 0.7 s.
     assert not said or "takes about 2.3 minutes: without --compile" in texts[0]
 
 

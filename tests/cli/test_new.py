@@ -43,7 +43,7 @@ def test_examples_are_what_they_say(tmp_path: Path):
     assert np.abs(scenes["disorder"].chain.diameters / 5e-3 - 1).max() <= 0.05
     struck = scenes["striker"].chain
     assert struck.by_grain("density").tolist() == [2200.0] + [8000.0] * 60
-    # the striker touches, and the row is pressed together
+    # The striker touches, and the row is pressed together.
     assert struck.equilibrium_force == pytest.approx([0.0] + [2.38] * 59, rel=1e-12)
 
 
@@ -79,7 +79,7 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
 def test_it_is_what_help_and_readme_begin_with(capsys: pytest.CaptureFixture[str]):
     main(["--help"])
     text = capsys.readouterr().out
-    assert text.split("COMMAND\n")[-1].split()[0] == "new"
+    assert text.split("\nbegin:\n")[1].split()[0] == "new"
     assert "Begin with `lmpchain new scene.toml`." in " ".join(text.split())
     start = README.read_text(encoding="utf-8").split("## Quick start")[1]
     assert start.split("\n    lmpchain ")[1].startswith("new scene.toml")

@@ -47,7 +47,7 @@ def test_a_mode_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture)
 
 
 def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture):
-    """Of a scene file with damping, through two folds."""
+    """The scene file has damping, and the curve passes two folds."""
     level = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
     chain = Chain(grains=2, material="steel", damping={"drag": 2000.0}, **level)
     drive = Drive(amplitude=1e-7, frequency=1.2e4)

@@ -1,4 +1,4 @@
-"""What a fresh process imports and compiles, and what it says while it does."""
+"""Imports, compilation and messages of a fresh process."""
 
 import os
 import subprocess
@@ -78,7 +78,7 @@ def start(*arguments: str, cwd: Path, **environment: str) -> subprocess.Popen:
 
 
 def ended(process: subprocess.Popen) -> tuple[str, str]:
-    """Return what a process printed and complained of, once it has ended well."""
+    """Return the output of a process, after checking its exit code."""
     printed, complained = process.communicate()
     assert process.returncode == 0, printed + complained
     return printed, complained
@@ -124,7 +124,7 @@ def test_a_deck_needs_neither_lammps_nor_netcdf(tmp_path: Path):
 
 
 def play(folder: Path, **environment: str) -> str:
-    """Call the toys in a fresh process and return what it says on stderr."""
+    """Run the toy functions in a fresh process and return its messages on stderr."""
     printed, complained = ended(start("-c", PLAY, cwd=folder, **environment))
     assert printed == "1.5 1.5 16.0\n"
     return complained
@@ -147,7 +147,7 @@ def test_compiling_is_announced_once_for_a_machine(toy: Path):
 
 @pytest.mark.slow
 def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path):
-    """Compiled loops hold what they call; numba alone would not notice that it has changed."""
+    """Compiled loops contain the functions they call, and numba alone would miss a change there."""
     play(toy)
     (toy / "toys" / "another.py").write_text("called = 2\n")
     assert play(toy) == ""
@@ -184,7 +184,7 @@ def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
 
 @pytest.mark.soak
 def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
-    """Both compile; whatever files they leave to each other, the third finds all it needs."""
+    """Both runs compile; a third run finds all compiled code."""
     cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     runs = [
         command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native")

@@ -1,4 +1,4 @@
-"""The doctor: all is well on a sound machine, and each thing that may be broken has its cure."""
+"""The doctor: a sound machine has no faults, and each fault has its cure."""
 
 import json
 import re
@@ -78,7 +78,7 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {finding["name"] for finding in findings} >= NAMES
     assert {(finding["state"], finding["cure"]) for finding in findings} == {("ok", "")}
     assert len(lines) == len(findings)
-    # three columns, each where it is in all other lines
+    # Three columns, each where it is in all other lines.
     for line, finding in zip(lines, findings, strict=True):
         assert (line[:9].strip(), line[9:27].strip(), line[27:]) == (
             "ok",
@@ -425,7 +425,7 @@ def test_it_works_where_hardly_anything_does():
 
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
-    """While mpiexec hangs, for which it would wait for ever."""
+    """The doctor does not wait for a hanging mpiexec."""
     (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep inf\n")
     (tmp_path / "mpiexec").chmod(0o755)
     script = (
@@ -440,7 +440,7 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     )
     started = tmp_path / "mpiexec.pid"
     until(lambda: started.exists() and started.read_text().strip())
-    # it waits for mpiexec
+    # The process is waiting for mpiexec.
     until(lambda: psutil.Process(process.pid).status() == psutil.STATUS_SLEEPING)
     process.send_signal(sent)
     out, err = process.communicate(timeout=PATIENCE)
@@ -448,7 +448,7 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     assert err.startswith("stopped by")
     assert "Traceback" not in out + err
     status = Path("/proc", started.read_text().strip(), "status")
-    # it is gone, or dead and not yet buried
+    # The process has ended, or is a zombie.
     assert not status.exists() or "State:\tZ" in status.read_text()
     assert not (tmp_path / "d.json").exists()
 

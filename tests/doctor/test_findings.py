@@ -1,4 +1,4 @@
-"""Each check by itself: what it measures, and the numbers that it tells."""
+"""Each check of the doctor by itself: its measurement and the numbers of its text."""
 
 import io
 import os
@@ -20,7 +20,7 @@ from lmpchain.util import mpi
 
 @pytest.fixture
 def check(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return what runs one check alone and gives its findings as (name, state, text)."""
+    """Return a function that runs one check and returns its findings as (name, state, text)."""
     every = list(doctor._CHECKS)
 
     def run(name: str) -> list[tuple[str, str, str]]:

@@ -1,4 +1,4 @@
-"""The words and numbers of a page: title, cards, facts, live view, and where a run came from."""
+"""Text and numbers of a page: title, cards, facts, live view, and origin of the run."""
 
 import json
 import os
@@ -19,11 +19,12 @@ from lmpchain.report import document, origin, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import _view, title
 from lmpchain.report.live import crop, extent, figure_numbers
+from lmpchain.report.verdicts import _contacts_verdict
 from lmpchain.trajectory.record import ErrorEstimate
 
 
 def figure(run: Trajectory) -> dict[str, Any]:
-    """Return what the live figure of a page gets, as its script reads it."""
+    """Return the data that the script of the live figure reads from a page."""
     return arrays(figure_numbers([_view(run, None)]))
 
 
@@ -172,7 +173,7 @@ def test_a_page_is_written_whole(run: Trajectory, tmp_path: Path, monkeypatch: p
 
 
 def moved(first: int, last: int, samples: int = 11, grains: int = 400) -> Trajectory:
-    """Return a run in which these grains move and no others."""
+    """Return a run in which only these grains move."""
     chain = Chain(grains=grains, diameter=1e-3)
     scene = Scene(chain=chain, excitation=STRIKE, duration=1e-4, samples=samples)
     velocity = np.zeros((samples, grains))
@@ -203,7 +204,7 @@ def test_grains_at_rest_are_left_out_but_for_four_on_either_side():
 
 
 def test_grains_that_hardly_move_are_left_out_of_the_range():
-    """Those that move less than a thousandth of the fastest."""
+    """Grains slower than a thousandth of the fastest one are left out."""
     t = moved(20, 30)
     velocity = np.array(t.velocity)
     largest = np.abs(velocity).max()
@@ -256,13 +257,13 @@ def test_of_many_times_and_grains_the_live_view_takes_some():
     assert rows[0] == 0
     assert rows[-1] == 700
     assert set(np.diff(rows)) == {2, 3}
-    # every third of 400, of which 160 are shown at most
+    # Every third of 400, of which 160 are shown at most.
     assert data["grains"].tolist() == list(range(1, 401, 3))
     velocity = t.velocity[rows]
     group = velocity[:, 3:6]
     loudest = np.abs(group - group[:1]).max(0).argmax()
     assert data["velocity"][:, 1] == pytest.approx(group[:, loudest], abs=0.51 * data["unit"])
-    # beads are those grains themselves, and overlap by what all contacts between do
+    # Beads are those grains themselves, and overlap by what all contacts between do.
     u = t.displacement[np.ix_(rows, range(0, 400, 3))]
     assert data["displacement"] == pytest.approx(u, abs=np.abs(u).max() / 6e4)
     overlap = t.scene.chain.equilibrium_overlap[:399].reshape(133, 3).sum(1)
@@ -282,7 +283,7 @@ def test_what_is_not_a_number_is_at_rest_in_the_live_view():
 
 
 def test_equal_arrays_stand_once():
-    """Linear theory of one chain is the same for all strikes, but for its unit."""
+    """Linear theory of one chain is equal for all strikes, apart from its unit."""
     t = moved(20, 30)
     shown = _view(t, None)
     loud = replace(shown, velocity=3 * shown.velocity)
@@ -364,3 +365,22 @@ def test_a_file_says_it_in_its_history(tmp_path: Path):
     }
     unknown = {"date": "not recorded", "command": "not recorded"}
     assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown
+
+
+@pytest.mark.parametrize(
+    ("displacement", "verdict"),
+    [(-1.5, "1 of 4 open"), (1.5, "1 of 4 open"), (0.5, "none opens"), (-0.5, "none opens")],
+)
+def test_contacts_open_where_grains_part_by_more_than_their_overlap(
+    displacement: float, verdict: str
+):
+    """Grain 2 moves up or down by a multiple of the overlap at rest, and parts from 3 or 1."""
+    chain = Chain(grains=5, diameter=1e-3, gravity=0, top_load=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=2)
+    overlap = chain.equilibrium_overlap
+    assert overlap[0] == pytest.approx(overlap[1], rel=1e-9)
+    motion = np.zeros((2, 5))
+    motion[1, 1] = displacement * overlap[0]
+    run = replace(simulate(scene), displacement=motion)
+    assert _contacts_verdict(run) == verdict
+    assert _contacts_verdict(replace(run, displacement=np.zeros((2, 5)))) == "none opens"

@@ -1,4 +1,4 @@
-"""The page with sliders: every run that it holds, what stands beside it, and what it refuses."""
+"""The page with sliders: its runs, the text beside them, and refused input."""
 
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,7 @@ def test_every_run_of_the_page_is_that_of_its_values(page: Path):
         facts = shown["facts"]
         assert float(facts["strike number"]) == pytest.approx(scene.strike_number, rel=5e-3)
         assert facts["largest velocity"].startswith(f"{1e3 * speed:.1f} m" if speed > 1e-4 else "1")
-    # linear theory of one chain stands once for all strikes
+    # Linear theory of one chain stands once for all strikes.
     starts = {run["linear"][0] for run in numbers["runs"]}
     assert len(starts) == len(LOADS)
     assert "holds" in numbers["runs"][0]["facts"][1][1]
@@ -100,7 +100,7 @@ def test_without_compression_there_is_no_linear_theory(tmp_path: Path):
 
 
 def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """By fewer times and grains of each; what does not fit then is refused."""
+    """Large pages show fewer times and grains of each run, and are refused beyond that."""
     speeds = np.geomspace(1e-6, 1e-1, 12)
     source = {"scene": SCENE.replace(samples=121), "over": {"excitation.velocity": speeds}}
     lmpchain.explore(source, tmp_path / "free.html")
@@ -192,7 +192,7 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
         for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
             shown.open(page, width, height, scheme)
             shown.wait_for("document.documentElement.dataset.ready")
-            # nothing is wider than the window, once it is laid out
+            # Nothing is wider than the window, once it is laid out.
             shown.wait_for(f"document.documentElement.scrollWidth === {width}", patience=20)
             assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
             shown.press("Tab")
@@ -205,7 +205,7 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
             shown.press("ArrowLeft")
             assert shown.run(VALUE) == "1 µm/s (run 1 of 3)"
             assert "none opens" in shown.run(facts)
-            # a value between two runs shows the nearest of them, in ratio
+            # A value between two runs shows the nearest of them, in ratio.
             typed = (
                 "(() => { const field = document.getElementById('typed-0'); field.value = '2e-4';"
                 "field.dispatchEvent(new Event('change')); })()"

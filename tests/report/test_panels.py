@@ -24,7 +24,7 @@ LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 
 
 class Drawn(NamedTuple):
-    """A picture before it is written: its axes, what is said below it, and whether it is a map."""
+    """A picture before it is written: its axes, its caption, and whether it is a map."""
 
     axes: list[Any]
     caption: str
@@ -33,7 +33,7 @@ class Drawn(NamedTuple):
 
 @pytest.fixture
 def draw(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Trajectory], Drawn]:
-    """Return what draws a panel and keeps its axes."""
+    """Return a function that draws a panel and keeps its axes."""
 
     def keep(ax: Any, caption: str, alt: str = "", map: bool = False) -> Drawn:
         return Drawn(ax.figure.axes, caption, map)
@@ -188,7 +188,7 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
 
 def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
     picture = draw("waveforms", vacuum)
-    # no axes without a curve
+    # Axes without a curve are removed.
     (above,) = picture.axes
     assert len(above.lines) == 3
     assert above.get_xlabel() == "grain, from the top"
@@ -252,7 +252,7 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     assert np.diff(expected) == pytest.approx(
         1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02
     )
-    # half a contact more
+    # Half a contact more.
     assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)
     assert time.get_xlabel() == "grain, from the top"
     assert time.get_ylabel() == "arrival (µs)"
@@ -297,7 +297,7 @@ def law(scene: Scene) -> tuple[float | None, str]:
 
 
 def test_the_law_of_decay_is_that_of_the_wave():
-    """1/3 is that of the front of Bessel's functions J_2n, 4/15 that of a column under gravity."""
+    """The exponent is 1/3 for the front of Bessel's functions J_2n, and 4/15 under gravity."""
     column = strike(9, 1e-3, 1e-5, 3)
     assert law(column)[0] == pytest.approx(4 / 15, rel=1e-12)
     loaded = strike(9, 1e-3, 1e-5, 3, **LOADED)
@@ -356,7 +356,7 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
         front_of(np.arange(5.0))
     with pytest.raises(InputError, match="none travels"):
         front_of(np.zeros(8))
-    # what samples do not resolve is left out, and said where it is too much
+    # Grains that the samples do not resolve are left out; if they are many, an error reports it.
     with pytest.raises(InputError, match=r"none travels|record at least"):
         front_of(np.arange(20.0), error=1e-6)
 

@@ -139,7 +139,7 @@ def test_the_live_view_holds_the_motion(run: Trajectory):
     assert live["front"][9] == pytest.approx(run.time[first], abs=run.time[1])
     kinetic = 0.5 * (run.scene.chain.masses * run.velocity**2).sum(1)[there]
     assert live["kinetic"] == pytest.approx(kinetic, abs=kinetic.max() / 6e4)
-    # nothing is lost: the blow is all the energy that there is
+    # Nothing is lost: the blow is all the energy that there is.
     assert live["total"] == pytest.approx(kinetic[0], rel=1e-4)
     linear = simulate(run.scene, "modes").velocity[np.ix_(there, live["grains"] - 1)]
     assert live["linear"] == pytest.approx(linear, abs=np.abs(linear).max() / 5e4)
@@ -164,7 +164,7 @@ def test_a_front_that_samples_do_not_resolve_is_not_denied(
     needed = int(re.findall(r"record (\d+)", str(refusal.value))[0])
     finer = simulate(scene.replace(samples=needed), "native", 1e-6)
     track = front_below(finer)
-    # as far as a long weak wave goes, and about when it does
+    # The front reaches about as far and as fast as a long weak wave.
     expected = travel_time(scene.chain)[track.grain - 1]
     assert track.grain[-1] == pytest.approx((expected <= duration).sum(), abs=track.grain.size / 5)
     assert np.mean(np.diff(track.time) > 0) > 0.9

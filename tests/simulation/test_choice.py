@@ -66,7 +66,7 @@ def test_equation_and_solver_together_must_keep_to_the_tolerance():
     assert judged(solver=2e-6) == (False, "its solver leaves about 2e-06, above the tolerance")
     assert judged(model=0.25) == (False, f"{left_out} 25 %")
     assert judged(model=1.0) == (False, f"{left_out} 100 %")
-    unknown = "the error of the homogeneous chain here is not known before the run"
+    unknown = "the error of the homogeneous chain is not known before the run"
     assert judged(4, model=math.nan) == (False, unknown)
     assert "the continuum leaves out up to 50 %" in judged(27, model=0.5)[1]
     assert "Eq. (12) leaves out up to 50 %" in judged(12, model=0.5)[1]

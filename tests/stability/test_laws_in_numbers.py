@@ -86,7 +86,7 @@ def test_the_interval_of_a_trend_is_wider_where_each_stretch_resembles_the_one_b
 
 
 def test_a_drift_that_slows_down_is_no_resemblance() -> None:
-    """The straight line through a parabola: its slope, and the standard error of what it leaves."""
+    """The trend of a parabola is its regression line, with the standard error of the residuals."""
     time = np.linspace(0.0, 2.0, 50)
     noise = 1e-3 * np.random.default_rng(6).normal(size=50)
     rate, width = trend(time - 0.2 * time**2 + noise)

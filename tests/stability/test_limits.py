@@ -30,7 +30,7 @@ def test_answers_go_on_to_no_gravity(exponent: float, load: float):
 
 
 def law(scene: Scene) -> float:
-    """Return how far linear theory should be off."""
+    """Return the expected error of linear theory."""
     return linear_law(scene.strike_number, "package", scene.chain.exponent)
 
 

@@ -145,7 +145,7 @@ def test_keys_are_those_of_a_scene_and_swept_once():
         {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
     )
     assert overlap == [("chain.material", "overlaps chain.material.density: sweep one of them")]
-    # one begins like the other, and is none of it
+    # One begins like the other, and is none of it.
     make_axes({"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}})
     (fault,) = faults({})
     assert fault == ("grid", "nothing is swept: add a table [grid], [list], [random], [disorder]")

@@ -1,6 +1,4 @@
-"""Whatever process of a sweep is killed, at any moment, it goes on and ends with the bits that it
-would have had.
-"""
+"""A sweep resumes after any of its processes is killed, and ends with identical results."""
 
 import itertools
 import os
@@ -23,7 +21,7 @@ PACKAGE = Path(lmpchain.__file__).parent
 
 
 def values(folder: Path) -> dict[str, bytes]:
-    """Return the bits of all that a sweep has found, by name."""
+    """Return the bytes of all results of a sweep, by name."""
     found = load_sweep(folder).load()
     return {
         str(name): array.values.astype(str if array.dtype == object else array.dtype).tobytes()
@@ -32,7 +30,7 @@ def values(folder: Path) -> dict[str, bytes]:
 
 
 def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, int]:
-    """Sweep, and kill a process of it, drawn at random, once so many scenes are done.
+    """Run a sweep, and kill a random one of its processes after a number of scenes is done.
 
     Returns how often something was killed, and how often it was the process that leads. A part
     below 0 is of the time before the first scene.
@@ -51,7 +49,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
         )
         while process.poll() is None and done(out) < part * SCENES:
             time.sleep(0.02)
-        # not always just behind a scene
+        # A random delay separates the kill from the end of a scene.
         time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))
         there = processes(mark)  # workers
         victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
@@ -59,7 +57,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
         code, said = process.ended()
-        # Python's own resource tracker tells how it was killed
+        # Python's own resource tracker tells how it was killed.
         assert f'File "{PACKAGE}' not in said, said
         assert code in (0, -signal.SIGKILL), said
         until(lambda: not processes(mark))  # nothing of it is left

@@ -1,4 +1,4 @@
-"""What is kept of each scene: its unit, and its numbers against those of Hertz's law."""
+"""Stored quantities of each scene: units, and numbers compared with Hertz's law."""
 
 from pathlib import Path
 from typing import Any
@@ -47,7 +47,7 @@ def swept(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 @pytest.fixture(scope="module")
 def whole() -> Any:
-    """The same scene, of all grains and at many times."""
+    """Return the scene with all grains recorded at many times."""
     return simulate(SCENE.replace(samples=4001), "native", 1e-10)
 
 
@@ -209,9 +209,9 @@ def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
         for name, truth in truths.items():
             value = row[name].values
             error = row[f"{name}_error"].values
-            # the grain that is held has no motion to be accurate about
+            # The grain that is held has no motion to be accurate about.
             assert np.atleast_1d(error <= 0.1 * np.abs(value))[:last].all()
-            # 1e-5: what the largest of 6001 samples misses
+            # 1e-5: what the largest of 6001 samples misses.
             assert (np.abs(value - truth) <= error + 1e-5 * truth).all(), name
         times = row.arrival_time.values
         assert np.isfinite(times).sum() > 10
@@ -240,7 +240,7 @@ def test_what_is_settled_before_a_scene_cannot_be_predicted_is_kept(tmp_path: Pa
     assert error < 1e-3 * force
     speeds = np.abs(truth.velocity).max(0)
     assert results.peak_velocity[0].values == pytest.approx(speeds, rel=1e-3)
-    # grain 1 flies on, and what is kept of all times would be known at the end alone
+    # Grain 1 flies on, and what is kept of all times would be known at the end alone.
     assert np.isnan(results.peak_displacement[0, 0])
     assert np.isnan(results.velocity).all()
 

@@ -1,4 +1,4 @@
-"""Scenes made as arrays are those that are made one by one, in all that they hold and derive."""
+"""Scenes made in batches are equal to scenes made one by one, with all derived numbers."""
 
 from typing import Any
 
@@ -84,7 +84,7 @@ def asked(chain: str, excitation: str, disorder: dict[str, Any], **more: Any) ->
 
 
 def numbers(scene: Scene) -> dict[str, Any]:
-    """Return what a scene and its chain hold and derive, by name.
+    """Return all numbers of a scene and its chain, by name.
 
     All but what chains made together do not say: their material, what they took from it, and
     impurities.
@@ -167,7 +167,7 @@ def test_a_copy_of_a_chain_made_together_has_its_grains(chain: str, key: str):
 
 @pytest.mark.parametrize("spoilt", ["stiffness", "masses", "compression", "drawn"])
 def test_a_chain_that_is_not_sound_is_made_alone(spoilt: str):
-    """One by one, a chain is checked, and says what is wrong with it."""
+    """A chain made alone is checked, and an error names its fault."""
     chain = Chain(grains=3, diameter=1e-3)
     masses = np.full((3, 3), 1e-6)
     constants = np.full((3, 2), 1e9)
@@ -186,6 +186,6 @@ def test_a_chain_that_is_not_sound_is_made_alone(spoilt: str):
         sound = realisations._sound(chain, equilibria, checked)
         undrawn = realisations._sound(chain, equilibria, {})
     assert sound.tolist() == [True, False, True]
-    # random contacts alone may be soft
+    # Random contacts alone may be soft.
     expected = [True, spoilt in ("compression", "drawn"), True]
     assert undrawn.tolist() == expected

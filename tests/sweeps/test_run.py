@@ -1,6 +1,4 @@
-"""Who does the tasks of a sweep: how many at a time, what is tried again, what is given up, what is
-told.
-"""
+"""Executors of a sweep: parallel tasks, repetitions after faults, and messages."""
 
 import errno
 import os
@@ -32,7 +30,7 @@ ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_fo
 
 @pytest.fixture
 def in_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two scenes a task."""
+    """Put two scenes into each task."""
     monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
 
 
@@ -58,7 +56,7 @@ class Bar:
 
 
 class Faulty(Here):
-    """Fails at each task so many times."""
+    """A function that fails a given number of times at each task."""
 
     def __init__(self, failure: Exception, times: int):
         self.failure = failure
@@ -159,7 +157,7 @@ def test_what_is_hardly_meant_is_said_once_for_all_scenes(tmp_path: Path):
 
 
 def test_small_scenes_make_a_task_together():
-    """256 at most, with 4 million numbers."""
+    """A task has at most 256 scenes, with 4 million numbers."""
 
     def scene(grains: int, samples: int) -> Scene:
         chain = Chain(grains=grains, diameter=1e-3)

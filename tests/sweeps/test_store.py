@@ -1,4 +1,4 @@
-"""How results lie on the disk: shards and parts, and what is read back of any mixture of them."""
+"""Files of the results: shards and parts, and reading any mixture of them."""
 
 import json
 import math
@@ -209,7 +209,7 @@ def test_a_part_has_the_shape_of_its_column(tmp_path: Path):
 
 
 def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
-    """Write an array as lmpchain does, and files of so many bytes as what it holds."""
+    """Write an array as lmpchain does, and files with its number of bytes."""
     store.create_results(
         folder, laid(2, 1, peak=()), {"grain": (("grain",), np.arange(length), {})}, {"case": 2}
     )
@@ -221,7 +221,7 @@ def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
 
 
 def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
-    """64 MB, or a thousand times what is there."""
+    """The limits are 64 MB, and a thousand times the size of the file."""
     cases = [
         (2**23, 0, True),
         (2**23 + 1, 0, False),

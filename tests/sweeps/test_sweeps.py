@@ -1,4 +1,4 @@
-"""Sweeps: what is swept, who answers, what survives, and what is found."""
+"""Sweeps: their axes, executors, interruptions and results."""
 
 import json
 import os
@@ -67,7 +67,7 @@ def begun(folder: Path) -> bool:
 
 
 def test_a_cell_and_a_taper_are_swept(tmp_path):
-    """Each scene is that of the grains written out; single entries of a cell are keys as well."""
+    """Scenes equal those with all grains written out; single entries of a cell are keys as well."""
     cells = [["steel", "pom"], ["steel", "ptfe"]]
     tapers = [0.0, 0.05]
     chain = {"grains": 6, "cell": cells[0], "diameter": 1e-3}
@@ -178,7 +178,7 @@ def test_draws_fill_a_latin_hypercube(tmp_path):
     speed = found["excitation.velocity"].values
     assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
     assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
-    # nothing is faster than the strike
+    # Nothing is faster than the strike.
     assert found.peak_velocity[:, 0].values == pytest.approx(speed, rel=1e-12)
     assert found.identical(sweep(asked, tmp_path / "b"))
     other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
@@ -217,9 +217,7 @@ DRAWN: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("keys", [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]])
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
-    """Each scene is that which its scene file would be, to the last bit; what is drawn is a
-    coordinate.
-    """
+    """Each scene equals its scene file, to the last bit; drawn numbers are a coordinate."""
     impurity = [{"grain": 4, "mass": 1e-6}]
     scene = SHORT | {"chain": SHORT["chain"] | {"bottom": bottom, "impurity": impurity}}
     table = {"seed": 4, "realisations": 5} | {key: DRAWN[key] for key in keys}
@@ -242,9 +240,7 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
 
 
 def test_a_packet_is_that_of_each_chain():
-    """It follows from masses and stiffnesses, so that its energy is not that of the
-    ordered chain.
-    """
+    """The packet follows from masses and stiffnesses of each chain, and so does its energy."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
     packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
     scene = Scene(chain=chain, excitation=packet, duration=2e-5)
@@ -266,9 +262,7 @@ def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
 
 @pytest.mark.parametrize("log", [False, True])
 def test_drawn_numbers_obey_their_law(tmp_path, log):
-    """Mean and deviation are those of the number itself; a seed stands for the same ones, however
-    many scenes.
-    """
+    """Mean and deviation are those of the number; a seed fixes the numbers for any count."""
     law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
     asked = {
         "scene": SHORT,
@@ -303,7 +297,7 @@ def test_arrays_are_coordinates(tmp_path):
 
 
 def test_material_and_impurity_keys(tmp_path):
-    """The constants of a named material and what is in an impurity can be swept."""
+    """Constants of a named material, and the keys of an impurity, can be swept."""
     scene = SHORT | {
         "chain": SHORT["chain"]
         | {"impurity": [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6}]}
@@ -326,7 +320,7 @@ def test_material_and_impurity_keys(tmp_path):
 
 @pytest.mark.parametrize("entry", ["2", "\N{SUPERSCRIPT ONE}", "1" * 5000])
 def test_entries_that_are_not_there(entry: str, tmp_path):
-    """Python reads no number of 5000 digits."""
+    """Python refuses to read numbers of 5000 digits."""
     scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}]}}
     with pytest.raises(InputError, match=r"there is no entry .*: the scene has 1, counted from 0"):
         sweep({"scene": scene, "grid": {f"chain.impurity.{entry}.mass": [1e-6]}}, tmp_path)
@@ -459,7 +453,7 @@ def test_what_is_gathered_is_kept(tmp_path):
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        # two samples show nothing of it, so that it is gathered, too
+        # Two samples show nothing of it, so that it is gathered, too.
         farthest = peaks(one, "displacement")
         error = own["peak_displacement_error"] + farthest.error[[6, 2]]
         assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()
@@ -673,7 +667,7 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
     out, err = capfd.readouterr()
     assert "of 8 scenes" in out
-    # a hard strike, what failed
+    # The hard strike gives a warning, the failed scenes an error.
     assert [line.partition(":")[0] for line in err.splitlines()] == [
         "warning",
         "error",
@@ -689,7 +683,7 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert np.isnan(lost.solver_error).all()
     assert np.isfinite(found.velocity.where(found.reason == "", 0.0)).all()
     before = contents(tmp_path / "out")
-    # tells it again, runs nothing
+    # A second call repeats the warning without running anything.
     assert main(["sweep", str(path), "-o", str(tmp_path / "out"), "--workers", "1"]) == 1
     assert contents(tmp_path / "out") == before
 
@@ -903,7 +897,7 @@ SCENES_OF_A_SWEEP = 200  # as many as it takes to be in the midst of them
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    """Return a sweep that is to be disturbed, and what it gives undisturbed."""
+    """Return a sweep to be interrupted, and its results without interruption."""
     folder = tmp_path_factory.mktemp("serial")
     path = long_sweep(folder, SCENES_OF_A_SWEEP)
     sweep(path, folder / "out")
@@ -934,7 +928,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, serial):
     ],
 )
 def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
-    """Ctrl-C reaches all processes of a terminal; what is done is kept, and no process is left."""
+    """Ctrl-C reaches all processes of a terminal; finished scenes stay, no process does."""
     path, expected = serial
     with command(path, "-o", tmp_path, "--workers", 2, start_new_session=True) as process:
         until(lambda: begun(tmp_path))

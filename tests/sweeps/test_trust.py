@@ -1,6 +1,4 @@
-"""Results of sweeps that somebody else has tampered with: nothing is opened, nothing runs, one line
-says why.
-"""
+"""Modified results of sweeps are refused in one line, before any file is opened."""
 
 import json
 import os
@@ -41,7 +39,7 @@ def whole(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a copy of it, in which no store can be opened: what is refused is refused before."""
+    """Return a copy of the folder, with a store that must not be opened."""
     import zarr
 
     def opened(*_: Any, **__: Any) -> None:
@@ -58,7 +56,7 @@ def results(folder: Path) -> Path:
 
 
 def changed(name: str, *path: Any, to: Any) -> Callable[[Path], None]:
-    """Return what changes a value in the metadata of an array."""
+    """Return a function that changes a value in the metadata of an array."""
 
     def change(folder: Path) -> None:
         file = results(folder) / "results.zarr" / name / "zarr.json"
@@ -73,7 +71,7 @@ def changed(name: str, *path: Any, to: Any) -> Callable[[Path], None]:
 
 
 def link(name: str) -> Callable[[Path], None]:
-    """Return what puts a link to the same file elsewhere in place of a file."""
+    """Return a function that replaces a file by a link to a copy elsewhere."""
 
     def change(folder: Path) -> None:
         file = results(folder) / name if name else folder / "sweep.json"
@@ -84,7 +82,7 @@ def link(name: str) -> Callable[[Path], None]:
 
 
 def pipe(name: str) -> Callable[[Path], None]:
-    """Return what puts a pipe, on which a reader would wait without end, in place of a file."""
+    """Return a function that replaces a file by a pipe, on which a reader would wait for ever."""
 
     def change(folder: Path) -> None:
         file = results(folder) / name if name else folder / "sweep.json"
@@ -95,7 +93,7 @@ def pipe(name: str) -> Callable[[Path], None]:
 
 
 def named(name: str) -> Callable[[Path], None]:
-    """Return what makes the index name other results."""
+    """Return a function that makes the index name other results."""
 
     def change(folder: Path) -> None:
         index = json.loads((folder / "sweep.json").read_text())
@@ -105,7 +103,7 @@ def named(name: str) -> Callable[[Path], None]:
 
 
 def asking(**more: Any) -> Callable[[Path], None]:
-    """Return what changes the sweep that the results say they are of."""
+    """Return a function that changes the stored sweep of the results."""
 
     def change(folder: Path) -> None:
         file = results(folder) / "sweep.json"

@@ -1,11 +1,11 @@
-"""What a sweep keeps is whole and on the disk before it counts as done, or done again."""
+"""Results of a sweep count as done only after they are whole and on the disk."""
 
 import json
 import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,22 +30,30 @@ ASKED = {
 SHARDS = 3
 
 
-@pytest.fixture(autouse=True)
-def small_shards(monkeypatch: pytest.MonkeyPatch):
-    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
-    monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_bytes=288))
+@pytest.fixture(scope="module", autouse=True)
+def small_shards() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
+        patch.setattr(store, "STORE", store.STORE._replace(shard_bytes=288))
+        yield
 
 
 @pytest.fixture(scope="module")
-def right(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    return sweep(ASKED, tmp_path_factory.mktemp("right") / "sweep").load()
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "sweep"
+    sweep(ASKED, folder)
+    assert len(list(folder.glob("*/shards/*.json"))) == SHARDS
+    return folder
+
+
+@pytest.fixture(scope="module")
+def right(whole: Path) -> Any:
+    return load_sweep(whole).load()
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    sweep(ASKED, tmp_path / "sweep")
-    assert len(list((tmp_path / "sweep").glob("*/shards/*.json"))) == SHARDS
-    return tmp_path / "sweep"
+def folder(whole: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(whole, tmp_path / "sweep")
 
 
 def remove(path: Path) -> None:
@@ -122,7 +130,7 @@ def test_seals_and_tasks_too(name: str, damage: Callable[[Path], None], folder: 
     (path,) = folder.glob(f"*/{name}")
     damage(path)
     if name == "sweep.json" and damage is not remove:
-        # whose sweep these were cannot be known
+        # The sweep of these results is unknown.
         with pytest.raises(InputError, match=r"is damaged .* remove it, and sweep again"):
             sweep(ASKED, folder)
         shutil.rmtree(path.parent)

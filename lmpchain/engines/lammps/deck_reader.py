@@ -47,7 +47,7 @@ LAMMPS_NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
 )  # as LAMMPS reads one
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
-# of the rows of a data file: whole numbers at the beginning, and numbers that must be 0
+# Columns of a row: their number, the count of leading integers, and columns that must be 0.
 ATOMS = {"Atoms # sphere": (7, 2, [4, 5]), "Atoms # hybrid": (10, 2, [2, 3, 7, 8, 9])}
 # Type, diameter, density and height in such a row.
 COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
@@ -58,7 +58,7 @@ DATA_ROWS = {
 
 
 class Deck(NamedTuple):
-    """What a deck is to run.
+    """The content of a deck: the scene that it runs, and its method.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ class _Script:
             if not all(map(str.isascii, line.words)) or line.words[-1].endswith("&"):
                 raise self.refuse(line, "must be a line of plain ASCII, without & at its end")
             if _is_index(line.words):
-                # LAMMPS ignores a variable that is there already
+                # LAMMPS ignores a second definition of an index variable.
                 self.variables.setdefault(line.words[1], line)
         for line in self.lines:
             for name in USED.findall(" ".join(line.words)):
@@ -176,7 +176,7 @@ class _Script:
         number = self.value(text, line)
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
-        # LAMMPS takes no 1e2 where it counts
+        # LAMMPS does not accept 1e2 as an integer.
         whole = text.isdigit() or text.startswith("$(")
         if not (whole and least <= number <= deck.STEPS_OF_A_RUN and number == int(number)):
             fault = f"must hold a whole number from {least} to {deck.STEPS_OF_A_RUN}"
@@ -184,7 +184,7 @@ class _Script:
         return int(number)
 
     def runs(self) -> tuple[float, int, int]:
-        """Return the step of the runs, s, how many steps they do together, and digits of dumps.
+        """Return the time step, s, the total number of steps, and the digits of the dumps.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class _Script:
         match = FLOAT_FORMAT.fullmatch(line.words[-1])
         if not match:
             raise self.refuse(line, "must end in a format such as %.17g")
-        # of C: six digits where none are given, and one where these are 0
+        # The format of C prints six digits by default, and at least one.
         return max(1, int(match[1] or 6))
 
 
@@ -295,7 +295,7 @@ def _commands(text: str) -> list[_DeckLine]:
     """Return the commands of a text without comments."""
     lines = []
     for number, line in enumerate(text.split("\n"), 1):
-        # LAMMPS joins lines before it looks for comments
+        # LAMMPS joins continued lines before it removes comments.
         command, _, comment = line.partition("#")
         words = command.split() + (["&"] if comment.rstrip().endswith("&") else [])
         if words:
@@ -361,7 +361,8 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     if hertz:
         constants = stiffness * np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         share = pair_value(masses) / 1.5
-    # only overlaps and masses enter the motion: a gauge diameter would be compressed too much
+    # Only overlaps and masses enter the motion. Grains of the gauge diameter would be compressed
+    # too much for a scene.
     diameters = np.cbrt(6 * masses / (np.pi * 2500.0)) if gauge else d
     return Chain(
         grains=masses.size,
@@ -478,7 +479,7 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
 
 
 def _excitation(script: _Script, grains: _Grains) -> Excitation:
-    """Return what sets the column of a deck in motion."""
+    """Return the excitation of the column of a deck."""
     if struck := script.find("group", "struck", "id"):
         grain = script.count(script.argument(struck, 3), struck)
         return Impulse(velocity=script.variable("v0"), grain=grain)
@@ -496,7 +497,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
     if pushed := script.find("group", "pushed", "id"):
         wave["grain"] = script.count(script.argument(pushed, 3), pushed)
         if script.find("variable", "end") and "cycles" not in wave:
-            # half a period
+            # The variable stores half a period.
             wave |= {"shape": "half-sine", "duration": 0.5 / wave.pop("frequency")}
         return Force(**wave)
     return Drive(**wave) if script.find("group", "driven") else Drive(grain=0, **wave)
@@ -522,7 +523,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
         )
     u, v = scene.initial()
     if isinstance(scene.excitation, Impulse):
-        # a deck strikes by itself
+        # A deck sets the velocity of the strike itself.
         v = np.zeros_like(v)
     rounding = 4 * np.spacing(np.abs(grains.rest).max())
     starts = [(grains.rest - grains.heights, u, rounding), (0.0 - grains.speeds, v, 0.0)]
@@ -573,7 +574,7 @@ def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step
 
 def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: str) -> None:
     """Raise `InputError` at the first command that is not the next one of `rest`, or free."""
-    # through points, runs end where the next piece begins
+    # A spline is applied piece by piece, so each run ends where the next piece begins.
     pieces = sum(words[0] == "run" for words in rest) > 1
     free = free - ({"run"} if pieces else set())
     repeated = set()
@@ -600,7 +601,7 @@ def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> 
 
 
 def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
-    """Return whether a command says only how long a run is, or what is printed."""
+    """Return whether a command only sets the length of the run or the output."""
     words = line.words
     if words[0] == "dump_modify":
         return words[1:-1] in (["out", "sort", "id", "format", "float"], ["out", "format", "float"])
@@ -610,7 +611,7 @@ def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
 
 
 def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether two commands are the same but for rounding."""
+    """Return whether two commands agree within rounding."""
     if len(words) != len(others):
         return False
     return all(one == other or _near(one, other) for one, other in zip(words, others, strict=True))

@@ -15,7 +15,7 @@ from typing import Any
 from ...scene.base import Excitation
 from ...scene.waveform import Waveform
 
-# of the cubic piece that holds now, in powers of the time since it began
+# Coefficients of the current cubic piece, in powers of the time since its begin.
 PIECE = ("begin", "c0", "c1", "c2", "c3")
 SINCE = "(v_now-v_begin)"
 SINE = "v_amplitude*sin(v_omega*v_now)"
@@ -41,14 +41,14 @@ def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
 
 
 def value(wave: Waveform) -> str:
-    """Return a waveform, upward, in LAMMPS variables."""
+    """Return a waveform, upward, in variables of LAMMPS."""
     if wave.spline is not None:
         return f"-(v_c0+{SINCE}*(v_c1+{SINCE}*(v_c2+{SINCE}*v_c3)))"
     return f"-{SINE}" + (f"*{INSIDE}" if wave.envelope else "") + (BEFORE if wave.corners else "")
 
 
 def slope(wave: Waveform) -> str:
-    """Return the rate of a waveform, upward, in LAMMPS variables."""
+    """Return the time derivative of a waveform, upward, in variables of LAMMPS."""
     if wave.spline is not None:
         return f"-(v_c1+{SINCE}*(2.0*v_c2+3.0*{SINCE}*v_c3))"
     plain = "-v_amplitude*v_omega*cos(v_omega*v_now)"

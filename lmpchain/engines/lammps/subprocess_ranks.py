@@ -49,10 +49,10 @@ class SubprocessRanks:
             raise
 
     def _start(self) -> tuple[subprocess.Popen[bytes], Connection]:
-        # a socket of the abstract namespace of Linux, which vanishes with its process
+        # The abstract namespace of Linux removes a socket when its process ends.
         address = f"lmpchain-{os.getpid()}-{secrets.token_hex(8)}"
         with socket.socket(socket.AF_UNIX) as listener:
-            # no file, which a kill would leave behind
+            # An abstract address leaves no file behind if the process is killed.
             listener.bind(f"\0{address}")
             listener.listen(1)
             listener.settimeout(0.2)
@@ -62,7 +62,7 @@ class SubprocessRanks:
                 stdin=subprocess.DEVNULL,
                 stdout=self._output,
                 stderr=self._output,
-                # Ctrl-C is for this process, which then ends the ranks in order
+                # Ctrl-C reaches only this process, which then ends the ranks in order.
                 start_new_session=True,
             )
             until = time.monotonic() + START_S
@@ -119,7 +119,7 @@ class SubprocessRanks:
         line: Connection | None = getattr(self, "_line", None)
         mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
         if line:
-            # the leading rank sees the end of its orders
+            # The leading rank stops when its connection closes.
             line.close()
         if mpiexec:
             try:
@@ -131,8 +131,8 @@ class SubprocessRanks:
 
 
 def _connect(end: socket.socket) -> Connection:
-    """Return the line to the process at the other end, which must be one of this user's."""
-    # anyone on this machine can connect to that name, and pickles run code
+    """Return the connection to the process at the other end, which must belong to this user."""
+    # Any user of this machine can connect to the address, and unpickling runs code.
     user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
     if user != os.getuid():
         raise EngineUnavailable("the ranks cannot be reached: another user answers in their place")
@@ -141,7 +141,7 @@ def _connect(end: socket.socket) -> Connection:
 
 
 def serve(address: str) -> None:
-    """Be a rank: the first one takes orders from the socket and leads the others."""
+    """Run as a rank: the first rank obeys the socket and leads the others."""
     world = mpi.library().COMM_WORLD
     mpi.settle(world)
     pids = world.gather(os.getpid())

@@ -24,13 +24,13 @@ DUMPS = {"atom", "cfg", "custom", "grid", "image", "local", "xyz"}
 PACKED = (".gz", ".bz2", ".lz4", ".lzma", ".xz", ".zst")  # another program packs these
 FIXES = {"ave/time", "ave/chunk", "ave/histo", "print"}
 VARIABLES = {"atom", "equal", "format", "index", "string", "vector"}
-# a compute with one of these words compares with the positions or velocities where it was made
+# A compute with one of these words compares with the positions or velocities at its creation.
 REFERRING = ("msd", "vacf", "displace", "fep", "born")
 ACCUMULATING = {"running", "window"}
 OUTPUTS = "output-{}"  # in a run folder: one folder for each start of LAMMPS
 TOKEN = re.compile(r"\"[^\"]*\"|'[^']*'|\S+")
 FILE_NAME = re.compile(r"[\w.*%+-]*\w[\w.*%+-]*", re.ASCII)
-# names that the set-up gives to its own fixes, groups, regions and variables
+# Names of the fixes, groups, regions and variables of the set-up.
 OURS = {
     *("at_bottom", "at_top", "bottom", "drag", "drive", "driven", "mobile", "motion", "out"),
     *("press", "push", "pushed", "rest", "struck", "top", "weight"),
@@ -45,7 +45,7 @@ WATCHERS = (
 
 
 def find_fault(text: str) -> str:
-    """Return the first command that may do more than watch, and why, or nothing."""
+    """Return the first command that may change the motion, and the reason, or an empty text."""
     for number, line in enumerate(_join(text).split("\n"), 1):
         words = _words(line)
         if words and (fault := _fault(words)):
@@ -92,7 +92,7 @@ def _words(line: str) -> list[str]:
 
 
 def _fault(words: list[str]) -> str:
-    """Return why a command may do more than watch, or nothing."""
+    """Return the reason why a command may change the motion, or an empty text."""
     command = words[0]
     if command not in COMMANDS | {"fix"}:
         return f"has the command {short(command)}"
@@ -107,7 +107,7 @@ def _fault(words: list[str]) -> str:
 
 
 def _name_fault(words: list[str]) -> str:
-    """Return whether a command takes a name of the set-up."""
+    """Return whether a command uses a name of the set-up."""
     named = words[0] in ("compute", "fix", "group", "variable")
     for name in words[1:2] if named else []:
         if name in OURS or "$" in name:

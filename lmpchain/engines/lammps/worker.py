@@ -63,7 +63,7 @@ class StepPlan:
 
     def intervals(self, index: int) -> list[tuple[float, Array]]:
         """Return length and drift times of a step, in two parts if the waveform ends within it."""
-        # what is imposed is needed at the ends of the drifts
+        # Imposed values are needed at the ends of the drifts.
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step
         end = self.wave.end if self.wave else np.inf
@@ -86,7 +86,7 @@ class LocalState(NamedTuple):
 
 
 class Worker:
-    """A LAMMPS instance that shares a column with those of the other ranks.
+    """One instance of LAMMPS; all workers together integrate one column.
 
     Parameters
     ----------
@@ -123,7 +123,8 @@ class Worker:
         if plan.walled:
             self._move_wall(plan.done * plan.step)
         elif plan.done and plan.pieces and plan.splitting.order == 2:
-            # the first forces are those at the end of the last step, with its piece
+            # The first forces are those at the end of the last step, within its piece of the
+            # spline.
             ends = [int(end / plan.step) for end, _ in plan.pieces]
             later = (k for k, end in enumerate(ends) if end >= plan.done)
             self._use_piece(next(later, len(ends) - 1))
@@ -154,7 +155,7 @@ class Worker:
         plan = self._plan
         total = self._lammps.get_natoms()
         if total != plan.grains:
-            # all ranks see this
+            # All ranks see this result, so all raise.
             raise RunFailed(f"LAMMPS has lost grains: {total:.0f} of {plan.grains} are left")
         arrays = self._lammps.numpy
         count = self._lammps.extract_setting("nlocal")
@@ -189,7 +190,7 @@ class Worker:
         """Move forward by `steps` steps."""
         splitting = self._plan.splitting
         if splitting.order == 2:
-            # velocity Verlet is the integrator of LAMMPS itself
+            # Velocity Verlet is the integrator of LAMMPS itself.
             self._run(steps)
         else:
             outside = not splitting.substeps or self._plan.pushed is not None
@@ -201,7 +202,7 @@ class Worker:
         done = self._done
         last = self._done + steps
         pieces = self._plan.pieces
-        # a trace of an instrument may have a million pieces
+        # A trace of an instrument may have a million pieces.
         first = bisect_right(pieces, done * self._plan.step, key=itemgetter(0))
         for index in range(first, len(pieces)):
             if done == last:
@@ -227,14 +228,14 @@ class Worker:
                     if kicks:
                         self._kick_grains(kicks[n] * h, imposed[n])
                     if drives:
-                        # with the speed that takes it to its height at the end
+                        # The velocity is set such that the drift ends at the imposed height.
                         self._v[0, 2] = (plan.rest - imposed[n + 1] - self._x[0, 2]) / drift
                     if plan.walled:
                         self._move_wall(times[n + 1])
                     command(f"timestep {drift!r}")
                     command("run 1 pre no post no")
-                # this kick stays apart from the next step's first: chunks of any length give the
-                # same bits
+                # The last kick is not merged with the first kick of the next step, so that chunks
+                # of any length give the same bits.
                 if kicks:
                     self._kick_grains(kicks[-1] * h, imposed[-1])
         if drives:
@@ -243,7 +244,7 @@ class Worker:
 
     def _kick_grains(self, length: float, force: float) -> None:
         """Kick all grains by the forces of LAMMPS, and one by this force, N, for a time, s."""
-        # into an array that is there: this runs once for each stage
+        # The array is reused because this function runs once per stage.
         self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
         if self._pushed is not None:
             self._vz[self._pushed] -= length * self._inverse_mass[self._pushed] * force
@@ -261,7 +262,7 @@ class Worker:
     def share(self) -> LocalState:
         """Return the motion of the grains of this rank."""
         self._check_order()
-        # a column that buckles leaves its axis, and x or y is no longer exactly 0
+        # A column that buckles leaves its axis, so x or y is no longer exactly 0.
         straight = not self._x[:, :2].any()
         return LocalState(self._start, self._x[:, 2], self._v[:, 2], self._f[:, 2], straight)
 
@@ -271,5 +272,5 @@ class Worker:
 
 
 def deck_steps(splitting: Splitting) -> int:
-    """Return the number of steps of LAMMPS in one of the splitting."""
+    """Return the number of steps of LAMMPS in one step of the splitting."""
     return 1 if splitting.order == 2 else len(splitting.drifts)
