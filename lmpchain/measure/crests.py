@@ -38,9 +38,7 @@ class Crests(NamedTuple):
     height_error: Array
 
     def first(self, grain: int, begin: float, end: float) -> int | None:
-        """Return the number of the highest crest of a grain between two times; None if there is
-        none.
-        """
+        """Return the number of the highest crest between two times, or None."""
         first, last = np.searchsorted(self.grain, [grain, grain + 1])
         time = self.time[first:last]
         inside = first + np.flatnonzero((time >= begin) & (time <= end))

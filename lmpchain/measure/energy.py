@@ -121,8 +121,7 @@ class EnergyLedger(Shown, Tabular):
 
     @property
     def momentum_drift(self) -> Array:
-        """Return the momentum change not explained by external forces, (T,) N s; 0 for the exact
-        motion.
+        """Return the momentum change that external forces do not explain, (T,) N s.
 
         If `balanced` has the impulse, it is 0 for any motion.
         """
@@ -467,8 +466,7 @@ def _close(
     sampled: dict[str, tuple[Array, float]],
     changes: dict[str, tuple[float, Array, Any, str]],
 ) -> tuple[dict[str, tuple[Array, float]], list[str]]:
-    """Return the most accurate values of terms, their errors, and the terms that follow from a
-    balance.
+    """Return the best values of terms, their errors, and the terms given by a balance.
 
     `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
     that sum and its error, and the other term of the balance.
@@ -510,8 +508,7 @@ def _work_of_load(chain: Chain, u: Array, top: Array | None) -> Array:
 
 
 def losses(trajectory: Trajectory) -> EnergyLosses:
-    """Return the energy dissipated by each viscous contact, and by the drag on each grain, over
-    time.
+    """Return the energy that each viscous contact and the drag on each grain dissipate.
 
     Parameters
     ----------
@@ -557,9 +554,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
 def _sum_losses(
     scene: Scene, time: Array, contacts: _Forces, v: Array, fast: float
 ) -> EnergyLosses:
-    """Return the energy dissipated by contacts and by grains, given the error `fast` of speeds,
-    m/s.
-    """
+    """Return the energy dissipated by contacts and grains; `fast` is the error of speeds, m/s."""
     drag = _drag(scene)
     if not scene.chain.damped:
         return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
@@ -698,9 +693,7 @@ def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
 
 
 def _motion_of_wall(scene: Scene, time: Array) -> tuple[Array | None, Array | None]:
-    """Return displacement and velocity of a driven top wall, (T,) m, m/s; None if the wall is at
-    rest.
-    """
+    """Return displacement and velocity of a driven top wall, (T,) m, m/s, or None."""
     wall = scene.excitation.wall
     if wall is None:
         return None, None

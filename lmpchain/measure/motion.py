@@ -135,9 +135,7 @@ class Motion:
     def _accumulate(
         self, field: Field | None, fraction: float, contacts: Sequence[int], ceiling: Array
     ) -> Accumulator:
-        """Accumulate largest sizes and maxima of a field of the moving grains, or of contacts
-        alone.
-        """
+        """Accumulate largest sizes and maxima of a field of moving grains or of contacts."""
         bodies = [*contacts, *(n + 1 for n in contacts)]
         grains = self._moving if field else self._moving[np.isin(self._moving, bodies)]
         # Only the columns of these grains, their neighbours and the bodies of the contacts are
@@ -158,9 +156,7 @@ class Motion:
         return accumulator
 
     def _followed(self, field: Field, fraction: float) -> Accumulator:
-        """Return the largest sizes and maxima of the moving grains, accumulated once for each
-        field.
-        """
+        """Return largest sizes and maxima of the moving grains, once for each field."""
         known = self._accumulators.get(field)
         if known is None or known[0] != fraction:
             known = fraction, self._accumulate(field, fraction, (), self.ceiling)
@@ -280,9 +276,7 @@ class Motion:
 
     @property
     def _energy_bounds(self) -> bool:
-        """Whether the energy of the scene bounds the motion: no external work, and a known
-        equation.
-        """
+        """Whether the energy bounds the motion: no external work, and a known equation."""
         return not self.scene.excitation.does_work and self._equation in (1, 3)
 
     @cached_property

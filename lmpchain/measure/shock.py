@@ -154,9 +154,7 @@ class Shock(Shown, Tabular):
     _downward: bool
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the overlaps at the end with edges and plateaus, predicted edges dashed; return the
-        axes.
-        """
+        """Draw the final overlaps, edges and plateaus, predicted edges dashed; return axes."""
         ax = axes_in_units(ax, "", "m")
         ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):

@@ -182,8 +182,7 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
 
 
 def _windows(grains: int, contact: np.ndarray, width: int) -> tuple[Array, Array, Array]:
-    """Return the middles of windows (P,), and windows over grains and contacts, squares summing to
-    1.
+    """Return middles of windows (P,), and normalised windows over grains and contacts.
 
     Each rises over half of its width as the next one before falls; the outermost are flat to the
     ends.

@@ -172,8 +172,7 @@ class Accumulator:
             strongest[:] = force if force[0] > strongest[0] else strongest
 
     def relative(self, number: int, first: int, u: Array, v: Array) -> Array:
-        """Return the approach of a contact beyond that at rest, and its rate, at some samples, (2,
-        B).
+        """Return the change of an overlap since rest and its rate at samples, (2, B).
 
         The samples (B, C) begin with sample number `first`.
         """

@@ -65,9 +65,7 @@ class Tabular:
                 yield NamedColumn(name, unit, values)
 
     def to_dataframe(self) -> DataFrame:
-        """Return a pandas data frame with one row for each point of the axis, and units in the
-        names.
-        """
+        """Return a pandas data frame, one row for each point, with units in the names."""
         from pandas import DataFrame
 
         return DataFrame({column.header: column.values for column in self._columns()})

@@ -59,7 +59,7 @@ def test_a_value_is_computed_once_and_its_class_tells_of_it():
     square = Square()
     assert (square.area, square.area) == (4.0, 4.0)
     assert calls == [square]
-    assert Square.area.__doc__ == "Return the area."
+    assert Square.area.__doc__ == "Return the area of the square."
 
 
 class WithUnit(float):

@@ -163,9 +163,7 @@ class ContinuumFit(Fitted, Tabular):
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the ratio of C to its theoretical value for each sample and the fit; return the
-        axes.
-        """
+        """Draw C over its theoretical value at each sample, and the fit; return the axes."""
         from matplotlib.ticker import LogLocator
 
         ax = axes_in_units(ax, "", "")
@@ -406,8 +404,7 @@ class ExponentFit(Fitted):
         return "towards no law within these grains"
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw local exponents less the weak-wave exponents over depth, with errors; return the
-        axes.
+        """Draw local minus weak-wave exponents over depth with errors; return the axes.
 
         Points at the right are the exponents of great depth.
         """

@@ -278,9 +278,7 @@ def fit_parameter(
 
 
 def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
-    """Return the value with the smallest residuals; raise `InputError` if no value can be
-    simulated.
-    """
+    """Return the value with the smallest residuals; raise `InputError` without any."""
     misfits = []
     faults = [("simulate", "gives nothing that is finite: choose another value to begin with")]
     for value in values:
