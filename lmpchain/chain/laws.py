@@ -15,7 +15,17 @@ def _law(formula: str, k: Any, **parameters: Any) -> Law:
 
 
 def hertz(k: Any = None) -> Law:
-    """Return ``k o^1.5`` of spheres that touch (H. Hertz, J. reine angew. Math. 92, 156, 1882)."""
+    """Return ``k o^1.5`` of spheres that touch (H. Hertz, J. reine angew. Math. 92, 156, 1882).
+
+    Parameters
+    ----------
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m^1.5; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
+    """
     return _law("k*max(o, 0)**1.5", k)
 
 
@@ -24,6 +34,17 @@ def power(exponent: Any, k: Any = None) -> Law:
 
     Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001), section 1.11; exponents below
     1 are those of Herbold and Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
+
+    Parameters
+    ----------
+    exponent : float or (N-1,) array
+        Power of the overlap.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m^exponent; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
 
     Examples
     --------
@@ -37,12 +58,35 @@ def fput(alpha: Any = 0.0, beta: Any = 0.0, k: Any = None) -> Law:
     """Return ``k o - alpha o^2 + beta o^3``: springs of Fermi, Pasta, Ulam and Tsingou.
 
     Their alpha belongs to the extension of a bond, which is -o (Los Alamos report LA-1940, 1955).
+
+    Parameters
+    ----------
+    alpha, beta : float or (N-1,) array, optional
+        Coefficients of the quadratic force, N/m2, and of the cubic force, N/m3.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
     """
     return _law("k*o - alpha*o**2 + beta*o**3", k, alpha=alpha, beta=beta)
 
 
 def toda(b: Any, k: Any = None) -> Law:
-    """Return ``k (exp(b o) - 1) / b`` (M. Toda, J. Phys. Soc. Japan 22, 431, 1967)."""
+    """Return ``k (exp(b o) - 1) / b`` (M. Toda, J. Phys. Soc. Japan 22, 431, 1967).
+
+    Parameters
+    ----------
+    b : float or (N-1,) array
+        Inverse length of the exponential, 1/m.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
+    """
     return _law("k*(exp(b*o) - 1)/b", k, b=b)
 
 
@@ -50,6 +94,17 @@ def bilinear(tension: Any, k: Any = None) -> Law:
     """Return a spring of stiffness k when pressed and ``tension k`` when stretched.
 
     Shaw and Holmes, J. Sound Vib. 90, 129 (1983).
+
+    Parameters
+    ----------
+    tension : float or (N-1,) array
+        Stiffness of a stretched spring over that of a pressed one.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
 
     Examples
     --------
@@ -63,6 +118,17 @@ def softening(length: Any, k: Any = None) -> Law:
     """Return ``k length tanh(o / length)``, whose force is bounded by ``k length``.
 
     A bounded contact force as in models of softening metamaterials; its energy is in closed form.
+
+    Parameters
+    ----------
+    length : float or (N-1,) array
+        Overlap at which the force saturates, m.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
     """
     return _law("k*length*tanh(o/length)", k, length=length)
 
@@ -72,6 +138,19 @@ def dmt(pull: Any, reach: Any, k: Any = None) -> Law:
 
     Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 314 (1975). Their pull ends at
     once; here it falls linearly over the reach, because a jump of the force has no order.
+
+    Parameters
+    ----------
+    pull : float or (N-1,) array
+        Adhesive force, N.
+    reach : float or (N-1,) array
+        Gap in which the pull falls to 0, m.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m^1.5; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
     """
     formula = "k*max(o, 0)**1.5 - pull*min(1, max(0, 1 + o/reach))"
     return _law(formula, k, pull=pull, reach=reach)
@@ -81,5 +160,16 @@ def bistable(a: Any, b: Any, k: Any = None) -> Law:
     """Return ``k o (1 + o/a) (1 + o/b)``: at rest at o = 0, and stretched by the larger of a and b.
 
     Frazier and Kochmann, Adv. Mater. 29, 1605800 (2017).
+
+    Parameters
+    ----------
+    a, b : float or (N-1,) array
+        Stretches of the bond at which the force is 0 again, m.
+    k : float or (N-1,) array, optional
+        Contact constant, in N/m; by default it follows from the grains of the chain.
+
+    Returns
+    -------
+    Law
     """
     return _law("k*o*(1 + o/a)*(1 + o/b)", k, a=a, b=b)
