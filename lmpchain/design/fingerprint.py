@@ -19,7 +19,7 @@ def fingerprint(*values: Any) -> str:
     """
     digest = hashlib.sha256()
     for piece in _pieces(values, ()):
-        # with its length, so that no two lists of pieces run together
+        # The length separates pieces, so that different lists give different hashes.
         digest.update(len(piece).to_bytes(8))
         digest.update(piece)
     return digest.hexdigest()
@@ -47,7 +47,7 @@ def _pieces(value: Any, around: tuple[int, ...]) -> Iterator[bytes]:
 
 
 def _contents(value: Any) -> tuple[list[Any], bool]:
-    """Return what a container, a function or an object holds, and whether its order counts."""
+    """Return the contents of a container, function or object, and whether their order counts."""
     if isinstance(value, Mapping):
         return list(value.items()), False
     if isinstance(value, Set):
@@ -68,14 +68,14 @@ def _contents(value: Any) -> tuple[list[Any], bool]:
     if isinstance(value, ModuleType):
         return [value.__name__], True
     if isinstance(value, type) or not hasattr(value, "__dict__"):
-        # such as a class, or a function of C
+        # A class or a function written in C has no contents to read.
         return [getattr(value, "__module__", ""), getattr(value, "__qualname__", repr(value))], True
     return [vars(value)], True
 
 
 def _of_function(function: FunctionType) -> list[Any]:
     outer = function.__globals__
-    # those of other modules by name: they belong to a package, not to the task
+    # Objects of other modules count by name, because they are part of a package.
     names = [name for name in function.__code__.co_names if name in outer]
     referred = {
         name: outer[name]

@@ -71,7 +71,7 @@ class Fit(Fitted, Tabular):
         return np.sqrt(np.diag(self.covariance))
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the fitted numbers; what is a factor has no unit."""
+        """Yield the fitted numbers with their errors and units; factors have no unit."""
         symbols = self._problem.symbols
         for name, value, error, unit in zip(
             self.names, self.estimate.tolist(), self.error.tolist(), symbols, strict=True
@@ -79,7 +79,7 @@ class Fit(Fitted, Tabular):
             yield FittedNumber("traces", name, value, error, unit=unit)
 
     def notes(self) -> Iterator[str]:
-        """Yield how well the scene fits, and where its noise comes from."""
+        """Yield a sentence on the goodness of fit and the source of the noise."""
         noise = "" if self._problem.noisy else "; the noise is that of the residuals"
         yield f"chi square: {self.chi_square:.5g} of {self.freedom}{noise}"
 
@@ -143,7 +143,7 @@ class Fit(Fitted, Tabular):
         return np.asarray(sampler.get_chain(flat=True))[:samples]
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
-        """Draw the measured values and those of the fitted scene, and return the axes.
+        """Draw measured and fitted values against time, and return the axes.
 
         One axes for every unit of the traces: a list of them, of which so many may be given, where
         there are several.
@@ -272,7 +272,7 @@ def fit(
         allowed = BIAS * np.sqrt(np.diag(estimate.covariance)) + 1e-9
         return HalvedAnswer(estimate, float((estimate.bias / allowed).max()))
 
-    # where the motion is chaotic no step is short enough, and every halving takes twice as long
+    # Eight answers at most: no step is short enough for chaos, and each halving doubles the cost.
     best, excess = halve(attempt, 8)
     if excess > 1:
         message = "the steps change the estimates however short they are: use a shorter time"
@@ -314,7 +314,7 @@ def _estimate(problem: Problem, theta: Array) -> _Estimate:
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
         message = "the traces do not tell these apart: fit fewer of them"
         raise InputError.at("parameters", message)
-    # of scaled columns, whose condition tells whether unknowns can be told apart
+    # Scaled columns keep the inverse accurate whatever the units of the unknowns are.
     inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
     freedom = residuals.size - theta.size
     square = float(residuals @ residuals)

@@ -37,7 +37,7 @@ AHEAD = 1e-100  # m/s: of a grain far ahead of a wave, which falls off faster th
 
 
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
-    """Return these grains; raises `InputError` unless all are among those of the scene."""
+    """Return the given grains, and raise `InputError` if the scene lacks one of them."""
     last = scene.chain.grains
     whole_numbers(grains, "grains")
     if not len(grains) or min(grains) < 1 or max(grains) > last:
@@ -95,7 +95,7 @@ class PeakForce:
         weight = quadrature(share.size) * share**self.sharpness
         weight /= weight.sum()
         value = float(largest * (weight @ share))
-        # where the force is small its weight is nothing
+        # Weights of small forces vanish, so their ratio may be set to 0.
         ratio = np.divide(value, force.value, out=np.zeros(share.size), where=share > 1e-3)
         slope = weight * (1 + self.sharpness * (1 - ratio))
         slopes = view.slopes(value)
@@ -326,7 +326,7 @@ class DriveWork:
     def __call__(self, view: Seen) -> Slopes:
         """Return the work and its derivatives."""
         force = contact_force(view, 1)
-        # where it opens its force has a vertical tangent: no sum over times knows the derivative
+        # A sum over times has no derivative, because viscous forces open with a vertical tangent.
         if view.scene.chain.contact_viscosity[1] > 0 and not force.by_closing.all():
             message = "DriveWork needs a viscous contact that stays closed: press it more, or look"
             raise InputError.at("objective", f"{message} at the Energy of grains")

@@ -237,7 +237,7 @@ def optimise(
     store = None
     finished = []
     if folder is not None:
-        # what constraints say where starts begin is also of the files and values that they look at
+        # Values of constraints at the starts also depend on the files that constraints read.
         limits = [constraint(box.values(at)) for constraint in constraints for at in begins]
         options = (maximise, starts, runs, seed, tolerance)
         subject = (scene.to_text(), objective, names, box.low, box.width, constraints, limits)
@@ -323,7 +323,7 @@ class _Descent(NamedTuple):
         return self.sign * value, self.sign * self.box.slopes(by_name)
 
     def allows(self, at: Array) -> bool:
-        """Return whether a point holds all constraints, but for round-off of the optimiser."""
+        """Return whether a point satisfies all constraints within rounding of the optimiser."""
         values = self.box.values(at)
         return all(constraint(values)[0] >= -1e-6 for constraint in self.constraints)
 
@@ -345,7 +345,7 @@ def _descend(descent: _Descent, begin: Array) -> Start:
         at = np.clip(at, 0.0, 1.0)
         result, slopes = descent.solve(at)
         history.append(result)
-        # without an answer: far above all values, which are of the order of 1
+        # A failed run gets a value far above all others, which are of the order of 1.
         if not np.isfinite(result):
             return 1e3, slopes
         # tolerances of the optimisers are absolute: the first value is their unit

@@ -135,7 +135,7 @@ def _with_weight(chain: Chain, gradient: Inputs, key: str) -> Array:
     """Return derivatives by inputs of this name, (P,), by way of the forces at rest, too."""
     match key:
         case "masses":
-            # by their inertia, and by their weight on all contacts below
+            # Masses act by their inertia, and by their weight on all contacts below.
             return gradient.masses + chain.gravity * np.cumsum(gradient.forces[:0:-1])[::-1]
         case "top_load":
             return np.array([gradient.forces[_pressed_by_load(chain)].sum()])
@@ -218,7 +218,9 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
 
 
 def _between(chain: Chain) -> sparse.csr_array:
-    """Return dK/dK of contacts between grains, (N+1, N-1): those of walls follow, unless given."""
+    """Return the derivatives (N+1, N-1) of all contact constants by those between grains.
+
+    Constants of walls change in proportion, unless they are given."""
     grains = chain.grains
     constant = chain.contacts.constant
     row = np.arange(1, grains)
@@ -290,10 +292,12 @@ def _by_modulus(chain: Chain) -> sparse.csr_array:
 
 
 def _by_diameter(chain: Chain) -> sparse.csr_array:
-    """Return dK/dd, (N+1, N), by sqrt(R*), R* that of the radii d/2 or a plane, and by dbar."""
+    """Return the derivatives (N+1, N) of all contact constants by the diameters of grains.
+
+    A diameter changes the effective radius of a contact and the mean diameter."""
     diameters = chain.diameters
     upper, lower = pair_slopes(np.concatenate(([np.inf], diameters / 2, [np.inf])))
-    # of a grain in the mean diameter
+    # Share of a grain in the mean diameter at a contact.
     share = np.full(chain.grains + 1, 0.5)
     share[[0, -1]] = 1.0
     delta = chain.law.power_of("the derivative by a diameter")

@@ -105,7 +105,7 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     overlap = np.maximum(law.overlap + closer, 0.0)
     stiffness = law.stiffness_at(overlap) * (overlap > 0)
     viscous = viscosity * stiffness * closing
-    # of the viscous part: how its stiffness grows with the overlap
+    # The viscous force grows with the overlap, because its stiffness does.
     growth = np.zeros(closer.shape)
     if viscosity > 0:
         np.divide((delta - 1) * viscous, overlap, out=growth, where=overlap > 0)

@@ -23,12 +23,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROWS = 12  # of a table
-# of drawn chains: they are some 5 % off where an answer is well beyond first order
+# Pairs of drawn chains: the scatter is some 5 % off if an answer is far from linear.
 PAIRS = 16
-# in SI units: a momentum or energy far ahead of a wave, which falls off faster than any power there
+# SI units; momentum and energy far ahead of a wave are smaller, because they fall off
+# faster than any power.
 NOTHING = 1e-150
 AT_REST = 1e-9  # of the force at rest, by which one that no wave changes may be rounded
-# in the order of a table: what a chain is, then what happens to it
+# Order of a table: properties of the chain, then loads and excitation.
 CANDIDATES = (
     "diameters",
     "youngs_modulus",
@@ -308,7 +309,7 @@ def sensitivity(
 
 
 def _remark(scene: Scene, answer: Objective, value: float) -> str:
-    """Return that no wave reaches what an answer is about; empty if one does."""
+    """Return a remark if no wave reaches the grains of an answer, else an empty text."""
     within = f"within {scene.duration:g} s: record for longer"
     if isinstance(answer, PeakForce):
         rest = float(scene.chain.contacts.force[answer.contact])

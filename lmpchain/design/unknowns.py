@@ -21,7 +21,7 @@ TURN = 0.5  # of the fastest motion between two looks at first, rad
 # parameters that may change their sign; others do not fall below a tenth
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")
 LOWEST = -0.9
-# and of those that may be nothing
+# Smallest relative change of parameters that may vanish.
 NOTHING = -1.0
 MAY_VANISH = (params.VISCOSITY, params.DRAG)
 

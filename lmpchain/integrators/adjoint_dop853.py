@@ -194,7 +194,7 @@ class DifferentiableDampedRun(ObservedRun):
     def _memory(
         self, steps: int, others: kernels.AdjointSums | kernels.StageRates
     ) -> kernels.Dop853Memory:
-        """Return arrays for the stages of so many steps, and one stage more."""
+        """Allocate arrays for the stages of a number of steps, and for one more stage."""
         stages = self._system.tableau.nodes.size
         width = self._x.shape[1]
         return kernels.Dop853Memory(

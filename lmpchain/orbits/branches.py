@@ -70,7 +70,7 @@ def switch(event: Event) -> Orbit:
         period=2 * single.period,
         flow=replace(single.flow, cycles=2 * single.flow.cycles),
         mesh=np.tile(single.mesh, 2) / 2,
-        # of two orbits half a period apart, one may begin with all grains at rest
+        # Either of two orbits half a period apart may begin with all grains at rest.
         reversible=single.reversible and bool(np.abs(momenta).max() < BRANCHING.still),
     )
     curve, first = family_curve(twice, event.parameter, event.value, event.value, event.hold)

@@ -70,7 +70,7 @@ def returns(
     length = float(np.linalg.norm(step))
     middle = (start.unknown + end.unknown) / 2
     for aspect in earlier:
-        # no orbit further from the middle than the step is long lies beside it
+        # Orbits farther from the middle than the length of the step are not beside it.
         far = np.linalg.norm(aspect.unknown - middle) > length
         if aspect.unknown is start.unknown or far:
             continue

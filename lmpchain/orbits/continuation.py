@@ -177,7 +177,7 @@ class SolutionBranch:
         try:
             solution = self.solve(start, across, near or member)
         except InputError:
-            # beyond the end of what the parameter of a chain may be
+            # The parameter is outside the range that a chain allows.
             return None
         if solution is None:
             return None
@@ -195,7 +195,7 @@ class SolutionBranch:
             length = np.linalg.norm(step)
             before = self.miss(start, target)
             after = self.miss(end, target)
-            # where the line through both passes the target
+            # Guess: the line through both orbits crosses the target.
             guess = start.unknown + (before / (before - after) if after else 1.0) * step
             solution = self.solve(self.equations.unpack(guess), target, end)
             if solution and np.linalg.norm(self.equations.pack(solution.point) - guess) < length:
@@ -265,7 +265,7 @@ class _March:
         # steps tried, and the distance that they led, since the family last moved on
         self.tries = 0
         self.distance = 0.0
-        # to locate events, in unknowns times steps
+        # Cost of locating events, in unknowns times steps.
         self.work = 0.0
 
     @property
@@ -443,7 +443,7 @@ def follow(
     check_flags(events=events)
     curve, first = family_curve(orbit, parameter, start, until, hold)
     curve = replace(curve, exact=events)
-    # with the period held, the amplitude of a small orbit is next to free: hold its energy
+    # A fixed period hardly determines the amplitude of a small orbit: fix its energy.
     if curve.parameter == "period" and orbit.drive is None:
         anchor = fixed(curve.equations, "energy", orbit.energy)
     else:

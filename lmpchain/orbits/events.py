@@ -145,7 +145,7 @@ def _count(kind: str, member: Member) -> int:
     real = _real(values)
     if kind == "Neimark-Sacker":
         pairs = _complex(values)
-        # of pairs l, 1/l any complex mean is unstable
+        # Any complex mean of a pair l, 1/l is unstable.
         return pairs.size if member.multipliers is None else int((np.abs(pairs) > 1).sum())
     return int((real > 1).sum() if kind == "branch point" else (real < -1).sum())
 
@@ -180,7 +180,7 @@ def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
         if met:
             pairs = _complex(mean)
             return float((4 * pairs.imag**2).min()) if pairs.size else 0.0
-        # of the real means next to each other, the two around the one at which they are to meet
+        # The two neighbouring real means nearest to the meeting point.
         nearest = np.abs(real[1:] + real[:-1] - 2 * centre).argmin() if real.size > 1 else 0
         return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else 0.0
     return float(np.abs(real - (1 if kind == "branch point" else -1)).min()) if real.size else 0.0

@@ -117,7 +117,7 @@ class Family(Shown, Tabular):
         return np.array([orbit.stable for orbit in self.orbits])
 
     def backwards(self) -> Family:
-        """Return the same orbits and events in the opposite order."""
+        """Return the family with its orbits and events in reverse order."""
         last = len(self) - 2
         events = (
             replace(event, after=last - event.after) if event.after >= 0 else event

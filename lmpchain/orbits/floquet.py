@@ -1,4 +1,4 @@
-"""Floquet multipliers of tangent maps; those of symplectic ones in exact pairs.
+"""Floquet multipliers of tangent maps, in exact pairs if a map is symplectic.
 
 These come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means
 c = (l + 1/l) / 2 as double eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it
@@ -30,8 +30,10 @@ def inverse(matrix: Array) -> Array:
 
 
 def close(half: Array) -> Array:
-    """Return the tangent map of a period (2M, 2M) from that of half, which is reversed in time."""
-    # reversed in time, momenta change their sign
+    """Return the tangent map (2M, 2M) of a period from the map of half a period.
+
+    The second half of the motion is the first one reversed in time."""
+    # Momenta change their sign under time reversal.
     sign = np.repeat([1.0, -1.0], len(half) // 2)
     return sign[:, None] * inverse(half) * sign @ half
 
@@ -56,12 +58,12 @@ def reversible_means(half: Array) -> Complex:
 def all_multipliers(matrix: Array) -> Complex:
     """Return the multipliers of any tangent map (2M, 2M), the largest first, (2M,)."""
     values = eigvals(matrix).astype(complex)
-    # of two that are conjugate the same one is always the first
+    # Conjugate multipliers have a fixed order.
     return values[np.lexsort((-np.angle(values), -np.abs(values).round(12)))]
 
 
 def without_trivial(mean: Complex) -> Complex:
-    """Return the means but for the pair 1 of an orbit that is not driven: the nearest to 1."""
+    """Return the means without the one nearest to 1, the trivial pair of an undriven orbit."""
     return np.delete(mean, np.abs(mean - 1).argmin())
 
 

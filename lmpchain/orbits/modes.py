@@ -214,7 +214,7 @@ def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
         half = (high - low) / 2
         angle = np.pi / 2 * node
         x = (high + low) / 2 + half * np.sin(angle)
-        # at the ends round-off may leave less than nothing
+        # Rounding may make the kinetic energy negative at the ends.
         speed = np.sqrt(2 * np.maximum(energy - potential(x), 1e-30 * energy) / mass)
         return float(2 * (half * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
 

@@ -220,7 +220,7 @@ class Orbit(Shown, Tabular):
             )
         shifted = self.monodromy - growing[number - 1] * np.eye(len(self.monodromy))
         vector = svd(shifted)[2][-1].conj()
-        # of a complex direction, which has no phase of its own, the one with the largest real part
+        # The phase of a complex direction is arbitrary: make the largest component real.
         vector = vector * np.exp(-1j * np.angle(vector[np.abs(vector).argmax()]))
         u, v = self.flow.deviation(self.state, vector.real.reshape(2, -1))
         return u / np.abs(u).max(), v / np.abs(u).max()

@@ -129,7 +129,7 @@ def _raise_drive(chain: Chain, drive: Drive | Force, period: float) -> Orbit:
 
 
 def _flow(chain: Chain, period: float | None, drive: Drive | Force | None) -> tuple[Flow, float]:
-    """Return the motion over a period, and the period: by default that of the drive."""
+    """Return the flow over a period, and the period, by default the period of the drive."""
     frequency = None if drive is None else drive.frequency
     if period is None and frequency is not None:
         period = 1 / frequency

@@ -99,7 +99,7 @@ class Equations:
         return OrbitPoint(state, float(np.exp(unknown[end]) * self.time), value)
 
     def period_at(self, unknown: Array) -> int:
-        """Return the index of log(period) among the unknowns, behind those of the state."""
+        """Return the index of log(period) among the unknowns, which follows the state."""
         return unknown.size - 1 - bool(self.scale)
 
     def closure(self, point: OrbitPoint, mesh: Array) -> Array:
@@ -117,7 +117,7 @@ class Equations:
         if self.reversible:
             slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
-            # of an orbit that closes, the tangent map less the identity
+            # The closure of a whole period has the tangent map less the identity as derivative.
             slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
             if flow.drive is None:
                 # all states of an orbit close: take the one across the motion from the last guess
@@ -139,7 +139,7 @@ class Equations:
                 above = quantity(self.flow_at(point.value + up * self.scale))
                 below = quantity(self.flow_at(point.value + down * self.scale))
             except InputError:
-                # at the end of what a chain allows there is one side alone
+                # At the end of the allowed range the difference is one-sided.
                 continue
             return (above - below) / (up - down)
         raise RunFailed(f"the parameter can be nothing but {point.value:g}")
@@ -375,7 +375,7 @@ def _newton(
         steps += descent.steps
         if descent.first is None:
             return _solution(system, descent, steps) if descent.residual < closed else None
-        # where the motion amplifies rounding no residual is that small, but a step is next to none
+        # Amplified rounding may keep the residual above the tolerance while steps vanish.
         still = _distance(descent.first, unknown) < 4 * EPSILON
         exact = _distance(descent.unknown, unknown) < NEWTON.local
         if exact and (still or descent.residual < closed):
@@ -405,7 +405,7 @@ def _descend(
         if not np.isfinite(size) or size >= NEWTON.useful * last:
             break
         change = solve_step(slopes, residual)
-        # no orbit is near where the period would change by a factor of more than e
+        # A change of the period by more than a factor of e shows that no orbit is near.
         if not np.isfinite(change).all() or abs(change[period_at]) > 1:
             break
         unknown = unknown - change

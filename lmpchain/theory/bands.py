@@ -148,7 +148,7 @@ class Bands(Shown, Tabular):
         bands = branches(self.cell, np.arccos(np.clip(cosine, -1, 1)).ravel())
         nearest = np.abs(bands.frequency - w.ravel()).argmin(0)
         v = np.take_along_axis(bands.group_velocity, nearest[None], 0)[0].reshape(w.shape)
-        # in a gap the wavenumber is complex, and the cosine beyond 1
+        # The wavenumber is complex in a gap, where the cosine exceeds 1.
         with np.errstate(divide="ignore"):
             return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
@@ -315,7 +315,7 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     left, frequency, right = np.linalg.svd(b)
     # first order perturbation of a singular value
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
-    # at frequency 0 the phases of both vectors are free
+    # The phases of both vectors are arbitrary at frequency 0.
     soft = frequency <= NEGLIGIBLE * np.abs(slope).max(initial=0.0)
     velocity = np.where(soft, np.abs(product), product.real)
     # singular values fall, branches rise
@@ -481,7 +481,7 @@ def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[A
         below = (i + 1) % size
         b[..., i, i] += np.sqrt(stiffness[..., i] / masses[..., i])[..., None]
         coupling = np.sqrt(stiffness[..., i] / masses[..., below])[..., None]
-        # of a cell of one grain, both are in one place
+        # Both terms share one entry if the cell has one grain.
         b[..., i, below] -= coupling * (turn if i == size - 1 else 1.0)
     return b
 
@@ -509,7 +509,8 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
             dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
-    # of displacement and force; the identity apart, so that long waves keep their digits
+    # Transfer matrix of displacement and force less the identity, which would hide the digits
+    # of long waves.
     change = np.zeros((w.size, 2, 2), dynamic.dtype)
     for inertia, stiff in zip(dynamic, springs, strict=True):
         force = np.zeros_like(change)

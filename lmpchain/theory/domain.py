@@ -31,7 +31,7 @@ def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.i
 
 
 class PaperExponents(NamedTuple):
-    """The exponents of the paper that follow from that of the contact force.
+    """The exponents of the paper that follow from the exponent of the contact force.
 
     ====== ======== ==================================================
     symbol variable meaning

@@ -116,7 +116,7 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the largest velocity of grain n over that of the strike.
+    """Return the largest velocity of grain n over the velocity of the strike.
 
     For Hertz it is 0.931768 n^(-4/15) to leading order. Arguments and errors as for `displacement`.
 

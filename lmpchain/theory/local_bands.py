@@ -23,7 +23,7 @@ def local_bands(chain: Chain) -> Array:
     start = np.minimum(number, chain.grains - 1 - period)[:, None] + np.arange(period)
     m = chain.masses[start if period > 1 else number[:, None]]
     k = chain.linear_stiffness[start]
-    # at the wavenumbers 0 and pi, where bands have their edges
+    # Bands have their edges at the wavenumbers 0 and pi.
     b = extensions(m, k, np.array([1.0, -1.0]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=2)
     return np.sort(edges.transpose(0, 2, 1), axis=2)

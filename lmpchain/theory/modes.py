@@ -95,7 +95,7 @@ class Eigenmodes:
             return amplitude * cos + rate / w * sin, rate * cos - amplitude * w * sin
         slow, fast = self.exponents
         apart = slow - fast
-        # of overdamped modes neither exponential overflows
+        # Neither exponential overflows for overdamped modes.
         lag = np.expm1(-apart * time)
         left = np.exp(slow * time)
         sine = (left * -lag / apart).real
@@ -371,8 +371,8 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     frequency = real(frequency, "frequency")
     require(("frequency", frequency >= 0, "must be 0 or more"))
     ratio = np.minimum(1.0, frequency / 2 * depth ** (-xi / 2))
-    # beyond the arcsin: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), here
-    # from its upper end, from which the integrand falls at least as exp(-steep slope / 2)
+    # Second term: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), taken from
+    # its upper end, from which the integrand decays at least as exp(-steep slope / 2).
     steep = 2 / xi - 1 if xi else np.inf
     slope = np.sqrt(1 - ratio**2)
     with np.errstate(divide="ignore", invalid="ignore"):

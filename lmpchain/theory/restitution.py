@@ -24,8 +24,8 @@ from .domain import real, require
 
 __dir__ = listed(__name__)
 
-# of the series in x, from x^0; those of even powers follow from the others, for a film of a
-# collision that is played backward shows one with -A
+# Coefficients of the series in x, from x^0. Even powers follow from odd ones, because a
+# collision reversed in time has the damping -A.
 COEFFICIENTS = (
     1.0,
     -1.153448858095,

@@ -154,7 +154,7 @@ class Medium:
             rise = self.force(overlap) - self.force(ahead.overlap)
             return (overlap - ahead.overlap) * rise / self.mass - jump**2
 
-        # in a vacuum K R^(delta+1) = m v^2, and a load makes the jump smaller
+        # Upper bound: K R^(delta+1) = m v^2 in a vacuum, and a load makes the jump smaller.
         power = 1 / (self.exponent + 1)
         jump_in_vacuum = float((self.mass * jump**2 / self.constant) ** power)
         low = ahead.overlap
@@ -162,7 +162,7 @@ class Medium:
         return State(velocity, overlap), jump / (overlap - ahead.overlap)
 
     def rarefaction(self, ahead: State, overlap: float) -> Edges:
-        """Return the edges of a rarefaction: sound in what is ahead, and in what is behind.
+        """Return the edges of a rarefaction: the sound speeds ahead of it and behind it.
 
         The trailing edge of a rarefaction that opens contacts, overlap 0, stays where it began.
         """

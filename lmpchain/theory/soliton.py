@@ -187,7 +187,7 @@ class Soliton(Shown):
             # nothing moves below the wave, where a grain may be held
             displacement = self.displacement(-2 * self.reach) * length - displacement
             velocity = -velocity
-        # what is left of the tail at a grain that is held
+        # Held grains do not follow the tail of the wave.
         displacement[chain.movable :] = 0.0
         velocity[chain.movable :] = 0.0
         return Profile(displacement=displacement, velocity=velocity)
@@ -281,7 +281,7 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     wave = _make_soliton(float(delta), speed is not None, series)
     if velocity is None:
         return wave
-    # in the sonic vacuum a wave of any velocity is that of speed 1, rescaled
+    # Waves of all velocities in the sonic vacuum are rescaled copies of the wave of speed 1.
     speed = (velocity / float(wave.velocity(0.0))) ** ((delta - 1) / (delta + 1))
     return replace(wave, speed=speed, height=speed ** (2 / (delta - 1)))
 

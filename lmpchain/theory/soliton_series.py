@@ -62,7 +62,7 @@ class SolitonSeries(NamedTuple):
 
 
 def long_wave_speed(overlap: Array, delta: float) -> Array:
-    """Return the speed over that of sound at which ``c^2 r^2`` is twice the contact energy."""
+    """Return the speed, over that of sound, with ``c^2 r^2`` equal to twice the contact energy."""
     return np.sqrt(2 * law(delta, True).energy(overlap)) / overlap
 
 
@@ -96,7 +96,7 @@ def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Arra
 
 @cache
 def solve_series(delta: float, speed: float | None, velocity: float | None = None) -> SolitonSeries:
-    """Return the wave of this speed under a load, or that of speed 1 in the sonic vacuum.
+    """Return the wave of a given speed under a load, or of speed 1 in the sonic vacuum.
 
     With a velocity, the largest of a grain, the speed is an approximation to begin with.
     """
@@ -176,7 +176,7 @@ def _newton(
         size = np.abs(np.append(at @ change[:-1], change[-1])).max()
         if not np.isfinite(size):
             return None
-        # no overlap may change by more than e^3, where the equation is no longer linear
+        # A step changes overlaps by a factor of e^3 at most, because the equation is nonlinear.
         change *= min(1.0, 3 / size)
         series = series - change[:-1]
         c = float(c * np.exp(-change[-1]))

@@ -160,6 +160,6 @@ def peaked(
     xi, eta, _ = exponents(delta)
     shifted = real(tau, "tau") + c3
     travel = chi(h, delta)
-    # in factors, which do not cancel near the light cone
+    # The two factors avoid cancellation near the light cone.
     with np.errstate(divide="ignore"):
         return c1 + c2 * abs((shifted - travel) * (shifted + travel)) ** (-xi / (2 * eta))

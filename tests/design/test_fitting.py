@@ -160,7 +160,7 @@ def test_a_posterior_is_as_wide_as_the_covariance_says():
 
 
 DAMPED = CHAIN.replace(grains=8, damping={"viscoelastic": 3e-7})
-# so strong a strike that velocities do not just grow with it: else it is a gain
+# The strike is strong, because weak velocities grow in proportion to it like a gain.
 HARD = Scene(chain=DAMPED, excitation=Impulse(velocity=0.3), duration=6e-5, samples=151)
 STEPS_LATE = 4
 DAMPED_TRUTH = np.array([193e9, 0.3, 3e-7, STEPS_LATE * HARD.time[1], 1.1])
@@ -168,8 +168,9 @@ DAMPED_PLACES = [3, 6]
 
 
 def damped_fits(sigma: float, draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far fits to noisy Taylor series of a damped chain are off, (draws, 5), and their
-    standard deviations: modulus, strike, A, trigger and gain.
+    """Return the errors of fits to noisy Taylor series of a damped chain, and standard deviations.
+
+    Both are (draws, 5): modulus, strike, A, trigger and gain.
     """
     velocity = taylor_series.solve(HARD, 1e-17).velocity[:, [p - 1 for p in DAMPED_PLACES]]
     clean = 1.1 * np.pad(velocity, ((STEPS_LATE, 0), (0, 0)))[: len(velocity)]
@@ -234,8 +235,9 @@ def test_a_chain_without_damping_is_found_to_have_none():
 
 
 def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndarray]:
-    """Return how far fits to noisy runs of LAMMPS are off, (draws, K), over the error and as a
-    squared distance.
+    """Return the errors (draws, K) of fits to noisy runs of LAMMPS over their standard deviations.
+
+    The second result is their squared distance.
     """
     run = simulate(SCENE, engine="lammps", tolerance=1e-8)
     clean = run.velocity[:, [grain - 1 for grain in LOOKED_AT]]

@@ -67,7 +67,7 @@ def draw(rng: np.random.Generator) -> Scene:
         )
     )
     duration = 12 / omega
-    # in a vacuum it begins at the very opening
+    # Contacts in a vacuum begin exactly at their opening.
     if top == "free" and not vacuum and rng.random() < 0.4:
         time = np.linspace(0, duration, 6)
         shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
@@ -80,7 +80,7 @@ def draw(rng: np.random.Generator) -> Scene:
     else:
         still = made.movable < grains
         u, v = rng.uniform(-1, 1, (2, grains)) * [[0.5 * scale], [2 * scale * omega]]
-        # no contact at the very opening at first
+        # No contact is exactly at its opening at t = 0.
         u -= np.linspace(0, 0.7 * scale * grains, grains) * vacuum
         if still:
             u[-1] = v[-1] = 0
@@ -217,9 +217,7 @@ def test_what_acts_has_derivatives_by_a_distant_wall():
 def propagator(
     scene: Scene, masses: np.ndarray, constants: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the generator of the linear chain and that of u, v -> u, v over the duration, (2N,
-    2N).
-    """
+    """Return the generator of the linear chain and its propagator over the duration, (2N, 2N)."""
     chain = scene.chain
     n = masses.size
     carried = chain.top_load + chain.gravity * np.cumsum(masses)[:-1]
@@ -249,9 +247,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     slope = propagator(scene, chain.masses, chain.contact_constants)[0]
 
     def derivative(masses: np.ndarray, constants: np.ndarray) -> float:
-        """Return that of the velocity of grain 3 in this direction: the Frechet derivative of the
-        exponential.
-        """
+        """Return the directional derivative of the velocity of grain 3, by Frechet's formula."""
         carried = chain.contacts.force[1:-1]
         growth = (
             constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
@@ -405,7 +401,7 @@ def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str
     objective = Momentum([middle + 1]) if name == "top_load" else KineticEnergy([5])
     scene = Scene(chain=chain, excitation=still, duration=1e-5, samples=31)
     found = gradient(scene, objective, [name], 1e-9)
-    # of the largest momentum or energy over the load or gravity, a term for every contact
+    # Size of the sum: the largest term of a contact, over the load or gravity, times contacts.
     scale = chain.masses[0] * (1e-3 if name == "top_load" else 1e-6) / getattr(chain, name)
     assert np.abs(found[name]).max() <= found.errors[name] <= 1e-13 * grains * scale
     assert found.error <= 1e-9

@@ -1,6 +1,4 @@
-"""Fits of what is linear in its unknowns, against closed-form least squares; traces against plain
-NumPy.
-"""
+"""Fits of linear unknowns against closed-form least squares, and traces against plain NumPy."""
 
 from functools import cache
 from pathlib import Path

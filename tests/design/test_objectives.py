@@ -106,9 +106,7 @@ def test_energy_is_what_measure_gives_a_part_of_the_chain(group: list[int]):
 
 
 def test_weak_waves_lose_no_digits_of_the_energy():
-    """Of a strike weaker by 1e10 all energies and derivatives are 1e-20 of those of
-    linear waves.
-    """
+    """Energies and their derivatives are quadratic: 1e-20 for a strike weaker by 1e10."""
     names = ["masses", "contact_constants", "top_load"]
     values = [
         at_step(

@@ -1,4 +1,4 @@
-"""Optima against those of colliding balls, which are known exactly."""
+"""Optima against the exact solutions for colliding balls."""
 
 import sys
 from copy import deepcopy

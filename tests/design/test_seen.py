@@ -31,7 +31,7 @@ WEAK = 1e-13  # m/s: linear to 1e-8
 
 
 def swinging(turns: float, samples: int) -> Scene:
-    """Return a scene of an oscillator, v = WEAK cos(w t), of so many turns."""
+    """Return a scene of an oscillator, v = WEAK cos(w t), over a number of turns."""
     omega = float(np.sqrt(ONE.linear_stiffness[0] / ONE.masses[0]))
     duration = 2 * np.pi * turns / omega
     return Scene(chain=ONE, excitation=Impulse(velocity=WEAK), duration=duration, samples=samples)

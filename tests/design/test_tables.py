@@ -43,9 +43,7 @@ def cubed(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarra
 
 @pytest.mark.parametrize("share", [0.02, 0.2])
 def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
-    """-8 (1 + s z)^3 of a normal z: what 16 pairs of draws can tell, and exactly that of these
-    draws.
-    """
+    """-8 (1 + s z)^3 of a normal z: exact for the draws, and near the ensemble for 16 pairs."""
     answer = sensitivity(FLYING, Function(cubed, [1]), {"velocity": share})
     assert answer.value == pytest.approx(-8, rel=1e-12)
     assert answer.relative["velocity"] == pytest.approx([-24.0, 0.0], rel=1e-9, abs=1e-12)
@@ -76,7 +74,7 @@ def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_
     with pytest.raises(InputError, match=r"^velocity: must be from 0"):
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": -0.1})
     assert sensitivity(FLYING, Function(cubed, [1]), {"velocity": 0.0}).scatter == 0
-    # with half of the velocity a grain is never so fast
+    # No grain reaches the threshold at half of the velocity.
     column = Scene(
         chain=Chain(grains=3, diameter=1e-3),
         excitation=Impulse(velocity=1e-4, grain=1),
@@ -95,7 +93,7 @@ def test_a_contact_that_no_wave_reaches_says_so():
         duration=2e-6,
         samples=9,
     )
-    # by weight alone: that of the 50 grains above
+    # The force at rest is the weight of the 50 grains above.
     weight = 50 * column.chain.masses[0] * 9.81
     far = sensitivity(column, "peak_force:50")
     assert far.value == pytest.approx(weight, rel=1e-12)
@@ -352,7 +350,7 @@ VELOCITY = {"velocity": ([-4.0, 0.0], [-1.0, 0.0])}
 def test_starts_go_down_to_the_least_value_and_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """(v - t)^2 + 1 in a box; what is finished is not done again, and another task is refused."""
+    """(v - t)^2 + 1 in a box; finished starts are not repeated, and another task is rejected."""
     task: Any = dict(
         scene=FLYING, objective=pulled(-3.0), parameters=["velocity"], bounds=VELOCITY, starts=3
     )

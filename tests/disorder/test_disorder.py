@@ -218,7 +218,7 @@ def test_mean_and_standard_error(engine, count):
 
 
 def test_first_moments_of_a_motion_just_begun():
-    """phi_1' = v0 (1 - zeta_1 tau^2 / 2) at first, so its mean and spread are those of zeta_1."""
+    """phi_1' = v0 (1 - zeta_1 tau^2 / 2) at first, so zeta_1 determines its mean and spread."""
     tau = 0.02
     m = 4
     count = 400
@@ -334,7 +334,7 @@ def test_seeds():
 
 
 class Watched(engines.Native):
-    """A native engine that remembers what it was asked."""
+    """A native engine that records its calls."""
 
     def __init__(self):
         super().__init__()
@@ -469,7 +469,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
 
 # --- Eq. (22) and the command
 
-# of 60 grains at tau = 15, by another code
+# Sums over 60 grains at tau = 15, by another code.
 SUMS = {
     1: 0.1523,
     3: 0.0258,
@@ -484,7 +484,7 @@ def test_relative_stiffness():
     assert paper == pytest.approx(np.arange(1, 61) ** (1 / 3), rel=1e-13)
     load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
     assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
-    # of a wall K is sqrt(2) as large, and the stiffness goes as K^(2/3)
+    # K of a wall is sqrt(2) times as large, and the stiffness is proportional to K^(2/3).
     assert relative_stiffness(Chain(bottom="wall", **load))[-1] == pytest.approx(
         2 ** (1 / 3), rel=1e-13
     )

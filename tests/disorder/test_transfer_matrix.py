@@ -14,9 +14,7 @@ from lmpchain.theory import dyson
 
 
 def test_an_ordered_chain():
-    """In the band nothing grows and the modes are those of sin; above, waves decay as
-    arcosh says.
-    """
+    """Waves in the band are sines and do not grow; above it they decay by arcosh(w^2 / 2 - 1)."""
     k = 2.0
     m = 0.5
     edge = 4.0
@@ -64,7 +62,7 @@ class Given:
 def growth_and_nodes(
     k: np.ndarray, above: np.ndarray, below: np.ndarray, w: float, passed: int
 ) -> tuple[float, float]:
-    """Return both a grain, after so many grains, of u_n from a free top by the equation of motion.
+    """Return growth and nodes per grain of u_n from a free top, by the equation of motion.
 
     The ratios k_n / m_n and k_n / m_(n+1) are `above` and `below`; the force is kept over the mass.
     """
@@ -78,7 +76,7 @@ def growth_and_nodes(
         """Return A e^(i phase) / u of the wave A cos(q n + phase) in the mean chain."""
         turn = min(max(w**2 * slowness, 1e-300), 3.96)
         cosine = 1 - turn / 2
-        # in the mean chain, the next displacement over this one
+        # Ratio of the next displacement to this one in the mean chain.
         ahead = 1 - force / u * slowness
         return 1 + 1j * (cosine - ahead) / math.sqrt(turn * (1 - turn / 4))
 
@@ -196,7 +194,7 @@ def test_defaults():
 
 
 def test_the_error_is_that_of_the_mean():
-    """The standard error, from the spread of the chains, is that of the results of other seeds."""
+    """The standard error from the spread of chains agrees with the scatter over other seeds."""
     several = [
         lyapunov(0.5, gamma(5, scale=0.2), grains=2000, chains=10, seed=seed) for seed in range(60)
     ]
@@ -263,7 +261,7 @@ def test_chains_shorter_than_their_localisation_length_are_not_biased():
     law = omega**2 * (1 / 4) / 8
     misses = []
     for seed in range(12):
-        # at the lowest frequency a tenth of a localisation length
+        # The chain is a tenth of a localisation length at the lowest frequency.
         waves = lyapunov(omega, gamma(6, scale=1 / 5), grains=30_000, seed=seed)
         assert (waves.exponent >= 0).all()
         misses.append((waves.exponent - law) / waves.error)
@@ -292,5 +290,5 @@ def test_the_uniform_chain_is_exact():
     exact = 2 * np.arcsin(np.minimum(omega / 2, 1)) / np.pi
     assert states.integrated == pytest.approx(exact, rel=1e-12, abs=1e-15)
     waves = lyapunov(omega, grains=1000)
-    # beyond the band edge 2 cosh(exponent) = w^2 - 2
+    # Above the band edge, 2 cosh(exponent) = w^2 - 2.
     assert waves.exponent == pytest.approx([0, 0, 0, 0, math.acosh(2.5**2 / 2 - 1)], abs=1e-12)

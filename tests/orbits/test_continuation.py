@@ -37,7 +37,7 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
     assert family.value[-1] == pytest.approx(2 * np.pi / OMEGA, rel=1e-12)
     turns = np.sign(np.diff(family.period))
     assert np.sum(turns[1:] != turns[:-1]) == 2
-    # beyond a fold in the period of the drive: independent integration
+    # Independent integration of an orbit past a fold in the period of the drive.
     orbit = family[len(family) // 2]
     k = CHAIN.contact_constants
     eps = CHAIN.length_scale
@@ -247,9 +247,7 @@ def column() -> tuple[Chain, orbits.Orbit, float]:
 def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """Beyond a point where it meets itself a family is what it was before, begun half a period
-    later.
-    """
+    """Past the point of return a family repeats its orbits, begun half a period later."""
     chain, first, until = column()
     seen: list = []
 

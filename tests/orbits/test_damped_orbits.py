@@ -59,7 +59,7 @@ def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
         return -np.diff(np.concatenate((ends + top, u, ends)), axis=0)
 
     def move(t: Any, y: Any) -> Any:
-        """Return the rates of u and v, both (M,), followed by those of C deviations (2M, C)."""
+        """Return the rates of u and v, both (M,), followed by the rates of C deviations (2M, C)."""
         u, v = y[:, :1].reshape(2, -1, 1)
         push = np.zeros_like(u)
         top = (wide(0), wide(0))
@@ -351,7 +351,7 @@ def test_a_period_doubling_without_a_drive_is_switched_at():
     ],
 )
 def test_numbers_of_drive_chain_and_damping_are_followed(parameter: str, until: float):
-    """The last orbit is that of the drive and the chain with this number."""
+    """The last orbit is an orbit of the drive and the chain with the final parameter."""
     chain = TRIMER.replace(damping={"viscoelastic": 1e-7, "drag": 400.0})
     if "[" in parameter:
         chain = TRIMER

@@ -10,7 +10,7 @@ from lmpchain.orbits.events import locate
 
 
 def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
-    """Return what `locate` reads of a place."""
+    """Return a stand-in for a place, with the attributes that `locate` reads."""
     return SimpleNamespace(
         orbit=SimpleNamespace(means=np.array(means, complex)),
         rate=rate,
@@ -22,7 +22,7 @@ def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> Simp
 def located(
     kind: str, at: Callable[[float], SimpleNamespace | None], most: int = 25
 ) -> SimpleNamespace | None:
-    """Return what is located between 0 and 1, in so many orbits at most."""
+    """Return the event between 0 and 1, found with a limited number of orbits."""
     taken = []
 
     def counted(way: float) -> SimpleNamespace | None:
@@ -167,7 +167,7 @@ def test_the_discriminant_is_that_of_the_pair_that_meets():
 
 
 def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
-    """Return what `locate` reads of a place of a damped chain."""
+    """Return a stand-in for a place of a damped chain, as `locate` reads it."""
     return SimpleNamespace(rate=1.0, turning=turning, multipliers=np.array(multipliers, complex))
 
 

@@ -1,4 +1,4 @@
-"""The picture and the numbers of a family of orbits: what is drawn, where, and in which units."""
+"""The picture and the table of a family of orbits: curves, positions and units."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -45,7 +45,7 @@ def event(kind: str, place: int) -> Event:
 
 
 def bands(ax: Any) -> np.ndarray:
-    """Return lower and upper edges of what is shaded, (B, 2)."""
+    """Return the lower and upper edges of shaded bands, (B, 2)."""
     return np.array([[patch.get_x(), patch.get_x() + patch.get_width()] for patch in ax.patches])
 
 

@@ -1,4 +1,4 @@
-"""Floquet multipliers of symplectic matrices, in pairs, against those of the matrix itself."""
+"""Pairs of Floquet multipliers of symplectic matrices against the eigenvalues of the matrix."""
 
 import numpy as np
 import pytest

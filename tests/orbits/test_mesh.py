@@ -60,7 +60,7 @@ def moving(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def passage_of(u: np.ndarray, v: np.ndarray) -> Passage:
-    """Return what is read of a motion below a wall that rests."""
+    """Return the passage of a motion below a wall at rest."""
     return Passage(u, v, np.zeros((2, len(u))), u[-1:], np.zeros(0))
 
 

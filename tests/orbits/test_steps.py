@@ -22,7 +22,7 @@ def small() -> Orbit:
 
 
 def amplitudes(until: float, **given: Any) -> tuple[Family, np.ndarray]:
-    """Return the family to so many times the amplitude, and its amplitudes over the first."""
+    """Return the family up to a multiple of the amplitude, and its amplitudes over the first."""
     family = orbits.follow(small(), "energy", until**2 * small().energy, **given)
     return family, np.sqrt(family.energy / small().energy)
 
@@ -72,7 +72,7 @@ def test_a_family_that_is_cut_short_says_where():
     "name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"]
 )
 def test_the_linear_mode_follows_what_changes(name: str):
-    """At the energy that is held; the period is that of the eigenvalue of masses and springs."""
+    """At fixed energy the period follows from the eigenvalue of masses and springs."""
     key = name.partition("[")[0]
     given = {"diameter": np.full(4, 1e-3)} if key == "diameter" else {}
     if key in ("masses", "contact_constants"):

@@ -467,9 +467,7 @@ def test_defaults_of_the_solver():
 
 
 def test_steps_of_the_solver(monkeypatch):
-    """Velocity Verlet at 0.9 of the stable step 2 / w_max: so many
-    evaluations from a sample to the next.
-    """
+    """Velocity Verlet at 0.9 of the stable step 2 / w_max fixes the number of evaluations."""
     times = []
 
     def drive(now):

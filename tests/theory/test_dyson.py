@@ -24,7 +24,7 @@ def test_distribution_by_mpmath(function, power: int, m: float):
             for k in kappa
         ]
     exact = np.array(exact, dtype=float)
-    # of m log(kappa), which cancels against m (kappa - 1)
+    # Rounding of m log(kappa), which cancels against m (kappa - 1).
     tolerance = 1e-14 + 4e-16 * m * abs(kappa - 1)
     assert np.all(abs(function(kappa, m) - exact) <= tolerance * exact)
 

@@ -59,7 +59,7 @@ def test_absolute_peak_velocity(delta: float, coefficient: float):
 
 
 def test_peak_of_the_airy_function_published():
-    """A_max = 0.495579 for Hertz; for delta = 1 it is that of Ai, at 1.018793."""
+    """A_max = 0.495579 for Hertz; for delta = 1 it is the maximum of Ai, at 1.018793."""
     n = 10**6
     a = 0.1
     chi = continuum.chi(n - 0.5)

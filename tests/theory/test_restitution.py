@@ -46,7 +46,7 @@ def rebound(x: complex) -> complex:
         r = s * left
         return 2 * s * (-(r**4) - x * r * r * state) / state
 
-    # of a complex x the real part of s alone is 0 there
+    # Only the real part of s vanishes there if x is complex.
     return -solve_ivp(leave, (1.0, 0.0), [v], **options).y[0, -1]
 
 
@@ -72,7 +72,7 @@ def test_coefficients_of_the_series():
     values = np.array([rebound(complex(x)) for x in circle])
     found = np.fft.fft(values).real / 32 / radius ** np.arange(32)
     assert found[:9] == pytest.approx(restitution.COEFFICIENTS, abs=1e-10)
-    # to first order the energy that is lost along the elastic motion, an integral in closed form
+    # First order: the energy loss along the elastic motion, an integral in closed form.
     first = 2 * 1.25**0.6 / 2.5 * math.gamma(0.6) * math.gamma(1.5) / math.gamma(2.1)
     assert -found[1] == pytest.approx(first, abs=1e-11)
 

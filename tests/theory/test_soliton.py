@@ -334,7 +334,7 @@ def test_where_a_wave_fits_a_chain():
 
 
 def test_the_whole_profile_on_a_chain():
-    """Every displacement and velocity in SI units; what is held below does not move."""
+    """All displacements and velocities are in SI units; the held bottom grain does not move."""
     chain = Chain(**CHAIN, bottom="fixed")
     wave = VACUUM[1]
     profile = wave.on(chain, 12.25)
