@@ -14,8 +14,8 @@ delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
@@ -87,10 +87,6 @@ class ContactLaw(ABC):
             fault = f"{what} holds for powers of the overlap only, not for {self.name}"
             raise InputError.at("chain.law", f"{fault}: give an exponent instead")
         return self.power
-
-    def with_parameters(self, parameters: Iterable[Any]) -> ContactLaw:
-        """Return the law with other parameters, which may be of higher precision."""
-        return replace(self, parameters=tuple(parameters))
 
     def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
         """Return the constant K of contacts of spheres, Hertz's (4/3) E* sqrt(R*), N/m^1.5.
@@ -225,10 +221,6 @@ class PowerForce(ContactLaw):
     def power(self) -> float:
         """The exponent delta."""
         return self.onset
-
-    def with_parameters(self, parameters: Iterable[Any]) -> PowerForce:
-        """Return the law of another exponent."""
-        return PowerForce(*parameters)
 
     def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
         """Return Hertz's constant K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), N/m^delta."""

@@ -177,6 +177,9 @@ def _contact_constants(
             ends.append(0.0)
         elif chain.given_wall_constants is not None:
             ends.append(chain.given_wall_constants[end])
+        elif chain.law.given_constant is not None:
+            # A law that gives its own constant does so at walls, too.
+            ends.append(_end(between, end))
         else:
             of_grain = _end(modulus, end)
             plane: Any = wall.plane_strain_modulus if wall else of_grain

@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any
+from typing import Annotated, Any, NoReturn
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -169,7 +169,9 @@ class Law(ContactLaw):
         object.__setattr__(self, "given", given)
         arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
         force, stiffness, curvature = (
-            formula.function("o, k, p", NUMPY, arguments) for formula in _derived(formula)
+            (_refuse_ground,) * 3
+            if self.of_ground
+            else (part.function("o, k, p", NUMPY, arguments) for part in _derived(formula))
         )
         kinks = [place.substitute(self._numbers(0)) for place in formula.kinks("o")]
         values = sorted({k for place in kinks if (k := place.number) is not None})
@@ -268,24 +270,17 @@ class Law(ContactLaw):
 
     def _onset(self) -> float:
         """Return the lowest power of the distance to a kink with which the force bends there."""
-        if self.of_ground:
-            return SMOOTH
         whole = self.formula.substitute(self._numbers(0))
         return min((_bend_at(whole, kink) for kink in self.kinks), default=SMOOTH)
 
     def with_parameters(self, parameters: Iterable[Any]) -> Law:
-        """Return the law with other parameters, which may be of higher precision."""
+        """Return the law with other numbers or arrays for `parameters`."""
         law = object.__new__(Law)
         law.__dict__.update(
             {key: value for key, value in self.__dict__.items() if key in KEPT_FIELDS}
         )
         object.__setattr__(law, "parameters", tuple(parameters))
         return law
-
-    def constant(self, modulus: Any, radius: Any, length: Any) -> Any:
-        """Return the constant K of contacts of spheres, unless the law has its own."""
-        k = self.given.get("k")
-        return super().constant(modulus, radius, length) if k is None else np.asarray(k)
 
     def _constant(self, constant: Any) -> Any:
         if constant is not None:
@@ -558,17 +553,14 @@ class Law(ContactLaw):
         """Return the integral of the force over the overlap from 0, J."""
         overlap = np.asarray(overlap, dtype=float)
         constant = self._constant(constant)
-        shape = np.broadcast_shapes(overlap.shape, np.shape(constant), *map(np.shape, self.values))
+        shape = np.broadcast_shapes(
+            overlap.shape, np.shape(constant), *map(np.shape, self.parameters)
+        )
         overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
         total = np.zeros(shape)
         for place, weight in self._nodes(np.zeros(shape), overlap):
             total += weight * self.force(place, constant)
         return (np.sign(overlap) * total)[()]
-
-    @property
-    def values(self) -> list[Any]:
-        """The parameters but k, numbers or arrays."""
-        return list(self.parameters)
 
     def lepton(
         self,
@@ -696,10 +688,14 @@ def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
     force = formula
     if force.substitute({"k": 0.0}) is not ZERO:
         force = build("select", negative(name("k")), ZERO, force)
-    variable = "u" if "u" in formula.names else "o"
     # An infinite stiffness times a constant of 0 would be no number.
-    stiffness = build("select", negative(name("k")), ZERO, force.derivative(variable))
-    return force, stiffness, stiffness.derivative(variable)
+    stiffness = build("select", negative(name("k")), ZERO, force.derivative("o"))
+    return force, stiffness, stiffness.derivative("o")
+
+
+def _refuse_ground(*_: Any) -> NoReturn:
+    fault = "depends on u or t, and no chain has a ground yet"
+    raise InputError.at("law.force", f"{fault}: write a contact law of the overlap o")
 
 
 def _misfits(

@@ -170,6 +170,9 @@ def _of_this_length(table: Any) -> Chain | None:
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
     """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
+    law = chain.given().get("law")
+    if law is not None and not isinstance(law, Law):
+        chain = chain.replace(law=None, exponent=law.power_of("a scene file"))
     return {
         "chain": _table(chain),
         "excitation": {"kind": excitation.kind} | _table(excitation),

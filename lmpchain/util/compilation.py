@@ -147,20 +147,6 @@ def _sources(module: Path) -> str:
     return sha256(b"".join(sources[path] for path in sorted(sources))).hexdigest()
 
 
-def content_of(function: Any) -> str:
-    """Return a hash of a function's code and of the values and functions that the code uses."""
-    code = getattr(function, "__code__", None)
-    if code is None:
-        return repr(function)
-    cells = [cell.cell_contents for cell in function.__closure__ or ()]
-    named = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
-    used = [content_of(value) for value in (*cells, *named) if value is not function]
-    # A cached result finds its functions by the name of their module.
-    place = function.__module__, code.co_names, code.co_varnames
-    content = code.co_code.hex(), code.co_consts, *place, used
-    return sha256(repr(content).encode()).hexdigest()
-
-
 class _Unplaced:
     """Replacement for the memory of compiled code that is never executed in place."""
 

@@ -2,13 +2,14 @@
 40 digits or in closed form.
 """
 
+from pathlib import Path
 from typing import Any
 
 import mpmath as mp
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Impurity, InputError, Law
+from lmpchain import Chain, Impulse, Impurity, InputError, Law, Scene
 from lmpchain.chain.bounds import bounds
 from lmpchain.chain.contact_law import PowerForce
 from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
@@ -102,7 +103,7 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
     assert largest == pytest.approx(PowerForce(exponent).stiffness(o, 3e9))
 
 
-def test_an_exponent_and_another_law_exclude_each_other() -> None:
+def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
     law = by_formulas(2.0)
     chain = Chain(grains=3, diameter=1e-3, law=law)
     assert chain.law is law
@@ -111,6 +112,14 @@ def test_an_exponent_and_another_law_exclude_each_other() -> None:
     assert Chain(grains=3, diameter=1e-3, law=PowerForce(2.0)) == chain.replace(
         law=None, exponent=2.0
     )
+    power = Scene(
+        chain=Chain(grains=3, diameter=1e-3, law=PowerForce(2.0)),
+        excitation=Impulse(velocity=1e-3),
+        duration=1e-5,
+        samples=3,
+    )
+    power.to_toml(tmp_path / "power.toml")
+    assert Scene.from_toml(tmp_path / "power.toml") == power
     with pytest.raises(InputError, match="law: takes the place of an exponent"):
         chain.replace(exponent=2.0)
     with pytest.raises(InputError, match="law: an exponent holds for powers"):

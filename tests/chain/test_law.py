@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from lmpchain import InputError, Law
+from lmpchain import Chain, InputError, Law
 from lmpchain.chain.formula import parse
 
 LAWS = [
@@ -75,6 +75,23 @@ def test_parameters_are_one_for_each_contact() -> None:
     assert law.lepton("force", contact=2) == "(1000000.0*(max((-r),0.0)^0.6))"
     assert law == law.replace(k=1e6) != law.replace(k=2e6)
     assert len({law, law.replace(), law.replace(n=2)}) == 2
+
+
+def test_a_wall_takes_the_constant_of_the_contact_next_to_it() -> None:
+    ends = {"top": "wall", "bottom": "wall", "gravity": 0.0, "top_load": 1.0}
+    chain = Chain(grains=4, diameter=1e-3, law=Law("k*o", k=[1e6, 2e6, 3e6]), **ends)
+    assert chain.contact_constants.tolist() == [1e6, 2e6, 3e6]
+    assert chain.wall_constants.tolist() == [1e6, 3e6]
+    alike = chain.replace(law=Law("k*o", k=2e6))
+    assert alike.wall_constants.tolist() == [2e6, 2e6]
+
+
+@pytest.mark.parametrize("text", ["k0*u", "k0*u*t"])
+def test_a_law_of_the_ground_is_refused_where_it_is_evaluated(text: str) -> None:
+    law = Law(text, k0=2.0)
+    for evaluate in (law.force, law.stiffness, law.energy, law.overlap):
+        with pytest.raises(InputError, match=r"law\.force: depends on u or t"):
+            evaluate(1e-3)
 
 
 # Separated by | and by ends of lines.

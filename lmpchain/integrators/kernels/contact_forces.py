@@ -69,15 +69,20 @@ def _spring(r, inverse_length, strength, precompressed, coefficients, given, n):
 
 
 @compiled
-def _power(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Any delta without cancellation."""
-    s = r * inverse_length
-    # an open contact is computed as one at rest and its value thrown away: a branch would keep the
-    # compiler from making vector instructions
+def _growth(s, exponent):
+    """Return (1 + s)^exponent - 1, -1 for s < -1, without cancellation."""
+    # An open contact is computed as one at rest, and the result is discarded. A branch would keep
+    # the compiler from making vector instructions.
     inside = select(s > -1.0, s, 0.0)
     y = 1.0 + inside
-    change = exponential(coefficients[7] * logarithm(y, inside - (y - 1.0)), 1.0)
-    return strength * select(s > -1.0, change, -1.0)
+    change = exponential(exponent * logarithm(y, inside - (y - 1.0)), 1.0)
+    return select(s > -1.0, change, -1.0)
+
+
+@compiled
+def _power(r, inverse_length, strength, precompressed, coefficients, given, n):
+    """Any delta without cancellation."""
+    return strength * _growth(r * inverse_length, coefficients[7])
 
 
 @compiled
@@ -265,15 +270,6 @@ FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
 LOOPS = {
     form: _loops(str(int(form)), force, _power_stiffness) for form, (_, force) in FORMS.items()
 }
-
-
-@compiled
-def _growth(s, exponent):
-    """Return (1 + s)^exponent - 1, -1 for s < -1, without cancellation."""
-    inside = select(s > -1.0, s, 0.0)
-    y = 1.0 + inside
-    change = exponential(exponent * logarithm(y, inside - (y - 1.0)), 1.0)
-    return select(s > -1.0, change, -1.0)
 
 
 # What the formulas of a law call.
