@@ -38,17 +38,15 @@ NATIVE, LAMMPS = (
 )
 THEORY = {"color": "0.2", "lw": 1.4}
 LEAST_LETTER = 8.0  # pt, in pictures that are printed 7 inches wide
-rcParams.update(
-    {
-        "font.size": 9,
-        "axes.labelsize": 8.5,
-        "xtick.labelsize": LEAST_LETTER,
-        "ytick.labelsize": LEAST_LETTER,
-        "legend.fontsize": LEAST_LETTER,
-        "legend.title_fontsize": LEAST_LETTER,
-        "legend.frameon": False,
-    }
-)
+LETTERS = {
+    "font.size": 9,
+    "axes.labelsize": 8.5,
+    "xtick.labelsize": LEAST_LETTER,
+    "ytick.labelsize": LEAST_LETTER,
+    "legend.fontsize": LEAST_LETTER,
+    "legend.title_fontsize": LEAST_LETTER,
+    "legend.frameon": False,
+}
 OUTLINE = [withStroke(linewidth=2, foreground="white")]  # of letters on maps
 DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # of white lines on maps
 DIFFERENCES = "<differences>"  # the label of a panel below another one, as matplotlib's <colorbar>
@@ -78,7 +76,7 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
     parser.add_argument(
         "-o", "--output", type=Path, help="the picture; by default pictures/" + name
     )
-    add_svg(parser)
+    prepare_drawing(parser)
     for flag, what in flags.items():
         parser.add_argument("--" + flag.replace("_", "-"), action="store_true", help=what)
     given = parser.parse_args()
@@ -88,8 +86,10 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
     return given
 
 
-def add_svg(parser: argparse.ArgumentParser) -> None:
-    """Let a script take --svg, which `finish` acts on."""
+def prepare_drawing(parser: argparse.ArgumentParser) -> None:
+    """Set the letters of all pictures, and let a script take --svg, which `finish` reads."""
+    # A script that only imports this module leaves the pictures of its process as they are.
+    rcParams.update(LETTERS)
     parser.add_argument(SVG, action="store_true", help="write the picture as SVG, too, for print")
 
 

@@ -9,7 +9,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from figures import add_svg, finish
+from figures import finish, prepare_drawing
 
 from lmpchain.util.files import write_aside
 
@@ -42,7 +42,7 @@ def main() -> None:
         "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
     )
     parser.add_argument("-o", "--output", type=Path, help="folder; by default pictures")
-    add_svg(parser)
+    prepare_drawing(parser)
     given = parser.parse_args()
     if unknown := [name for name in given.maps if name not in MAPS]:
         parser.error(f"no map is called {unknown[0]}; there are {', '.join(MAPS)}")

@@ -17,7 +17,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from figures import add_svg, finish
+from figures import finish, prepare_drawing
 
 import lmpchain
 from lmpchain.benchmark.bench import BUDGET_S, work_precision
@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument(
         "--draw", action="store_true", help="draw the kept numbers again, without a measurement"
     )
-    add_svg(parser)
+    prepare_drawing(parser)
     given = parser.parse_args()
     for name in given.scenes or SCENES:
         kept = given.output / f"work_precision_{name}.json"

@@ -141,7 +141,7 @@ def _draw_errors(
     ax.set(xscale="log", yscale="log")
     ax.grid(color="0.94", lw=0.6)
     ax.set_axisbelow(True)
-    # by cost, so that no curve runs backwards
+    # Points are sorted by cost, so that no curve runs backwards.
     lines = {name: sorted(_pairs(points, cost)) for name, points in curves.items()}
     pairs = list(chain.from_iterable(lines.values()))
     if pairs:
@@ -196,7 +196,7 @@ def _draw_errors(
 def _name_of_grey(
     curves: Mapping[str, Iterable[Mapping[str, Any]]], styles: Mapping[str, dict[str, Any]]
 ) -> str:
-    """Return the name of the grey curves in the legend: that of a single curve, or "others"."""
+    """Return the legend entry of the grey curves: the name of a single curve, or "others"."""
     grey = [name for name, points in curves.items() if name not in styles and len(list(points)) > 1]
     return grey[0] if len(grey) == 1 else "others"
 

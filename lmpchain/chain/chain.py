@@ -122,12 +122,12 @@ class Chain(ChainPicture, Checked):
     def _faults(self) -> Iterator[tuple[str, str]]:
         faults = [*self._misfits(), *self._falls(), *self._tiny_forces()]
         yield from faults
-        # of numbers that do not fit together there are no arrays to look at
+        # Arrays can be derived only if the numbers fit together.
         if not faults:
             yield from self._extremes()
 
     def _falls(self) -> Iterator[tuple[str, str]]:
-        """Yield what leaves a grain without hold."""
+        """Yield faults of chains in which a grain would fall or touches nothing."""
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             cure = 'use bottom = "wall", or more grains'
             yield "grains", f"a single grain that is held, or touches nothing: {cure}"
@@ -152,7 +152,7 @@ class Chain(ChainPicture, Checked):
             return
         # before gigabytes of arrays are made of a column that could not stand
         if self._kinds:
-            # of contacts above the load nothing is known
+            # This bound ignores a load that acts below grain 1.
             load = self.top_load if self.load_grain == 1 else 0.0
             weights = (load, self.gravity, self.law)
             bound = least_compression(self._kinds, self.grains, *weights)
@@ -185,7 +185,7 @@ class Chain(ChainPicture, Checked):
         yield from remarks(self.diameter, compression)
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
-        """Yield what does not fit together, so that no array can be filled in."""
+        """Yield arguments of contradictory lengths or kinds, for which no arrays can be derived."""
         lengths = {
             "diameter": (self.diameter, self.grains),
             "masses": (self.given_masses, self.grains),
@@ -256,7 +256,7 @@ class Chain(ChainPicture, Checked):
         """Bounds on all grains and contacts; None where only arrays can tell."""
         if self._kinds is None or self.given_wall_constants is not None:
             return None
-        # of other laws only arrays tell how their forces grow with the constant
+        # For other laws, the growth of the force with the constant is known from arrays only.
         if self.law.power is None:
             return None
         planes: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
@@ -327,7 +327,7 @@ class Chain(ChainPicture, Checked):
 
     @property
     def contact_lengths(self) -> Array:
-        """Mean diameter of the grains of every contact, at a wall that of one, (N+1,) m."""
+        """Mean diameter of the grains of every contact, (N+1,) m; at a wall, of its one grain."""
         return self.equilibrium.contact_lengths
 
     @property
@@ -343,7 +343,7 @@ class Chain(ChainPicture, Checked):
     @cached_property
     def depths(self) -> Array:
         """How far below grain 1 the centre of every grain rests, (N,) m."""
-        # of centres: the mean diameter less the overlap, walls left out
+        # Distances between centres: mean diameters minus overlaps, without the walls.
         distances = (self.contact_lengths - self.contacts.overlap)[1:-1]
         return read_only(np.append(0.0, np.cumsum(distances)))
 
@@ -394,7 +394,7 @@ class Chain(ChainPicture, Checked):
 
     @property
     def wall_load(self) -> float:
-        """Force of the wall at the top on grain 1 at rest, N; 0 if it only touches or is none."""
+        """Force of the top wall on grain 1 at rest, N; 0 without a wall or if it only touches."""
         return self.top_load if self.top == "wall" and self.load_grain == 1 else 0.0
 
     @property
@@ -459,7 +459,7 @@ class Chain(ChainPicture, Checked):
                 for impurity in self.impurity
                 if first <= impurity.grain <= last
             )
-        # of a wall that is left out there is no constant
+        # A wall that is not in the part has no constant.
         if "wall_constants" in fields:
             outer = [first == 1, last == self.grains]
             fields["wall_constants"] = read_only(self.wall_constants * outer)
@@ -515,7 +515,7 @@ class Chain(ChainPicture, Checked):
         if self._kinds is None:
             load = self.top_load if grain == self.load_grain else 0.0
             return float(self.contacts.force[grain - 1]) + load
-        # in long doubles, as the weights of `derive_chain`
+        # Long doubles, like the weights in `derive_chain`.
         common, *impure = np.array(self._kinds.masses, dtype=np.longdouble)
         excess = [
             mass - common
@@ -550,7 +550,7 @@ class Chain(ChainPicture, Checked):
 
     @property
     def _first(self) -> int:
-        """Number of the contact below grain 1, or of that above it if there is none below.
+        """Number of the contact below grain 1, or of the one above if grain 1 is alone.
 
         Where grains only touch above the load, it is that below the grain which the load presses.
         """

@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..util.arrays import Array
 
-# of (overlap, constant, parameters): numbers or arrays, and a sequence of numbers
+# A function of overlap and constant, numbers or arrays, and of the sequence of parameters.
 Formula = Callable[[Any, Any, Any], Any]
-# strain below which 11 terms of the energy's series have all digits
+# Strain below which 11 terms of the energy's series have all digits.
 SERIES_BELOW = 0.02
 
 
@@ -106,7 +106,7 @@ class ContactLaw(ABC):
         return None
 
     def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
-        """Return what the compiled force reads besides overlap, constant and parameters."""
+        """Return further values at rest that the compiled force reads."""
         return []
 
     @property
@@ -158,7 +158,7 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
-        """Return how far overlaps exceed those at rest if each contact holds this energy, m."""
+        """Return an upper bound of the overlap change at this energy above rest, (..., N+1) m."""
 
     def bend(self, contacts: RestingContacts) -> Any:
         """Return k'(eps) l / k(eps) at rest, l of `length`: delta - 1 for a power."""
@@ -257,7 +257,7 @@ class PowerForce(ContactLaw):
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
-        # from s = -1 on the contact is open, and the force at rest is all that is lost
+        # Below s = -1 the contact is open, and has lost all of its force at rest.
         s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
         relative = np.expm1(self.onset * np.log1p(np.where(s > -1, s, 0.0)))
         change = contacts.force * np.where(s > -1, relative, -1.0)

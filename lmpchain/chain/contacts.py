@@ -86,7 +86,7 @@ class Contacts:
     @classmethod
     def at_rest(cls, constant: Array, force: Array, law: ContactLaw) -> Contacts:
         """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
-        # where there is no wall, 0 / 0 would be no number
+        # Without a wall the constant is 0, and 0 / 0 would be NaN.
         overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
         if law.bonds:
             overlap = np.where(constant > 0, overlap, 0.0)
@@ -208,7 +208,7 @@ class Contacts:
         # A loose contact has no strain; where there is none, neither moves.
         strain = approach / np.where(self.pressed, self.length, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
-        # of one chain a number, and no array of none
+        # The result for one chain is a number, not an array without axes.
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
 
 
@@ -218,5 +218,5 @@ def together(contacts: Sequence[Contacts]) -> Contacts:
         # views of the arrays of this chain
         return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
-    # as those of one: numba compiles once more for arrays that may be written to
+    # Read-only like those of one chain, because numba compiles again for writable arrays.
     return Contacts(contacts[0].law, *map(read_only, rows))

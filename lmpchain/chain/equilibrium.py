@@ -17,7 +17,7 @@ from .impurities import with_impurities
 from .materials import sphere_mass
 from .plausible import LIMITS
 
-# of the contact at the top, of those between grains, and of that at the bottom
+# Values of the top contact, of the contacts between grains, and of the bottom contact.
 Ends = tuple[float | Array, float | Array, float | Array]
 
 
@@ -46,7 +46,7 @@ class Equilibrium:
         return self.contacts.overlap / self.contact_lengths
 
     def dynamical_matrix(self, movable: int) -> tuple[Array, Array]:
-        """Return `Chain.dynamical_matrix` of chains of which so many grains move."""
+        """Return `Chain.dynamical_matrix` of chains with this number of moving grains."""
         return dynamical_matrix(self.contacts.stiffness, self.masses[..., :movable])
 
     def computable(self, movable: int) -> NDArray[np.bool_]:
@@ -111,7 +111,7 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
     modulus = youngs / (1 - poisson * poisson)
     constants = _contact_constants(chain, modulus, diameter, lengths, given)
     masses = _spread((*rows, grains), mass)
-    # in long doubles: the rounding of the weight of many grains would show in the stiffnesses
+    # Long doubles, because rounding of the weight of many grains would show in the stiffnesses.
     weight = chain.gravity * masses.cumsum(-1, dtype=np.longdouble)
     force = force_at_rest(weight, chain.top_load, chain.load_grain).astype(float)
     # nothing carries a force where there is no wall
@@ -129,7 +129,7 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
 
 
 def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDArray[Any]:
-    """Return what every contact would carry at rest, (..., N+1) N, if there is one.
+    """Return the force on every contact at rest, (..., N+1) N, as if both walls existed.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def _neighbours(values: Array) -> tuple[Array, Array]:
 
 
 def _end(values: Array, end: int) -> Array:
-    """Return the value of the first (end 0) or the last grain (-1), (..., 1), or that of all."""
+    """Return the value of the first (end 0) or last (end -1) grain, (..., 1), or the shared one."""
     if values.size == 1:
         return values
     return values[..., :1] if end == 0 else values[..., -1:]

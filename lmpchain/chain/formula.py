@@ -159,7 +159,7 @@ class Formula:
         return changes[self]
 
     def _after(self, variable: str, by: str) -> dict[Formula, Formula]:
-        """Return what becomes of every part if a variable grows by `by`."""
+        """Return every part of the formula with a variable increased by `by`."""
         after: dict[Formula, Formula] = {}
         for node in self.walk():
             if node.parts:
@@ -199,7 +199,7 @@ class Formula:
         return outer.substitute(names), used
 
     def conditions(self, variable: str) -> list[Formula]:
-        """Return what changes its sign where the formula is not smooth in a variable."""
+        """Return the expressions at whose sign changes the formula has kinks in a variable."""
         found = [_condition(node) for node in self.walk() if node.operation in CONDITIONAL]
         branches = [branch for one in found for branch in _branches(one)]
         return [c for c in dict.fromkeys(branches) if variable in c.names]
@@ -376,7 +376,7 @@ def build(operation: str, *parts: Formula) -> Formula:
 
 
 def _constant(operation: str, numbers: Iterable[Any]) -> Formula:
-    """Return the result of an operation on numbers; infinity or no number where there is none."""
+    """Return the result of an operation on numbers; infinity or NaN if it is undefined."""
     with np.errstate(all="ignore"):
         try:
             return number(CONSTANT[operation](*numbers))
@@ -534,7 +534,7 @@ def _read_leaf(node: ast.AST) -> Formula | None:
 
 
 def _check_call(called: str, count: int) -> None:
-    """Raise `InputError` unless a function has this name and so many values."""
+    """Raise `InputError` unless a function has this name and this number of arguments."""
     if called not in FUNCTIONS:
         raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
     several = called in ("min", "max")
@@ -767,7 +767,7 @@ def _change_across(
 
 
 def _condition(node: Formula) -> Formula:
-    """Return what is 0 or more on the first side of an operation with a condition."""
+    """Return the expression that is 0 or more on the first branch of a conditional operation."""
     if node.operation == "max":
         return subtract(*node.parts)
     if node.operation == "min":
@@ -776,7 +776,7 @@ def _condition(node: Formula) -> Formula:
 
 
 def _sides(operation: str, parts: Sequence[Formula]) -> tuple[Formula, Formula]:
-    """Return what an operation gives where its condition is 0 or more, and elsewhere."""
+    """Return both branches of a conditional operation: condition 0 or more, and below 0."""
     if operation == "abs":
         return parts[0], negative(parts[0])
     if operation == "step":

@@ -292,7 +292,7 @@ class Law(ContactLaw):
         return 1.0
 
     def _filled(self, function: Any, overlap: Any, constant: Any) -> Any:
-        """Return what a function gives, of the shape of overlaps, constants and parameters."""
+        """Return the values of a function, broadcast to overlaps, constants and parameters."""
         constant = self._constant(constant)
         overlap = np.asarray(overlap)[()]
         shape = np.broadcast_shapes(*map(np.shape, (overlap, constant, *self.parameters)))
@@ -701,7 +701,7 @@ def _refuse_ground(*_: Any) -> NoReturn:
 def _misfits(
     names: list[str], needed: list[str], parameters: Mapping[str, Any]
 ) -> Iterable[tuple[str, str]]:
-    """Yield what does not fit between a formula and its parameters."""
+    """Yield missing, unknown and misnamed parameters of a formula."""
     if "o" in names and ("u" in names or "t" in names):
         yield "force", "has o, of a contact, beside u or t, of the ground: use one kind"
     if "o" not in names and "u" not in names:

@@ -37,7 +37,7 @@ __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.v
 DEFAULT = (
     "native"  # where one engine must do for "auto": for options, and for all scenes of a sweep
 )
-# of `simulate` for every engine
+# Arguments of `simulate` that every engine shares.
 ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
 
 

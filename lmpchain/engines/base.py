@@ -334,7 +334,7 @@ class Engine(ABC):
         """Start a run of one scene, or of a batch of scenes that differ in numbers only."""
 
     def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
-        """Return what determines the answer besides the choices of a proposal, for the record.
+        """Return the options that determine the result besides the choices of a proposal.
 
         For example versions of compilers and libraries; by default nothing.
         """

@@ -283,7 +283,7 @@ def solve_to_tolerance(
 def _check_beginning(
     scene: Scene, attempt: Attempt, following: Attempt | None, missed: str
 ) -> None:
-    """Raise `ToleranceNotMet` if the duration of an unpredictable scene is to be halved."""
+    """Raise `ToleranceNotMet` if an unpredictable scene must be halved in duration."""
     if attempt.known_until == math.inf:
         return
     known_s = attempt.known_until / 2

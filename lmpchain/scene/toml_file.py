@@ -51,7 +51,7 @@ FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
 # options of a run, which a scene does not have
 OF_RUNS = ("engine", "tolerance", "integrator", "step", "threads", "ranks")
-# what a line looks like that is no TOML, and what to do; the first that fits counts
+# Patterns of lines that are not TOML, with the remedy; the first match counts.
 CURES = (
     (r"[\u2018\u2019\u201c\u201d]", 'use straight quotes, "'),
     (r"^\s*[\w.-]+\s*:", "write key = value"),
@@ -111,7 +111,7 @@ def _misfits(
     recording: Recording | None,
 ) -> Iterator[tuple[str, str]]:
     """Yield the faults of an excitation and a recording that do not fit the chain."""
-    # where the chain has faults of its own, its length and ends may still be sound
+    # If the chain has faults of its own, its length and ends may still be sound.
     stand_in = chain or _of_this_length(data.get("chain"))
     if not stand_in:
         return
@@ -210,7 +210,7 @@ def parse(path: Path) -> dict[str, Any]:
 
 
 def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
-    """Return what to do about the line that an error names, in brackets; empty if unknown."""
+    """Return the remedy for the line that an error names, in brackets; empty if unknown."""
     if "overwrite" in str(error) or "twice" in str(error):
         return " (give each key and each table once)"
     number = re.search(r"at line (\d+)", str(error))

@@ -162,7 +162,7 @@ class Gatherer:
         return np.array([self._state["trace"][row], rate]), doubts
 
     def _of_recorded(self, fields: Array | tuple[Array, Array], at_rest: float) -> Array:
-        """Return two fields of the grains of the part, (2, N), as those of recorded grains."""
+        """Return two fields of the part's grains, (2, N), at the places of recorded grains."""
         extended = np.full((2, self._scene.chain.grains), at_rest)
         extended[:, self._first : self._first + self._part.chain.grains] = fields
         return extended[:, self._scene.recorded - 1]
@@ -271,7 +271,7 @@ class GatheringRun(Run):
         return state
 
     def results(self, errors: Sequence[float]) -> list[dict[str, Array]]:
-        """Return the quantities of every realisation, with their errors from those of the runs."""
+        """Return the quantities of every realisation; their errors follow from the runs' errors."""
         return [
             gatherer.results(error) for gatherer, error in zip(self.gatherers, errors, strict=True)
         ]

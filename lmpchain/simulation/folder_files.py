@@ -100,7 +100,7 @@ def at_work(folder: Path) -> str:
 
 
 def check_run(folder: str | PathLike[str]) -> Path:
-    """Return the path of a run folder; raises `InputError` if it is none."""
+    """Return the path of a run folder; raise `InputError` for any other folder."""
     if not is_run(folder):
         raise InputError.at(
             str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one"
@@ -193,7 +193,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
 
 
 def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Warn of packages whose version differs from that of the last session."""
+    """Warn of packages whose version has changed since the last session."""
     changes = [
         f"{name} {new.get(name)}, not {version}"
         for name, version in old.items()
@@ -277,7 +277,7 @@ def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | No
 
 
 def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the notes of an attempt as this version writes them, from those of any version."""
+    """Convert the notes of an attempt from any version to the present form."""
     renewed = dict(attempt)
     if "candidate" in renewed:
         engine = renewed.pop("engine")
@@ -290,7 +290,7 @@ def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the notes of a proposal from those of older versions, which had no record of steps."""
+    """Convert the notes of a proposal from older versions, which had no record of steps."""
     new = {key: old[key] for key in OLD_PROPOSAL}
     steps = Steps(
         per_landing=new.pop("steps_per_landing"),
@@ -401,7 +401,7 @@ def _logs() -> set[str]:
 
 
 def _names() -> set[str]:
-    """Return the possible names of files in a run folder, except those of the store."""
+    """Return the possible names of files in a run folder outside the store."""
     return {SCENE, RUN, STATUS, SUMS, *CHECKPOINT_FILES, *_inputs(), *_logs()}
 
 

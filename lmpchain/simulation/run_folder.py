@@ -118,7 +118,7 @@ class Requests:
 
     @property
     def reason(self) -> str:
-        """Cause of the request to stop; empty if there is none."""
+        """Cause of the request to stop; empty without a request."""
         if self._number is not None:
             return f"stopped by {SIGNALS[signal.Signals(self._number)]}"
         return "stopped at the end of its time" if time.monotonic() >= self._deadline else ""

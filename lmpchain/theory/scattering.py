@@ -168,7 +168,7 @@ def reflection(
     end: Literal["bottom", "top"] = "bottom",
     frequency: ArrayLike | None = None,
 ) -> Reflection:
-    """Return what the last grains of a chain give back, as a sponge of `patterns.absorbing`.
+    """Return the reflection by the last grains of a chain, such as an absorbing boundary.
 
     The wave comes from a chain without losses that repeats the first cell of these grains for ever;
     behind them is what the chain has there: a wall, a held grain, or nothing.

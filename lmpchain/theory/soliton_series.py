@@ -62,7 +62,7 @@ class SolitonSeries(NamedTuple):
 
 
 def long_wave_speed(overlap: Array, delta: float) -> Array:
-    """Return the speed, over that of sound, with ``c^2 r^2`` equal to twice the contact energy."""
+    """Return the speed c over that of sound at which ``c^2 r^2`` is twice the contact energy."""
     return np.sqrt(2 * law(delta, True).energy(overlap)) / overlap
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import figures
 import pytest
+from matplotlib import rc_context
 
 DESIGN = Path(figures.__file__).parent / "design"
 
@@ -21,7 +22,8 @@ def numbers(
     picture = tmp_path / "picture.png"
     monkeypatch.setattr(sys, "argv", [path, "--quick", "-o", str(picture)])
     figures.PRINTED_NUMBERS.clear()
-    runpy.run_path(path, run_name="__main__")
+    with rc_context():
+        runpy.run_path(path, run_name="__main__")
     assert picture.read_bytes()[:4] == b"\x89PNG"
     return dict(figures.PRINTED_NUMBERS)
 

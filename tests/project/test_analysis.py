@@ -18,6 +18,7 @@ from typing import Any
 import figures
 import numpy as np
 import pytest
+from matplotlib import rc_context
 from PIL import Image
 
 from lmpchain.theory import bessel
@@ -179,7 +180,8 @@ def command(
         path = str(ANALYSIS / f"{script}.py")
         monkeypatch.setattr(sys, "argv", [path, *map(str, words)])
         figures.PRINTED_NUMBERS.clear()
-        runpy.run_path(path, run_name="__main__")
+        with rc_context():
+            runpy.run_path(path, run_name="__main__")
         return capsys.readouterr().out
 
     return run
@@ -436,11 +438,12 @@ def whole_history() -> set[str] | None:
 def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """As large as the PNG, the same each time, without fonts, and small for all cells of a map."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])
-    picture, ((upper, _),) = figures.page(1)
-    upper.set_title("velocities at v0* = 1e-06")
-    upper.pcolormesh(np.random.default_rng(0).random((300, 300)))
-    figures.finish(picture, tmp_path / "one.png")
-    figures.finish(picture, tmp_path / "two.png")
+    with rc_context(figures.LETTERS):
+        picture, ((upper, _),) = figures.page(1)
+        upper.set_title("velocities at v0* = 1e-06")
+        upper.pcolormesh(np.random.default_rng(0).random((300, 300)))
+        figures.finish(picture, tmp_path / "one.png")
+        figures.finish(picture, tmp_path / "two.png")
     text = (tmp_path / "one.svg").read_text(encoding="utf-8")
     assert text == (tmp_path / "two.svg").read_text(encoding="utf-8")
     size = re.search(r'width="([\d.]+)pt" height="([\d.]+)pt"', text)

@@ -33,7 +33,7 @@ class Contact(NamedTuple):
     damping: float
 
     def same(self, other: Contact) -> bool:
-        """Say whether both are the same contact but for rounding."""
+        """Return whether both contacts agree up to rounding errors."""
         pairs = zip(self, other, strict=True)
         return all(abs(one - another) <= 1e-14 * one for one, another in pairs)
 
@@ -246,7 +246,7 @@ class LammpsColumn:
 
     def _arguments(self, contact: Contact) -> str:
         """Return the arguments of the contact model of `pair_coeff` and `fix wall/gran`."""
-        # that of a lossless contact is 0 times a velocity
+        # A contact without damping gets 0 times a velocity.
         model = "viscoelastic" if self.model == "hertz" and contact.damping else "velocity"
         return f"{contact.stiffness!r} {contact.damping!r} {NO_TANGENTIAL} damping {model}"
 
@@ -268,8 +268,8 @@ class LammpsColumn:
         z, _ = self.start
         # the box holds a grain and its skin; nothing moves sideways
         side = float(self.diameters.max() + self.skin)
-        # no wider than the column, so that ranks share it evenly; grains may leave, for lists are
-        # never renewed
+        # The box is as high as the column, so that ranks share it evenly. Grains may leave it,
+        # because neighbour lists are never renewed.
         return -side, side, float(z.min() - side), float(z.max() + side)
 
     @cached_property
@@ -286,7 +286,7 @@ class LammpsColumn:
 
     @property
     def bare(self) -> bool:
-        """Whether the commands are those of the package alone."""
+        """Whether the deck contains no commands of the user."""
         return not (self.template or self.include)
 
     @cached_property
@@ -327,16 +327,16 @@ class LammpsColumn:
         """
         chain = self.chain
         d = self.diameters
-        # of spheres, d1 d2 / (2 (d1 + d2))
+        # Reduced radius of two spheres: d1 d2 / (2 (d1 + d2)).
         radius = d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2
         mass = pair_value(chain.masses)
         stiffness, damping = self._contacts(chain.contact_constants, radius, mass, slice(1, -1))
-        # of a long chain, each kind of contact below each type is looked for once
+        # Each kind of contact below each type is searched once, also in long chains.
         distinct, kinds = np.unique(stiffness + 1j * damping, return_inverse=True)
         contacts = [Contact(value.real, value.imag) for value in distinct.tolist()]
         known: dict[tuple[int, int], int] = {}
         pairs: dict[tuple[int, int], Contact] = {}
-        # of each type: the types it touches, and the contacts
+        # For each type: the types that it touches, and the contacts with them.
         partners: dict[int, dict[int, Contact]] = {1: {}}
         types = [1]
         for kind in kinds.tolist():

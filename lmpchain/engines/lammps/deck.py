@@ -126,7 +126,7 @@ def dump(path: str, every: int) -> str:
 
 
 def carries(splitting: Splitting) -> bool:
-    """Return whether a deck can carry this splitting: its kicks must be those of LAMMPS."""
+    """Return whether a deck can express this splitting, with kicks by LAMMPS itself."""
     return splitting.order == 2 or bool(splitting.substeps)
 
 
@@ -269,7 +269,7 @@ def _fill(
     if not column.template:
         return render("in.column", CLOSED, **values)
     text = render_text(column.template, "template", CLOSED, **values)
-    # else the commands of the user would be lost without a word
+    # Otherwise the commands of the user would be lost without a message.
     if column.include not in text:
         raise InputError.at(
             "include", "the template has no place for it: put {{ include }} where it belongs"

@@ -40,7 +40,7 @@ from .column import PAIR_STYLES, LammpsColumn
 from .stepper import LammpsStepper, word
 from .subprocess_ranks import gather
 
-# in a run folder
+# Names in a run folder.
 LOG = "log.lammps"
 DECK = "deck"
 UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
@@ -161,7 +161,7 @@ class Lammps(TimeSteppingEngine):
         self.whole = keep is not None or bool(self.template or self.include)
 
     def splitting(self, scene: Scene) -> Splitting:
-        """Return how LAMMPS moves a scene: with damping, by its own velocity Verlet."""
+        """Return the splitting for a scene; with damping it is LAMMPS's own velocity Verlet."""
         if scene.chain.damped and self._free:
             return VERLET
         return SPLITTINGS[self.integrator]
@@ -305,7 +305,7 @@ class Lammps(TimeSteppingEngine):
         return small
 
     def overhead(self, method: Method) -> int:
-        """Return what a force evaluation takes besides its grains, in grains."""
+        """Return the overhead of a force evaluation, in grains."""
         return super().overhead(method) if method.order <= 2 else RUN_OVERHEAD
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
@@ -318,7 +318,7 @@ class Lammps(TimeSteppingEngine):
         column = LammpsColumn(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
         walk = HEIGHTS.rounding * ulp * math.sqrt(steps * self.splitting(scene).evaluations)
-        # what does not move has no relative error
+        # A motion of 0 has no relative error.
         u, v = np.where(peaks > 0, peaks, np.inf)
         return float(max(walk / u, walk * scene.highest_frequency / v))
 
@@ -401,7 +401,7 @@ class Lammps(TimeSteppingEngine):
         options = {key: value for key, value in super().options().items() if key not in UNKEPT}
         if not self.include:
             del options["include"]
-        # what the scene asks for is chosen again
+        # The integrator is chosen again for the scene.
         return options | {"integrator": None} if self._free else options
 
     def prepare(self, folder: Path) -> Self:
@@ -420,7 +420,7 @@ class Lammps(TimeSteppingEngine):
     def write_inputs(
         self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
-        """Write the deck of the run; where no deck can carry it, that of Verlet at equal cost."""
+        """Write the deck of the run, or a Verlet deck of equal cost if no deck can express it."""
         splitting = self.splitting(scene)
         integrator = splitting.name
         step = proposal.step

@@ -170,7 +170,7 @@ class ClosedFormRun(Run):
         return self._exact.progress
 
     def errors(self) -> list[ErrorBudget]:
-        """Return the error of the formula against Eq. (3), and that of Eq. (3) itself."""
+        """Return the errors of the formula against Eq. (3) and of Eq. (3) against Eq. (1)."""
         distances = (self._apart / self._exact.scale).max(0)
         return [
             error._replace(model=error.model + distance, model_bound=error.model_bound + distance)

@@ -178,7 +178,7 @@ class Modes(LinearEngine):
         return reasons
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative rounding error, including that of the eigenvectors.
+        """Return the relative rounding error; it includes the eigenvectors' error.
 
         A burst is the sum of three sines, whose transients nearly cancel shortly after its start.
         """

@@ -145,7 +145,7 @@ class ModalSolution:
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 
     def _by_sine_of_damped(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return the same for damped modes, by the response of their exponentials.
+        """Return the forced motion of damped modes, by the response of their exponentials.
 
         A driven grain also acts by its velocity, through the viscosity of the contact.
         """

@@ -228,7 +228,7 @@ class AuxiliarySteps:
         )
 
     def _ratio_between_corners(self, scene: Scene) -> float:
-        """Return the smallest ratio of the steps of the first auxiliary run to those of the answer.
+        """Return the smallest step ratio of the first auxiliary run and the main run.
 
         All runs end steps on kinks of the forcing, so that the ratio of the steps between two kinks
         is a ratio of two whole numbers.
@@ -273,7 +273,7 @@ def _arrange(
 
 
 def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
-    """Return the ratios of the steps of auxiliary runs to those of the answer: 2 and 4, 2, or none.
+    """Return the step ratios of auxiliary run and main run: 2 and 4, 2 alone, or an empty tuple.
 
     There are none if longer steps are unstable or too few. If damping ends the motion within a few
     samples, only the first of them show the error, and auxiliary runs must land on every sample:

@@ -164,7 +164,7 @@ class SteppingRun(Run):
         return self.monitor.outlook()
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
-        """Return what damping has taken and what was put in, with their errors."""
+        """Return the dissipated energy and the work of the forcing, with their errors."""
         return self.monitor.energies(errors)
 
     def cost(self) -> Cost:

@@ -286,7 +286,7 @@ def _pass_samples(
 
 
 def land(scene: Scene, rate: float) -> tuple[int, int]:
-    """Return steps and samples from one landing to the next, at about so many steps a sample."""
+    """Return steps and samples per landing at about this number of steps per sample."""
     # The lengths of blocks are multiples of 4 samples.
     stride = min(scene.intervals, 4 * math.ceil(INTERPOLATION.steps / rate / 4))
     return math.ceil(rate * stride), stride

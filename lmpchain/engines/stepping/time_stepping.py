@@ -103,7 +103,7 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array] | None,
     ) -> dict[str, Stepper]:
-        """Return the steppers of a run, by the name of their state; that of the answer is first.
+        """Return the steppers of a run by the name of their state; the main stepper is first.
 
         The stepper "native" moves the auxiliary runs and here also the native twin.
         """
@@ -150,7 +150,7 @@ class TimeSteppingEngine(Engine):
         return {}
 
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
-        """Return the expected time of so many steps, s."""
+        """Return the expected time of this number of steps, s."""
         grain_steps = (
             method.evaluations * steps * (self.count_active(scene) + self.overhead(method))
         )
@@ -158,7 +158,7 @@ class TimeSteppingEngine(Engine):
 
     @abstractmethod
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
-        """Return the expected rounding error of so many steps; `speed` is the largest one, m/s."""
+        """Return the expected rounding error of this number of steps at this largest speed, m/s."""
 
     def overhead(self, method: Method) -> int:
         """Return the overhead of a force evaluation, in grains."""

@@ -15,8 +15,8 @@ from numba.extending import intrinsic
 
 from ...util.compilation import Ingredient, compiled_once
 
-# no reordering and no contraction but the explicit fma: every blocking of the loops gives the same
-# bits
+# Neither reordering nor contraction except the explicit fma, so that every blocking of the loops
+# gives the same bits.
 STRICT = {"nnan", "ninf", "nsz"}
 # functions that are called from Python, and kept for later processes
 compiled_engine = partial(compiled_once, "the native engine", 10, error_model="numpy")
@@ -25,8 +25,8 @@ compiled_filler = partial(compiled_engine, _nrt=False)
 compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
 llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
 
-# without numba's runtime: such functions make no arrays and count no references, which would take
-# half of the time; nor can Python call them
+# These functions work without numba's runtime: they make no arrays and count no references, which
+# would take half of the time. Python cannot call them.
 _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
     "fastmath": STRICT,

@@ -146,7 +146,7 @@ _LINKS = types.NamedTuple(
     Links,
 )
 _ROWS = types.NamedUniTuple(_ROW, len(Rows._fields), Rows)
-# what the loops of a form take; they return nothing
+# Signatures of the loops of a form.
 FORCES = types.void(_ROW, _ROW, _LINKS)
 STIFFNESSES = types.void(_ROW, _ROW, _ROW, _LINKS)
 _SAMPLES = types.float64[:]
@@ -246,7 +246,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
 
 
 class Form(IntEnum):
-    """Forms of the force of a contact; those of ROOTS are others."""
+    """Forms of the contact force; the forms of ROOTS have the numbers in between."""
 
     CORRECTED = 0
     POLYNOMIAL = 1

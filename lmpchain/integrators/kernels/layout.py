@@ -16,7 +16,7 @@ from ...util.arrays import Array
 
 PAD = 8  # doubles in a cache line
 
-# of a step: nearer to its ends what is imposed has no corner
+# Fraction of a step: a corner of the forcing that is closer to an end counts as at that end.
 RESOLUTION = 1e-9
 
 # What is imposed on a chain after t = 0: a sine, also one with an envelope, or a cubic spline.
@@ -58,7 +58,7 @@ STATE = np.dtype(
 )
 
 EDGES = 128  # more than there are rows in a `sweep`
-# in a gate: on a cache line of its own
+# Place in a gate, on a cache line of its own.
 GIVEN_UP = PAD
 # grains of a thread; of this many, what it waits for others is a tenth of the time
 LEAST_SHARE = 4096
@@ -241,7 +241,7 @@ class Imposed(NamedTuple):
 
 
 class BatchMember(NamedTuple):
-    """One chain of `Chains`, with its number in the batch, and that of its schedule."""
+    """One chain of `Chains`, with its numbers in the batch and among the schedules."""
 
     x: Array
     v: Array
@@ -284,7 +284,7 @@ class Rows(NamedTuple):
 
 
 def make_rows(count: int, acts: bool) -> Rows:
-    """Return so many rows, and whether anything is imposed."""
+    """Return this number of rows, and whether a forcing is imposed."""
     kick, drift, carried, path = np.zeros((4, count))
     return Rows(kick, drift, carried, path[: count if acts else 0])
 
