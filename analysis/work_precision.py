@@ -21,9 +21,8 @@ from figures import finish, prepare_drawing
 
 import lmpchain
 from lmpchain.benchmark.bench import BUDGET_S, work_precision
-from lmpchain.benchmark.chart import TARGET, draw
+from lmpchain.benchmark.chart import TARGET, draw, time_to
 from lmpchain.benchmark.curves import CurvePoint, EngineCurve, WorkPrecision
-from lmpchain.benchmark.pareto import time_to
 from lmpchain.util.files import write_aside
 from lmpchain.util.plotting import figure
 

@@ -24,9 +24,9 @@ from ..trajectory.trajectory import Trajectory
 from ..util.lazy import listed
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
+from .chart import KNOWN, front
 from .comparison import ComparisonRow, compare
 from .curves import CurvePoint, EngineCurve, WorkPrecision
-from .pareto import KNOWN, front
 from .reference import Reference, expected_seconds, reference
 
 __dir__ = listed(__name__)

@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.provenance import processor
-from ..util.tables import align, duration, finite, number
-from ..util.tabular import NamedColumn, Tabular, of_rows
+from ..util.tables import NamedColumn, Tabular, align, duration, finite, number, of_rows
+from .chart import KNOWN as KNOWN
 from .chart import draw
+from .chart import front as front
+from .chart import time_to as time_to
 from .comparison import ComparisonRow
-from .pareto import KNOWN as KNOWN
-from .pareto import front as front
-from .pareto import time_to as time_to
 from .reference import Reference
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from ..errors import InputError
 from ..util.arrays import Array, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.tables import counted
 from ..util.validation import (
     NOT_GIVEN,

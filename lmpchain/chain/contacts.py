@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from .contact_law import ContactLaw
 
 # grains of a chain: up to here all contacts are known sooner than those of some parts

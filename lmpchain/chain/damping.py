@@ -32,7 +32,7 @@ from pydantic import BeforeValidator
 
 from ..errors import InputError, shown
 from ..util.arrays import Array, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.validation import Checked, check_positive, non_negative
 from .contact_law import power_law
 from .contacts import Contacts, pair_value

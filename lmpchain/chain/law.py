@@ -25,7 +25,7 @@ from pydantic import BeforeValidator
 
 from ..errors import InputError, shown
 from ..util.arrays import EPSILON, Array, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.tables import counted
 from .contact_law import ContactLaw, RestingContacts
 from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse

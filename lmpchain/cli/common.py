@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..errors import InputError
-from ..util.suggestions import either
+from ..util.validation import either
 
 # Heavy modules are imported inside the functions, so that wrong input is reported at once.
 if TYPE_CHECKING:

@@ -54,8 +54,7 @@ def compare(arguments: argparse.Namespace) -> int:
         lambda: check_positive("budget", arguments.budget),
     )
     from ..benchmark import comparison
-    from ..benchmark.dense_traces import thin_trace
-    from ..benchmark.truth import truth
+    from ..benchmark.truth import thin_trace, truth
     from ..engines.cost_model import budget
 
     engines_of_scene, refusals = _able(names, scene)

@@ -8,7 +8,7 @@ import sys
 from typing import Any, NoReturn
 
 from ..errors import SHOWN_LETTERS, short
-from ..util.suggestions import did_you_mean
+from ..util.validation import did_you_mean
 from .common import complain
 
 

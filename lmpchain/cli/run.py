@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.remarks import warn
-from ..util.suggestions import either
 from ..util.tables import align, counted
+from ..util.validation import either
 from .common import beside, collect, complain, on_terminal, output, read_scene
 
 if TYPE_CHECKING:

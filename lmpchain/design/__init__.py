@@ -6,10 +6,10 @@ _MODULES = {
     "fitting": "fit Fit",
     "gradients": "gradient Gradient",
     "optimisation": "optimise Optimum",
-    "seen": "Seen Slopes",
     "traces": "Traces",
     "sensitivities": "sensitivity Sensitivity",
-    "objectives": "ArrivalTime DriveWork Energy Function KineticEnergy Misfit Momentum PeakForce",
+    "objectives": "ArrivalTime DriveWork Energy Function KineticEnergy Misfit Momentum PeakForce"
+    " Seen Slopes",
 }
 __all__ = " ".join(_MODULES.values()).split()
 __getattr__ = attributes(__name__, (), _MODULES)

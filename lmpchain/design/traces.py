@@ -18,9 +18,9 @@ from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
 from ..util.notebook import Shown
 from ..util.remarks import note
-from ..util.tabular import NamedColumn, Tabular, number_columns
+from ..util.tables import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
-from .seen import Seen, contact_force
+from .objectives import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
 OF_FILES = TraceFile.arguments.keys() - {"file"}

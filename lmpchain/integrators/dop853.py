@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..util.arrays import Array
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from .method import March, first_growth
 from .steps import Steps, shorten_steps
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from .dop853 import DormandPrince
 from .method import March, Method, first_growth
 from .splittings import SPLITTINGS, VERLET

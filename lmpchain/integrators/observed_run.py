@@ -15,7 +15,7 @@ from ..scene.acting import Drive, Force
 from ..scene.scene import Scene
 from ..scene.waveform import curve_through
 from ..util.arrays import Array
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from .batch import ChainBatch
 from .kernels.adjoint import ImposedPath
 from .kernels.course import Looks

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from ..util.arrays import Array
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from .kernels.layout import SplittingStages
 from .method import March
 from .steps import Steps, shorten_steps

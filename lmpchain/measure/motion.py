@@ -14,8 +14,7 @@ from ..scene.scene import Scene
 from ..trajectory.accumulator import FRACTION, KINDS, Accumulator, Field
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.caching import cached_property
-from ..util.lazy import listed
+from ..util.lazy import cached_property, listed
 from .recorded import UNKNOWN, check_field, columns
 
 __dir__ = listed(__name__)

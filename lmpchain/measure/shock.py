@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 from ..errors import InputError
 from ..scene.acting import Drive, Force
 from ..scene.base import Excitation
-from ..scene.riemann import Riemann
+from ..scene.excitation import Riemann
 from ..scene.scene import Scene
 from ..theory.shock import Edges, Medium, State
 from ..theory.soliton import solve, struck
@@ -31,7 +31,7 @@ from ..util.plotting import (
     set_title,
 )
 from ..util.plotting import edges as cell_edges
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
 from .crests import local_maxima, summit
 
 if TYPE_CHECKING:

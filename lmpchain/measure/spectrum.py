@@ -9,15 +9,14 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..errors import InputError, shown
-from ..theory.bands import Cell, branches, repeating
-from ..theory.local_bands import local_bands
+from ..theory.bands import Cell, branches, local_bands, repeating
 from ..trajectory.picture import UNITS_OF_FIELDS
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
 from .recorded import Field, check
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from ..integrators.splittings import KAHAN_LI8
 from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 
 METHOD = KAHAN_LI8
 

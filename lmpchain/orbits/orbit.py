@@ -15,10 +15,10 @@ from ..errors import InputError, shown
 from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
 from . import floquet
 from .flow import Flow, Passage
 from .shooting import Equations, OrbitPoint, Solution

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..measure import contact, energy, spectrum
-from ..measure.fit.column_front import is_uniform
+from ..measure.fit.column import is_uniform
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
 from ..util.plotting import COLOURS, axes_in_units, figure, legend, si

@@ -13,13 +13,12 @@ from pydantic import Field
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..util.arrays import Array
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.validation import NOT_GIVEN, Positive, Real, Vector, Whole
 from .base import Excitation, Number, OneGrain, Push
 from .file_columns import ColumnMeaning
-from .measured import Measured
-from .profile import Profile
-from .trace_file import Reading, TraceFile
+from .initial import Profile
+from .trace_file import Measured, Reading, TraceFile
 from .waveform import Interpolation, Waveform
 
 

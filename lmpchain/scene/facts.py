@@ -18,7 +18,7 @@ from ..chain.chain import Chain
 from ..chain.contacts import FEW_GRAINS
 from ..chain.plausible import LIMITS
 from ..util.arrays import Array, as_slice, read_only
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 from ..util.validation import make_unchecked
 from .base import Excitation
 from .recording import Recording

@@ -13,8 +13,7 @@ from pydantic import BeforeValidator, Field
 from ..chain.chain import Chain
 from ..errors import shown
 from ..util.arrays import plain
-from ..util.suggestions import not_among
-from ..util.validation import Checked, Positive, Whole
+from ..util.validation import Checked, Positive, Whole, not_among
 
 
 def _selection(value: Any) -> Any:

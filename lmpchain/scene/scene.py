@@ -15,8 +15,8 @@ from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 from ..chain.plausible import LIMITS, beyond_hertz
 from ..errors import InputError, shown
 from ..util.arrays import Array
-from ..util.caching import cached_property
 from ..util.files import write_aside
+from ..util.lazy import cached_property
 from ..util.plotting import axes_in_units, legend
 from ..util.tables import counted
 from ..util.validation import make_unchecked

@@ -21,13 +21,12 @@ from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
-from ..util.suggestions import did_you_mean, not_among
-from ..util.validation import Checked, make_unchecked
+from ..util.validation import Checked, did_you_mean, make_unchecked, not_among
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
 from .facts import SceneFacts
-from .measured import Measured
 from .recording import Recording
+from .trace_file import Measured
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..util.arrays import EPSILON, Array, numbers
-from ..util.caching import cached_property
+from ..util.lazy import cached_property
 
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly

@@ -29,16 +29,19 @@ from ..trajectory import zarr_store as store
 from ..util import mpi
 from ..util.arrays import Array
 from ..util.files import (
+    LOCK,
     SEALED,
     check_tree,
+    describe_holder,
     is_aside,
+    is_lock,
     path_of,
     read_sealed_json,
     replacing,
     sealed_json,
+    take_lock,
     unpack,
 )
-from ..util.locks import LOCK, describe_holder, is_lock, take_lock
 from ..util.provenance import checksum, checksums, describe_session
 from ..util.remarks import warn
 from .choice import AUTO, engine_for, refusals

@@ -42,8 +42,7 @@ from ..trajectory import zarr_store as store
 from ..trajectory.record import Block, Cost, subject
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
-from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json
-from ..util.locks import take_lock
+from ..util.files import SEALED, make_folder, path_of, replacing, sealed_json, take_lock
 from ..util.provenance import now
 from ..util.remarks import warn
 from ..util.tables import finite

@@ -22,8 +22,7 @@ from ..util.plotting import (
     typeset,
     window,
 )
-from ..util.tables import align, finite, number
-from ..util.tabular import NamedColumn, Tabular, of_rows
+from ..util.tables import NamedColumn, Tabular, align, finite, number, of_rows
 from ..util.ticks import UnitFormatter
 
 if TYPE_CHECKING:

@@ -24,10 +24,9 @@ from ..errors import InputError, check_tolerance, short, shown
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
-from ..util.caching import cached_property
 from ..util.files import check_readable, expanded
-from ..util.suggestions import did_you_mean
-from ..util.validation import Checked, Positive, Whole
+from ..util.lazy import cached_property
+from ..util.validation import Checked, Positive, Whole, did_you_mean
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered
 

@@ -16,14 +16,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import InputError, LmpchainError, RunFailed, short, shown
-from ..util.files import check_tree, make_folder, read_sealed_json, sealed_json, write_aside
-from ..util.locks import describe_holder, take_lock
+from ..util.files import (
+    check_tree,
+    describe_holder,
+    make_folder,
+    read_sealed_json,
+    sealed_json,
+    take_lock,
+    write_aside,
+)
 from ..util.progress import ProgressBar
 from ..util.remarks import warn, warnings_aside
 from .executors import Here, Processes, end_if_imported
 from .file import FORMAT, Sweep, read_sweep
-from .labels import Labels, make_labels
-from .results import load_sweep
+from .results import Labels, load_sweep, make_labels
 from .store import (
     NAME,
     NOT_DONE,

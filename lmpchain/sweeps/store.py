@@ -29,8 +29,8 @@ import numpy as np
 from ..errors import InputError, short
 from ..trajectory.gathered import file_name
 from ..util.arrays import Array
-from ..util.caching import cached_property
 from ..util.files import replacing, unpack_one
+from ..util.lazy import cached_property
 from . import seals
 from .file import Sweep
 from .quantities import quantity

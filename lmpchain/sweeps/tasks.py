@@ -23,9 +23,9 @@ from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
 from ..util.remarks import warnings_aside
 from .file import Sweep, read_text
-from .labels import find_recorded
 from .quantities import add_rest, is_extreme, is_gathered, leave_out_unsure, measured, with_gathered
 from .realisations import scenes
+from .results import find_recorded
 from .store import NAME, NOT_DONE, StoreLayout, complete, part_of, read_part, write_part
 
 

@@ -3,13 +3,200 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import jv
 
 from ..util.arrays import Array
 from ..util.lazy import listed
-from .bessel_series import coefficients, finite, finite_impulse, table
 from .domain import exponents, real, require, whole
+
+# recurrences begin where Bessel functions are exp(-640), near the smallest number
+DECAY = 640.0
+
+
+def coefficients(
+    kappa: ArrayLike, n: ArrayLike, k: int, terms: int, scale: float | None = None
+) -> Array:
+    """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
+
+    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau). Since
+    ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of
+    Eq. (3): the three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the
+    brace are j = 1 and j > 1, not i; after Eq. (21), 90 degrees is no mode of N = 3, which has but
+    two.
+
+    Parameters
+    ----------
+    kappa : (N-1,) array_like
+        kappa_1 ... kappa_(N-1), above 0; grain N is held.
+    n : array_like
+        Grains, 1 to N - 1.
+    k : int
+        The grain displaced by 1 at tau = 0, 1 to N - 1.
+    terms : int
+        Number of them.
+    scale : float, optional
+        The paper's kappa_N; any number with ``omega <= 2 sqrt(scale)`` for all frequencies, by
+        default max(kappa).
+
+    Returns
+    -------
+    (..., terms) array
+        The leading axes are those of n.
+
+    Raises
+    ------
+    InputError
+        If a grain is not in the chain, a kappa is not positive, or the scale is too small.
+
+    Examples
+    --------
+    >>> # the images of grain 1: J_2 + J_4 at grain 2
+    >>> coefficients([1.0, 1.0, 1.0], 2, 1, 5).round(12).tolist()
+    [0.0, 1.0, 1.0, 0.0, 0.0]
+    """
+    kappa = _constants(kappa)
+    n = whole("n", n, 1)
+    terms = int(whole("terms", terms, 1))
+    last = kappa.size + 1
+    above = np.append(0.0, kappa[:-1])
+    scale = float(kappa.max()) if scale is None else scale
+    large = scale >= (above + kappa).max() / 2
+    require(
+        ("n", n < last, f"must be below {last}, the grain that is held"),
+        ("k", 1 <= k < last, f"must be 1 or more and below {last}, the grain that is held"),
+        ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
+    )
+    coefficients = np.empty((*n.shape, terms))
+    # T_(j-1) and T_j of the matrix, applied to the displacement of grain k
+    previous, current = np.zeros((2, kappa.size))
+    current[int(whole("k", k)) - 1] = 1.0
+    for j in range(terms):
+        coefficients[..., j] = current[n - 1] * (2 if j else 1)
+        stretch = np.diff(current, append=0.0) * kappa
+        following = 2 * current + np.diff(stretch, prepend=0.0) / scale - previous
+        previous = current
+        current = following if j else following / 2
+    return coefficients
+
+
+def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
+    """Return the series (19) after unit displacement of grain k, exact if grain N is held.
+
+    Parameters
+    ----------
+    kappa, n, k
+        As for `coefficients`; n and tau broadcast.
+    tau : array_like
+        Any real number.
+
+    Returns
+    -------
+    array
+
+    Raises
+    ------
+    InputError
+        As `coefficients`.
+
+    Examples
+    --------
+    >>> float(finite([1.0], 1, 1, np.pi).round(12))  # Eq. (17): cos(tau)
+    -1.0
+    """
+    return _series(kappa, n, k, tau)[0]
+
+
+def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
+    """Return the motion after unit dphi/dtau of grain k: the integral of `finite`, term by term.
+
+    Arguments and errors as for `finite`, which is the velocity of this motion.
+
+    Parameters
+    ----------
+    kappa, n, k, tau : array_like
+        As for `finite`.
+
+    Returns
+    -------
+    array
+
+    Raises
+    ------
+    InputError
+        As `finite`.
+
+    Examples
+    --------
+    >>> float(finite_impulse([1.0], 1, 1, np.pi / 2).round(12))
+    1.0
+    """
+    return _series(kappa, n, k, tau)[1]
+
+
+def _constants(kappa: ArrayLike) -> Array:
+    kappa = real(kappa, "kappa")
+    positive = kappa.ndim == 1 and kappa.size and (kappa > 0).all()
+    require(("kappa", positive, "must be a list of numbers above 0"))
+    return kappa
+
+
+def _series(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> tuple[Array, Array]:
+    """Return Eq. (19) and its integral over tau."""
+    kappa = _constants(kappa)
+    n = whole("n", n, 1)
+    root = np.sqrt(kappa.max())
+    grains, row = np.unique(n, return_inverse=True)
+    even, integral, column = table("tau", 2 * root * real(tau, "tau"))
+    weights = coefficients(kappa, grains, k, len(even))
+    index = row.reshape(n.shape), column
+    return (weights @ even)[index], (weights @ integral)[index] / root
+
+
+def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return J_0, J_2 ... J_(2 count - 2) of z, half their integrals, and the index of each z.
+
+    Miller's downward recurrence, normalised by ``J_0 + 2 (J_2 + J_4 + ...) = 1``; half the integral
+    of J_(2k) is ``J_(2k+1) + J_(2k+3) + ...``. Values below exp(-640) may be given as 0; without a
+    count the tables end there.
+
+    Returns
+    -------
+    even, integral : (count, Z) arrays
+        At the Z different numbers in z.
+    column : array of the shape of z
+    """
+    require((key, np.isfinite(z), "must be finite"))
+    values, column = np.unique(z, return_inverse=True)
+    size = np.maximum(abs(values), 1e-290)
+    start = _start(size)
+    count = count or int(start.max()) // 2 + 1
+    even, integral = np.zeros((2, count, values.size))
+    higher, current, norm, odd = np.zeros((4, values.size))
+    # each z begins at its own order; above it, its column stays 0
+    for order in range(int(start.max()), -1, -1):
+        lower = 2 * (order + 1) / size * current - higher
+        higher = current
+        current = np.where(order == start, np.exp(-DECAY), lower)
+        if order % 2:
+            odd += current
+            continue
+        norm += 2 * current if order else current
+        if order // 2 < count:
+            even[order // 2] = current
+            integral[order // 2] = odd
+    return even / norm, integral * np.sign(values) / norm, column.reshape(z.shape)
+
+
+def _start(z: Array) -> NDArray[np.int64]:
+    """Return the order where J(z) has decayed to exp(-DECAY), by Debye's exponent."""
+    # Newton's method from above, where the exponent is convex
+    order = z + 80 * np.cbrt(z) + 1
+    for _ in range(12):
+        angle = np.arccosh(order / z)
+        order = order - (order * angle - np.sqrt((order - z) * (order + z)) - DECAY) / angle
+    return np.maximum(np.ceil(order), 1).astype(np.int64)
+
 
 __dir__ = listed(__name__)
 __all__ = [

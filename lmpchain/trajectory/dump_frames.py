@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, short, shown
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
-from ..util.suggestions import not_among
+from ..util.validation import not_among
 from .other_formats import describe_other_format
 
 BEGIN = b"ITEM: TIMESTEP"

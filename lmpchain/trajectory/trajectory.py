@@ -14,8 +14,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import expanded
 from ..util.notebook import Shown
-from ..util.tables import counted
-from ..util.tabular import Tabular
+from ..util.tables import Tabular, counted
 from .other_formats import describe_other_format
 from .record import Record, read_result, select_gathered
 
@@ -138,7 +137,7 @@ class Trajectory(Shown, Record, Tabular):
         The other columns are in its `arrays`. The file is written atomically. A file that lmpchain
         did not write is replaced only if `overwrite` is true.
         """
-        from .extxyz import write_extxyz
+        from .other_formats import write_extxyz
 
         write_extxyz(self, path, overwrite)
 

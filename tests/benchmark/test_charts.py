@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
-from lmpchain.benchmark.chart import FRONT
+from lmpchain.benchmark.chart import FRONT, front, time_to
 from lmpchain.benchmark.comparison import Comparison, compare
 from lmpchain.benchmark.curves import CurvePoint, EngineCurve, WorkPrecision, machine
-from lmpchain.benchmark.pareto import front, time_to
 from lmpchain.benchmark.reference import Reference
 from lmpchain.engines import Bessel, Modes, class_of
 from lmpchain.trajectory.record import Cost, ErrorEstimate

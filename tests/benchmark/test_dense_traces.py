@@ -8,7 +8,7 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 
 from lmpchain import Chain, Drive, Force, Scene, engines, simulate
-from lmpchain.benchmark import dense_traces
+from lmpchain.benchmark import truth
 from lmpchain.benchmark.reference import expected_seconds
 from lmpchain.cli import main
 from lmpchain.design import Traces
@@ -85,13 +85,13 @@ def test_a_reference_is_expected_to_take_a_step_for_each_point():
 @pytest.mark.parametrize("driven", [False, True])
 def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.MonkeyPatch):
     """The change of the answer is that between two runs of another integrator."""
-    monkeypatch.setattr(dense_traces, "MOST_POINTS", 100)
+    monkeypatch.setattr(truth, "MOST_POINTS", 100)
     force = hammer()
     path = np.cumsum(np.cumsum(force.force)) / 2e13
     excitation = Drive(times=force.times, displacement=path - path[0]) if driven else force
     chain = Chain(grains=2, diameter=5e-3, gravity=0.0, top_load=5.0, bottom="wall")
     scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=51)
-    thinner, words = dense_traces.thin_trace(scene, 1e-8)
+    thinner, words = truth.thin_trace(scene, 1e-8)
     kept = int((thinner.excitation.times < 1e-4).sum()) + 1
     assert words.startswith(f"trace: through {kept} of the 2501 points of this run (every=26, ")
     assert kept < 100
@@ -103,13 +103,13 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
         for a, b in ((whole.displacement, part.displacement), (whole.velocity, part.velocity))
     ]
     assert f"changes the answer by {max(changes):.1e}"[:-5] in words
-    assert dense_traces.thin_trace(thinner, 1e-8) == (thinner, "")
+    assert truth.thin_trace(thinner, 1e-8) == (thinner, "")
 
 
 def test_compare_ends_soon_on_a_hammer_of_25_megasamples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    monkeypatch.setattr(dense_traces, "MOST_POINTS", 100)
+    monkeypatch.setattr(truth, "MOST_POINTS", 100)
     force = hammer()
     np.savez(tmp_path / "hammer.npz", time=force.times, force=force.force)
     (tmp_path / "scene.toml").write_text(

@@ -12,7 +12,7 @@ import pytest
 from lmpchain import Chain, InputError, Profile, Scene
 from lmpchain.design import Momentum, optimise
 from lmpchain.design.changes import changed
-from lmpchain.design.fingerprint import fingerprint
+from lmpchain.design.optimisation import fingerprint
 from lmpchain.design.parameters import values
 
 # three balls with gaps: m_2 = sqrt(m_1 m_3) gives the third one most (Huygens)

@@ -21,7 +21,7 @@ from lmpchain.design import (
     gradient,
 )
 from lmpchain.design.gradients import at_step, looks_of
-from lmpchain.design.seen import contact_force, quadrature
+from lmpchain.design.objectives import contact_force, quadrature
 from lmpchain.engines import Native
 from lmpchain.integrators.splittings import SPLITTINGS
 

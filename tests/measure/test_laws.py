@@ -13,8 +13,13 @@ from scipy import optimize, stats
 from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Displacement, Impulse, InputError, Profile, Scene, Trajectory, simulate
-from lmpchain.measure.fit.column import fit_continuum, fit_exponents
-from lmpchain.measure.fit.column_front import bottom, front_before_echo, strike_at_top
+from lmpchain.measure.fit.column import (
+    bottom,
+    fit_continuum,
+    fit_exponents,
+    front_before_echo,
+    strike_at_top,
+)
 from lmpchain.measure.fit.inverse import Trace, fit_parameter
 from lmpchain.measure.fit.overview import Summary, summary
 from lmpchain.measure.fit.table import FittedNumber

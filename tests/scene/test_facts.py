@@ -9,7 +9,7 @@ import pytest
 import lmpchain
 from lmpchain import Chain, Damping, Drive, Force, Impulse, Scene
 from lmpchain.scene.facts import SceneFacts
-from lmpchain.util.caching import cached_property
+from lmpchain.util.lazy import cached_property
 
 PACKAGE = Path(lmpchain.__file__).parent
 COLUMN = Chain(grains=40, diameter=1e-3)

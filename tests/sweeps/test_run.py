@@ -16,7 +16,7 @@ from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
 from lmpchain.sweeps.executors import Here
 from lmpchain.sweeps.file import read_sweep
-from lmpchain.sweeps.labels import find_recorded, make_labels
+from lmpchain.sweeps.results import find_recorded, make_labels
 from lmpchain.sweeps.tasks import count_scenes
 
 SCENE: dict[str, Any] = {

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, InputError
-from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, repeating
-from lmpchain.theory.local_bands import local_bands
+from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, local_bands, repeating
 from lmpchain.theory.modes import eigenmodes
 
 LOADED = {"gravity": 0.0, "top_load": 3.0, "diameter": 1e-3}

@@ -9,7 +9,7 @@ from helpers.independent_theory import gravity_column, integrate, largest, sprin
 from scipy.special import jv
 
 from lmpchain import InputError
-from lmpchain.theory import bessel, bessel_series, continuum, modes
+from lmpchain.theory import bessel, continuum, modes
 
 RNG = np.random.default_rng(5)
 
@@ -262,7 +262,7 @@ def test_tables_of_bessel_functions():
     order 0 to far too high ones.
     """
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
-    even, integral, column = bessel_series.table("z", z, 700)
+    even, integral, column = bessel.table("z", z, 700)
     for i, x in enumerate(z):
         for k in (0, 1, 2, 10, 40, 300, 699):
             exact = besselj(2 * k, x)

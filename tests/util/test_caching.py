@@ -6,7 +6,7 @@ import threading
 from pathlib import Path
 
 import lmpchain
-from lmpchain.util.caching import cached_property
+from lmpchain.util.lazy import cached_property
 
 
 class Slow:
@@ -47,4 +47,4 @@ def test_no_module_takes_the_property_with_a_lock():
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, ast.ImportFrom) and node.module == "functools":
                 names = {alias.name for alias in node.names}
-                assert "cached_property" not in names or path.name == "caching.py", path
+                assert "cached_property" not in names or path.name == "lazy.py", path

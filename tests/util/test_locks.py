@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lmpchain.util.locks import UNSUPPORTED, describe_holder, take_lock
+from lmpchain.util.files import UNSUPPORTED, describe_holder, take_lock
 
 
 @pytest.fixture(params=UNSUPPORTED, ids=errno.errorcode.get)

@@ -19,8 +19,7 @@ from ...integrators.splittings import Splitting
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.files import check_not_foreign, expanded, write_aside
-from . import drive
-from .column import LammpsColumn
+from .column import LammpsColumn, placeholders
 from .worker import deck_steps
 
 RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
@@ -264,7 +263,7 @@ def _fill(
         # fix move wants steps of one length; else the speeds come from outside
         "moves": splitting.order == 2,
         "include": column.include,
-        **drive.placeholders(scene.excitation, scene.duration),
+        **placeholders(scene.excitation, scene.duration),
     }
     if not column.template:
         return render("in.column", CLOSED, **values)

@@ -12,8 +12,8 @@ from ...errors import InputError, RunFailed
 from ...integrators.splittings import Splitting
 from ...integrators.steps import Steps
 from ...util.arrays import Array
-from . import deck, drive
-from .column import LammpsColumn
+from . import deck
+from .column import LammpsColumn, pieces
 from .subprocess_ranks import Communicator
 from .worker import LocalState, StepPlan
 
@@ -67,7 +67,7 @@ class LammpsStepper:
             splitting=splitting,
             step=steps.step,
             done=self._done,
-            pieces=tuple(drive.pieces(scene.excitation, scene.duration)),
+            pieces=tuple(pieces(scene.excitation, scene.duration)),
             rest=column.heights[0],
             wave=scene.excitation.waveform,
             driven=bool(scene.excitation.driven),

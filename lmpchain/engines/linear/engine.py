@@ -20,9 +20,8 @@ from ...util.compilation import clock
 from ...util.plotting import COLOURS
 from ..base import Engine, ErrorBudget, Proposal, Run
 from ..cost_model import seconds
-from .energies import sum_energies
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
-from .solutions import ChebyshevSolution, LinearSolution, ModalSolution
+from .solutions import ChebyshevSolution, LinearSolution, ModalSolution, sum_energies
 
 BLOCK = 16  # Samples of a block, if they fit into the memory.
 # Largest number of values in memory, and number of values that takes nearly no time.

@@ -28,7 +28,7 @@ from ...integrators.kernels.phase_error import (
     accumulate,
     start,
 )
-from ...scene.packet import Packet
+from ...scene.excitation import Packet
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from .resonance import FEW, Resonance

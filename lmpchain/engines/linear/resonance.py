@@ -15,7 +15,7 @@ import numpy as np
 
 from ...scene.scene import Scene
 from ...util.arrays import Array
-from ...util.caching import cached_property
+from ...util.lazy import cached_property
 
 if TYPE_CHECKING:
     from ...theory.modes import Eigenmodes

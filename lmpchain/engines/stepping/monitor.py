@@ -23,8 +23,8 @@ from ...integrators.stepper import UNFIT, NativeStepper, Stepper, room_for
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import EPSILON, SMALLEST, Array, last_digit
-from ...util.caching import cached_property
 from ...util.compilation import clock
+from ...util.lazy import cached_property
 from ..base import ErrorBudget, Proposal
 from .auxiliary_runs import OPENINGS, AuxiliarySteps
 from .rounding import (

@@ -26,7 +26,8 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
-from lmpchain.engines.lammps import communicators, deck, drive, library, subprocess_ranks
+from lmpchain.engines.lammps import column as columns
+from lmpchain.engines.lammps import communicators, deck, library, subprocess_ranks
 from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
@@ -189,7 +190,7 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
     """Evaluated in Python with the variables of the deck; upward, where ours are downward."""
     act = ACTS[name]
     wave = act.waveform
-    said = drive.placeholders(act, 2e-5)
+    said = columns.placeholders(act, 2e-5)
     for t in np.linspace(0.1e-6, 1.99e-5, 41):
         values = {"v_now": float(t), "sin": math.sin, "cos": math.cos}
         if wave.spline is None:
@@ -226,12 +227,12 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
 
 def test_only_pieces_that_begin_in_the_run_are_told():
     points = ACTS["points"]
-    assert [end for end, _ in drive.pieces(points, 2e-5)] == pytest.approx(
+    assert [end for end, _ in columns.pieces(points, 2e-5)] == pytest.approx(
         points.times[1:], rel=1e-11
     )
-    assert len(drive.pieces(points, 1e-5)) == 3
-    assert drive.pieces(ACTS["sine"], 1e-5) == []
-    nothing = drive.placeholders(Impulse(velocity=1.0), 1e-5)
+    assert len(columns.pieces(points, 1e-5)) == 3
+    assert columns.pieces(ACTS["sine"], 1e-5) == []
+    nothing = columns.placeholders(Impulse(velocity=1.0), 1e-5)
     assert (nothing["value"], nothing["slope"], nothing["frequency"], nothing["pushed"]) == (
         "",
         "",
