@@ -4,7 +4,7 @@ A driven grain follows its path by `fix move variable`, a driven wall is a regio
 force is that of `fix addforce`. LAMMPS evaluates their formulas in double precision at its own
 times, `step*dt`: they are right to 1e-16 (1 + omega t) of their amplitude. That holds for velocity
 Verlet; methods of several drifts take the values from outside, at the times of the method.
-
+"""
 
 from __future__ import annotations
 
