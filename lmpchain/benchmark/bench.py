@@ -300,7 +300,7 @@ def work_precision(
 def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
     """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
     scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
-    methods = methods_of(scene.chain.damped)
+    methods = methods_of(scene.chain)
     refusals = []
     for name in sorted(engines.names(), key=lambda name: engines.class_of(name).auto == "last"):
         engine = engines.get(name)

@@ -95,7 +95,7 @@ def twin_run(scene: Scene, integrator: str, step: float) -> Trajectory | None:
 def stability_limit(scene: Scene, integrator: str) -> float:
     """Return the longest stable step on the chain at rest, s; infinite if nothing presses it."""
     rate = scene.chain.fastest_rate
-    return methods_of(scene.chain.damped)[integrator].stability_limit / rate if rate else math.inf
+    return methods_of(scene.chain)[integrator].stability_limit / rate if rate else math.inf
 
 
 def height_round_off(
@@ -115,7 +115,7 @@ def height_round_off(
 
 def cures(scene: Scene, solution: Reference, integrator: str) -> tuple[Cure, ...]:
     """Return the longest steps with which several integrators reach each target error."""
-    methods = methods_of(scene.chain.damped)
+    methods = methods_of(scene.chain)
     names = [name for name in dict.fromkeys((integrator, *INTEGRATORS)) if name in methods]
     rows = [cure for name in names[:MOST_INTEGRATORS] for cure in _cures_of(scene, solution, name)]
     return tuple(sorted(rows, key=lambda cure: -cure.target))
@@ -154,7 +154,7 @@ def _fewest_steps(
 
     Errors by numbers of steps are kept in `measured`.
     """
-    method = methods_of(scene.chain.damped)[integrator]
+    method = methods_of(scene.chain)[integrator]
     engine = Native(integrator)
     interval = scene.sampling_interval
     failing = 0

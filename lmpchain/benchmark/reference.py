@@ -135,7 +135,7 @@ def reference(scene: Scene) -> Reference:
     RunFailed
         If steps become too short to continue.
     """
-    if scene.chain.law.power is None:
+    if scene.chain.law.power is None or scene.chain.ground is not None:
         return _solve_by_scipy(scene)
     motion = _Motion(scene)
     solution, largest = motion.solve(ANSWER)
@@ -162,7 +162,7 @@ def expected_seconds(scene: Scene) -> float:
     float
         s.
     """
-    if scene.chain.law.power is None:
+    if scene.chain.law.power is None or scene.chain.ground is not None:
         evaluations = 2 * SCIPY_EVALUATIONS * (1 + scene.total_phase)
         return evaluations * (SCIPY_CALL_S + SCIPY_GRAIN_S * scene.chain.grains)
     motion = _Motion(scene)
@@ -218,9 +218,13 @@ def _equations(scene: Scene) -> Callable[[float, Array], Array]:
         closer = contacts.closer(u, wall[0])
         force = contacts.force_change(closer)
         if chain.damped:
-            viscosity = chain.contact_viscosity * contacts.stiffness_at(contacts.overlap + closer)
+            overlap = contacts.overlap + closer
+            # The power of a negative overlap is no number; laws by formula have forces there.
+            overlap = overlap if chain.law.power is None else np.maximum(overlap, 0.0)
+            viscosity = chain.contact_viscosity * contacts.stiffness_at(overlap)
             force = force + viscosity * contacts.closer(v, wall[1])
-        acceleration = (push - np.diff(force)) / chain.masses - chain.drag * v
+        pull = chain.ground.force(u, t) if chain.ground else 0.0
+        acceleration = (push - pull - np.diff(force)) / chain.masses - chain.drag * v
         return np.concatenate((moves * v, moves * acceleration))
 
     return rates

@@ -24,6 +24,7 @@ from ..util.validation import (
     make_unchecked,
     with_derived,
 )
+from . import ground
 from .bounds import Bounds, bounds
 from .contact_law import ContactLaw, power_law
 from .contacts import FEW_GRAINS, Contacts
@@ -56,6 +57,9 @@ class Chain(ChainPicture, Checked):
     law : Law, or dict, optional
         The force of the contacts by a formula, in place of an exponent. A dict is the table of a
         scene file.
+    ground : Law, or dict, optional
+        A force ``F(u, t)`` that pulls every grain back, of its displacement u from rest, m, and the
+        time t, s: ``m phi'' = ... - F(phi, t)``.
     top_load : float
         Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
     load_grain : int
@@ -107,6 +111,7 @@ class Chain(ChainPicture, Checked):
     gravity: Annotated[Real, Field(ge=0)] = 9.81
     given_exponent: Annotated[Real, Field(ge=1, le=3)] = Field(1.5, alias="exponent")
     given_law: OneLaw = Field(NOT_GIVEN, alias="law")
+    given_ground: OneLaw = Field(NOT_GIVEN, alias="ground")
     top_load: Annotated[Real, Field(ge=0)] = 0.0
     load_grain: Annotated[Whole, Field(ge=1)] = 1
     top: Literal["free", "wall"] = "free"
@@ -200,6 +205,8 @@ class Chain(ChainPicture, Checked):
         if self.given_law and "given_exponent" in self.model_fields_set:
             yield "law", "takes the place of an exponent: give one of them"
         yield from self._misfits_of_law()
+        if self.given_ground is not None:
+            yield from ground.misfits(self.given_ground, self.grains)
         yield from misfits(self.impurity, self.grains, self.given_contact_constants is not None)
         yield from self.damping.misfits(self.grains)
         yield from self._misfits_of_walls()
@@ -295,6 +302,17 @@ class Chain(ChainPicture, Checked):
         """The law with the parameters of all contacts, walls included."""
         law = self.law
         return law.with_walls(self.grains) if isinstance(law, Law) else law
+
+    @property
+    def ground(self) -> Law | None:
+        """The force from the ground on every grain, or None."""
+        return self.given_ground  # type: ignore[return-value]
+
+    def refuse_ground(self, what: str) -> None:
+        """Raise `InputError` if there is a force from the ground, of which `what` knows nothing."""
+        if self.ground is not None:
+            cure = "leave it out, as chain.replace(ground=None) does"
+            raise InputError.at("chain.ground", f"{what} knows no ground: {cure}")
 
     @property
     def exponent(self) -> float:
@@ -407,6 +425,11 @@ class Chain(ChainPicture, Checked):
         """Whether contacts or a drag take energy."""
         return self.damping.acts
 
+    @property
+    def conservative(self) -> bool:
+        """Whether contacts and weight alone accelerate the grains, without damping or a ground."""
+        return not self.damped and self.ground is None
+
     def refuse_damping(self, what: str) -> None:
         """Raise `InputError` if the chain has damping, of which `what` knows nothing."""
         if self.damped:
@@ -453,6 +476,8 @@ class Chain(ChainPicture, Checked):
                 fields[key] = fields[key][first - 1 : end]
         if isinstance(self.given_law, Law):
             fields["law"] = self.given_law.part(first, last)
+        if self.ground is not None:
+            fields["ground"] = self.ground.part(first, last)
         if self.impurity:
             fields["impurity"] = tuple(
                 impurity.replace(grain=impurity.grain - first + 1)
@@ -581,6 +606,7 @@ class Chain(ChainPicture, Checked):
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """
+        self.refuse_ground("the energy above rest")
         kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
         # grains at rest, as before a strike: nothing is in the contacts
         if wall is None and not np.any(displacement):

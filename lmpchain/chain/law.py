@@ -16,7 +16,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -168,10 +168,10 @@ class Law(ContactLaw):
         object.__setattr__(self, "formula", formula)
         object.__setattr__(self, "given", given)
         arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
+        # A ground law has the time in the place of the constant of a contact.
+        variables = "u, t, p" if self.of_ground else "o, k, p"
         force, stiffness, curvature = (
-            (_refuse_ground,) * 3
-            if self.of_ground
-            else (part.function("o, k, p", NUMPY, arguments) for part in _derived(formula))
+            part.function(variables, NUMPY, arguments) for part in _derived(formula)
         )
         kinks = [place.substitute(self._numbers(0)) for place in formula.kinks("o")]
         values = sorted({k for place in kinks if (k := place.number) is not None})
@@ -199,7 +199,7 @@ class Law(ContactLaw):
     @property
     def names(self) -> list[str]:
         """Names of the parameters but k, in the order of `parameters`."""
-        return [key for key in self.given if key != "k"]
+        return [key for key in self.given if key != "k" or self.of_ground]
 
     @property
     def text(self) -> str:
@@ -285,6 +285,8 @@ class Law(ContactLaw):
     def _constant(self, constant: Any) -> Any:
         if constant is not None:
             return constant
+        if self.of_ground:
+            return 0.0
         if "k" in self.given:
             return np.asarray(self.given["k"])
         if "k" in self.formula.names:
@@ -301,7 +303,7 @@ class Law(ContactLaw):
         return values if np.shape(values) == shape else np.broadcast_to(values, shape)
 
     def force(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the force at an overlap, N."""
+        """Return the force at an overlap, N; of a ground at a displacement, and a time, s."""
         return self._filled(super().force, overlap, constant)
 
     def stiffness(self, overlap: Any, constant: Any = None) -> Any:
@@ -459,7 +461,7 @@ class Law(ContactLaw):
             return self
         return self.replace(
             **{
-                key: value[first - 1 : last - 1]
+                key: value[first - 1 : last - (not self.of_ground)]
                 for key, value in self.given.items()
                 if isinstance(value, tuple)
             }
@@ -686,16 +688,14 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
 def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
     """Return force, stiffness and curvature; 0 where there is no contact, whose constant is 0."""
     force = formula
+    if "o" not in formula.names:
+        stiffness = force.derivative("u")
+        return force, stiffness, stiffness.derivative("u")
     if force.substitute({"k": 0.0}) is not ZERO:
         force = build("select", negative(name("k")), ZERO, force)
     # An infinite stiffness times a constant of 0 would be no number.
     stiffness = build("select", negative(name("k")), ZERO, force.derivative("o"))
     return force, stiffness, stiffness.derivative("o")
-
-
-def _refuse_ground(*_: Any) -> NoReturn:
-    fault = "depends on u or t, and no chain has a ground yet"
-    raise InputError.at("law.force", f"{fault}: write a contact law of the overlap o")
 
 
 def _misfits(

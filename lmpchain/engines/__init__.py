@@ -107,6 +107,10 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
         cure = f"use {_those_that(lambda engine: engine.dissipates)}"
         fault = f"{engine.name} conserves energy: leave damping out, or {cure}"
         reasons = [*reasons, ("chain.damping", fault)]
+    if scene.chain.ground is not None and not engine.knows_ground:
+        cure = f"use {_those_that(lambda engine: engine.knows_ground)}"
+        fault = f"{engine.name} knows no force from the ground: leave the ground out, or {cure}"
+        reasons = [*reasons, ("chain.ground", fault)]
     # quantities follow from accelerations, which the two chain equations give
     if scene.quantities and not engine.moves_grains:
         why = f"{engine.name} solves no equation of motion of the grains, which gathering needs"

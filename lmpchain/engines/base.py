@@ -255,6 +255,8 @@ class Engine(ABC):
         failed estimate name them.
     dissipates : bool
         Whether the engine solves chains that lose energy.
+    knows_ground : bool
+        Whether the engine solves chains with a force from the ground.
     ranks_of_mpi : bool
         Whether the ranks of MPI share a scene.
     start_up_s, seconds_per_grain_step : float
@@ -272,6 +274,7 @@ class Engine(ABC):
     logs: ClassVar[tuple[str, ...]] = ()
     batches: ClassVar[bool] = False
     dissipates: ClassVar[bool] = False
+    knows_ground: ClassVar[bool] = False
     ranks_of_mpi: ClassVar[bool] = False
     start_up_s: ClassVar[float] = 3e-4
     seconds_per_grain_step: ClassVar[float] = 0.0

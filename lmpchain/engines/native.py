@@ -47,6 +47,7 @@ class Native(CompiledSteps):
     style = (COLOURS["blue"], "s")
     foreign: ClassVar[tuple[str, ...]] = (LAGGED.name,)
     batches: ClassVar[bool] = True
+    knows_ground: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from functools import cache, lru_cache
 from typing import Any
@@ -9,11 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..chain import ground
+from ..chain.chain import Chain
 from ..chain.contacts import Contacts, together
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
 from .kernels import waveform
-from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, addresses
+from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, address_of_ground, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
 from .kernels.table import aligned_rows, fill_batch, place_bodies
 
@@ -105,6 +108,8 @@ class ChainBatch:
             parameters=_in_rows(self.contacts, rows.shape[2])
             if formulas
             else np.zeros((size, 0, rows.shape[2])),
+            ground=address_of_ground(ground.kernel_of(chain.ground)) if chain.ground else 0,
+            ground_parameters=_ground_rows(chains, rows.shape[2]),
             omega=omega,
             scale=scale,
             units=units,
@@ -174,7 +179,9 @@ class ChainBatch:
         u and v are displacements and velocities of grains, (copies, R, N), or (1, R, N) for all
         copies. The window of a long chain contains the grains that move.
         """
-        return place_bodies(u, v, copies, self.driven, self.arrays, WINDOW_MIN)
+        # A ground may let a wave grow before it is seen: all grains are in the window.
+        longest = WINDOW_MIN if self.scenes[0].chain.ground is None else sys.maxsize
+        return place_bodies(u, v, copies, self.driven, self.arrays, longest)
 
     def _damping(self) -> tuple[bool, Array, Array]:
         """Return whether chains are damped, viscosities, (R, N+1) s, and drag, (R, N) 1/s.
@@ -282,6 +289,16 @@ def _in_rows(contacts: Contacts, width: int) -> Array:
     ends[:, :2] = 0.0
     ends[..., PAD - 1 : PAD - 1 + count] = rows
     return ends
+
+
+def _ground_rows(chains: Sequence[Chain], width: int) -> Array:
+    """Return `BatchArrays.ground_parameters` of R chains."""
+    if chains[0].ground is None:
+        return np.zeros((len(chains), 0, 0))
+    rows = np.array([ground.parameter_rows(c.ground, c.grains) for c in chains if c.ground])
+    # Places without a grain get parameters, too, because a formula may divide by them.
+    behind = width - PAD - rows.shape[2]
+    return np.pad(rows, ((0, 0), (0, 0), (PAD, behind)), mode="edge")
 
 
 @cache

@@ -15,6 +15,7 @@ from .splittings import SPLITTINGS, VERLET
 from .steps import Steps
 
 if TYPE_CHECKING:
+    from ..chain.chain import Chain
     from .batch import ChainBatch
 
 
@@ -104,8 +105,9 @@ _OF_CHAINS = {
     for damped in (False, True)
 }
 METHODS = _OF_CHAINS[False]
+_ON_GROUND: dict[str, Method] = {method.name: method for method in _ALL if isinstance(method, DormandPrince)}
 
 
-def methods_of(damped: bool) -> dict[str, Method]:
-    """Return the methods for chains with damping, or for chains without damping, by name."""
-    return _OF_CHAINS[damped]
+def methods_of(chain: Chain) -> dict[str, Method]:
+    """Return the methods for a chain, by name: with damping, with a ground, or with neither."""
+    return _OF_CHAINS[chain.damped] if chain.ground is None else _ON_GROUND

@@ -102,8 +102,9 @@ class Motion:
     def _lawful(self) -> NDArray[np.bool_]:
         """Whether the equation of motion gives the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
-        # The rates of viscous forces need more derivatives than the samples have.
-        known = self._equation in (1, 3) and not chain.damped
+        # The rates of viscous forces need more derivatives than the samples have, and the force
+        # from the ground may depend on the time.
+        known = self._equation in (1, 3) and chain.conservative
         lawful = np.full(self._column.size, known)
         if known and not self._all_recorded:
             recorded = self._column != UNKNOWN

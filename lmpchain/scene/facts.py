@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import InstanceOf
 
+from ..chain import ground
 from ..chain.chain import Chain
 from ..chain.contacts import FEW_GRAINS
 from ..chain.plausible import LIMITS
@@ -150,7 +151,9 @@ class SceneFacts(Recording):
 
     @cached_property
     def energy(self) -> float:
-        """Energy above rest at t = 0, J; infinite if the excitation does work later."""
+        """Energy above rest at t = 0, J; infinite if the excitation or a ground does work later."""
+        if self.chain.ground is not None:
+            return math.inf
         _, near = self._surroundings
         return near.excitation.energy(near.chain)
 
@@ -282,6 +285,8 @@ class SceneFacts(Recording):
         ``(1 - (1/k) / sum 1/k) / k``. What drives a viscous contact works against more than
         stiffness.
         """
+        if self.chain.ground is not None:
+            return np.inf
         contacts = self.chain.contacts
         k = contacts.stiffness
         pressed = contacts.pressed
@@ -307,6 +312,19 @@ class SceneFacts(Recording):
         return max(self.chain.band_edge, self.excitation.fastest)
 
     @cached_property
+    def _ground_rate(self) -> float:
+        """The largest frequency that the ground alone gives a grain, rad/s; 0 without a ground."""
+        chain = self.chain
+        if chain.ground is None:
+            return 0.0
+        displacement, speed = self.imposed
+        # A free grain flies until the contacts, or the ground, turn it back.
+        turns = max(self.linear_frequency, 1 / self.duration)
+        reach = displacement + speed / turns
+        stiffness = ground.largest_stiffness(chain.ground, reach, self.duration)
+        return math.sqrt(float((stiffness / chain.masses).max()))
+
+    @cached_property
     def fastest_motion(self) -> float:
         """The highest frequency that can be excited without damping, rad/s; 0 if nothing moves.
 
@@ -319,7 +337,7 @@ class SceneFacts(Recording):
         if not (bounds and bounds.frequency(self._first_overlap_bound) <= fastest):
             stiffness = self.chain.contacts.stiffness_bound(self.first_overlaps).max()
             fastest = max(fastest, math.sqrt(2 * stiffness / self.chain.masses.min()))
-        return float(fastest)
+        return math.hypot(fastest, self._ground_rate)
 
     @cached_property
     def highest_frequency(self) -> float:

@@ -54,7 +54,7 @@ class Gatherer:
         self._viscous = scene.chain.damping.longest_time > 0
         column = np.arange(-1, size + 1)
         column[-1] = STILL
-        lawful = np.full(column.size, not part.chain.damped)
+        lawful = np.full(column.size, part.chain.conservative)
         lawful[part.chain.movable + 1 :] = True
         tracked = "velocity" if "arrival_time" in scene.quantities else None
         asked = {*scene.quantities, f"peak_{tracked}"}

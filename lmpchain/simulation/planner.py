@@ -193,7 +193,7 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
 def _ways(name: str, scene: Scene) -> list[Engine]:
     """Return an engine with each of its integrators that applies to a scene."""
     engine = engines.get(name)
-    methods = [kind for kind in methods_of(scene.chain.damped) if kind in engine.integrators]
+    methods = [kind for kind in methods_of(scene.chain) if kind in engine.integrators]
     return [engines.get(name, integrator=kind) for kind in methods] or [engine]
 
 

@@ -478,6 +478,9 @@ def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
         yield "chain.damping", f"averages are those of a motion that never ends: {cure}"
+    if chain.ground is not None:
+        cure = "leave it out, as chain.replace(ground=None) does"
+        yield "chain.ground", f"averages know no energy of the ground: {cure}"
     if scene.excitation.does_work:
         cure = "use an impulse, a displacement or a profile"
         yield "excitation", f"must leave the energy as it is at t = 0: {cure}"

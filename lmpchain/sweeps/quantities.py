@@ -171,7 +171,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     """
     # For closely spaced samples the equation of motion bounds the values in between; with damping
     # the accelerations follow from samples, which must be closer.
-    resolved = RESOLVED_BY_DIFFERENCES if scene.chain.damped else RESOLVED
+    resolved = RESOLVED if scene.chain.conservative else RESOLVED_BY_DIFFERENCES
     swift = scene.sampling_phase > resolved
     # With viscous contacts the largest force need not occur at the closest approach.
     viscous = scene.chain.damping.longest_time > 0

@@ -125,7 +125,7 @@ class Accumulator:
         # The misfit of an interval needs the sample after the next one.
         end = last if ends else max(last - 1, 0)
         # Four samples suffice if accelerations are computed from the samples.
-        if begin < end and (ends or len(u) > 3 or not self.scene.chain.damped):
+        if begin < end and (ends or len(u) > 3 or self.scene.chain.conservative):
             self._take_intervals(u, v, Window(base, begin - base, end - base))
             state["interval"] = np.array(end)
         # The neighbours of the next interval enter its error, too.

@@ -332,8 +332,8 @@ def check_course(
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
             f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
         )
-    # Damping forces depend on velocities as well.
-    if angle > SAMPLED.forces or scene.chain.damped:
+    # Damping forces depend on velocities as well, and those of the ground on the time.
+    if angle > SAMPLED.forces or not scene.chain.conservative:
         return
     acceleration = _accelerations(scene, motion)[:, lawful]
     ratio, doubt = _compare_changes(v, acceleration, interval, 0.0)

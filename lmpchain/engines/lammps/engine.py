@@ -169,7 +169,7 @@ class Lammps(TimeSteppingEngine):
     def methods(self, scene: Scene) -> list[Method]:
         """Return the method that it takes."""
         name = self.splitting(scene).name
-        return [methods_of(scene.chain.damped)[name]]
+        return [methods_of(scene.chain)[name]]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""

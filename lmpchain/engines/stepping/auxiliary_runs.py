@@ -312,6 +312,7 @@ def recurs(scene: Scene) -> bool:
     chain = scene.chain
     # The bounds on strains take arrays of all contacts: they are asked for last.
     recurs = returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable
+    recurs = recurs or chain.ground is not None
     return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
 
 

@@ -143,7 +143,8 @@ class Monitor:
         samples = self._scene.samples
         self._differences = np.zeros((self.runs, samples, size, 2))
         self._peaks = np.zeros((size, 2))
-        if self._chains.arrays.damped:
+        # The energy in the ground is not balanced.
+        if self._chains.arrays.damped and self._scene.chain.ground is None:
             native.balance = np.zeros((1 + len(auxiliary.schedules), size, samples, 2))
 
     def make_room(self, samples: int) -> None:

@@ -266,7 +266,9 @@ def separate(
 
 def could_grow(scene: Scene, evaluations: float) -> float:
     """Return an upper bound on `amplify_rounding` from the phase of the fastest motion alone."""
-    exponent = GROWTH.rate * scene.total_phase
+    # A ground may amplify at any rate.
+    rate = GROWTH.rate if scene.chain.ground is None else math.inf
+    exponent = rate * scene.total_phase
     digits = count_digits(evaluations)
     # No scene amplifies an error by more than exp(99).
     return GROWTH.digit * digits * math.exp(min(exponent, 99.0))
@@ -283,7 +285,8 @@ def amplify_rounding(scene: Scene, evaluations: float) -> Array:
 def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
     """Return the growth of a change of 1e-15 at each sample, (T,), until it is `enough`."""
     changes = (GROWTH.digit * np.array(GROWTH.changes)).tolist()
-    method = methods_of(scene.chain.damped)["verlet"]
+    methods = methods_of(scene.chain)
+    method = methods.get("verlet") or next(iter(methods.values()))
     for reach in (GROWTH.reach, GROWTH.reach / GROWTH.shorter):
         steps = math.ceil(scene.sampling_phase / reach)
         schedule = Steps.spread(scene.sampling_interval, steps)

@@ -7,6 +7,7 @@ from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
+from ...chain.ground import kernel_of
 from ...errors import InputError, ToleranceNotMet, shown
 from ...integrators.batch import ChainBatch, force_form, name_of
 from ...integrators.kernels.contact_forces import PLAIN
@@ -67,18 +68,21 @@ class TimeSteppingEngine(Engine):
 
     def methods(self, scene: Scene) -> list[Method]:
         """Return the methods among which the engine chooses for a scene."""
-        damped = scene.chain.damped
-        automatic = AUTOMATIC_DAMPED if damped else AUTOMATIC
+        methods = methods_of(scene.chain)
+        automatic = AUTOMATIC if scene.chain.conservative else AUTOMATIC_DAMPED
         names = automatic if self.integrator == "auto" else [self.integrator]
-        return [methods_of(damped)[name] for name in names]
+        return [methods[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why the chosen method does not apply: to damped chains, or without damping."""
-        names = methods_of(scene.chain.damped)
+        names = methods_of(scene.chain)
         if self.integrator in ("auto", *names):
             return []
         best_first = sorted(names, key=lambda name: -names[name].order)
         cure = f"use {' or '.join(name for name in best_first if name in self.integrators)}"
+        if scene.chain.ground is not None:
+            fault = f"{self.integrator} knows no ground: {cure}, or leave the ground out"
+            return [("integrator", fault)]
         kind = "without" if scene.chain.damped else "with"
         fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]
@@ -332,5 +336,6 @@ def kind(scene: Scene) -> tuple:
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
     built = chain.grains, *ends, chain.law, chain.compressed, chain.damped
+    on_ground = chain.ground and kernel_of(chain.ground)
     acted = excitation.driven, excitation.does_work
-    return *built, *acted, scene.samples, scene.duration, scene.grains
+    return *built, on_ground, *acted, scene.samples, scene.duration, scene.grains

@@ -151,6 +151,7 @@ FORCES = types.void(_ROW, _ROW, _LINKS)
 STIFFNESSES = types.void(_ROW, _ROW, _ROW, _LINKS)
 _SAMPLES = types.float64[:]
 SERIES = types.void(*(_SAMPLES, _SAMPLES, types.float64[:, ::1], types.int64, _SAMPLES, _SAMPLES))
+GROUND = types.void(_ROW, _ROW, _ROW, types.float64[:, ::1], types.int64, types.float64)
 SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, types.boolean)
 
 
@@ -324,6 +325,28 @@ def addresses(form: int, law: Any = None) -> tuple[int, ...]:
     return tuple(address_of(*pair) for pair in zip(loops, signatures, strict=False))
 
 
+@cache
+def _ground_loop_of(kernel: Any) -> Any:
+    """Make the loop of a force from the ground over bodies."""
+    force_of = kernel.force.function("u, t, given, n", FUNCTIONS, kernel.codes)
+    force_at = compiled_formula(force_of)
+    code = force_of.__code__
+    content = repr((code.co_code, code.co_consts, code.co_names))
+
+    @compiled_filler(kind=sha256(content.encode()).hexdigest())
+    def pull_back(pull, x, inverse_mass, given, first, t):
+        for n in range(pull.size):
+            pull[n] -= inverse_mass[n] * force_at(x[n], t, given, first + n)
+
+    return pull_back
+
+
+def address_of_ground(kernel: Any) -> int:
+    """Return where the loop of a force from the ground lies in memory, once it is compiled."""
+    return address_of(_ground_loop_of(kernel), GROUND)
+
+
+_call_ground = caller(GROUND)
 _call_forces = caller(FORCES)
 _call_sweep = caller(SWEEP)
 _call_stiffnesses = caller(STIFFNESSES)
@@ -340,6 +363,15 @@ def contact_forces(links, out, x):
 def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
     """Kick and drift all grains once a row, as `sweep_rows` says."""
     _call_sweep(links.loops[1], (x, v, inverse_mass, links, rows, top, body, forced))
+
+
+@inlined
+def pull_to_rest(address, pull, x, inverse_mass, given, first, t):
+    """Subtract from accelerations (B,) those by the ground at time t, of bodies x (B,).
+
+    `first` is the column of the first body in `given`, see `BatchArrays.ground_parameters`.
+    """
+    _call_ground(address, (pull, x, inverse_mass, given, first, t))
 
 
 @inlined

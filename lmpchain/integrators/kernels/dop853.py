@@ -15,7 +15,15 @@ from ...util.arrays import Array
 from .compiling import apart, compiled, compiled_march, inlined, pasted, summed
 from .layout import PAD, RESOLUTION, Chains
 from .openings import shorten
-from .right_hand_side import accelerate, ahead, course, forced, impose, impose_velocity
+from .right_hand_side import (
+    accelerate,
+    add_ground,
+    ahead,
+    course,
+    forced,
+    impose,
+    impose_velocity,
+)
 from .sample_loop import end_of_step, sample_loop
 from .window import look, rest_ahead, watch, widen
 
@@ -276,6 +284,7 @@ def _land(chain, work, clock, stages, balanced):
     if chain.damped:
         # The conversion needs the forces at the end of the step.
         accelerate(chain, chain.x, state.first, state.last, force, slopes[0])
+        add_ground(chain, chain.x, clock.end, state.first, state.last, slopes[0])
         _complete(chain, clock, clock.end, force, slopes[stages], reduced)
         state.pending = 0.0
         if balanced:
@@ -330,6 +339,7 @@ def _advance(chain, method, work, clock, out, landed):
     impose(chain, z, now, inside)
     impose_velocity(chain, w, PAD, now)
     accelerate(chain, z, first, last, force, slopes[0])
+    add_ground(chain, z, now, first, last, slopes[0])
     if damped:
         _complete(chain, clock, now, force, slopes[stages], reduced)
         if balanced:
@@ -350,6 +360,7 @@ def _advance(chain, method, work, clock, out, landed):
         add_rows(stage_grains, weigh, count, slopes, window)
         impose(chain, z, now + nodes[stage] * h, now + 0.5 * h)
         accelerate(chain, z, first, last, force, slopes[stage])
+        add_ground(chain, z, now + nodes[stage] * h, first, last, slopes[stage])
         if creeps > 0:
             fill_creep(chain, z, force, slopes[stages + stage])
         t = now + nodes[stage] * h

@@ -126,6 +126,10 @@ class BatchArrays(NamedTuple):
     parameters : (R, P, W) array
         Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
         below each body, for a law given by a formula; (R, 0, W) for powers.
+    ground : int
+        Where the loop of the force from the ground lies in memory, 0 without a ground.
+    ground_parameters : (R, G, W) array
+        Parameters of the force from the ground on each body.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
@@ -167,6 +171,8 @@ class BatchArrays(NamedTuple):
     precompressed: float
     coefficients: Array
     parameters: Array
+    ground: int
+    ground_parameters: Array
     omega: Array
     scale: Array
     units: Array
@@ -249,6 +255,8 @@ class BatchMember(NamedTuple):
     state: Any
     inverse_mass: Array
     links: Links
+    ground: int
+    ground_parameters: Array
     opening_weight: Array
     opening_reach: Array
     imposed: Imposed

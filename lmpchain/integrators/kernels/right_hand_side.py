@@ -8,7 +8,7 @@ evaluates accelerations, and `imposed` for every row of a `sweep`.
 from __future__ import annotations
 
 from .compiling import apart, compiled, inlined, pasted
-from .contact_forces import contact_forces, kick_and_drift, touching
+from .contact_forces import contact_forces, kick_and_drift, pull_to_rest, touching
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
 from .waveform import call_corner, call_course
@@ -151,6 +151,16 @@ def accelerate(chain, y, first, last, force, pull):
     pushed = forced(chain)
     if first <= pushed < last:
         pull[pushed] += chain.inverse_mass[pushed] * y[0]
+
+
+@inlined
+def add_ground(chain, y, t, first, last, pull):
+    """Add the accelerations by the ground at time t to those of bodies first ... last-1 of y."""
+    if chain.ground != 0:
+        bodies = slice(first, last)
+        inverse_mass = chain.inverse_mass[bodies]
+        given = chain.ground_parameters
+        pull_to_rest(chain.ground, pull[bodies], y[bodies], inverse_mass, given, first, t)
 
 
 @inlined

@@ -42,6 +42,8 @@ def chain_of(chains, real, schedule):
         state=chains.state[row],
         inverse_mass=batch.inverse_mass[real],
         links=links_of(batch, real),
+        ground=batch.ground,
+        ground_parameters=batch.ground_parameters[real],
         opening_weight=batch.opening_weight[real],
         opening_reach=batch.opening_reach[real],
         imposed=Imposed(

@@ -1,0 +1,107 @@
+"""Forces from the ground: a spring on every grain, whose stiffness may depend on the time.
+
+The force ``F(u, t)`` pulls a grain back, ``m phi'' = ... - F(phi, t)``. It is 0 at ``u = 0``, so
+that grains rest where they would without a ground.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from ..util.arrays import Array
+from .formula import ZERO, Formula
+from .law import Law
+
+# Displacements over the largest one, and times over the duration, at which the largest stiffness is
+# looked for.
+PLACES = np.linspace(-1.0, 1.0, 17)
+MOMENTS = np.linspace(0.0, 1.0, 65)
+
+
+def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
+    """Yield why a law cannot be that of the ground under this number of grains."""
+    if not isinstance(law, Law) or not law.of_ground:
+        fault = "depends on the overlap o: the force from the ground is one of the displacement u"
+        yield "ground.force", f"{fault} and the time t"
+        return
+    for key, value in law.given.items():
+        if isinstance(value, tuple) and len(value) != grains:
+            yield f"ground.{key}", f"must be one number, or {grains}, one a grain, not {len(value)}"
+    bends = [c for variable in ("u", "t") for c in law.formula.conditions(variable)]
+    if bends:
+        fault = f"bends where {bends[0].text} = 0"
+        yield "ground.force", f"{fault}: use a smooth formula, without max, min, abs and step"
+    elif not _rests(law):
+        fault = "is not 0 at u = 0 at all times, so that grains would not rest"
+        yield "ground.force", f"{fault}: write the force from the equilibrium on"
+    else:
+        with np.errstate(all="ignore"):
+            stiffness = law.stiffness(0.0, 0.0)
+        if not np.isfinite(stiffness).all():
+            yield "ground.force", "has no finite stiffness at rest: use a formula smooth at u = 0"
+
+
+def _rests(law: Law) -> bool:
+    """Return whether the force is 0 at u = 0, whatever the time."""
+    if law.formula.substitute({"u": 0.0}) is ZERO:
+        return True
+    kinds = {len(value) for value in law.given.values() if isinstance(value, tuple)} or {1}
+    return all(
+        law.formula.substitute({**law._numbers(n), "u": 0.0}) is ZERO for n in range(max(kinds))
+    )
+
+
+def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
+    """Return the largest size of the stiffness of every grain, (N,) or () N/m.
+
+    Parameters
+    ----------
+    law : Law
+    displacement : float
+        The stiffness is looked for up to this displacement, m.
+    duration : float
+        And from t = 0 to this time, s, at 65 times.
+    """
+    largest: Any = 0.0
+    with np.errstate(all="ignore"):
+        for place in PLACES * displacement:
+            for time in MOMENTS * duration if "t" in law.formula.names else (0.0,):
+                size = np.abs(law.stiffness(place, time))
+                largest = np.fmax(largest, np.where(np.isfinite(size), size, 0.0))
+    return np.asarray(largest)
+
+
+@dataclass(frozen=True, eq=False)
+class GroundKernel:
+    """What the native engine compiles of a formula, the same for all values of its parameters.
+
+    Attributes
+    ----------
+    force : Formula
+    codes : dict
+        Where the parameters are, in an array with a column for each body.
+    """
+
+    force: Formula
+    codes: dict[str, str]
+
+
+def kernel_of(law: Law) -> GroundKernel:
+    """Return what the native engine compiles."""
+    return _kernel(law.formula, tuple(law.names))
+
+
+@cache
+def _kernel(formula: Formula, names: tuple[str, ...]) -> GroundKernel:
+    return GroundKernel(formula, {key: f"given[{n}, n]" for n, key in enumerate(names)})
+
+
+def parameter_rows(law: Law, grains: int) -> Array:
+    """Return the parameters of every grain, (P, N)."""
+    rows = [np.broadcast_to(value, grains) for value in law.parameters]
+    return np.array(rows).reshape(len(rows), grains)
