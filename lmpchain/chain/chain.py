@@ -308,6 +308,18 @@ class Chain(ChainPicture, Checked):
         """The force from the ground on every grain, or None."""
         return self.given_ground  # type: ignore[return-value]
 
+    @cached_property
+    def ground_stiffness(self) -> Array:
+        """Stiffness of the ground under every grain at rest, at t = 0, (N,) N/m."""
+        stiffness = self.ground.stiffness(0.0, 0.0) if self.ground else 0.0
+        return read_only(np.array(np.broadcast_to(stiffness, self.grains), float))
+
+    def refuse_moving_ground(self, what: str) -> None:
+        """Raise `InputError` if the stiffness of the ground depends on the time."""
+        if self.ground is not None and "t" in self.ground.formula.names:
+            cure = "leave t out of its formula"
+            raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
+
     def refuse_ground(self, what: str) -> None:
         """Raise `InputError` if there is a force from the ground, of which `what` knows nothing."""
         if self.ground is not None:
@@ -550,11 +562,14 @@ class Chain(ChainPicture, Checked):
         return float(self.top_load + self.gravity * ((grain - 1) * common + sum(excess)))
 
     def dynamical_matrix(self) -> tuple[Array, Array]:
-        """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2.
+        """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2, at t = 0.
 
         Its diagonal (M,) and off-diagonal (M-1,), with sqrt(m) phi'' = -D sqrt(m) phi.
         """
-        return self.equilibrium.dynamical_matrix(self.movable)
+        diagonal, coupling = self.equilibrium.dynamical_matrix(self.movable)
+        if self.ground is not None:
+            diagonal = diagonal + (self.ground_stiffness / self.masses)[: self.movable]
+        return diagonal, coupling
 
     @cached_property
     def band_edge(self) -> float:

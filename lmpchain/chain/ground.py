@@ -56,6 +56,12 @@ def _rests(law: Law) -> bool:
     )
 
 
+def is_spring(law: Law) -> bool:
+    """Return whether every grain is pulled back in proportion to its displacement, at all times."""
+    slope = law.formula.derivative("u")
+    return not {"u", "t"} & {*slope.names} and bool(np.all(law.stiffness(0.0, 0.0) >= 0))
+
+
 def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
     """Return the largest size of the stiffness of every grain, (N,) or () N/m.
 

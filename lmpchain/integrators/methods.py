@@ -105,7 +105,9 @@ _OF_CHAINS = {
     for damped in (False, True)
 }
 METHODS = _OF_CHAINS[False]
-_ON_GROUND: dict[str, Method] = {method.name: method for method in _ALL if isinstance(method, DormandPrince)}
+_ON_GROUND: dict[str, Method] = {
+    method.name: method for method in _ALL if isinstance(method, DormandPrince)
+}
 
 
 def methods_of(chain: Chain) -> dict[str, Method]:

@@ -158,7 +158,10 @@ class Excitation(Checked):
         u, v = self.initial(chain)
         contacts = chain.contacts
         kinetic = (chain.masses * v**2).sum()
-        return float(np.sqrt(kinetic + (contacts.stiffness * contacts.closer(u) ** 2).sum()))
+        elastic = (contacts.stiffness * contacts.closer(u) ** 2).sum()
+        if chain.ground is not None:
+            elastic += (chain.ground_stiffness * u**2).sum()
+        return float(np.sqrt(kinetic + elastic))
 
     def push(
         self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array

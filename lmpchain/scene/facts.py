@@ -285,7 +285,8 @@ class SceneFacts(Recording):
         ``(1 - (1/k) / sum 1/k) / k``. What drives a viscous contact works against more than
         stiffness.
         """
-        if self.chain.ground is not None:
+        # A spring to the ground takes energy from contacts, any other law may give them some.
+        if self.chain.ground is not None and not ground.is_spring(self.chain.ground):
             return np.inf
         contacts = self.chain.contacts
         k = contacts.stiffness

@@ -62,6 +62,8 @@ class Cell:
         such chains L. Bonanomi, G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015).
     viscoelastic, drag : float or (P,) array_like
         A of the contacts, s, and gamma of the grains, 1/s; resonators are not damped.
+    ground : float or (P,) array_like
+        Stiffness of a spring between each grain and the ground, N/m.
 
     Examples
     --------
@@ -74,6 +76,7 @@ class Cell:
     resonators: ArrayLike | None = None
     viscoelastic: ArrayLike = 0.0
     drag: ArrayLike = 0.0
+    ground: ArrayLike = 0.0
 
     @property
     def damped(self) -> bool:
@@ -106,7 +109,9 @@ class Cell:
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
         # the closing contact is as viscous as that next to it, like one with a wall
         viscosity = chain.contact_viscosity[1:]
-        return cls(chain.masses, stiffness, viscoelastic=viscosity, drag=chain.drag)
+        chain.refuse_moving_ground("theory of bands")
+        damping = {"viscoelastic": viscosity, "drag": chain.drag}
+        return cls(chain.masses, stiffness, **damping, ground=chain.ground_stiffness)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -312,7 +317,7 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     cell = _lossless(cell)
     q = np.atleast_1d(real(wavenumber, "wavenumber"))
     b, slope = _extensions(cell, q)
-    left, frequency, right = np.linalg.svd(b)
+    left, frequency, right = np.linalg.svd(b, full_matrices=False)
     # first order perturbation of a singular value
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
     # The phases of both vectors are arbitrary at frequency 0.
@@ -450,18 +455,21 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
 
 
 def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return B and its derivative by the wavenumber, (K, P + R, P + R)."""
+    """Return B and its derivative by the wavenumber, (K, P + R + G, P + R) for G ground springs."""
     m, k, resonators = _check_cell(cell)
+    ground = _check_ground(cell)
     size = m.size
     total = size + len(resonators)
     turn = np.exp(1j * q)
-    b, slope = np.zeros((2, q.size, total, total), complex)
+    held = np.flatnonzero(ground)
+    b, slope = np.zeros((2, q.size, total + held.size, total), complex)
     b[:, :size, :size] = extensions(m, k, turn)
     # the last contact alone turns with the wavenumber
     slope[:, size - 1, 0] = -1j * (np.sqrt(k[-1] / m[0]) * turn)
     for row, (grain, mass, stiffness) in enumerate(resonators, size):
         b[:, row, row] = np.sqrt(stiffness / mass)
         b[:, row, int(grain)] = -np.sqrt(stiffness / m[int(grain)])
+    b[:, np.arange(total, total + held.size), held] = np.sqrt(ground[held] / m[held])
     return b, slope
 
 
@@ -506,6 +514,9 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
         viscosity, drag = _check_damping(cell)
         dynamic = dynamic * (1 + 1j * drag[:, None] / w_flat)
         springs = springs * (1 - 1j * viscosity[:, None] * w_flat)
+    ground = _check_ground(cell)
+    if ground.any():
+        dynamic = dynamic - ground[:, None] / square
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
             dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
@@ -520,6 +531,15 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
         for step in (force, stretch):
             change = change + step + step @ change
     return change.trace(axis1=1, axis2=2).reshape(w.shape)
+
+
+def _check_ground(cell: Cell) -> Array:
+    """Return the stiffness of the ground under the grains of a cell, (P,)."""
+    size = np.size(cell.masses)
+    ground = real(cell.ground, "ground")
+    fits = ground.shape in ((), (size,)) and bool((ground >= 0).all())
+    require(("ground", fits, f"must be 0 or more, one number or {size}"))
+    return np.broadcast_to(ground, size)
 
 
 def _check_damping(cell: Cell) -> tuple[Array, Array]:

@@ -155,8 +155,33 @@ def eigenmodes(chain: Chain) -> Eigenmodes:
     message = "carries no force at rest: nothing to linearise without gravity or a top load"
     require(("chain", chain.compressed, message), *unequal_damping(chain))
     chain.refuse_loose("theory of modes")
-    modes = between(chain.contacts.stiffness[: chain.movable + 1], chain.masses[: chain.movable])
+    chain.refuse_moving_ground("theory of modes")
+    moving = slice(0, chain.movable)
+    stiffness = chain.contacts.stiffness[: chain.movable + 1]
+    modes = between(stiffness, chain.masses[moving], ground_of(chain)[moving])
     return damped(modes, chain)
+
+
+def ground_of(chain: Chain) -> Array:
+    """Return the stiffness of the ground under every grain at rest, of which none may be below 0.
+
+    Parameters
+    ----------
+    chain : Chain
+
+    Returns
+    -------
+    (N,) array
+        N/m.
+
+    Raises
+    ------
+    InputError
+        If the ground pushes a grain away from rest.
+    """
+    cure = "must have a stiffness of 0 or more at rest: no mode is sure to exist otherwise"
+    require(("chain.ground", bool((chain.ground_stiffness >= 0).all()), cure))
+    return chain.ground_stiffness
 
 
 def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
@@ -205,7 +230,7 @@ def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
     return replace(modes, decay=decay)
 
 
-def between(stiffness: Array, mass: Array) -> Eigenmodes:
+def between(stiffness: Array, mass: Array, ground: Array) -> Eigenmodes:
     """Return the eigenmodes of M grains between two bodies that stand still, or nothing.
 
     Parameters
@@ -214,24 +239,26 @@ def between(stiffness: Array, mass: Array) -> Eigenmodes:
         Of the contacts above, between and below them, N/m; 0 where there is nothing.
     mass : (M,) array
         kg.
+    ground : (M,) array
+        Stiffness between each grain and the ground, N/m.
 
     Returns
     -------
     Modes
     """
-    diagonal = (stiffness[:-1] + stiffness[1:]) / mass
+    diagonal = (stiffness[:-1] + stiffness[1:] + ground) / mass
     _, vectors = eigh_tridiagonal(diagonal, -stiffness[1:-1] / np.sqrt(mass[:-1] * mass[1:]))
     shape = vectors / np.sqrt(mass)[:, None]
     shape /= np.sqrt(mass @ shape**2)
-    frequency = _rayleigh(shape, stiffness)
+    frequency = _rayleigh(shape, stiffness, ground)
     order = np.argsort(frequency)
     frequency = frequency[order]
     shape = shape[:, order]
     # LAPACK's error is relative to the highest frequency: only low modes suffer from it
     low = int(frequency.searchsorted(frequency[-1] / 2))
     if low > 1:
-        shape[:, :low] = _separate(shape[:, :low], stiffness, mass)
-        frequency[:low] = _rayleigh(shape[:, :low], stiffness)
+        shape[:, :low] = _separate(shape[:, :low], stiffness, mass, ground)
+        frequency[:low] = _rayleigh(shape[:, :low], stiffness, ground)
     return Eigenmodes(frequency, shape, mass)
 
 
@@ -240,12 +267,12 @@ def _extend(shape: Array) -> Array:
     return np.diff(shape, axis=0, prepend=0.0, append=0.0)
 
 
-def _rayleigh(shape: Array, stiffness: Array) -> Array:
+def _rayleigh(shape: Array, stiffness: Array, ground: Array) -> Array:
     """Return the frequencies of modes that are normalised in mass."""
-    return np.sqrt(stiffness @ _extend(shape) ** 2)
+    return np.sqrt(stiffness @ _extend(shape) ** 2 + ground @ shape**2)
 
 
-def _separate(shape: Array, stiffness: Array, mass: Array) -> Array:
+def _separate(shape: Array, stiffness: Array, mass: Array, ground: Array) -> Array:
     """Return low modes without the share of the others that the diagonalisation mixes into each.
 
     That is ``eps omega_max^2 / gap``. Sums of extensions over contacts give the share of mode j in
@@ -255,6 +282,8 @@ def _separate(shape: Array, stiffness: Array, mass: Array) -> Array:
     for _ in range(3):
         extension = np.sqrt(stiffness)[:, None] * _extend(shape)
         elastic = extension.T @ extension
+        if ground.any():
+            elastic += shape.T @ (ground[:, None] * shape)
         overlap = shape.T @ (mass[:, None] * shape)
         squares = np.diag(elastic) / np.diag(overlap)
         gap = squares - squares[:, None]

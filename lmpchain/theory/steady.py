@@ -64,6 +64,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     >>> abs(answer).round(12).tolist()
     [0.0, 1e-09, 5e-10, 0.0, 0.0]
     """
+    chain.refuse_moving_ground("the steady answer")
     omega = 2 * np.pi * drive.frequency
     stiffness = dynamic_stiffness(chain, omega)
     answer = np.zeros(chain.grains + 2, complex)
@@ -74,7 +75,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
         return answer
     inertia = chain.masses[free] * (omega**2 - 1j * omega * chain.drag[free])
     bands = np.zeros((3, free.size), complex)
-    bands[1] = stiffness[free] + stiffness[free + 1] - inertia
+    bands[1] = stiffness[free] + stiffness[free + 1] + chain.ground_stiffness[free] - inertia
     bands[0, 1:] = -stiffness[free[1:]]
     bands[2, :-1] = bands[0, 1:]
     pull = np.zeros(free.size, complex)

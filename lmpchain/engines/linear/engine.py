@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chain.ground import is_spring
 from ...integrators.kernels.chebyshev import SPAN, terms
 from ...integrators.kernels.phase_error import Evaluations
 from ...integrators.steps import Steps
@@ -160,6 +161,7 @@ class Modes(LinearEngine):
     auto = "cheapest"
     style = (COLOURS["green"], "^")
     dissipates: ClassVar[bool] = True
+    knows_ground: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 2.4e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
@@ -168,6 +170,9 @@ class Modes(LinearEngine):
         if scene.chain.grains > MOST_MODES:
             why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
             reasons.append(("grains", why))
+        if scene.chain.ground is not None and not is_spring(scene.chain.ground):
+            why = "is no spring of one stiffness of 0 or more, which is linear: use native"
+            reasons.append(("chain.ground", why))
         if scene.chain.damped:
             from ...theory.modes import unequal_damping
 

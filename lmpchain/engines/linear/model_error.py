@@ -115,7 +115,8 @@ class PhaseError:
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
         length = np.where(contacts.pressed, contacts.length, np.inf)
-        self._links = LinearLinks(contacts.stiffness, 1 / length, inverse_mass)
+        ground = np.array(chain.ground_stiffness)
+        self._links = LinearLinks(contacts.stiffness, 1 / length, inverse_mass, ground)
         self._excess = excess(scene)
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1

@@ -85,7 +85,8 @@ class Resonance:
         last = chain.movable
         # All grains are free under a moving wall.
         free = slice(first, last + 1)
-        modes = between(contacts.stiffness[free], chain.masses[first:last])
+        ground = chain.ground_stiffness[first:last]
+        modes = between(contacts.stiffness[free], chain.masses[first:last], ground)
         # Compression of each contact by each mode.
         squeezed = -np.diff(modes.shape, axis=0, prepend=0.0, append=0.0)
         waves, frequencies = self._waves(modes, squeezed)

@@ -84,7 +84,8 @@ class ModalSolution:
         first = excitation.driven
         last = chain.movable
         stiffness = chain.contacts.stiffness
-        modes = between(stiffness[first : last + 1], chain.masses[first:last])
+        ground = chain.ground_stiffness[first:last]
+        modes = between(stiffness[first : last + 1], chain.masses[first:last], ground)
         self._modes = damped(modes, chain)
         u, v = scene.initial()
         self._initial = u[first:last], v[first:last]

@@ -67,11 +67,14 @@ class LinearLinks(NamedTuple):
         N/m and 1/m; 0 for a contact that is not compressed.
     inverse_mass : (N,) array
         1/kg; 0 for a grain that is held or driven.
+    ground : (N,) array
+        Stiffness between each grain and the ground, N/m.
     """
 
     stiffness: Array
     inverse_overlap: Array
     inverse_mass: Array
+    ground: Array
 
 
 class Evaluations(NamedTuple):
@@ -165,7 +168,9 @@ def _fill(bodies, i, links, solution, imposed):
     above = links.stiffness[first] * (x[0] - x[1])
     for n in range(first, last):
         below = links.stiffness[n + 1] * (x[n - first + 1] - x[n - first + 2])
-        a[n - first + 1] = (above - below) * links.inverse_mass[n]
+        a[n - first + 1] = (
+            above - below - links.ground[n] * x[n - first + 1]
+        ) * links.inverse_mass[n]
         above = below
     # Add the applied force on a grain.
     if first <= imposed.grain < last:
