@@ -1,11 +1,13 @@
-"""Contact laws of the literature, each a `Law` made of a formula.
+"""Laws of the literature, of contacts and of the ground, each a `Law` made of a formula.
 
-Without k, the contacts have the constants of the chain.
+Without k, contacts have the constants of the chain; a ground needs its stiffness.
 """
 
 from __future__ import annotations
 
 from typing import Any
+
+import numpy as np
 
 from .law import Law
 
@@ -173,3 +175,70 @@ def bistable(a: Any, b: Any, k: Any = None) -> Law:
     Law
     """
     return _law("k*o*(1 + o/a)*(1 + o/b)", k, a=a, b=b)
+
+
+def klein_gordon(k: Any, beta: Any = 0.0) -> Law:
+    """Return the ground law ``k u + beta u^3`` of a Klein-Gordon chain.
+
+    Without beta it is a linear spring; both occur in disordered chains in arXiv:2112.02254.
+
+    Parameters
+    ----------
+    k : float or (N,) array
+        Stiffness, N/m.
+    beta : float or (N,) array, optional
+        Cubic coefficient, N/m3.
+
+    Returns
+    -------
+    Law
+    """
+    return Law("k*u + beta*u**3", k=k, beta=beta)
+
+
+def frenkel_kontorova(k: Any, period: Any) -> Law:
+    """Return the ground law ``k sin(q u) / q``, ``q = 2 pi / period``, of a periodic potential.
+
+    O. M. Braun and Y. S. Kivshar, The Frenkel-Kontorova Model (Springer, 2004).
+
+    Parameters
+    ----------
+    k : float or (N,) array
+        Stiffness at rest, N/m.
+    period : float or (N,) array
+        Of the potential, m.
+
+    Returns
+    -------
+    Law
+
+    Examples
+    --------
+    >>> law = frenkel_kontorova(1e3, period=1e-6)
+    >>> f"{law.stiffness(0.0):.6g} N/m, {law.stiffness(0.5e-6):.6g} N/m"
+    '1000 N/m, -1000 N/m'
+    """
+    wavenumber = 2 * np.pi / np.asarray(period, float)
+    return Law("k*sin(q*u)/q", k=k, q=wavenumber)
+
+
+def mathieu(k: Any, depth: Any, frequency: Any) -> Law:
+    """Return the ground law ``k (1 + depth cos(w t)) u``, a stiffness modulated in time.
+
+    A grain on it follows Mathieu's equation; Digital Library of Mathematical Functions, chapter 28.
+
+    Parameters
+    ----------
+    k : float or (N,) array
+        Mean stiffness, N/m.
+    depth : float or (N,) array
+        Modulation over the mean.
+    frequency : float or (N,) array
+        w / 2 pi, Hz.
+
+    Returns
+    -------
+    Law
+    """
+    w = 2 * np.pi * np.asarray(frequency, float)
+    return Law("k*(1 + a*cos(w*t))*u", k=k, a=depth, w=w)

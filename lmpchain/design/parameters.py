@@ -49,6 +49,7 @@ DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names; raises `InputError` for those that are unknown or have no derivative."""
     check_scene(scene)
+    scene.chain.refuse_ground("a derivative")
     scene.chain.law.power_of("a derivative")
     names = (names,) if isinstance(names, str) else tuple(names)
     faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]

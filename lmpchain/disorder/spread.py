@@ -169,6 +169,7 @@ def spreading(
     >>> spread.second_moment.shape, spread.transmitted.shape, f"{spread.participation[0]:.3f}"
     ((5,), (5, 61), '1.000')
     """
+    scene.chain.refuse_ground("the spreading of energy")
     if scene.at_rest or scene.excitation.does_work:
         message = "must give the chain energy at t = 0 and must not act afterwards"
         raise InputError.at("excitation", message)

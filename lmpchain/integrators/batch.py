@@ -86,9 +86,9 @@ class ChainBatch:
         acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
         damped, viscosity, drag = self._damping()
-        alike = damped and not (
-            (wave["body"] < 0).any() or drag.any() or np.ptp(viscosity, axis=1).any()
-        )
+        # With a force from the ground, or another one, creep is no multiple of the acceleration.
+        pushed = chain.ground is not None or (wave["body"] < 0).any()
+        alike = damped and not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
         rows = aligned_rows(8 if damped else 5, size, self.grains)
         of_damped = rows[5:] if damped else np.zeros((3, size, 0))
         uncompressed, least_strain, omega, allowed = np.zeros((4, size))

@@ -332,6 +332,7 @@ def relative_stiffness(chain: Chain) -> Array:
     >>> bool(abs(kappa - np.arange(1, 61) ** (1 / 3)).max() < 1e-14)
     True
     """
+    chain.refuse_ground("relative stiffness")
     if not chain.compressed:
         raise InputError.at(
             "gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n"

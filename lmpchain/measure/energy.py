@@ -273,6 +273,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
     [1.0, 1.0, 1.0]
     """
+    trajectory.scene.chain.refuse_ground("the balance of energy")
     chain = trajectory.scene.chain
     grain = trajectory.grains
     between = trajectory if isinstance(trajectory, Motion) else motion_of(trajectory)
@@ -381,6 +382,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     >>> bool(abs(energy.drift).max() < 1e-8 * energy.total[0])
     True
     """
+    trajectory.scene.chain.refuse_ground("the balance of energy")
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
@@ -534,6 +536,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     >>> f"{lost.of_contact[-1].sum() / scene.energy:.3f} of the strike"
     '0.148 of the strike'
     """
+    trajectory.scene.chain.refuse_ground("the balance of energy")
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time

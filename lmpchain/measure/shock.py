@@ -291,6 +291,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     >>> shock.kind, bool(abs(shock.behind.velocity / 0.1 - 1) < 1e-3)
     ('dispersive shock', True)
     """
+    trajectory.scene.chain.refuse_ground("a shock")
     if direction not in ("down", "up"):
         raise InputError.at("direction", 'must be "down" or "up"')
     chain = trajectory.scene.chain

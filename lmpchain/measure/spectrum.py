@@ -288,6 +288,7 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
     InputError
         If the chain is not compressed, or there is no such grain.
     """
+    chain.refuse_ground("the time of travel of a weak wave")
     if not chain.compressed:
         raise InputError.at(
             "chain", "without gravity and load no weak wave travels: there is no such time"

@@ -134,6 +134,7 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
     >>> (split.energy[-1].sum(0) / scene.energy).round(2).tolist()
     [0.47, 0.32, 0.18, 0.03]
     """
+    trajectory.scene.chain.refuse_ground("energy by wavenumber")
     chain = trajectory.scene.chain
     recorded = trajectory.grains.size
     if recorded < chain.grains:

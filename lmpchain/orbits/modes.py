@@ -79,6 +79,7 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     >>> orbit.residual < 1e-12, orbit.error < 1e-11
     (True, True)
     """
+    chain.refuse_ground("the search for orbits")
     family = mode_family(chain, mode, energy, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: {family.ended}")
@@ -107,6 +108,7 @@ def mode_family(
     InputError
         If the chain is not compressed, or there is no such mode or energy.
     """
+    chain.refuse_ground("the search for orbits")
     check_positive("energy", energy)
     displacement, period = linear_mode(chain, mode, LIMITS.strain)
     # a slow mode is nearly resonant with its harmonics at smaller amplitudes already
@@ -155,6 +157,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     >>> int(np.abs(orbit.displacement).argmax()) + 1, orbit.residual < 1e-12
     (6, True)
     """
+    chain.refuse_ground("the search for orbits")
     check_positive("period", period)
     check_number("grain", grain, chain.movable)
     mass = chain.masses[grain - 1]

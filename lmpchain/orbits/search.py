@@ -76,6 +76,7 @@ def find(
     >>> orbit.residual < 1e-12, orbit.stable, f"{orbit.displacement[0] / chain.length_scale:.3f}"
     (True, True, '0.613')
     """
+    chain.refuse_ground("the search for orbits")
     if isinstance(guess, Orbit):
         period = period or guess.period
         guess = (guess.displacement, guess.velocity)
@@ -163,6 +164,7 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
     InputError
         If no contact is compressed, or there is no such mode.
     """
+    chain.refuse_ground("the search for orbits")
     modes = eigenmodes(chain)
     check_number("mode", mode, modes.frequency.size)
     u = np.zeros(chain.grains)

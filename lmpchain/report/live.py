@@ -215,7 +215,7 @@ def _law(trajectory: Trajectory, grains: np.ndarray) -> Array | None:
     """Return the arrival times of a long weak wave at grains, s; None without such a wave."""
     chain = trajectory.scene.chain
     source = getattr(trajectory.scene.excitation, "grain", None)
-    if not chain.linearisable or source is None:
+    if not chain.linearisable or chain.ground is not None or source is None:
         return None
     return travel_time(chain, max(1, source))[grains - 1]
 

@@ -160,7 +160,7 @@ def arrival(run: Trajectory) -> Panel:
         )
     legend(height)
     time.plot(track.grain, 1e6 * track.time, ".", ms=4, label="this run")
-    if chain.linearisable:
+    if chain.linearisable and chain.ground is None:
         expected = spectrum.travel_time(chain, max(1, source))[track.grain - 1]
         time.plot(track.grain, 1e6 * expected, "--", lw=1, label="long weak wave")
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")

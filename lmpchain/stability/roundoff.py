@@ -150,6 +150,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     weight = Long(chain.gravity) * np.cumsum(mass)
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
     # For other contact laws, changes of forces are only computed in double precision.
+    chain.refuse_ground("measured round-off")
     exponent: Any = Long(chain.law.power_of("measured round-off"))
     law = PowerForce(exponent)
     contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), law)

@@ -27,7 +27,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, prefixed
 from ..util.tables import NamedColumn, Tabular, number_columns
 from .domain import real, require
-from .modes import eigenmodes
+from .modes import eigenmodes, ground_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -562,13 +562,18 @@ def local_bands(chain: Chain) -> Array:
     vacuum. A single grain has its frequency between the walls.
     """
     if chain.grains == 1:
-        return np.full((1, 1, 2), np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]))
+        stiffness = chain.contacts.stiffness.sum() + ground_of(chain)[0]
+        return np.full((1, 1, 2), np.sqrt(stiffness / chain.masses[0]))
     number = np.arange(chain.grains)
     period = repeating(chain)
     start = np.minimum(number, chain.grains - 1 - period)[:, None] + np.arange(period)
-    m = chain.masses[start if period > 1 else number[:, None]]
+    grains = start if period > 1 else number[:, None]
+    m = chain.masses[grains]
     k = chain.linear_stiffness[start]
     # Bands have their edges at the wavenumbers 0 and pi.
     b = extensions(m, k, np.array([1.0, -1.0]))
+    if chain.ground is not None:
+        held = np.sqrt(ground_of(chain)[grains] / m)[:, None, :, None] * np.eye(m.shape[1])
+        b = np.concatenate((b, np.broadcast_to(held, b.shape)), axis=2)
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=2)
     return np.sort(edges.transpose(0, 2, 1), axis=2)

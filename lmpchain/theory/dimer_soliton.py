@@ -123,6 +123,7 @@ class DimerSoliton(Shown, Tabular):
         fits = f"must lie from {low:g} to {high:g} for the wave to fit the chain"
         require(
             ("chain", chain.law.power == self.delta, exponent),
+            ("chain.ground", chain.ground is None, "must be left out: the wave has none"),
             ("chain", not chain.compressed, "must be in a sonic vacuum: no gravity, no load"),
             ("masses", masses, ratio),
             ("contact_constants", np.ptp(constant) < 1e-9 * constant[0], "must be equal"),

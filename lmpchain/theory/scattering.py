@@ -125,6 +125,7 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     leads = "must be two or more: the first and the last contact are those of the leads"
     require(("chain", chain.compressed, load), ("grains", chain.grains > 1, leads))
     chain.refuse_loose("theory of scattering")
+    chain.refuse_ground("theory of scattering")
     return _scatter(chain, real(frequency, "frequency"))
 
 

@@ -199,6 +199,7 @@ class Soliton(Shown):
         load = "must be above 0 for a wave under a load, else 0"
         require(
             ("chain", chain.law.power == self.delta, exponent),
+            ("chain.ground", chain.ground is None, "must be left out: the wave has none"),
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )

@@ -171,7 +171,7 @@ class Modes(LinearEngine):
             why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
             reasons.append(("grains", why))
         if scene.chain.ground is not None and not is_spring(scene.chain.ground):
-            why = "is no spring of one stiffness of 0 or more, which is linear: use native"
+            why = "the ground is no spring of one stiffness, 0 or more, which is linear: use native"
             reasons.append(("chain.ground", why))
         if scene.chain.damped:
             from ...theory.modes import unequal_damping

@@ -61,6 +61,7 @@ def is_uniform(chain: Chain) -> bool:
 
 def strike_at_top(trajectory: Trajectory) -> float:
     """Return the velocity of the strike, m/s; raise `InputError` for any other scene."""
+    trajectory.scene.chain.refuse_ground("the theory of struck columns")
     scene = trajectory.scene
     chain = scene.chain
     excitation = scene.excitation

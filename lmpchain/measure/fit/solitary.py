@@ -207,6 +207,7 @@ def fit_soliton(
 
 def check_chain(chain: Chain) -> None:
     """Raise `InputError` unless solitary waves travel unchanged in this chain."""
+    chain.refuse_ground("a solitary wave")
     if chain.gravity > 0:
         raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
     if chain.law.power_of("a solitary wave") == 1:

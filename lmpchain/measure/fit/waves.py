@@ -185,7 +185,8 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         energy=energy[0],
         energy_error=energy.std(0),
         residual=np.maximum(*residuals),
-        given=float(scene.energy),
+        # The energy in the ground is not counted.
+        given=math.nan if chain.ground is not None else float(scene.energy),
     )
 
 
@@ -327,6 +328,7 @@ def fit_bessel(
     >>> f"{fit.amplitude:.4g} m/s, kappa {fit.kappa:.4f}", bool(fit.residual < 1e-4)
     ('1e-07 m/s, kappa 1.0000', True)
     """
+    trajectory.scene.chain.refuse_ground("a sum of Bessel functions")
     chain = trajectory.scene.chain
     strike = trajectory.scene.excitation
     field: Field = "velocity"
