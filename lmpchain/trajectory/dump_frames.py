@@ -50,6 +50,8 @@ class Frames(NamedTuple):
 
     Attributes
     ----------
+    numbers : (N,) array
+        Of the atoms.
     steps : (T,) array
         Numbers of the time steps.
     times : (T,) array
@@ -64,6 +66,7 @@ class Frames(NamedTuple):
         Of the columns.
     """
 
+    numbers: np.ndarray
     steps: np.ndarray
     times: Array
     sides: Array
@@ -285,6 +288,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             raise ValueError(f"an atom has no line at step {step}")
         # A restarted run writes frames again: the last one counts.
         rows[step] = _sort(atoms)
+        numbers = np.sort(atoms[:, 0]).astype(int)
         times[step] = frame.time
         sides[step] = _box_sides(name, lines)
         if len(rows) > most:
@@ -300,6 +304,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
     if CLOCK in columns and np.isnan(clock).all():
         clock = columns[CLOCK][:, 0]
     return Frames(
+        numbers=numbers,
         steps=steps,
         times=clock,
         sides=np.array([sides[step] for step in steps]),

@@ -1,0 +1,196 @@
+"""Contact models of LAMMPS as an input file names them, with their constants in SI units.
+
+Read are the models hooke, hertz and hertz/material of `pair_style granular` and `fix wall/gran`,
+and the older styles gran/hooke, gran/hooke/history and gran/hertz/history.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from ..chain.contacts import reduced
+from ..errors import InputError, short
+from ..util.lammps_units import Units
+
+# Numbers of coefficients behind the name of a model.
+NORMAL = {"hooke": 2, "hertz": 2, "hertz/material": 3}
+TANGENTIAL = {
+    "linear_nohistory": 2,
+    "linear_history": 3,
+    "linear_history_classic": 3,
+    "mindlin": 3,
+    "mindlin_classic": 3,
+    "mindlin/force": 3,
+    "mindlin_rescale": 3,
+    "mindlin_rescale/force": 3,
+}
+TURNING = {"none": 0, "marshall": 0, "sds": 3}
+COHESIVE = ("dmt", "jkr", "mdr")
+OLD_STYLES = {
+    "gran/hooke": "hooke",
+    "gran/hooke/history": "hooke",
+    "gran/hertz/history": "hertz",
+}
+OLD_WALLS = {"hooke": "hooke", "hooke/history": "hooke", "hertz/history": "hertz"}
+
+
+class InputLine(NamedTuple):
+    """A command of an input file with its place."""
+
+    file: str
+    number: int
+    text: str
+
+    def refuse(self, why: str) -> InputError:
+        """Return the error that names this line."""
+        command = short(" ".join(self.text.split()))
+        return InputError.at(self.file, f"line {self.number} ({command}) {why}")
+
+
+ReadNumber = Callable[[str, InputLine], float]
+
+
+class GrainForce(NamedTuple):
+    """A contact model with its coefficients, in the units of the input.
+
+    Attributes
+    ----------
+    line : InputLine
+    model : str
+        "hertz": the force is k sqrt(R o) o, with the reduced radius R; "hooke": it is k o.
+    stiffness : float
+        k; NaN for a material, whose k depends on the partner.
+    damping : float
+        Coefficient of the damping force.
+    damped_by : str
+        Name of the damping model.
+    elastic : (float, float) or None
+        Young's modulus and Poisson's ratio of hertz/material.
+    """
+
+    line: InputLine
+    model: str
+    stiffness: float
+    damping: float
+    damped_by: str
+    elastic: tuple[float, float] | None = None
+
+    @property
+    def damped(self) -> bool:
+        """Whether the contact dissipates energy."""
+        lossless = 1.0 if self.damped_by == "coeff_restitution" else 0.0
+        return self.damping != lossless
+
+    def normal(self, wall: bool = False) -> float:
+        """Return k between two grains of this model, or with a rigid wall."""
+        if self.elastic is None:
+            return self.stiffness
+        modulus, ratio = self.elastic
+        plane_strain = modulus / (1 - ratio**2)
+        return 4 / 3 * (plane_strain if wall else plane_strain / 2)
+
+    def with_other(self, other: GrainForce) -> GrainForce:
+        """Return the model that LAMMPS mixes for two types without a line of their own."""
+        if (self.model, self.damped_by) != (other.model, other.damped_by) or (
+            (self.elastic is None) != (other.elastic is None)
+        ):
+            raise self.line.refuse(
+                "is of another model than the other types: give the pair a pair_coeff of its own"
+            )
+        damping = math.sqrt(abs(self.damping * other.damping))
+        if self.elastic and other.elastic:
+            pair = (self.elastic, other.elastic)
+            soft, hard = (modulus / (1 - ratio**2) for modulus, ratio in pair)
+            stiffness = 4 / 3 * reduced(soft, hard)
+        else:
+            stiffness = math.sqrt(self.stiffness * other.stiffness)
+        return GrainForce(self.line, self.model, stiffness, damping, self.damped_by)
+
+    def constant(self, radius: float, units: Units, wall: bool = False) -> float:
+        """Return K of the force K o^delta at a reduced radius, m: N/m^delta."""
+        if self.model == "hooke":
+            return self.normal(wall) * units.force / units.length
+        return self.normal(wall) * units.pressure * math.sqrt(radius)
+
+    def relaxation(self, mass: float, units: Units, wall: bool = False) -> float:
+        """Return the relaxation time of viscoelastic damping at a reduced mass, kg: s."""
+        if not self.damped:
+            return 0.0
+        k = self.normal(wall)
+        if self.model == "hertz" and self.damped_by == "viscoelastic":
+            return self.damping * mass / units.mass / (1.5 * k) * units.time
+        if self.model == "hooke" and self.damped_by == "mass_velocity":
+            return self.damping * mass / units.mass / k * units.time
+        if self.model == "hooke" and self.damped_by == "velocity":
+            return self.damping / k * units.time
+        cure = "viscoelastic for hertz, velocity or mass_velocity for hooke, or a coefficient of 0"
+        raise self.line.refuse(f"has a damping {self.damped_by} that no scene has: use {cure}")
+
+
+def read_model(
+    line: InputLine, words: Sequence[str], number: ReadNumber
+) -> tuple[GrainForce, list[str]]:
+    """Return a model of `granular` from its words, and the words behind it."""
+    if not words:
+        raise line.refuse("is too short: a contact model is missing")
+    name = words[0]
+    if name in COHESIVE:
+        raise line.refuse(f"has cohesion ({name}), which no scene has: use hertz")
+    if name not in NORMAL:
+        raise line.refuse(f"has no contact model {', '.join(NORMAL)}")
+    values, rest = _take(line, words, NORMAL[name])
+    first, eta, *ratio = (number(value, line) for value in values)
+    damped_by = "viscoelastic"
+    while rest:
+        word = rest[0]
+        if word in ("tangential", "rolling", "twisting"):
+            models = TANGENTIAL if word == "tangential" else TURNING
+            kind = rest[1] if len(rest) > 1 else ""
+            if kind not in models:
+                raise line.refuse(f"has {word} {kind}, which is not one of {', '.join(models)}")
+            _, rest = _take(line, rest[1:], models[kind])
+        elif word == "damping":
+            (damped_by,), rest = _take(line, rest, 1)
+        elif word == "heat" and rest[1:2] == ["none"]:
+            rest = rest[2:]
+        elif word in ("cutoff", "heat"):
+            raise line.refuse(f"has {word}, which no scene has: take it out")
+        elif word == "limit_damping":
+            if eta:
+                raise line.refuse("has limit_damping, which no scene has: take it out")
+            rest = rest[1:]
+        else:
+            break
+    if not first > 0:
+        raise line.refuse(f"must have a stiffness above 0 (got {first:g})")
+    if name == "hertz/material":
+        elastic = (first, ratio[0])
+        if not -1 < ratio[0] <= 0.5:
+            raise line.refuse(f"must have a Poisson's ratio of at most 0.5 (got {ratio[0]:g})")
+        return GrainForce(line, "hertz", math.nan, eta, damped_by, elastic), list(rest)
+    return GrainForce(line, name, first, eta, damped_by), list(rest)
+
+
+def read_old_model(
+    line: InputLine, model: str, words: Sequence[str], number: ReadNumber
+) -> tuple[GrainForce, list[str]]:
+    """Return a model of gran/... from the words Kn Kt gamma_n ..., and the words behind them."""
+    values, rest = _take(line, ["", *words], 6)
+    stiffness, damping = number(values[0], line), number(values[2], line)
+    if not stiffness > 0:
+        raise line.refuse(f"must have a stiffness above 0 (got {stiffness:g})")
+    if rest[:1] == ["limit_damping"]:
+        if damping:
+            raise line.refuse("has limit_damping, which no scene has: take it out")
+        rest = rest[1:]
+    damped_by = "viscoelastic" if model == "hertz" else "mass_velocity"
+    return GrainForce(line, model, stiffness, damping, damped_by), rest
+
+
+def _take(line: InputLine, words: Sequence[str], count: int) -> tuple[list[str], list[str]]:
+    """Return this number of words behind the first one, and the rest."""
+    if len(words) <= count:
+        raise line.refuse("is too short")
+    return list(words[1 : count + 1]), list(words[count + 1 :])
