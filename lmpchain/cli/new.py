@@ -73,6 +73,8 @@ def _from_run(arguments: argparse.Namespace, path: Path) -> int:
     quoted = shlex.quote(str(arguments.scene))
     dumps = [run for run in arguments.run if is_dump(run)]
     if dumps:
-        print(f"next: lmpchain check {shlex.quote(dumps[0])} --scene {quoted}")
+        units = understood.units if arguments.units is None else arguments.units
+        option = f" --units {units}" if units not in (None, "si") else ""
+        print(f"next: lmpchain check {shlex.quote(dumps[0])} --scene {quoted}{option}")
     print(f"{'     ' if dumps else 'next:'} lmpchain run {quoted}")
     return 0

@@ -72,10 +72,19 @@ class RunOptions(NamedTuple):
 
 
 class Understood(NamedTuple):
-    """The fields of a scene, and what was understood, one line a fact."""
+    """The fields of a scene, and what was understood, one line a fact.
+
+    Attributes
+    ----------
+    fields : dict
+    facts : list of (fact, text)
+    units : str or None
+        Unit style of the input file.
+    """
 
     fields: dict[str, Any]
     facts: list[tuple[str, str]]
+    units: str | None = None
 
 
 @dataclass
@@ -132,6 +141,8 @@ class _Column:
         self.source = source
         self.grains = grains
         self.facts: list[tuple[str, str]] = []
+        if source and source.units_line:
+            self._say("units", f"{source.units_name} ({_place(source.units_line)})")
         if len(grains.numbers) < 2:
             raise self._refuse(f"has {len(grains.numbers)} grain: a column has two or more")
         if not (np.isfinite(grains.positions).all() and np.isfinite(grains.velocities).all()):
@@ -161,7 +172,7 @@ class _Column:
         """Fill in diameters and masses that the run does not say."""
         grains, options = self.grains, self.options
         self.material: Material | None = None
-        if self.source and self.source.state.bond and not self.source.state.pair:
+        if self._style("bond"):
             # The rest lengths of bonds say how long contacts are.
             return
         missing = np.isnan(grains.diameters) | (grains.diameters <= 0)
@@ -183,7 +194,9 @@ class _Column:
     def _material(self) -> Material | None:
         """Return the material that the user names; None if the input has the contacts."""
         given = self.options
-        if self.source and self.source.state.pair:
+        if self._style("pair"):
+            assert self.source is not None
+            assert self.source.state.pair is not None
             if given.material is not None or given.young is not None or given.poisson is not None:
                 line, _ = self.source.state.pair
                 raise InputError.at(
@@ -217,9 +230,9 @@ class _Column:
         across = [axis for axis in range(3) if axis != self.axis]
         if np.ptp(grains.positions[:, self.axis]) == 0:
             raise self._refuse("has all grains at one place")
-        diameter = np.nanmin(np.where(grains.diameters > 0, grains.diameters, np.nan))
-        if not diameter > 0:
-            diameter = np.ptp(grains.positions[:, self.axis]) / len(grains.numbers)
+        # Bonded grains may have no diameters.
+        spacing = np.ptp(grains.positions[:, self.axis]) / len(grains.numbers)
+        diameter = grains.diameters.min(where=grains.diameters > 0, initial=spacing)
         slack = max(BESIDE * diameter, grains.slack)
         beside = np.abs(grains.positions - np.median(grains.positions, axis=0))[:, across].max(1)
         if beside.max() > slack:
@@ -238,6 +251,13 @@ class _Column:
             )
 
     # What the input says ------------------------------------------------------------------------
+
+    def _style(self, of: str) -> str:
+        """Return the style of pairs or bonds of the input; empty if none acts."""
+        if self.source is None:
+            return ""
+        found = self.source.state.pair if of == "pair" else self.source.state.bond
+        return "" if found is None or found[1][0] in ("none", "zero") else found[1][0]
 
     def _fixes(self, *styles: str) -> Iterator[Fix]:
         """Yield the fixes of some styles."""
@@ -372,20 +392,22 @@ class _Column:
             mass = float(self.grains.masses[self.order[place]])
             ends[side] = _End(
                 "wall",
-                model.constant(float(radii[place]), units, wall=True),
+                model.constant(float(radii[place]), units),
                 float(radii[place] - distances[place]),
                 fix.line,
-                model.relaxation(mass, units, wall=True),
+                model.relaxation(mass, units),
             )
             self.wall_model = model.model
 
     def _contacts(self) -> dict[str, Any]:
         """Return the fields of a chain that give its contacts, grains along the axis."""
         source = self.source
-        if source and source.state.bond and source.state.bond[1][0] not in ("none", "zero"):
+        if source and self._style("bond"):
             return self._bonds(source)
-        if source and source.state.pair and source.state.pair[1][0] not in ("none", "zero"):
+        if source and self._style("pair"):
             return self._pairs(source)
+        if source and source.state.bonds:
+            raise InputError.at(str(source.path), "has bonds of a style that its input names")
         if source and not source.data_only:
             raise InputError.at(str(source.path), "has neither pair_style nor bond_style")
         return self._materials()
@@ -512,7 +534,7 @@ class _Column:
         """Return the fields of a chain of bonds."""
         assert source.state.bond is not None
         line, (style, *_) = source.state.bond
-        if source.state.pair and source.state.pair[1][0] not in ("none", "zero"):
+        if self._style("pair") and source.state.pair:
             raise source.state.pair[0].refuse("acts beside bonds: a scene has one of them")
         place = {int(n): k for k, n in enumerate(self.grains.numbers[self.order])}
         kinds: dict[int, int] = {}
@@ -612,7 +634,7 @@ class _Column:
         numbers = self.grains.numbers[self.order[[0, -1]]]
         points = "up" if up else "down"
         self.facts.insert(
-            0,
+            int(bool(self.facts) and self.facts[0][0] == "units"),
             (
                 "column",
                 f"{count} grains along {axis}, which points {points}: grain 1 is atom "
@@ -806,7 +828,11 @@ class _Column:
         displacement = self._displacement(chain, self._overlaps())
         excitation = self._excitation(chain, displacement)
         recording = self._recording()
-        return Understood({"chain": chain, "excitation": excitation, **recording}, self.facts)
+        if self.source and self.source.ignored:
+            self._say("not read", f"{', '.join(self.source.ignored)}: they change no motion")
+        fields = {"chain": chain, "excitation": excitation, **recording}
+        style = self.source.units_name if self.source else ""
+        return Understood(fields, self.facts, style or None)
 
     def _end_fields(self, gravity: float, load: float) -> dict[str, Any]:
         """Return the fields of both ends of the chain."""
@@ -866,30 +892,27 @@ class _Column:
     def _excitation(self, chain: Chain, displacement: Array) -> Any:
         """Return the excitation that gives displacements and velocities of the first frame."""
         moving = np.flatnonzero(self.v)
-        start: Profile | None = None
-        if displacement.any():
-            start = Profile(displacement=displacement, velocity=self.v)
-            self._say(
-                "start",
-                f"displacements up to {np.abs(displacement).max():.3g} m from rest, velocities up "
-                f"to {np.abs(self.v).max():.6g} m/s",
-            )
-        elif len(moving) > 1:
-            start = Profile(velocity=self.v)
-            self._say("start", f"velocities of {len(moving)} grains, up to {_span(self.v[moving])}")
-        if self.ends[0].kind == "held":
-            self._say("hold", "grain 1 does not move: a drive of amplitude 0")
-            if start is None:
-                start = Profile(velocity=self.v)
-            return Drive(amplitude=0.0, frequency=1.0, start=start)
-        if start is not None:
-            return start
         grain = int(moving[0]) + 1 if moving.size else 1
         velocity = float(self.v[grain - 1])
-        if not moving.size:
+        if displacement.any():
+            size = np.abs(displacement).max()
+            speeds = f"velocities up to {np.abs(self.v).max():.6g} m/s"
+            self._say("start", f"displacements from rest up to {size:.3g} m, {speeds}")
+        elif len(moving) > 1:
+            speeds = f"up to {np.abs(self.v).max():.6g} m/s"
+            self._say("start", f"velocities of {len(moving)} grains, {speeds}")
+        elif not moving.size:
             self._say("start", "nothing moves: change [excitation]")
         else:
             self._say("start", f"grain {grain} moves at {velocity:.9g} m/s, positive downward")
+        start = Profile(displacement=displacement, velocity=self.v)
+        if not displacement.any():
+            start = Profile(velocity=self.v)
+        if self.ends[0].kind == "held":
+            self._say("hold", "grain 1 does not move: a drive of amplitude 0")
+            return Drive(amplitude=0.0, frequency=1.0, start=start)
+        if displacement.any() or len(moving) > 1:
+            return start
         return Impulse(velocity=velocity, grain=grain)
 
     def _recording(self) -> dict[str, Any]:

@@ -83,13 +83,13 @@ class GrainForce(NamedTuple):
         lossless = 1.0 if self.damped_by == "coeff_restitution" else 0.0
         return self.damping != lossless
 
-    def normal(self, wall: bool = False) -> float:
-        """Return k between two grains of this model, or with a rigid wall."""
+    @property
+    def normal(self) -> float:
+        """The stiffness k between two grains of this model; LAMMPS has the same with a wall."""
         if self.elastic is None:
             return self.stiffness
         modulus, ratio = self.elastic
-        plane_strain = modulus / (1 - ratio**2)
-        return 4 / 3 * (plane_strain if wall else plane_strain / 2)
+        return 4 / 3 * modulus / (2 * (1 - ratio**2))
 
     def with_other(self, other: GrainForce) -> GrainForce:
         """Return the model that LAMMPS mixes for two types without a line of their own."""
@@ -108,17 +108,17 @@ class GrainForce(NamedTuple):
             stiffness = math.sqrt(self.stiffness * other.stiffness)
         return GrainForce(self.line, self.model, stiffness, damping, self.damped_by)
 
-    def constant(self, radius: float, units: Units, wall: bool = False) -> float:
+    def constant(self, radius: float, units: Units) -> float:
         """Return K of the force K o^delta at a reduced radius, m: N/m^delta."""
         if self.model == "hooke":
-            return self.normal(wall) * units.force / units.length
-        return self.normal(wall) * units.pressure * math.sqrt(radius)
+            return self.normal * units.force / units.length
+        return self.normal * units.pressure * math.sqrt(radius)
 
-    def relaxation(self, mass: float, units: Units, wall: bool = False) -> float:
+    def relaxation(self, mass: float, units: Units) -> float:
         """Return the relaxation time of viscoelastic damping at a reduced mass, kg: s."""
         if not self.damped:
             return 0.0
-        k = self.normal(wall)
+        k = self.normal
         if self.model == "hertz" and self.damped_by == "viscoelastic":
             return self.damping * mass / units.mass / (1.5 * k) * units.time
         if self.model == "hooke" and self.damped_by == "mass_velocity":

@@ -40,7 +40,7 @@ FIXES = {
     *("enforce2d", *OBSERVERS),
 }
 # Commands that place grains, which a dump replaces.
-PLACES = ("create_atoms", "displace_atoms", "minimize", "velocity", "create_bonds")
+PLACES = ("create_atoms", "displace_atoms", "minimize", "velocity")
 LOOPS = ("label", "next", "jump", "if")
 DUMP_CURE = "name a dump of its frames, too: --from IN own.lammpstrj"
 PIECES = re.compile(
@@ -484,10 +484,10 @@ class LammpsInput:
         if not self.state.atoms and self.dumped is not None:
             grains = self.dumped
             length, mass = self.units.length, self.units.mass
-            rows = zip(grains.numbers, grains.types, grains.diameters, grains.masses, strict=True)
+            columns = (grains.numbers, grains.types, grains.diameters, grains.masses)
             self.state.atoms = {
-                int(n): _Atom(int(kind), [0.0] * 3, diameter=d / length, mass=m / mass)
-                for n, kind, d, m in rows
+                int(n): _Atom(int(kind), (x / length).tolist(), diameter=d / length, mass=m / mass)
+                for n, kind, d, m, x in zip(*columns, grains.positions, strict=True)
             }
         return self.state.atoms
 
@@ -762,6 +762,12 @@ class LammpsInput:
         if place >= len(words):
             raise line.refuse("is too short")
         return words[place]
+
+
+def units_of(path: Path) -> str | None:
+    """Return the unit style that an input file names; None if it names none."""
+    found = re.search(r"^[ \t]*units[ \t]+(\w+)", read_text(path), re.MULTILINE | re.ASCII)
+    return found[1] if found else None
 
 
 def read_text(path: Path) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..scene.lammps_column import RunOptions, Understood, infer_scene
-from ..scene.lammps_input import LammpsInput, RunGrains
+from ..scene.lammps_input import LammpsInput, RunGrains, units_of
 from ..util.arrays import Array
 from ..util.files import expanded
 from .dump_frames import AXES, TYPE, Frames, count_atoms, is_dump, read_frames
@@ -51,7 +51,9 @@ def scene_of_run(
     inputs = [file for file in files if file not in dumps]
     if len(dumps) > 1 or len(inputs) > 1:
         raise InputError.at("from", "must be a dump, an input or data file, or one of each")
-    grains = read_grains(dumps[0], units) if dumps else None
+    # A dump that does not name its units has those of its input.
+    own = units if units is not None or not inputs else units_of(inputs[0])
+    grains = read_grains(dumps[0], own) if dumps else None
     source = LammpsInput(inputs[0], grains, units) if inputs else None
     if grains is None or source is not None:
         assert source is not None
@@ -90,8 +92,9 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     diameters = columns.get("diameter", 2 * columns.get("radius", unknown))[0]
     masses = columns.get("mass", unknown)[0]
     types = frames.columns[TYPE][0] if TYPE in frames.columns else np.ones(count)
-    written = frames.columns[frames.position_columns[along]][0]
-    digit = frames.units.length * last_digit(written)
+    # Positions of the first frame may be round numbers, those of later frames are not.
+    written = frames.columns[frames.position_columns[along]]
+    digit = frames.units.length * last_digit(written.ravel())
     spacing = float(np.spacing(np.abs(positions[0, :, along]).max()))
     times = frames.times
     return RunGrains(
