@@ -421,6 +421,7 @@ class _Column:
             fields["masses"] = self.grains.masses[self.order]
         label = self.material.name or f"E = {self.material.youngs_modulus:g} Pa"
         self._say("contacts", f"Hertz, of {label} (given)")
+        self._say("damping", "none is assumed: positions do not tell it")
         return fields
 
     def _pairs(self, source: LammpsInput) -> dict[str, Any]:
@@ -627,7 +628,7 @@ class _Column:
         self.z = sign * self.grains.positions[self.order, self.axis]
         self.v = sign * self.grains.velocities[self.order, self.axis] + 0.0
         if self.gravity is not None:
-            self.gravity *= sign
+            self.gravity = sign * self.gravity + 0.0
         self.up = up
         count = len(self.order)
         axis = AXES[self.axis]
@@ -961,12 +962,16 @@ def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
                 raise ValueError
             named = {**named, key: parse(value).substitute(named)}
         formula = parse(energy).substitute(named)
+        if unknown := set(formula.names) - {"r"}:
+            raise line.refuse(f"has a formula with {min(unknown)}, which is not given")
         # The energy is one of r in the units of the input, the law one of o in m.
         overlap = multiply(number(-1 / length), name("o"))
         found = formula.substitute({"r": overlap})
         slope = multiply(number(length * force), found.derivative("o"))
         return Law(slope.text)
     except InputError as error:
+        if error.faults[0][0] == line.file:
+            raise
         raise line.refuse(f"has a formula that is not understood: {error.faults[0][1]}") from None
     except (ValueError, KeyError, ArithmeticError):
         raise line.refuse("has a formula that is not understood") from None

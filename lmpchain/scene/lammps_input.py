@@ -42,6 +42,8 @@ FIXES = {
 # Commands that place grains, which a dump replaces.
 PLACES = ("create_atoms", "displace_atoms", "minimize", "velocity")
 LOOPS = ("label", "next", "jump", "if")
+# Time steps of inputs without a command timestep, by unit style.
+DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
 DUMP_CURE = "name a dump of its frames, too: --from IN own.lammpstrj"
 PIECES = re.compile(
     r'"""(?P<triple>.*?)"""|"(?P<double>[^"]*)"|\'(?P<single>[^\']*)\''
@@ -185,6 +187,7 @@ class LammpsInput:
         self.regions: dict[str, list[str]] = {}
         self.periodic = [True, True, True]
         self.box: list[float] = []
+        self.last_number = 0
         self.running: InputLine | None = None
         self.changed: InputLine | None = None
         self.run_state: _State | None = None
@@ -499,7 +502,11 @@ class LammpsInput:
         x = [self.number(self._word(line, words, place), line) for place in (2, 3, 4)]
         if words[5:] not in ([], ["units", "box"], ["units", "lattice"]):
             raise line.refuse(f"has options that are not read: leave them out, or {DUMP_CURE}")
-        self.state.atoms[max(self.state.atoms, default=0) + 1] = _Atom(kind, x)
+        for place, low, high in zip(x, self.box[::2], self.box[1::2], strict=False):
+            if not low <= place < high:
+                raise line.refuse("is outside of the box, where LAMMPS creates no grain")
+        self.last_number += 1
+        self.state.atoms[self.last_number] = _Atom(kind, x)
 
     def _do_read_data(self, line: InputLine, words: list[str]) -> None:
         path = Path(self._word(line, words, 0))
@@ -632,6 +639,7 @@ class LammpsInput:
             return
         if n in self.state.atoms:
             raise line.refuse(f"is a second grain {n}")
+        self.last_number = max(self.last_number, n)
         self.state.atoms[n] = _Atom(kind, [row[a] for a in "xyz"], diameter=d, mass=mass)
 
     def _data_velocity(self, line: InputLine, words: list[str]) -> None:
@@ -676,8 +684,9 @@ class LammpsInput:
 
     @property
     def step_s(self) -> float:
-        """Time step, s; 0 if the input does not say."""
-        return (self.state.step or 0.0) * self.units.time
+        """Time step, s: by default that of the unit style."""
+        step = self.state.step or DEFAULT_STEPS.get(self.units_name or "lj", 0.0)
+        return step * self.units.time
 
     # Words and numbers --------------------------------------------------------------------------
 

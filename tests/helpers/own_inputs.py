@@ -215,7 +215,59 @@ run             2000
 LEPTON = HARMONIC.replace("harmonic", "lepton").replace(
     "bond_coeff      1 500.0 0.01", 'bond_coeff      1 0.01 "0.5*k*r^2 + a*r^4; k=1000; a=1e9"'
 )
+# A column on a floor, settled by its own viscous contacts, then struck on top; x points down.
+FLOOR = (
+    HEAD.format(units="si")
+    + """
+region          box block -0.1 0.2 -0.01 0.01 -0.01 0.01
+create_box      1 box
+"""
+    + "\n".join(f"create_atoms 1 single {0.005 + 0.01 * n!r} 0.0 0.0" for n in range(8))
+    + """
+set             group all diameter 0.01 density 2500
+pair_style      granular
+pair_coeff      * * hertz 1e8 300.0 tangential linear_nohistory 0 0 damping viscoelastic
+neighbor        0.003 bin
+fix             1 all nve/sphere
+fix             2 all gravity 9.81 vector 1 0 0
+fix             3 all wall/gran granular hertz 1e8 150.0 tangential linear_nohistory 0 0 &
+                damping viscoelastic xplane NULL 0.08
+fix             4 all viscous 0.5
+timestep        1e-6
+run             60000
+velocity        all set 0 0 0
+group           top id 1
+velocity        top set 0.02 0 0
+timestep        1e-8
+reset_timestep  0
+"""
+    + TAIL.format(every=1000, steps=20000)
+)
+# Linear springs of different stiffness by type, in nano units, each bead with a velocity.
+SPRINGS = (
+    HEAD.format(units="nano")
+    + """
+region          box block -100 100 -100 1000 -100 100
+create_box      2 box
+"""
+    + "\n".join(
+        f"create_atoms {1 + n // 4} single 0 {99.99 * n!r} 0\nset atom {n + 1} vy {0.01 * n}"
+        for n in range(8)
+    )
+    + """
+set             group all diameter 100 density 8.0
+pair_style      granular
+pair_coeff      1 1 hooke 1e5 0 tangential linear_nohistory 0 0 damping velocity
+pair_coeff      2 2 hooke 4e5 0 tangential linear_nohistory 0 0 damping velocity
+neighbor        30 bin
+fix             1 all nve
+timestep        0.01
+"""
+    + TAIL.format(every=20, steps=2000)
+)
 INPUTS = {
+    "floor": FLOOR,
+    "springs": SPRINGS,
     "column": COLUMN,
     "level": LEVEL,
     "cgs": CGS,
