@@ -7,43 +7,36 @@ force of every contact, and these forces give gravity and load.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..chain.chain import Chain
-from ..chain.contacts import pair_value
-from ..chain.formula import multiply, name, number, parse
-from ..chain.law import Law
 from ..chain.materials import Material, one_material, sphere_mass
 from ..errors import InputError
 from ..util.arrays import Array
 from .acting import Drive
 from .excitation import Impulse
-from .lammps_contacts import (
-    OLD_STYLES,
-    OLD_WALLS,
-    GrainForce,
-    InputLine,
-    read_model,
-    read_old_model,
-)
-from .lammps_input import Fix, LammpsInput, RunGrains
+from .lammps_contacts import OLD_WALLS, read_model, read_old_model
+from .lammps_forces import ColumnGrains, bond_forces, pair_forces, span
+from .lammps_input import LammpsInput
+from .lammps_load import fit_line, gravity_of, load_between, mean_load
+from .lammps_state import RunFix, RunGrains
+from .lammps_text import InputLine
 from .profile import Profile
 
 AXES = "xyz"
 BESIDE = 1e-6  # of a diameter: how far from the axis a grain may be
 SIDEWAYS = 1e-9  # of the largest velocity: how fast it may move sideways
 SAME = 5e-6  # relative difference of masses of which one has six digits
+ROUNDING = 1e-14  # relative difference of equal numbers
 AT_REST = 1e-6  # of an overlap, by which it may differ from that at rest
 QUIET = 1e-6  # of the largest velocity, below which a grain is at rest
-CERTAIN = 3.0  # standard errors
+FEWEST = 3  # contacts at rest, from which gravity and load follow
+FAR = 0.1  # of a diameter: the distance from which a wall is none of the column
 RESOLVED = 1e-2  # of the largest overlap: rounding from which forces cannot be inferred
-GRAVITIES = (9.81, 9.80665, 9.8)  # m/s2, the values that inputs have
-STANDING = "it is taken to be at rest"
 
 
 class RunOptions(NamedTuple):
@@ -88,7 +81,7 @@ class Understood(NamedTuple):
 
 
 @dataclass
-class _End:
+class ColumnEnd:
     """One end of a column: free, held, or before a wall.
 
     Attributes
@@ -102,6 +95,8 @@ class _End:
     line : InputLine or None
     relaxation : float
         Of the damping of the wall, s.
+    model : str
+        Of its contact: "hertz" or "hooke".
     """
 
     kind: str = "free"
@@ -109,6 +104,7 @@ class _End:
     overlap: float = math.nan
     line: InputLine | None = None
     relaxation: float = 0.0
+    model: str = ""
 
 
 def infer_scene(
@@ -158,6 +154,11 @@ class _Column:
         self.ends = self._ends()
         self.contact_fields = self._contacts()
         self._turn()
+
+    @property
+    def _has_commands(self) -> bool:
+        """Whether an input says what acts on the grains."""
+        return self.source is not None and not self.source.data_only
 
     def _refuse(self, why: str) -> InputError:
         return InputError.at(self.grains.source, why)
@@ -259,25 +260,25 @@ class _Column:
         found = self.source.state.pair if of == "pair" else self.source.state.bond
         return "" if found is None or found[1][0] in ("none", "zero") else found[1][0]
 
-    def _fixes(self, *styles: str) -> Iterator[Fix]:
+    def _fixes(self, *styles: str) -> Iterator[RunFix]:
         """Yield the fixes of some styles."""
         if self.source:
             yield from (fix for fix in self.source.state.fixes.values() if fix.style in styles)
 
-    def _among(self, fix: Fix) -> np.ndarray:
+    def _among(self, fix: RunFix) -> np.ndarray:
         """Return which grains along the axis are in the group of a fix, (N,) bool."""
         return np.isin(self.grains.numbers[self.order], list(fix.members))
 
-    def _number(self, fix: Fix, place: int) -> float:
+    def _number(self, fix: RunFix, place: int) -> float:
         if place >= len(fix.words):
             raise fix.line.refuse("is too short")
         assert self.source is not None
-        return self.source.number(fix.words[place], fix.line)
+        return self.source.text.number(fix.words[place], fix.line)
 
     def _held(self) -> np.ndarray:
         """Return the grains that do not move, (N,) bool along the axis."""
         held = np.zeros(len(self.order), dtype=bool)
-        if self.source and not self.source.data_only:
+        if self.source and self._has_commands:
             moving = held.copy()
             for fix in self._fixes("nve", "nve/sphere"):
                 moving |= self._among(fix)
@@ -292,8 +293,8 @@ class _Column:
                 held |= self._among(fix) & self._stops(fix)
         elif self.grains.held is not None:
             held = self.grains.held[self.order]
-        if (self.v[held] != 0).any():
-            raise self._refuse(f"{self._name(int(held.argmax()))} is held but has a velocity")
+        if (pushed := held & (self.v != 0)).any():
+            raise self._refuse(f"{self._name(int(pushed.argmax()))} is held but has a velocity")
         inner = held[1:-1]
         if inner.any():
             raise self._refuse(
@@ -302,7 +303,7 @@ class _Column:
             )
         return held
 
-    def _stops(self, fix: Fix) -> bool:
+    def _stops(self, fix: RunFix) -> bool:
         """Return whether `fix setforce` takes the force along the axis."""
         if len(fix.words) != 3:
             raise fix.line.refuse("has options that are not read: give three numbers")
@@ -313,7 +314,7 @@ class _Column:
 
     def _gravity(self) -> float | None:
         """Return gravity along the axis, m/s2; None if it must be inferred."""
-        if self.source is None or self.source.data_only:
+        if self.source is None or not self._has_commands:
             return None
         units = self.source.units
         total = 0.0
@@ -334,9 +335,9 @@ class _Column:
             self._say("gravity", "none (no fix gravity)")
         return total
 
-    def _ends(self) -> list[_End]:
+    def _ends(self) -> list[ColumnEnd]:
         """Return both ends along the axis."""
-        ends = [_End("held" if self.held[place] else "free") for place in (0, -1)]
+        ends = [ColumnEnd("held" if self.held[place] else "free") for place in (0, -1)]
         for fix in self._fixes("wall/gran"):
             self._wall(fix, ends)
         period = self.grains.period[self.axis]
@@ -353,11 +354,11 @@ class _Column:
             )
         return ends
 
-    def _wall(self, fix: Fix, ends: list[_End]) -> None:
+    def _wall(self, fix: RunFix, ends: list[ColumnEnd]) -> None:
         """Read `fix wall/gran` as an end of the column."""
         assert self.source is not None
         words = [word for word in fix.words if word != "contacts"]
-        read = self.source.number
+        read = self.source.text.number
         style = words[0] if words else ""
         if style == "granular":
             model, rest = read_model(fix.line, words[1:], read)
@@ -385,32 +386,79 @@ class _Column:
                 continue
             if not self._among(fix)[place]:
                 continue
+            gap = float(distances[place] - radii[place])
+            if gap > FAR * radii[place]:
+                self._say(f"wall at {word}", f"left out: no grain is nearer than {gap:.3g} m")
+                continue
             if self.held[place]:
                 continue
             if ends[side].kind == "wall":
                 raise fix.line.refuse("is a second wall at one end")
             mass = float(self.grains.masses[self.order[place]])
-            ends[side] = _End(
+            ends[side] = ColumnEnd(
                 "wall",
                 model.constant(float(radii[place]), units),
                 float(radii[place] - distances[place]),
                 fix.line,
                 model.relaxation(mass, units),
+                model.model,
             )
-            self.wall_model = model.model
 
     def _contacts(self) -> dict[str, Any]:
         """Return the fields of a chain that give its contacts, grains along the axis."""
-        source = self.source
-        if source and self._style("bond"):
-            return self._bonds(source)
-        if source and self._style("pair"):
-            return self._pairs(source)
-        if source and source.state.bonds:
-            raise InputError.at(str(source.path), "has bonds of a style that its input names")
-        if source and not source.data_only:
-            raise InputError.at(str(source.path), "has neither pair_style nor bond_style")
-        return self._materials()
+        source, grains = self.source, self.grains
+        if source is None or not (self._style("bond") or self._style("pair")):
+            if source and source.state.bonds:
+                raise InputError.at(str(source.path), "has bonds of a style that its input names")
+            if self._has_commands and source:
+                raise InputError.at(str(source.path), "has neither pair_style nor bond_style")
+            return self._materials()
+        if self._style("bond") and self._style("pair") and source.state.pair:
+            raise source.state.pair[0].refuse("acts beside bonds: a scene has one of them")
+        frozen = np.zeros(len(self.order), dtype=bool)
+        for fix in self._fixes("freeze"):
+            frozen |= self._among(fix)
+        order = self.order
+        ordered = ColumnGrains(
+            numbers=grains.numbers[order],
+            types=grains.types[order],
+            diameters=grains.diameters[order],
+            masses=grains.masses[order],
+            frozen=frozen,
+        )
+        forces = (bond_forces if self._style("bond") else pair_forces)(source, ordered)
+        for end in self.ends:
+            if end.line and end.model != forces.model:
+                raise end.line.refuse(f"has contacts of {end.model}, the grains of {forces.model}")
+        grains.diameters[order] = forces.diameters
+        self._say("contacts", f"{forces.text} ({_place(forces.line)})")
+        return forces.fields | self._damping(forces.relaxations, ordered.masses)
+
+    def _damping(self, relaxations: Array, masses: Array) -> dict[str, Any]:
+        """Return the damping of the contacts, and the drag of `fix viscous`, if any."""
+        drag = np.zeros(len(masses))
+        for fix in self._fixes("viscous"):
+            assert self.source is not None
+            if len(fix.words) != 1:
+                raise fix.line.refuse("has options that are not read: give one number")
+            gamma = self._number(fix, 0) * self.source.units.mass / self.source.units.time
+            drag += self._among(fix) * gamma / masses
+        for end, near in zip(self.ends, relaxations[[0, -1]], strict=True):
+            if end.line and abs(end.relaxation - near) > SAME * near:
+                cure = f"give it the relaxation time of the contact beside it, {near:.6g} s"
+                raise end.line.refuse(f"is damped by {end.relaxation:.6g} s: {cure}")
+        if not (relaxations.any() or drag.any()):
+            return {}
+        # Held grains feel no drag.
+        moving = drag[~self.held]
+        drag = np.where(self.held, moving[0], drag)
+        self._say("damping", f"contacts {span(relaxations)} s, drag {span(drag)} 1/s")
+        return {
+            "damping": {
+                "viscoelastic": _one_or_many(relaxations),
+                "drag": _one_or_many(drag),
+            }
+        }
 
     def _materials(self) -> dict[str, Any]:
         """Return the fields of grains of the material that the user names."""
@@ -423,185 +471,6 @@ class _Column:
         self._say("contacts", f"Hertz, of {label} (given)")
         self._say("damping", "none is assumed: positions do not tell it")
         return fields
-
-    def _pairs(self, source: LammpsInput) -> dict[str, Any]:
-        """Return the fields of the contacts of a pair style."""
-        assert source.state.pair is not None
-        line, words = source.state.pair
-        kinds = self.grains.types[self.order]
-        models: dict[tuple[int, int], GrainForce] = {}
-        pairs = list(pairwise(kinds.tolist()))
-        for pair in pairs:
-            if pair not in models:
-                models[pair] = self._pair_model(source, line, words, *pair)
-        chosen = [models[pair] for pair in pairs]
-        kind = {model.model for model in chosen}
-        if len(kind) > 1 or (hasattr(self, "wall_model") and self.wall_model not in kind):
-            raise line.refuse("has contacts of hertz and of hooke: a scene has one law")
-        d = self.grains.diameters[self.order]
-        masses = self.grains.masses[self.order]
-        # LAMMPS takes frozen grains as infinitely heavy.
-        frozen = np.zeros(len(d), dtype=bool)
-        for fix in self._fixes("freeze"):
-            frozen |= self._among(fix)
-        reduced_masses = pair_value(np.where(frozen, math.inf, masses))
-        radii = pair_value(d / 2)
-        constants = np.array(
-            [m.constant(float(r), source.units) for m, r in zip(chosen, radii, strict=True)]
-        )
-        relaxations = np.array(
-            [
-                m.relaxation(float(x), source.units)
-                for m, x in zip(chosen, reduced_masses, strict=True)
-            ]
-        )
-        exponent = 1.5 if kind == {"hertz"} else 1.0
-        law = "Hertz" if exponent == 1.5 else "linear springs (hooke)"
-        self._say("contacts", f"{law}, {_span(constants)} N/m^{exponent:g} ({_place(line)})")
-        fields: dict[str, Any] = {"masses": masses, "contact_constants": constants}
-        if exponent != 1.5:
-            fields["exponent"] = exponent
-        if material := self._one_material(chosen, masses, d):
-            fields = {"material": material}
-        self._damp(fields, relaxations, masses)
-        return fields
-
-    def _pair_model(
-        self, source: LammpsInput, line: InputLine, words: list[str], first: int, second: int
-    ) -> GrainForce:
-        """Return the contact model of two types of grains."""
-        style = words[0]
-        if style in OLD_STYLES:
-            model, rest = read_old_model(line, OLD_STYLES[style], words[1:], source.number)
-            if rest:
-                raise line.refuse(f"has {rest[0]}, which is not understood")
-            return model
-        if style != "granular":
-            cure = f"granular, {', '.join(OLD_STYLES)}"
-            raise line.refuse(f"is a force that is not understood: use {cure}")
-        own = source.pair_lines(first, second)
-        if own is not None:
-            model, rest = read_model(own[0], own[1], source.number)
-            if rest:
-                raise own[0].refuse(f"has {rest[0]}, which is not understood")
-            return model
-        alone = [source.pair_lines(kind, kind) for kind in (first, second)]
-        if None in alone:
-            raise line.refuse(f"has no pair_coeff of types {first} and {second}")
-        one, other = (self._pair_model(source, line, words, k, k) for k in (first, second))
-        return one.with_other(other)
-
-    def _one_material(
-        self, models: list[GrainForce], masses: Array, diameters: Array
-    ) -> Material | None:
-        """Return the material of all grains, if the input names one."""
-        densities = masses / sphere_mass(1.0, diameters)
-        elastic = {model.elastic for model in models}
-        first = models[0].elastic
-        if len(elastic) > 1 or first is None or np.ptp(densities) > 1e-12 * densities[0]:
-            return None
-        assert self.source is not None
-        return Material(
-            density=float(f"{densities[0]:.12g}"),
-            youngs_modulus=first[0] * self.source.units.pressure,
-            poissons_ratio=first[1],
-        )
-
-    def _damp(self, fields: dict[str, Any], relaxations: Array, masses: Array) -> None:
-        """Add the damping of the contacts, and drag by `fix viscous`."""
-        alike = np.ptp(relaxations) <= 1e-9 * relaxations.max()
-        drag = np.zeros(len(masses))
-        for fix in self._fixes("viscous"):
-            assert self.source is not None
-            if len(fix.words) != 1:
-                raise fix.line.refuse("has options that are not read: give one number")
-            gamma = self._number(fix, 0) * self.source.units.mass / self.source.units.time
-            drag += self._among(fix) * gamma / masses
-        for end, near in zip(self.ends, relaxations[[0, -1]], strict=True):
-            if end.kind == "wall" and abs(end.relaxation - near) > 1e-6 * max(near, 1e-300):
-                assert end.line is not None
-                cure = "with the relaxation time of the contact beside it"
-                raise end.line.refuse(f"is damped otherwise than a scene has it, {cure}")
-        if relaxations.any() or drag.any():
-            fields["damping"] = {
-                "viscoelastic": float(relaxations[0]) if alike else relaxations,
-                "drag": float(drag[0]) if not np.ptp(drag[~self.held]) else drag,
-            }
-            if not np.ptp(drag[~self.held]):
-                fields["damping"]["drag"] = float(drag[~self.held][0])
-            self._say("damping", f"contacts {_span(relaxations)} s, drag {_span(drag)} 1/s")
-
-    def _bonds(self, source: LammpsInput) -> dict[str, Any]:
-        """Return the fields of a chain of bonds."""
-        assert source.state.bond is not None
-        line, (style, *_) = source.state.bond
-        if self._style("pair") and source.state.pair:
-            raise source.state.pair[0].refuse("acts beside bonds: a scene has one of them")
-        place = {int(n): k for k, n in enumerate(self.grains.numbers[self.order])}
-        kinds: dict[int, int] = {}
-        for bond in source.state.bonds:
-            ends = sorted(place.get(n, -9) for n in (bond.first, bond.second))
-            if ends[0] < 0 or ends[1] - ends[0] != 1:
-                raise line.refuse(
-                    f"bonds atoms {bond.first} and {bond.second}, which are not neighbours"
-                )
-            if ends[0] in kinds:
-                raise line.refuse(f"bonds atoms {bond.first} and {bond.second} twice")
-            kinds[ends[0]] = bond.kind
-        for k in range(len(self.order) - 1):
-            if k not in kinds:
-                raise line.refuse(
-                    f"has no bond of {self._name(k)} and {self._name(k + 1)} in the input or its "
-                    "data file"
-                )
-        rows = [source.state.bond_coefficients.get(kinds[k]) for k in range(len(kinds))]
-        if None in rows:
-            raise line.refuse(f"has no bond_coeff of type {kinds[rows.index(None)]}")
-        units = source.units
-        found = [row for row in rows if row is not None]
-        if any(len(words) < 2 for _, words in found):
-            raise line.refuse("has a bond_coeff that is too short")
-        place_of_length = 1 if style == "harmonic" else 0
-        lengths = [source.number(words[place_of_length], at) for at, words in found]
-        self._bond_diameters(line, units.length * np.array(lengths))
-        masses = self.grains.masses[self.order]
-        if np.isnan(masses).any() or (masses <= 0).any():
-            raise self._refuse("has grains without a mass: write `mass` or `set ... mass`")
-        fields: dict[str, Any] = {"masses": masses}
-        if style == "harmonic":
-            stiffness = [2 * source.number(words[0], at) for at, words in found]
-            constants = np.array(stiffness) * units.force / units.length
-            fields |= {"law": Law("k*o"), "contact_constants": constants}
-            self._say("contacts", f"harmonic bonds, {_span(constants)} N/m ({_place(line)})")
-        else:
-            formulas = {" ".join(words[1:]) for _, words in found}
-            if len(formulas) > 1:
-                raise line.refuse("has several formulas: a scene has one law")
-            at, words = found[0]
-            law = _lepton_law(at, " ".join(words[1:]), units.length, units.force)
-            fields["law"] = law
-            self._say("contacts", f"bonds, force {law.text} ({_place(at)})")
-        self._damp(fields, np.zeros(len(kinds)), masses)
-        return fields
-
-    def _bond_diameters(self, line: InputLine, lengths: Array) -> None:
-        """Give the grains diameters whose means are the rest lengths of the bonds, m."""
-        d = self.grains.diameters[self.order]
-        if not (np.abs((d[:-1] + d[1:]) / 2 - lengths) <= 1e-12 * lengths).all():
-            # d_(n+1) = 2 L_n - d_n: the first diameter is free within bounds.
-            alternating = np.concatenate(
-                [[0.0], np.cumsum(2 * lengths * (-1.0) ** np.arange(lengths.size))]
-            )
-            signs = (-1.0) ** np.arange(lengths.size + 1)
-            low = float((alternating[signs > 0]).max())
-            high = float((alternating[signs < 0]).min())
-            if not low < high:
-                raise line.refuse("has rest lengths that no row of touching grains has")
-            first = lengths[0] if low < lengths[0] < high else (low + high) / 2
-            d = signs * (first - alternating)
-            if not np.ptp(lengths):
-                d = np.full(lengths.size + 1, lengths[0])
-        self.grains.diameters[self.order] = d
 
     # Orientation --------------------------------------------------------------------------------
 
@@ -647,10 +516,10 @@ class _Column:
         """Return how the forces of contacts grow along the axis, or 0 if they do not."""
         forces, errors, quiet = self._forces(self._trial())
         masses = np.cumsum(self.grains.masses[self.order])[:-1]
-        if quiet.sum() < 3:
+        if quiet.sum() < FEWEST:
             return 0.0
-        slope, _, error = _fit(masses[quiet], forces[quiet], errors[quiet])
-        return slope if abs(slope) > CERTAIN * error else 0.0
+        line = fit_line(masses[quiet], forces[quiet], errors[quiet])
+        return math.copysign(gravity_of(line, masses[quiet], forces[quiet]), line.slope)
 
     # Gravity and load ---------------------------------------------------------------------------
 
@@ -677,7 +546,7 @@ class _Column:
         quiet = np.abs(self.v) <= QUIET * np.abs(self.v).max()
         still = quiet[:-1] & quiet[1:]
         # A struck grain has not moved yet in the first frame.
-        return forces, errors, still if still.sum() > 2 else np.ones_like(still)
+        return forces, errors, still if still.sum() >= FEWEST else np.ones_like(still)
 
     def _load(self, chain: Chain) -> tuple[float, float]:
         """Return gravity, m/s2, and the load on top, N, as the input says or the overlaps do."""
@@ -692,92 +561,77 @@ class _Column:
         gravity = self.gravity
         if gravity is None:
             gravity = self._infer_gravity(weights[quiet], forces[quiet], errors[quiet])
-        top = self.ends[0].kind
         pushed = self._addforce()
         if pushed is not None:
             return gravity, pushed
-        if top == "free" and self.source is not None and not self.source.data_only:
+        if self.ends[0].kind != "free":
+            return gravity, self._closed_load(chain, gravity)
+        if self._has_commands:
             self._say("load", "none (no fix addforce on a grain)")
             return gravity, 0.0
-        if top != "free":
-            return gravity, self._closed_load(chain, gravity)
-        share = 1 / errors[quiet] ** 2
         rest = forces[quiet] - gravity * weights[quiet]
-        load = float((share * rest).sum() / share.sum())
-        spread = math.sqrt(float((share * (rest - load) ** 2).sum()) / max(1, rest.size - 1))
-        error = max(1.0, spread) / math.sqrt(float(share.sum()))
-        if abs(load) <= CERTAIN * error or abs(load) < 1e-9 * np.abs(forces).max():
-            load = 0.0
+        load = mean_load(rest, errors[quiet], float(np.abs(forces).max()))
         if load < 0:
             raise self._refuse(
                 f"its grains press each other by {-load:.3g} N less than they weigh: the column is "
                 "not at rest, or the material is another one"
             )
-        if load:
-            origin = f"from {quiet.sum()} overlaps at rest, as a constant force on grain 1"
-            self._say("load", f"{load:.9g} N ({origin})")
-        else:
-            self._say("load", f"none (from {quiet.sum()} overlaps at rest)")
+        origin = f"from {quiet.sum()} overlaps, taken to be at rest"
+        as_force = f"{load:.9g} N ({origin}, as a constant force on grain 1)"
+        self._say("load", as_force if load else f"none ({origin})")
         return gravity, load
 
     def _infer_gravity(self, weights: Array, forces: Array, errors: Array) -> float:
         """Return gravity from how the forces at rest grow from grain to grain, m/s2."""
-        if weights.size < 3:
+        if weights.size < FEWEST:
             self._say("gravity", "none (too few contacts at rest to infer it)")
             return 0.0
-        slope, _, error = _fit(weights, forces, errors)
-        if abs(slope) <= CERTAIN * error or abs(slope) * np.ptp(weights) < 1e-7 * forces.max():
-            self._say("gravity", "none (the overlaps at rest do not grow downward)")
+        line = fit_line(weights, forces, errors)
+        gravity = gravity_of(line, weights, forces)
+        if not gravity:
+            self._say("gravity", "none (the overlaps do not grow downward)")
             return 0.0
-        nearest = [g for g in GRAVITIES if abs(slope - g) <= CERTAIN * error + 1e-5 * g]
-        gravity = nearest[0] if nearest else abs(slope)
         self._say(
             "gravity",
-            f"{gravity:.6g} m/s2 (inferred: the overlaps grow downward as under "
-            f"{abs(slope):.6g} +- {error:.1g})",
+            f"{gravity:.6g} m/s2 (from overlaps, taken to be at rest, which grow as under "
+            f"{abs(line.slope):.6g} +- {line.error:.1g})",
         )
         return gravity
 
     def _closed_load(self, chain: Chain, gravity: float) -> float:
         """Return the load of a column between two immovable ends, N: their distance fixes it."""
-        known = self._overlaps()
-        constants = chain.contacts.constant[1:-1]
-        weights = gravity * np.cumsum(chain.masses)[:-1]
+        top, bottom = self.ends
+        overlaps = self._overlaps()
+        weights = gravity * np.cumsum(chain.masses)
         law = chain.law
-        walls = [end for end in self.ends if end.kind == "wall" and math.isfinite(end.overlap)]
-        wall_weights = [
-            0.0 if end is self.ends[0] else gravity * chain.masses.sum() for end in walls
+        walls = [
+            (end, weight)
+            for end, weight in ((top, 0.0), (bottom, float(weights[-1])))
+            if end.kind == "wall" and math.isfinite(end.overlap)
         ]
-        total = float(known.sum()) + sum(end.overlap for end in walls)
+        total = float(overlaps.sum()) + sum(end.overlap for end, _ in walls)
 
         def excess(load: float) -> float:
-            squeezed = float(np.sum(law.overlap(load + weights, constants)))
-            for end, weight in zip(walls, wall_weights, strict=True):
-                squeezed += float(law.overlap(np.array(load + weight), np.array(end.constant)))
-            return squeezed - total
+            squeezed = law.overlap(load + weights[:-1], chain.contacts.constant[1:-1]).sum()
+            for end, weight in walls:
+                squeezed += law.overlap(np.array(load + weight), np.array(end.constant))
+            return float(squeezed) - total
 
-        slack = self.grains.slack * (len(known) + 1)
-        if self.ends[1].kind == "free" or excess(0.0) >= -1e-9 * abs(total) - slack * 0:
-            if self.ends[1].kind != "free" and excess(0.0) > slack + AT_REST * abs(total):
-                raise self._refuse(
-                    f"its column is {excess(0.0):.3g} m shorter than the space between its ends: "
-                    "take out the wall or the held grain at the top, or press the column together"
-                )
+        slack = self.grains.slack * len(weights) + AT_REST * abs(total)
+        loose = 0.0 if bottom.kind == "free" else excess(0.0)
+        if loose > slack:
+            raise self._refuse(
+                f"its column is {loose:.3g} m shorter than the space between its ends: let the "
+                "grain at the top move, or take out the wall there"
+            )
+        if loose >= -self.grains.slack:
             self._say("load", "none")
             return 0.0
-        high = 1.0
-        while excess(high) < 0:
-            high *= 4
-            if high > 1e30:
-                raise self._refuse("is pressed together by more than any load")
-        low = 0.0
-        for _ in range(2000):
-            middle = (low + high) / 2
-            if middle in (low, high):
-                break
-            low, high = (middle, high) if excess(middle) < 0 else (low, middle)
-        self._say("load", f"{high:.9g} N (by the distance of the ends, which do not move)")
-        return high
+        load = load_between(excess)
+        if not math.isfinite(load):
+            raise self._refuse("is pressed together by more than any load")
+        self._say("load", f"{load:.9g} N (by the distance of the ends, which do not move)")
+        return load
 
     def _addforce(self) -> float | None:
         """Return the constant force on grain 1 by `fix addforce`, N; None if there is none."""
@@ -839,7 +693,7 @@ class _Column:
         """Return the fields of both ends of the chain."""
         top, bottom = self.ends
         if bottom.kind == "free" and (gravity or load):
-            if self.source is not None and not self.source.data_only:
+            if self._has_commands:
                 raise self._refuse("has no wall and no held grain at its bottom: it would fall")
             bottom.kind = "wall"
             bottom.constant = 0.0
@@ -850,19 +704,18 @@ class _Column:
         }
         if any(wall and end.constant for wall, end in zip(walls, self.ends, strict=True)):
             fields["wall_constants"] = [top.constant, bottom.constant]
-        for place, end, known in (("top", top, ""), ("bottom", bottom, "")):
-            grain = 1 if place == "top" else len(self.order)
-            text = {"free": "free", "held": f"grain {grain} is held"}.get(end.kind, known)
-            if end.kind == "wall" and end.line:
+        for place, end, grain in (("top", top, 1), ("bottom", bottom, len(self.order))):
+            text = {"free": "free", "held": f"grain {grain} is held"}.get(end.kind, "")
+            if end.line:
                 text = f"a wall, {end.constant:.6g} N/m^delta ({_place(end.line)})"
             elif end.kind == "wall":
-                text = "a wall of the grains' material (grain moves, and something carries it)"
+                text = f"a wall of the grains' material is assumed, as grain {grain} moves"
             self._say(place, text)
         return fields
 
     def _say_grains(self, chain: Chain) -> None:
         d, masses = chain.diameters, chain.masses
-        self._say("grains", f"diameter {_span(d)} m, mass {_span(masses)} kg")
+        self._say("grains", f"diameter {span(d)} m, mass {span(masses)} kg")
 
     def _displacement(self, chain: Chain, overlaps: Array) -> Array:
         """Return the displacements from rest at the begin, (N,) m, and say how far it is."""
@@ -948,51 +801,6 @@ class _Column:
         self.facts.append((fact, text))
 
 
-def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
-    """Return the contact law of an energy of `bond_style lepton`, a formula of r = -overlap.
-
-    Only the formula that the parser prints from its own syntax tree is used.
-    """
-    energy, *definitions = (part.strip() for part in text.replace("^", "**").split(";"))
-    try:
-        named: Mapping[str, Any] = {}
-        for definition in reversed([each for each in definitions if each]):
-            key, equals, value = (part.strip() for part in definition.partition("="))
-            if not equals:
-                raise ValueError
-            named = {**named, key: parse(value).substitute(named)}
-        formula = parse(energy).substitute(named)
-        if unknown := set(formula.names) - {"r"}:
-            raise line.refuse(f"has a formula with {min(unknown)}, which is not given")
-        # The energy is one of r in the units of the input, the law one of o in m.
-        overlap = multiply(number(-1 / length), name("o"))
-        found = formula.substitute({"r": overlap})
-        slope = multiply(number(length * force), found.derivative("o"))
-        return Law(slope.text)
-    except InputError as error:
-        if error.faults[0][0] == line.file:
-            raise
-        raise line.refuse(f"has a formula that is not understood: {error.faults[0][1]}") from None
-    except (ValueError, KeyError, ArithmeticError):
-        raise line.refuse("has a formula that is not understood") from None
-
-
-def _fit(x: Array, y: Array, errors: Array) -> tuple[float, float, float]:
-    """Return slope, intercept and error of the slope of a weighted straight line."""
-    share = 1 / errors**2
-    share = share / share.max()
-    mean_x = float((share * x).sum() / share.sum())
-    mean_y = float((share * y).sum() / share.sum())
-    spread = float((share * (x - mean_x) ** 2).sum())
-    if not spread > 0:
-        return 0.0, mean_y, math.inf
-    slope = float((share * (x - mean_x) * (y - mean_y)).sum()) / spread
-    rest = y - mean_y - slope * (x - mean_x)
-    scatter = float((share * rest**2).sum()) / max(1, x.size - 2)
-    error = math.sqrt(max(scatter, errors.min() ** 2) / spread)
-    return slope, mean_y - slope * mean_x, error
-
-
 def _reverse(value: Any) -> Any:
     """Return an array in reverse, also within a table, and other values as they are."""
     if isinstance(value, dict):
@@ -1001,14 +809,9 @@ def _reverse(value: Any) -> Any:
 
 
 def _one_or_many(values: Array) -> Any:
-    """Return one number if all agree, else all of them."""
-    return float(values[0]) if not np.ptp(values) else values
-
-
-def _span(values: Array) -> str:
-    """Return one number, or the smallest and the largest."""
-    low, high = float(np.min(values)), float(np.max(values))
-    return f"{low:.6g}" if f"{low:.6g}" == f"{high:.6g}" else f"{low:.6g} to {high:.6g}"
+    """Return one number if all agree up to rounding, else all of them."""
+    alike = np.ptp(values) <= ROUNDING * np.abs(values).max()
+    return float(values[0]) if alike else values
 
 
 def _place(line: InputLine) -> str:

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from ..chain.contacts import reduced
-from ..errors import InputError, short
 from ..util.lammps_units import Units
+from .lammps_text import InputLine
 
 # Numbers of coefficients behind the name of a model.
 NORMAL = {"hooke": 2, "hertz": 2, "hertz/material": 3}
@@ -34,19 +34,6 @@ OLD_STYLES = {
     "gran/hertz/history": "hertz",
 }
 OLD_WALLS = {"hooke": "hooke", "hooke/history": "hooke", "hertz/history": "hertz"}
-
-
-class InputLine(NamedTuple):
-    """A command of an input file with its place."""
-
-    file: str
-    number: int
-    text: str
-
-    def refuse(self, why: str) -> InputError:
-        """Return the error that names this line."""
-        command = short(" ".join(self.text.split()))
-        return InputError.at(self.file, f"line {self.number} ({command}) {why}")
 
 
 ReadNumber = Callable[[str, InputLine], float]

@@ -9,22 +9,26 @@ from __future__ import annotations
 import copy
 import math
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from ..chain.formula import number, parse
-from ..errors import InputError, short, shown
-from ..util.arrays import Array
-from ..util.files import check_readable
+from ..errors import InputError, shown
 from ..util.lammps_units import CONSISTENT, read_units
-from .lammps_contacts import InputLine
+from .lammps_data import is_data, read_data
+from .lammps_state import RunAtom, RunBond, RunFix, RunGrains, RunState
+from .lammps_text import (
+    LAMMPS_NUMBER,
+    MOST_DIGITS,
+    TOKENS,
+    InputLine,
+    Variables,
+    commands,
+    read_text,
+)
 
-LARGEST_FILE = 2**28  # bytes
-MOST_DIGITS = 18
+MOST_TYPES = 10**4
 # Commands that change neither grains nor forces.
 WITHOUT_PHYSICS = {
     *("log", "echo", "print", "info", "timer", "suffix", "package", "shell"),
@@ -45,109 +49,6 @@ LOOPS = ("label", "next", "jump", "if")
 # Time steps of inputs without a command timestep, by unit style.
 DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
 DUMP_CURE = "name a dump of its frames, too: --from IN own.lammpstrj"
-PIECES = re.compile(
-    r'"""(?P<triple>.*?)"""|"(?P<double>[^"]*)"|\'(?P<single>[^\']*)\''
-    r"|\$\{(?P<braces>\w+)\}|\$(?P<letter>\w)|(?P<immediate>\$\()",
-    re.ASCII | re.DOTALL,
-)
-TOKENS = re.compile(r'"""(.*?)"""|"([^"]*)"|\'([^\']*)\'|(\S+)', re.DOTALL)
-LAMMPS_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-REFERENCE = re.compile(r"\bv_(\w+)", re.ASCII)
-# LAMMPS takes -2^2 as 4 and 2^3^2 as 64, other readers do not.
-AMBIGUOUS = re.compile(r"(^|[-+*/^(,])\s*-[^-+*/(,]*\^|\^[^-+*/(,]*\^")
-SECTIONS = ("Atoms", "Velocities", "Bonds", "Bond Coeffs", "Masses")
-# Columns of a row of Atoms behind number, type and, for hybrid, position.
-SPHERE = ("diameter", "density")
-
-
-@dataclass
-class RunGrains:
-    """Grains of a run at the time at which its scene begins, in SI units, by atom number.
-
-    Attributes
-    ----------
-    source : str
-        Name of the file, or of the object.
-    numbers, types : (N,) int arrays
-    positions, velocities : (N, 3) arrays
-        m and m/s.
-    diameters, masses : (N,) arrays
-        m and kg; NaN if unknown.
-    slack : float
-        Rounding of a distance between two grains, m.
-    digits_lost : bool
-        Whether positions have fewer digits than double precision.
-    held : (N,) bool array or None
-        Grains that do not move; None if nothing tells.
-    period : (3,) array
-        Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
-    duration : float
-        Of the run, s; NaN if unknown.
-    likely_step : float
-        Time step with which displacements would change as the velocities say, s; 0 if unknown.
-    samples : int
-        Frames of the run; 0 if unknown.
-    steps : (first, last) or None
-        Numbers of the steps of the first and the last frame of a dump.
-    """
-
-    source: str
-    numbers: np.ndarray
-    types: np.ndarray
-    positions: Array
-    velocities: Array
-    diameters: Array
-    masses: Array
-    slack: float
-    digits_lost: bool = False
-    held: np.ndarray | None = None
-    period: Array = field(default_factory=lambda: np.full(3, math.inf))
-    duration: float = math.nan
-    likely_step: float = 0.0
-    samples: int = 0
-    steps: tuple[int, int] | None = None
-
-
-@dataclass
-class _Atom:
-    """A grain while the commands are read, in the units of the input."""
-
-    kind: int
-    x: list[float]
-    v: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
-    diameter: float = 1.0
-    mass: float = math.pi / 6
-
-
-class Fix(NamedTuple):
-    """A fix with the numbers of the atoms of its group."""
-
-    line: InputLine
-    style: str
-    words: list[str]
-    members: frozenset[int]
-
-
-class Bond(NamedTuple):
-    """A bond of a type between two atoms."""
-
-    kind: int
-    first: int
-    second: int
-
-
-@dataclass
-class _State:
-    """Forces and grains at one time of the input."""
-
-    atoms: dict[int, _Atom] = field(default_factory=dict)
-    fixes: dict[str, Fix] = field(default_factory=dict)
-    pair: tuple[InputLine, list[str]] | None = None
-    pair_coefficients: list[tuple[InputLine, list[str]]] = field(default_factory=list)
-    bond: tuple[InputLine, list[str]] | None = None
-    bond_coefficients: dict[int, tuple[InputLine, list[str]]] = field(default_factory=dict)
-    bonds: list[Bond] = field(default_factory=list)
-    step: float | None = None
 
 
 class LammpsInput:
@@ -180,28 +81,27 @@ class LammpsInput:
         self.units_line: InputLine | None = None
         self.units_name = ""
         self.units = read_units(units) if units is not None else read_units("si")
-        self.state = _State()
+        self.state = RunState()
         self.atom_style: list[str] = ["sphere"]
-        self.variables: dict[str, str | None] = {}
+        self.text = Variables()
         self.groups: dict[str, frozenset[int] | None] = {}
         self.regions: dict[str, list[str]] = {}
         self.periodic = [True, True, True]
         self.box: list[float] = []
-        self.last_number = 0
         self.running: InputLine | None = None
         self.changed: InputLine | None = None
-        self.run_state: _State | None = None
+        self.run_state: RunState | None = None
         self.steps = 0
         self.every = 0
         self.changes: list[tuple[int, InputLine]] = []
         self.ignored: dict[str, None] = {}
         self.data_only = False
         text = read_text(path)
-        if _is_data(text):
+        if is_data(text):
             self.data_only = True
-            self._read_data(text, InputLine(str(path), 1, short(text.split("\n")[0])), path)
+            read_data(path, text, (), self.state, placed=False)
         else:
-            for line in _lines(str(path), text):
+            for line in commands(str(path), text):
                 self._read(line)
         if self.dumped is None and not self.state.atoms:
             raise InputError.at(str(path), f"places no grains that can be read: {DUMP_CURE}")
@@ -225,6 +125,9 @@ class LammpsInput:
         if command in LOOPS:
             self._loop(line, command)
             return
+        if command == "variable":
+            self.text.define(line)
+            return
         reader: Callable[[InputLine, list[str]], None] | None = getattr(
             self, f"_do_{command}", None
         )
@@ -233,7 +136,7 @@ class LammpsInput:
                 "is not understood, and could change the motion: take it out, or write its effect "
                 "in other commands"
             )
-        reader(line, self._words(line)[1:])
+        reader(line, self.text.words(line)[1:])
 
     def _loop(self, line: InputLine, command: str) -> None:
         """Skip a loop that places grains which the dump has; refuse any other."""
@@ -250,7 +153,7 @@ class LammpsInput:
         self.ignored[command] = None
 
     def _do_units(self, line: InputLine, words: list[str]) -> None:
-        style = self._word(line, words, 0)
+        style = self.text.word(line, words, 0)
         self.units_line = line
         self.units_name = style
         try:
@@ -287,7 +190,7 @@ class LammpsInput:
         self.periodic = ["p" in word for word in words]
 
     def _do_lattice(self, line: InputLine, words: list[str]) -> None:
-        if words[:1] != ["none"] or (words[1:] and self.number(words[1], line) != 1.0):
+        if words[:1] != ["none"] or (words[1:] and self.text.number(words[1], line) != 1.0):
             raise line.refuse(f"scales positions: write them in units of the box, or {DUMP_CURE}")
 
     def _do_region(self, line: InputLine, words: list[str]) -> None:
@@ -295,39 +198,27 @@ class LammpsInput:
             self.regions[words[0]] = words[1:]
 
     def _do_create_box(self, line: InputLine, words: list[str]) -> None:
-        region = self.regions.get(self._word(line, words, 1), [])
+        region = self.regions.get(self.text.word(line, words, 1), [])
         bounds = region[1:7] if region[:1] == ["block"] else []
         if all(LAMMPS_NUMBER.fullmatch(bound) for bound in bounds):
             self.box = [float(bound) for bound in bounds]
 
-    def _do_variable(self, line: InputLine, words: list[str]) -> None:
-        key, style = self._word(line, words, 0), self._word(line, words, 1)
-        if style == "delete":
-            self.variables.pop(key, None)
-        elif style in ("equal", "string", "internal"):
-            self.variables[key] = self._word(line, words, 2)
-        elif style == "index":
-            # LAMMPS ignores a second definition.
-            self.variables.setdefault(key, self._word(line, words, 2))
-        else:
-            self.variables[key] = None
-
     def _do_timestep(self, line: InputLine, words: list[str]) -> None:
-        step = self.number(self._word(line, words, 0), line)
+        step = self.text.number(self.text.word(line, words, 0), line)
         if not step > 0:
             raise line.refuse(f"must be a time above 0 (got {step:g})")
         self._note_change(line)
         self.state.step = step
 
     def _do_dump(self, line: InputLine, words: list[str]) -> None:
-        every = self._word(line, words, 3)
+        every = self.text.word(line, words, 3)
         self.every = int(every) if every.isdigit() and len(every) <= MOST_DIGITS else 0
 
     def _do_reset_timestep(self, line: InputLine, words: list[str]) -> None:
-        self.steps = self._whole(self._word(line, words, 0), line)
+        self.steps = self.text.whole(self.text.word(line, words, 0), line)
 
     def _do_run(self, line: InputLine, words: list[str]) -> None:
-        count = self._whole(self._word(line, words, 0), line)
+        count = self.text.whole(self.text.word(line, words, 0), line)
         options = words[1:]
         if options[:1] == ["upto"]:
             count = max(0, count - self.steps)
@@ -365,7 +256,7 @@ class LammpsInput:
                 )
 
     def _do_group(self, line: InputLine, words: list[str]) -> None:
-        key, style = self._word(line, words, 0), self._word(line, words, 1)
+        key, style = self.text.word(line, words, 0), self.text.word(line, words, 1)
         rest = words[2:]
         atoms = self._atoms()
         if style in ("id", "type"):
@@ -403,10 +294,10 @@ class LammpsInput:
             "!=": lambda a, b: a != b,
         }
         if words[:1] == ["<>"] and len(words) == 3:
-            low, high = (self._whole(word, line) for word in words[1:])
+            low, high = (self.text.whole(word, line) for word in words[1:])
             return lambda n: low <= n <= high
         if len(words) == 2 and words[0] in compare:
-            bound = self._whole(words[1], line)
+            bound = self.text.whole(words[1], line)
             return lambda n: compare[words[0]](n, bound)
         ranges = [self._range(word, line) for word in words]
         if not ranges:
@@ -418,7 +309,7 @@ class LammpsInput:
         parts = re.split(r"[:*]", word)
         if len(parts) > 3 or (len(parts) == 3 and "*" in word):
             raise line.refuse(f"has a range that is not understood, {shown(word)}")
-        ends = [self._whole(part, line) if part else None for part in parts]
+        ends = [self.text.whole(part, line) if part else None for part in parts]
         first = 1 if ends[0] is None else ends[0]
         if len(ends) == 1:
             return range(first, first + 1)
@@ -429,47 +320,45 @@ class LammpsInput:
     # Forces -------------------------------------------------------------------------------------
 
     def _do_fix(self, line: InputLine, words: list[str]) -> None:
-        key, group, style = (self._word(line, words, place) for place in range(3))
+        key, group, style = (self.text.word(line, words, place) for place in range(3))
         if style not in FIXES:
             raise line.refuse(_unread_fix(style))
         if style not in OBSERVERS:
             self._note_change(line)
-            self.state.fixes[key] = Fix(line, style, words[3:], self.members(group, line))
+            self.state.fixes[key] = RunFix(line, style, words[3:], self.members(group, line))
 
     def _do_unfix(self, line: InputLine, words: list[str]) -> None:
-        if self.state.fixes.pop(self._word(line, words, 0), None):
+        if self.state.fixes.pop(self.text.word(line, words, 0), None):
             self._note_change(line)
 
     def _do_pair_style(self, line: InputLine, words: list[str]) -> None:
-        self._word(line, words, 0)
+        self.text.word(line, words, 0)
         self._note_change(line)
         self.state.pair = (line, words)
         self.state.pair_coefficients = []
 
     def _do_pair_coeff(self, line: InputLine, words: list[str]) -> None:
-        self._word(line, words, 1)
+        self.text.word(line, words, 1)
         self._note_change(line)
         self.state.pair_coefficients.append((line, words))
 
     def _do_bond_style(self, line: InputLine, words: list[str]) -> None:
-        style = self._word(line, words, 0)
+        style = self.text.word(line, words, 0)
         if style not in ("harmonic", "lepton", "none", "zero"):
             raise line.refuse("is a bond that is not understood: use harmonic or lepton")
         self._note_change(line)
         self.state.bond = (line, words)
 
     def _do_bond_coeff(self, line: InputLine, words: list[str]) -> None:
-        kinds = self._range(self._word(line, words, 0), line)
+        kinds = self._range(self.text.word(line, words, 0), line)
         self._note_change(line)
-        for kind in kinds[: 10**4]:
+        for kind in kinds[:MOST_TYPES]:
             self.state.bond_coefficients[kind] = (line, words[1:])
 
     def _do_mass(self, line: InputLine, words: list[str]) -> None:
-        kinds = self._range(self._word(line, words, 0), line)
-        mass = self.number(self._word(line, words, 1), line)
-        for atom in self._atoms().values():
-            if atom.kind in kinds:
-                atom.mass = mass
+        kinds = self._range(self.text.word(line, words, 0), line)
+        mass = self.text.number(self.text.word(line, words, 1), line)
+        self.state.type_masses |= dict.fromkeys(kinds[:MOST_TYPES], mass)
 
     def pair_lines(self, first: int, second: int) -> tuple[InputLine, list[str]] | None:
         """Return the last pair_coeff of two types, which may be written as ranges."""
@@ -482,42 +371,50 @@ class LammpsInput:
 
     # Grains -------------------------------------------------------------------------------------
 
-    def _atoms(self) -> dict[int, _Atom]:
+    def _atoms(self) -> dict[int, RunAtom]:
         """Return the atoms by number; those of the dump, if there is one."""
         if not self.state.atoms and self.dumped is not None:
             grains = self.dumped
             length, mass = self.units.length, self.units.mass
             columns = (grains.numbers, grains.types, grains.diameters, grains.masses)
             self.state.atoms = {
-                int(n): _Atom(int(kind), (x / length).tolist(), diameter=d / length, mass=m / mass)
+                int(n): RunAtom(
+                    int(kind), (x / length).tolist(), diameter=d / length, mass=m / mass
+                )
                 for n, kind, d, m, x in zip(*columns, grains.positions, strict=True)
             }
         return self.state.atoms
 
     def _do_create_atoms(self, line: InputLine, words: list[str]) -> None:
-        if self._word(line, words, 1) != "single":
+        if self.text.word(line, words, 1) != "single":
             raise line.refuse(f"places grains that are not read: use `single`, or {DUMP_CURE}")
         self._note_change(line)
-        kind = self._whole(words[0], line)
-        x = [self.number(self._word(line, words, place), line) for place in (2, 3, 4)]
+        kind = self.text.whole(words[0], line)
+        x = [self.text.number(self.text.word(line, words, place), line) for place in (2, 3, 4)]
         if words[5:] not in ([], ["units", "box"], ["units", "lattice"]):
             raise line.refuse(f"has options that are not read: leave them out, or {DUMP_CURE}")
         for place, low, high in zip(x, self.box[::2], self.box[1::2], strict=False):
             if not low <= place < high:
                 raise line.refuse("is outside of the box, where LAMMPS creates no grain")
-        self.last_number += 1
-        self.state.atoms[self.last_number] = _Atom(kind, x)
+        state = self.state
+        state.last_number += 1
+        state.atoms[state.last_number] = RunAtom(kind, x)
+        if "sphere" in self.atom_style:
+            # The defaults of LAMMPS: a diameter and a density of 1.
+            state.atoms[state.last_number] = RunAtom(kind, x, diameter=1.0, mass=math.pi / 6)
 
     def _do_read_data(self, line: InputLine, words: list[str]) -> None:
-        path = Path(self._word(line, words, 0))
+        path = Path(self.text.word(line, words, 0))
         if set(words[1::2]) - {"extra/bond/per/atom", "extra/special/per/atom"}:
             raise line.refuse("has options that are not read: leave them out")
         self._note_change(line)
         path = path if path.is_absolute() else self.path.parent / path
-        self._read_data(read_text(path), line, path)
+        self._atoms()
+        placed = self.dumped is not None
+        read_data(path, read_text(path), self.atom_style, self.state, placed)
 
     def _do_set(self, line: InputLine, words: list[str]) -> None:
-        style, which = self._word(line, words, 0), self._word(line, words, 1)
+        style, which = self.text.word(line, words, 0), self.text.word(line, words, 1)
         self._note_change(line)
         atoms = self._atoms()
         if style == "group":
@@ -530,13 +427,13 @@ class LammpsInput:
         rest = words[2:]
         while rest:
             key = rest[0]
-            value = self.number(self._word(line, rest, 1), line)
+            value = self.text.number(self.text.word(line, rest, 1), line)
             for atom in chosen:
                 _set(line, atom, key, value)
             rest = rest[2:]
 
     def _do_velocity(self, line: InputLine, words: list[str]) -> None:
-        members = self.members(self._word(line, words, 0), line)
+        members = self.members(self.text.word(line, words, 0), line)
         self._note_change(line)
         if words[1:3] == ["zero", "angular"]:
             return
@@ -549,108 +446,26 @@ class LammpsInput:
         for axis, word in enumerate(words[2:5]):
             if word == "NULL":
                 continue
-            value = self.number(word, line)
+            value = self.text.number(word, line)
             for n in members:
                 v = self.state.atoms[n].v
                 v[axis] = value + (v[axis] if add else 0.0)
 
-    def _do_displace_atoms(self, line: InputLine, words: list[str]) -> None:
-        members = self.members(self._word(line, words, 0), line)
-        self._note_change(line)
-        if words[1:2] != ["move"] or len(words) < 5 or words[5:] not in ([], ["units", "box"]):
-            raise line.refuse(f"is not read: use move with three numbers, or {DUMP_CURE}")
-        for axis, word in enumerate(words[2:5]):
-            by = self.number(word, line)
-            for n in members:
-                self.state.atoms[n].x[axis] += by
-
     def _do_create_bonds(self, line: InputLine, words: list[str]) -> None:
         self._note_change(line)
-        atoms = self.state.atoms
+        atoms = self._atoms()
         if words[:1] == ["single/bond"] and len(words) >= 4:
-            kind, first, second = (self._whole(word, line) for word in words[1:4])
+            kind, first, second = (self.text.whole(word, line) for word in words[1:4])
             if not {first, second} <= atoms.keys():
                 raise line.refuse("names a grain that there is not")
-            self.state.bonds.append(Bond(kind, first, second))
+            self.state.bonds.append(RunBond(kind, first, second))
         elif words[:1] == ["many"] and len(words) == 6:
             one, other = (self.members(word, line) for word in words[1:3])
-            kind = self._whole(words[3], line)
-            low, high = (self.number(word, line) for word in words[4:6])
+            kind = self.text.whole(words[3], line)
+            low, high = (self.text.number(word, line) for word in words[4:6])
             self.state.bonds += _bonds_within(atoms, one, other, kind, low, high)
         else:
             raise line.refuse("is not read: use many or single/bond, or a data file")
-
-    def _read_data(self, text: str, line: InputLine, path: Path) -> None:
-        """Read the sections of a data file."""
-        for title, rows in _sections(path, text):
-            section, _, style = (part.strip() for part in title.partition("#"))
-            if section not in SECTIONS:
-                raise InputError.at(str(path), f"has a section {shown(section)}, which is not read")
-            for row in rows:
-                here = InputLine(str(path), row.number, row.text)
-                words = here.text.partition("#")[0].split()
-                if section == "Atoms":
-                    self._data_atom(here, words, style)
-                elif section == "Velocities":
-                    self._data_velocity(here, words)
-                elif section == "Bonds":
-                    if len(words) != 4:
-                        raise here.refuse("must be number, type and two atoms")
-                    self.state.bonds.append(Bond(*(self._whole(w, here) for w in words[1:4])))
-                elif section == "Bond Coeffs":
-                    kind = self._whole(words[0], here)
-                    self.state.bond_coefficients[kind] = (here, words[1:])
-                else:
-                    self._do_mass(here, words)
-
-    def _data_atom(self, line: InputLine, words: list[str], style: str) -> None:
-        """Read a row of Atoms."""
-        known = self.atom_style if style in ("", "hybrid") else [style]
-        if style == "hybrid" and self.data_only:
-            raise line.refuse("is of a hybrid atom style: name the input that reads this file")
-        values = [self.number(word, line) for word in words]
-        single = len(known) == 1
-        # Columns behind number and type, by style; a hybrid style has the position first.
-        columns = {
-            "sphere": SPHERE,
-            "bond": ("molecule",),
-            "molecular": ("molecule",),
-            "atomic": (),
-        }
-        if set(known) - columns.keys():
-            raise line.refuse(f"is of the atom style {shown(style)}: use sphere or bond")
-        own = [column for each in known for column in columns[each]]
-        order = ["number", "kind", *own, "x", "y", "z"]
-        if single and known != ["sphere"]:
-            order = ["number", *own, "kind", "x", "y", "z"]
-        if not single:
-            order = ["number", "kind", "x", "y", "z", *own]
-        if len(values) not in (len(order), len(order) + 3):
-            raise line.refuse(f"must be {', '.join(order)}, and three image flags at most")
-        row = dict(zip(order, values, strict=False))
-        n, kind = int(row["number"]), int(row["kind"])
-        if len(values) > len(order) and any(values[len(order) :]):
-            raise line.refuse("has image flags: write unwrapped positions")
-        d = row.get("diameter", 0.0)
-        mass = math.pi / 6 * d**3 * row.get("density", 0.0) if d else math.nan
-        if self.dumped is not None:
-            if n in self._atoms():
-                self._atoms()[n].diameter, self._atoms()[n].mass = d, mass
-            return
-        if n in self.state.atoms:
-            raise line.refuse(f"is a second grain {n}")
-        self.last_number = max(self.last_number, n)
-        self.state.atoms[n] = _Atom(kind, [row[a] for a in "xyz"], diameter=d, mass=mass)
-
-    def _data_velocity(self, line: InputLine, words: list[str]) -> None:
-        """Read a row of Velocities."""
-        values = [self.number(word, line) for word in words]
-        if len(values) not in (4, 7) or any(values[4:]):
-            raise line.refuse("must be number and three velocities of a grain that does not rotate")
-        if self.dumped is None:
-            if values[0] not in self.state.atoms:
-                raise line.refuse("is of a grain that there is not")
-            self.state.atoms[int(values[0])].v = values[1:4]
 
     def grains(self) -> RunGrains:
         """Return the grains: those that the input places, or those of the dump."""
@@ -659,7 +474,10 @@ class LammpsInput:
         ordered = [atoms[n] for n in numbers]
         length, mass = self.units.length, self.units.mass
         diameters = length * np.array([atom.diameter or math.nan for atom in ordered])
-        masses = mass * np.array([atom.mass for atom in ordered])
+        types = self.state.type_masses
+        masses = mass * np.array(
+            [types.get(a.kind, math.nan) if math.isnan(a.mass) else a.mass for a in ordered]
+        )
         if self.dumped is not None:
             grains = copy.copy(self.dumped)
             known = ~np.isnan(grains.diameters)
@@ -688,90 +506,6 @@ class LammpsInput:
         step = self.state.step or DEFAULT_STEPS.get(self.units_name or "lj", 0.0)
         return step * self.units.time
 
-    # Words and numbers --------------------------------------------------------------------------
-
-    def _words(self, line: InputLine) -> list[str]:
-        """Return the words of a command with its variables replaced."""
-        text = self._expand(line)
-        return ["".join(groups) for groups in TOKENS.findall(text)]
-
-    def _expand(self, line: InputLine) -> str:
-        """Return a command with numbers in place of ${x}, $x and $(...) outside of quotes."""
-        text = line.text
-        made = ""
-        place = 0
-        while match := PIECES.search(text, place):
-            made += text[place : match.start()]
-            place = match.end()
-            if match["immediate"]:
-                depth = 1
-                begin = place
-                while depth and place < len(text):
-                    depth += {"(": 1, ")": -1}.get(text[place], 0)
-                    place += 1
-                if depth:
-                    raise line.refuse("has a bracket that is not closed")
-                made += f"{self._evaluate(text[begin : place - 1].split(':')[0], line):.15g}"
-            elif key := match["braces"] or match["letter"]:
-                made += self._value(key, line)
-            else:
-                made += match[0]
-        return made + text[place:]
-
-    def _value(self, key: str, line: InputLine) -> str:
-        """Return the text that LAMMPS puts in place of a variable."""
-        text = self.variables.get(key)
-        if text is None:
-            raise line.refuse(f"uses the variable {key}, whose value is not known without a run")
-        # Equal-style variables are evaluated, others are words.
-        try:
-            return text if LAMMPS_NUMBER.fullmatch(text) else f"{self._evaluate(text, line):.15g}"
-        except InputError:
-            if not re.fullmatch(r"[\w./-]+", text):
-                raise
-            return text
-
-    def _evaluate(self, text: str, line: InputLine, depth: int = 0) -> float:
-        """Return the value of an arithmetic expression of numbers and variables."""
-        if depth > 20:
-            raise line.refuse("has variables that depend on each other")
-        values = {}
-        for key in REFERENCE.findall(text):
-            inner = self.variables.get(key)
-            if inner is None:
-                raise line.refuse(f"uses the variable {key}, whose value is not known")
-            values[f"v_{key}"] = self._evaluate(inner, line, depth + 1)
-        if AMBIGUOUS.search(text):
-            raise line.refuse("has powers that LAMMPS reads in an order of its own: add brackets")
-        if re.search(r"\blog\s*\(", text):
-            raise line.refuse("has log, to the base of 10 in LAMMPS: use ln")
-        plain = re.sub(r"\bln\s*\(", "log(", text.replace("^", "**"))
-        try:
-            found = parse(plain).substitute({**values, "PI": number(math.pi)}).number
-        except (InputError, ArithmeticError, ValueError):
-            found = None
-        if found is None or not math.isfinite(found):
-            raise line.refuse(f"has {shown(text)}, whose value is not known without LAMMPS")
-        return found
-
-    def number(self, text: str, line: InputLine) -> float:
-        """Return a word as a number; v_name is the value of a variable."""
-        if LAMMPS_NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
-            return value
-        if text.startswith("v_"):
-            return self._evaluate(text, line)
-        raise line.refuse(f"has {shown(text)} in place of a number")
-
-    def _whole(self, text: str, line: InputLine) -> int:
-        if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
-            raise line.refuse(f"has {shown(text)} in place of a whole number")
-        return int(text)
-
-    def _word(self, line: InputLine, words: Sequence[str], place: int) -> str:
-        if place >= len(words):
-            raise line.refuse("is too short")
-        return words[place]
-
 
 def units_of(path: Path) -> str | None:
     """Return the unit style that an input file names; None if it names none."""
@@ -779,91 +513,7 @@ def units_of(path: Path) -> str | None:
     return found[1] if found else None
 
 
-def read_text(path: Path) -> str:
-    """Return the text of a file of LAMMPS."""
-    try:
-        check_readable(path, LARGEST_FILE)
-        return path.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        raise InputError.at(str(path), "there is no such file") from None
-    except UnicodeDecodeError:
-        cure = "name an input, a data file or a dump"
-        raise InputError.at(str(path), f"is not text: {cure}") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or error
-        raise InputError.at(str(path), f"cannot be read: {reason}") from None
-
-
-def _is_data(text: str) -> bool:
-    """Return whether a text is a data file: its header counts atoms."""
-    head = text[: 2**14].split("\n")[1:40]
-    return any(re.fullmatch(r"\s*\d+\s+atoms\s*", line.partition("#")[0]) for line in head)
-
-
-def _lines(file: str, text: str) -> Iterator[InputLine]:
-    """Yield the commands of a text, without comments and with continued lines joined."""
-    waiting = ""
-    begin = 0
-    for count, raw in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
-        begin = begin or count
-        waiting += raw
-        if waiting.count('"""') % 2:
-            waiting += "\n"
-            continue
-        stripped = _without_comment(waiting).rstrip()
-        if stripped.endswith("&"):
-            waiting = stripped[:-1] + " "
-            continue
-        if stripped.strip():
-            if not stripped.isprintable() and not stripped.replace("\t", " ").isprintable():
-                stripped = " ".join(stripped.split())
-            yield InputLine(file, begin, stripped.strip())
-        waiting = ""
-        begin = 0
-    if waiting.strip():
-        raise InputError.at(file, f"line {begin} is continued, but there is no further line")
-
-
-def _without_comment(text: str) -> str:
-    """Return a line up to a # outside of quotes."""
-    quote = ""
-    for place, letter in enumerate(text):
-        if letter == quote:
-            quote = ""
-        elif not quote and letter in "\"'":
-            quote = letter
-        elif not quote and letter == "#":
-            return text[:place]
-    return text
-
-
-class _Row(NamedTuple):
-    """A line of a section of a data file."""
-
-    number: int
-    text: str
-
-
-def _sections(path: Path, text: str) -> Iterator[tuple[str, list[_Row]]]:
-    """Yield title and rows of every section of a data file."""
-    title = ""
-    rows: list[_Row] = []
-    for count, raw in enumerate(text.split("\n")[1:], 2):
-        line = raw.strip()
-        if not line or line.startswith("#"):
-            continue
-        if line[0].isalpha():
-            if title:
-                yield title, rows
-            title, rows = line, []
-        elif title:
-            rows.append(_Row(count, line))
-    if not title:
-        raise InputError.at(str(path), "has no section Atoms")
-    yield title, rows
-
-
-def _set(line: InputLine, atom: _Atom, key: str, value: float) -> None:
+def _set(line: InputLine, atom: RunAtom, key: str, value: float) -> None:
     """Carry out one keyword of the command set, as LAMMPS does."""
     if key in ("x", "y", "z"):
         atom.x["xyz".index(key)] = value
@@ -883,13 +533,13 @@ def _set(line: InputLine, atom: _Atom, key: str, value: float) -> None:
 
 
 def _bonds_within(
-    atoms: dict[int, _Atom],
+    atoms: dict[int, RunAtom],
     one: frozenset[int],
     other: frozenset[int],
     kind: int,
     low: float,
     high: float,
-) -> list[Bond]:
+) -> list[RunBond]:
     """Return bonds between the atoms of two groups at a distance between two bounds."""
     both = sorted(one & atoms.keys())
     partners = sorted(other & atoms.keys())
@@ -899,7 +549,7 @@ def _bonds_within(
         for b in partners
         if a != b and low <= math.dist(atoms[a].x, atoms[b].x) <= high
     }
-    return [Bond(kind, first, second) for first, second in sorted(found)]
+    return [RunBond(kind, first, second) for first, second in sorted(found)]
 
 
 def _unread_fix(style: str) -> str:

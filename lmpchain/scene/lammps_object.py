@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import InputError, shown
 from ..util.lammps_units import read_units
-from .lammps_input import OBSERVERS, RunGrains
+from .lammps_input import OBSERVERS
+from .lammps_state import RunGrains
 
 NAME = "lmp"
 FIX = re.compile(r"Fix\[.*?\]:\s*(\S+),\s*style = (\S+),\s*group = (\S+)")

@@ -11,7 +11,8 @@ import numpy as np
 
 from ..errors import InputError
 from ..scene.lammps_column import RunOptions, Understood, infer_scene
-from ..scene.lammps_input import LammpsInput, RunGrains, units_of
+from ..scene.lammps_input import LammpsInput, units_of
+from ..scene.lammps_state import RunGrains
 from ..util.arrays import Array
 from ..util.files import expanded
 from .dump_frames import AXES, TYPE, Frames, count_atoms, is_dump, read_frames

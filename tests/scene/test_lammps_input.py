@@ -104,7 +104,7 @@ REFUSED = {
     "hooke with hertz": (
         "",
         "fix 9 all wall/gran hooke 1e9 NULL 0 NULL 0 0 xplane -0.005 NULL",
-        "has contacts of hertz and of hooke",
+        "has contacts of hooke, the grains of hertz",
     ),
     "gravity aside": ("", "fix 9 all gravity 9.81 vector 0 0 -1", "must be along the column, x"),
     "gravity of some": ("", "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0", "must act on"),

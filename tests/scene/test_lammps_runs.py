@@ -62,8 +62,8 @@ def test_the_command_writes_a_scene_that_check_takes(tmp_path: Path, capsys):
     said = capsys.readouterr().out.splitlines()
     facts = dict(line.split(": ", 1) for line in said if ": " in line)
     assert facts["column"].startswith("20 grains along z, which points up: grain 1 is atom 20")
-    assert facts["gravity"].startswith("9.81 m/s2 (inferred")
-    assert facts["load"] == "none (from 18 overlaps at rest)"
+    assert facts["gravity"].startswith("9.81 m/s2 (from overlaps")
+    assert facts["load"] == "none (from 18 overlaps, taken to be at rest)"
     assert facts["bottom"] == "grain 20 is held"
     assert facts["start"] == "grain 1 moves at 0.05 m/s, positive downward"
     assert float(facts["equilibrium"].split("at most ")[1].split(" N")[0]) < 1e-9
