@@ -19,7 +19,7 @@ from ..errors import InputError
 from ..util.arrays import Array
 from .acting import Drive
 from .excitation import Impulse
-from .lammps_contacts import OLD_WALLS, read_model, read_old_model
+from .lammps_contacts import read_wall
 from .lammps_forces import ColumnGrains, bond_forces, pair_forces, span
 from .lammps_input import LammpsInput
 from .lammps_load import fit_line, gravity_of, load_between, mean_load
@@ -31,11 +31,11 @@ AXES = "xyz"
 BESIDE = 1e-6  # of a diameter: how far from the axis a grain may be
 SIDEWAYS = 1e-9  # of the largest velocity: how fast it may move sideways
 SAME = 5e-6  # relative difference of masses of which one has six digits
-ROUNDING = 1e-14  # relative difference of equal numbers
+EQUAL = 1e-14  # relative difference of equal numbers
 AT_REST = 1e-6  # of an overlap, by which it may differ from that at rest
 QUIET = 1e-6  # of the largest velocity, below which a grain is at rest
-FEWEST = 3  # contacts at rest, from which gravity and load follow
-FAR = 0.1  # of a diameter: the distance from which a wall is none of the column
+FEWEST_CONTACTS = 3  # contacts at rest, from which gravity and load follow
+FAR_WALL = 0.1  # of a diameter: the distance from which a wall is none of the column
 RESOLVED = 1e-2  # of the largest overlap: rounding from which forces cannot be inferred
 
 
@@ -126,10 +126,10 @@ def infer_scene(
     InputError
         If it is not one column that a scene can describe, or something is missing.
     """
-    return _Column(grains, source, options or RunOptions()).understood()
+    return RunColumn(grains, source, options or RunOptions()).understood()
 
 
-class _Column:
+class RunColumn:
     """A column of grains, numbered along the axis until the top is known."""
 
     def __init__(self, grains: RunGrains, source: LammpsInput | None, options: RunOptions):
@@ -357,76 +357,51 @@ class _Column:
     def _wall(self, fix: RunFix, ends: list[ColumnEnd]) -> None:
         """Read `fix wall/gran` as an end of the column."""
         assert self.source is not None
-        words = [word for word in fix.words if word != "contacts"]
-        read = self.source.text.number
-        style = words[0] if words else ""
-        if style == "granular":
-            model, rest = read_model(fix.line, words[1:], read)
-        elif style in OLD_WALLS:
-            model, rest = read_old_model(fix.line, OLD_WALLS[style], words[1:], read)
-        else:
-            raise fix.line.refuse(f"has no contact style granular, {', '.join(OLD_WALLS)}")
-        if len(rest) != 3 or rest[0] not in ("xplane", "yplane", "zplane"):
-            raise fix.line.refuse("must end in xplane, yplane or zplane and two places")
+        model, rest = read_wall(fix.line, fix.words, self.source.text.number)
         axis = AXES.index(rest[0][0])
-        units = self.source.units
+        radii = self.grains.diameters[self.order] / 2
         for side, word in enumerate(rest[1:]):
             if word == "NULL":
                 continue
-            plane = units.length * read(word, fix.line)
-            place = (0, -1)[side]
-            sign = (1.0, -1.0)[side]
-            distances = sign * (self.grains.positions[self.order, axis] - plane)
-            radii = self.grains.diameters[self.order] / 2
-            if axis != self.axis:
-                if (distances < radii).any():
-                    raise fix.line.refuse(
-                        f"touches the column from the side: only walls along {AXES[self.axis]} act"
-                    )
+            plane = self.source.units.length * self.source.text.number(word, fix.line)
+            # The first plane is below the grains along its axis, the second one above.
+            sign = 1.0 - 2.0 * side
+            overlaps = radii - sign * (self.grains.positions[self.order, axis] - plane)
+            if axis != self.axis and (overlaps > 0).any():
+                raise fix.line.refuse(
+                    f"touches the column from the side: only walls along {AXES[self.axis]} act"
+                )
+            place = -side
+            nearest = float(overlaps[place])
+            if axis != self.axis or self.held[place] or not self._among(fix)[place]:
                 continue
-            if not self._among(fix)[place]:
-                continue
-            gap = float(distances[place] - radii[place])
-            if gap > FAR * radii[place]:
-                self._say(f"wall at {word}", f"left out: no grain is nearer than {gap:.3g} m")
-                continue
-            if self.held[place]:
+            if nearest < -FAR_WALL * radii[place]:
+                self._say(f"wall at {word}", f"left out: no grain is nearer than {-nearest:.3g} m")
                 continue
             if ends[side].kind == "wall":
                 raise fix.line.refuse("is a second wall at one end")
+            constant = model.constant(float(radii[place]), self.source.units)
             mass = float(self.grains.masses[self.order[place]])
-            ends[side] = ColumnEnd(
-                "wall",
-                model.constant(float(radii[place]), units),
-                float(radii[place] - distances[place]),
-                fix.line,
-                model.relaxation(mass, units),
-                model.model,
-            )
+            relaxation = model.relaxation(mass, self.source.units)
+            ends[side] = ColumnEnd("wall", constant, nearest, fix.line, relaxation, model.model)
 
     def _contacts(self) -> dict[str, Any]:
         """Return the fields of a chain that give its contacts, grains along the axis."""
-        source, grains = self.source, self.grains
-        if source is None or not (self._style("bond") or self._style("pair")):
-            if source and source.state.bonds:
-                raise InputError.at(str(source.path), "has bonds of a style that its input names")
-            if self._has_commands and source:
-                raise InputError.at(str(source.path), "has neither pair_style nor bond_style")
+        bonded, paired = self._style("bond"), self._style("pair")
+        source, grains, order = self.source, self.grains, self.order
+        if source is None or not (bonded or paired):
             return self._materials()
-        if self._style("bond") and self._style("pair") and source.state.pair:
+        if bonded and paired and source.state.pair:
             raise source.state.pair[0].refuse("acts beside bonds: a scene has one of them")
-        frozen = np.zeros(len(self.order), dtype=bool)
-        for fix in self._fixes("freeze"):
-            frozen |= self._among(fix)
-        order = self.order
+        frozen = np.any([self._among(fix) for fix in self._fixes("freeze")], axis=0)
         ordered = ColumnGrains(
             numbers=grains.numbers[order],
             types=grains.types[order],
             diameters=grains.diameters[order],
             masses=grains.masses[order],
-            frozen=frozen,
+            frozen=np.broadcast_to(frozen, len(order)),
         )
-        forces = (bond_forces if self._style("bond") else pair_forces)(source, ordered)
+        forces = (bond_forces if bonded else pair_forces)(source, ordered)
         for end in self.ends:
             if end.line and end.model != forces.model:
                 raise end.line.refuse(f"has contacts of {end.model}, the grains of {forces.model}")
@@ -462,6 +437,10 @@ class _Column:
 
     def _materials(self) -> dict[str, Any]:
         """Return the fields of grains of the material that the user names."""
+        if self.source and self.source.state.bonds:
+            raise self._refuse("has bonds, whose style its input names: name the input, too")
+        if self._has_commands:
+            raise self._refuse("has neither pair_style nor bond_style: nothing acts")
         assert self.material is not None
         own = sphere_mass(self.material.density, self.grains.diameters)
         fields: dict[str, Any] = {"material": self.material}
@@ -516,7 +495,7 @@ class _Column:
         """Return how the forces of contacts grow along the axis, or 0 if they do not."""
         forces, errors, quiet = self._forces(self._trial())
         masses = np.cumsum(self.grains.masses[self.order])[:-1]
-        if quiet.sum() < FEWEST:
+        if quiet.sum() < FEWEST_CONTACTS:
             return 0.0
         line = fit_line(masses[quiet], forces[quiet], errors[quiet])
         return math.copysign(gravity_of(line, masses[quiet], forces[quiet]), line.slope)
@@ -546,7 +525,7 @@ class _Column:
         quiet = np.abs(self.v) <= QUIET * np.abs(self.v).max()
         still = quiet[:-1] & quiet[1:]
         # A struck grain has not moved yet in the first frame.
-        return forces, errors, still if still.sum() >= FEWEST else np.ones_like(still)
+        return forces, errors, still if still.sum() >= FEWEST_CONTACTS else np.ones_like(still)
 
     def _load(self, chain: Chain) -> tuple[float, float]:
         """Return gravity, m/s2, and the load on top, N, as the input says or the overlaps do."""
@@ -583,7 +562,7 @@ class _Column:
 
     def _infer_gravity(self, weights: Array, forces: Array, errors: Array) -> float:
         """Return gravity from how the forces at rest grow from grain to grain, m/s2."""
-        if weights.size < FEWEST:
+        if weights.size < FEWEST_CONTACTS:
             self._say("gravity", "none (too few contacts at rest to infer it)")
             return 0.0
         line = fit_line(weights, forces, errors)
@@ -810,7 +789,7 @@ def _reverse(value: Any) -> Any:
 
 def _one_or_many(values: Array) -> Any:
     """Return one number if all agree up to rounding, else all of them."""
-    alike = np.ptp(values) <= ROUNDING * np.abs(values).max()
+    alike = np.ptp(values) <= EQUAL * np.abs(values).max()
     return float(values[0]) if alike else values
 
 

@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 from ..chain.contacts import reduced
 from ..util.lammps_units import Units
+from ..util.suggestions import either
 from .lammps_text import InputLine
 
 # Numbers of coefficients behind the name of a model.
@@ -27,6 +28,8 @@ TANGENTIAL = {
     "mindlin_rescale/force": 3,
 }
 TURNING = {"none": 0, "marshall": 0, "sds": 3}
+KEYWORDS = ("tangential", "rolling", "twisting", "damping", "heat", "cutoff", "limit_damping")
+PLANES = ("xplane", "yplane", "zplane")
 COHESIVE = ("dmt", "jkr", "mdr")
 OLD_STYLES = {
     "gran/hooke": "hooke",
@@ -130,26 +133,14 @@ def read_model(
     values, rest = _take(line, words, NORMAL[name])
     first, eta, *ratio = (number(value, line) for value in values)
     damped_by = "viscoelastic"
-    while rest:
+    while rest and rest[0] in KEYWORDS:
         word = rest[0]
-        if word in ("tangential", "rolling", "twisting"):
-            models = TANGENTIAL if word == "tangential" else TURNING
-            kind = rest[1] if len(rest) > 1 else ""
-            if kind not in models:
-                raise line.refuse(f"has {word} {kind}, which is not one of {', '.join(models)}")
-            _, rest = _take(line, rest[1:], models[kind])
-        elif word == "damping":
+        if word == "damping":
             (damped_by,), rest = _take(line, rest, 1)
-        elif word == "heat" and rest[1:2] == ["none"]:
-            rest = rest[2:]
-        elif word in ("cutoff", "heat"):
-            raise line.refuse(f"has {word}, which no scene has: take it out")
         elif word == "limit_damping":
-            if eta:
-                raise line.refuse("has limit_damping, which no scene has: take it out")
-            rest = rest[1:]
+            rest = _without_limit(line, eta, rest)
         else:
-            break
+            rest = _skip(line, rest)
     if not first > 0:
         raise line.refuse(f"must have a stiffness above 0 (got {first:g})")
     if name == "hertz/material":
@@ -169,11 +160,45 @@ def read_old_model(
     if not stiffness > 0:
         raise line.refuse(f"must have a stiffness above 0 (got {stiffness:g})")
     if rest[:1] == ["limit_damping"]:
-        if damping:
-            raise line.refuse("has limit_damping, which no scene has: take it out")
-        rest = rest[1:]
+        rest = _without_limit(line, damping, rest)
     damped_by = "viscoelastic" if model == "hertz" else "mass_velocity"
     return GrainForce(line, model, stiffness, damping, damped_by), rest
+
+
+def read_wall(
+    line: InputLine, words: Sequence[str], number: ReadNumber
+) -> tuple[GrainForce, list[str]]:
+    """Return the model of `fix wall/gran`, and its last words: kind of planes, and two places."""
+    given = [word for word in words if word != "contacts"]
+    style = given[0] if given else ""
+    if style == "granular":
+        model, rest = read_model(line, given[1:], number)
+    elif style in OLD_WALLS:
+        model, rest = read_old_model(line, OLD_WALLS[style], given[1:], number)
+    else:
+        raise line.refuse(f"has no contact style granular, {', '.join(OLD_WALLS)}")
+    if len(rest) != 3 or rest[0] not in PLANES:
+        raise line.refuse(f"must end in {either(PLANES)} and two places")
+    return model, rest
+
+
+def _skip(line: InputLine, words: list[str]) -> list[str]:
+    """Return the words behind a force that does not act in a straight column."""
+    word = words[0]
+    kind = words[1] if len(words) > 1 else ""
+    if word == "cutoff" or (word == "heat" and kind != "none"):
+        raise line.refuse(f"has {word}, which no scene has: take it out")
+    models = TANGENTIAL if word == "tangential" else TURNING
+    if kind not in models:
+        raise line.refuse(f"has {word} {kind}, which is not one of {', '.join(models)}")
+    return _take(line, words[1:], models[kind])[1]
+
+
+def _without_limit(line: InputLine, damping: float, words: list[str]) -> list[str]:
+    """Return the words behind limit_damping, which changes nothing without damping."""
+    if damping:
+        raise line.refuse("has limit_damping, which no scene has: take it out")
+    return words[1:]
 
 
 def _take(line: InputLine, words: Sequence[str], count: int) -> tuple[list[str], list[str]]:

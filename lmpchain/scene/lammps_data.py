@@ -12,8 +12,9 @@ from .lammps_state import RunAtom, RunBond, RunState
 from .lammps_text import InputLine, Variables
 
 HEADER_LINES = 40
+TEXT = Variables()  # a data file has none
 # Columns of a row of Atoms between number, type and position, by atom style.
-COLUMNS = {
+ATOM_COLUMNS = {
     "sphere": ("diameter", "density"),
     "bond": ("molecule",),
     "molecular": ("molecule",),
@@ -45,52 +46,69 @@ def read_data(path: Path, text: str, styles: Sequence[str], state: RunState, pla
     InputError
         If a section or a row is not understood.
     """
-    text_of = Variables()
-
-    def atom(line: InputLine, words: list[str], style: str) -> None:
-        n, made = _read_atom(line, words, style, styles)
-        if not placed and n in state.atoms:
-            raise line.refuse(f"is a second grain {n}")
-        if not placed:
-            state.last_number = max(state.last_number, n)
-            state.atoms[n] = made
-        elif n in state.atoms:
-            state.atoms[n].diameter, state.atoms[n].mass = made.diameter, made.mass
-
-    def velocity(line: InputLine, words: list[str], _: str) -> None:
-        n, *values = (text_of.number(word, line) for word in words)
-        if len(values) not in (3, 6) or any(values[3:]):
-            raise line.refuse("must be number and three velocities of a grain that does not rotate")
-        if n not in state.atoms:
-            raise line.refuse("is of a grain that there is not")
-        if not placed:
-            state.atoms[int(n)].v = values[:3]
-
-    def mass(line: InputLine, words: list[str], _: str) -> None:
-        kind = text_of.whole(words[0], line)
-        state.type_masses[kind] = text_of.number(text_of.word(line, words, 1), line)
-
-    def bond(line: InputLine, words: list[str], _: str) -> None:
-        if len(words) != 4:
-            raise line.refuse("must be number, type and two atoms")
-        state.bonds.append(RunBond(*(text_of.whole(word, line) for word in words[1:])))
-
-    def coefficient(line: InputLine, words: list[str], _: str) -> None:
-        state.bond_coefficients[text_of.whole(words[0], line)] = (line, words[1:])
-
+    reader = _DataReader(state, styles, placed)
     readers: dict[str, Callable[[InputLine, list[str], str], None]] = {
-        "Atoms": atom,
-        "Velocities": velocity,
-        "Masses": mass,
-        "Bonds": bond,
-        "Bond Coeffs": coefficient,
+        "Atoms": reader.atom,
+        "Velocities": reader.velocity,
+        "Masses": reader.mass,
+        "Bonds": reader.bond,
+        "Bond Coeffs": reader.coefficient,
     }
     for section, style, rows in _sections(path, text):
         if section not in readers:
             raise InputError.at(str(path), f"has a section {shown(section)}, which is not read")
         for line in rows:
-            if words := text_of.words(line):
+            if words := TEXT.words(line):
                 readers[section](line, words, style)
+
+
+class _DataReader:
+    """Readers of the rows of each section."""
+
+    def __init__(self, state: RunState, styles: Sequence[str], placed: bool):
+        self.state = state
+        self.styles = styles
+        self.placed = placed
+
+    def atom(self, line: InputLine, words: list[str], style: str) -> None:
+        """Read a row of Atoms."""
+        atoms = self.state.atoms
+        n, made = _read_atom(line, words, style, self.styles)
+        if self.placed:
+            if n in atoms:
+                made.x = atoms[n].x
+                atoms[n] = made
+        elif n in atoms:
+            raise line.refuse(f"is a second grain {n}")
+        else:
+            self.state.last_number = max(self.state.last_number, n)
+            atoms[n] = made
+
+    def velocity(self, line: InputLine, words: list[str], _: str) -> None:
+        """Read a row of Velocities."""
+        n, *values = (TEXT.number(word, line) for word in words)
+        if len(values) not in (3, 6) or any(values[3:]):
+            raise line.refuse("must be number and three velocities of a grain that does not rotate")
+        if self.placed:
+            return
+        if n not in self.state.atoms:
+            raise line.refuse("is of a grain that there is not")
+        self.state.atoms[int(n)].v = values[:3]
+
+    def mass(self, line: InputLine, words: list[str], _: str) -> None:
+        """Read a row of Masses."""
+        kind = TEXT.whole(words[0], line)
+        self.state.type_masses[kind] = TEXT.number(TEXT.word(line, words, 1), line)
+
+    def bond(self, line: InputLine, words: list[str], _: str) -> None:
+        """Read a row of Bonds."""
+        if len(words) != 4:
+            raise line.refuse("must be number, type and two atoms")
+        self.state.bonds.append(RunBond(*(TEXT.whole(word, line) for word in words[1:])))
+
+    def coefficient(self, line: InputLine, words: list[str], _: str) -> None:
+        """Read a row of Bond Coeffs."""
+        self.state.bond_coefficients[TEXT.whole(words[0], line)] = (line, words[1:])
 
 
 def _read_atom(
@@ -100,9 +118,9 @@ def _read_atom(
     if style == "hybrid" and not styles:
         raise line.refuse("is of a hybrid atom style: name the input that reads this file")
     known = (styles or ["sphere"]) if style in ("", "hybrid") else [style]
-    if set(known) - COLUMNS.keys():
+    if set(known) - ATOM_COLUMNS.keys():
         raise line.refuse(f"is of the atom style {shown(style)}: use sphere or bond")
-    own = [column for each in known for column in COLUMNS[each]]
+    own = [column for each in known for column in ATOM_COLUMNS[each]]
     if len(known) > 1:
         # A hybrid style has the position first.
         order = ["number", "kind", "x", "y", "z", *own]
@@ -110,8 +128,7 @@ def _read_atom(
         order = ["number", "kind", *own, "x", "y", "z"]
     else:
         order = ["number", *own, "kind", "x", "y", "z"]
-    text = Variables()
-    values = [text.number(word, line) for word in words]
+    values = [TEXT.number(word, line) for word in words]
     if len(values) not in (len(order), len(order) + 3):
         raise line.refuse(f"must be {', '.join(order)}, and three image flags at most")
     if any(values[len(order) :]):

@@ -260,6 +260,8 @@ class LammpsInput:
         rest = words[2:]
         atoms = self._atoms()
         if style in ("id", "type"):
+            if style == "type" and any(atom.kind == 0 for atom in atoms.values()):
+                raise line.refuse("depends on types, which the dump does not have: dump type")
             of = (lambda n: n) if style == "id" else (lambda n: atoms[n].kind)
             found = self._select(line, rest)
             members = frozenset(n for n in atoms if found(of(n)))
@@ -365,7 +367,11 @@ class LammpsInput:
         low, high = sorted((first, second))
         found = None
         for line, words in self.state.pair_coefficients:
-            if low in self._range(words[0], line) and high in self._range(words[1], line):
+            if low == 0 and words[:2] != ["*", "*"]:
+                raise line.refuse("depends on types, which the dump does not have: dump type")
+            if low == 0 or (
+                low in self._range(words[0], line) and high in self._range(words[1], line)
+            ):
                 found = line, words[2:]
         return found
 
@@ -483,21 +489,20 @@ class LammpsInput:
             known = ~np.isnan(grains.diameters)
             grains.diameters = np.where(known, grains.diameters, diameters)
             grains.masses = np.where(np.isnan(grains.masses), masses, grains.masses)
-        else:
-            x = length * np.array([atom.x for atom in ordered])
-            v = self.units.velocity * np.array([atom.v for atom in ordered])
-            kinds = np.array([atom.kind for atom in ordered])
-            slack = 4 * float(np.spacing(np.abs(x).max()))
-            grains = RunGrains(str(self.path), numbers, kinds, x, v, diameters, masses, slack)
-            if self.running is not None and self.step_s:
-                grains.duration = self.steps * self.step_s
-                even = self.every and self.steps % self.every == 0
-                grains.samples = self.steps // self.every + 1 if even else 0
-            if self.box:
-                sides = length * np.diff(self.box)[::2]
-                grains.period = np.where(self.periodic, sides, math.inf)
-            elif not self.data_only:
-                grains.period = np.where(self.periodic, math.nan, math.inf)
+            grains.types = np.array([atom.kind for atom in ordered])
+            return grains
+        x = length * np.array([atom.x for atom in ordered])
+        v = self.units.velocity * np.array([atom.v for atom in ordered])
+        kinds = np.array([atom.kind for atom in ordered])
+        slack = 4 * float(np.spacing(np.abs(x).max()))
+        grains = RunGrains(str(self.path), numbers, kinds, x, v, diameters, masses, slack)
+        if self.running is not None:
+            grains.duration = self.steps * self.step_s
+            even = self.every and self.steps % self.every == 0
+            grains.samples = self.steps // self.every + 1 if even else 0
+        if not self.data_only:
+            sides = length * np.diff(self.box)[::2] if self.box else math.nan
+            grains.period = np.where(self.periodic, sides, math.inf)
         return grains
 
     @property

@@ -16,7 +16,7 @@ from ..util.lammps_units import read_units
 from .lammps_input import OBSERVERS
 from .lammps_state import RunGrains
 
-NAME = "lmp"
+ARGUMENT = "lmp"
 FIX = re.compile(r"Fix\[.*?\]:\s*(\S+),\s*style = (\S+),\s*group = (\S+)")
 MOVING = ("nve", "nve/sphere")
 # Fixes of a column whose effect is seen in its overlaps.
@@ -49,14 +49,16 @@ def grains_of(
         If it has no grains, or fixes whose effect only an input file tells.
     """
     if not hasattr(lmp, "extract_atom") or not hasattr(lmp, "numpy"):
-        raise InputError.at(NAME, f"must be a lammps.lammps object (got {shown(lmp)})")
+        raise InputError.at(ARGUMENT, f"must be a lammps.lammps object (got {shown(lmp)})")
     said = lmp.extract_global("units") or ""
     scale = read_units(units, said)
     count = int(lmp.get_natoms())
     if count != lmp.extract_global("nlocal"):
-        raise InputError.at(NAME, "has its grains on several ranks: use an instance of one rank")
+        raise InputError.at(
+            ARGUMENT, "has its grains on several ranks: use an instance of one rank"
+        )
     if not count:
-        raise InputError.at(NAME, "has no grains: create them first")
+        raise InputError.at(ARGUMENT, "has no grains: create them first")
 
     def column(name: str) -> Any:
         values = lmp.numpy.extract_atom(name)
@@ -70,7 +72,7 @@ def grains_of(
     low, high, *_, periodic, _ = lmp.extract_box()
     sides = scale.length * (np.array(high) - np.array(low))
     return RunGrains(
-        source=NAME,
+        source=ARGUMENT,
         numbers=numbers[order].astype(int),
         types=column("type")[order].astype(int),
         positions=positions,
@@ -89,7 +91,7 @@ def _held(lmp: Any, masks: np.ndarray) -> np.ndarray:
     for fix in fixes:
         if fix.style not in UNDERSTOOD:
             raise InputError.at(
-                NAME,
+                ARGUMENT,
                 f"has fix {fix.style}, whose effect LAMMPS does not tell: name the input file, "
                 "input=...",
             )
@@ -102,7 +104,7 @@ def _held(lmp: Any, masks: np.ndarray) -> np.ndarray:
         elif fix.style == "freeze":
             moving &= (masks & bit) == 0
     if not moving.any():
-        raise InputError.at(NAME, "has no fix nve or nve/sphere: nothing moves")
+        raise InputError.at(ARGUMENT, "has no fix nve or nve/sphere: nothing moves")
     return ~moving
 
 

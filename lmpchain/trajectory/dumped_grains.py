@@ -43,6 +43,19 @@ def scene_of_run(
     InputError
         If the files are not understood, or something is missing.
     """
+    dumps, inputs = _sorted_files(paths)
+    # A dump that does not name its units has those of its input.
+    own = units if units is not None or not inputs else units_of(inputs[0])
+    grains = read_grains(dumps[0], own) if dumps else None
+    source = LammpsInput(inputs[0], grains, units) if inputs else None
+    if grains is None or source is not None:
+        assert source is not None
+        grains = source.grains()
+    return infer_scene(grains, source, options)
+
+
+def _sorted_files(paths: Sequence[str | PathLike[str]]) -> tuple[list[Path], list[Path]]:
+    """Return the dump, and the input or data file, among these files, at most one of each."""
     files = [expanded(path) for path in paths]
     for file in files:
         if not file.is_file():
@@ -52,14 +65,7 @@ def scene_of_run(
     inputs = [file for file in files if file not in dumps]
     if len(dumps) > 1 or len(inputs) > 1:
         raise InputError.at("from", "must be a dump, an input or data file, or one of each")
-    # A dump that does not name its units has those of its input.
-    own = units if units is not None or not inputs else units_of(inputs[0])
-    grains = read_grains(dumps[0], own) if dumps else None
-    source = LammpsInput(inputs[0], grains, units) if inputs else None
-    if grains is None or source is not None:
-        assert source is not None
-        grains = source.grains()
-    return infer_scene(grains, source, options)
+    return dumps, inputs
 
 
 def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGrains:
@@ -92,7 +98,7 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     unknown = np.full((1, count), math.nan)
     diameters = columns.get("diameter", 2 * columns.get("radius", unknown))[0]
     masses = columns.get("mass", unknown)[0]
-    types = frames.columns[TYPE][0] if TYPE in frames.columns else np.ones(count)
+    types = frames.columns[TYPE][0] if TYPE in frames.columns else np.zeros(count)
     # Positions of the first frame may be round numbers, those of later frames are not.
     written = frames.columns[frames.position_columns[along]]
     digit = frames.units.length * last_digit(written.ravel())
