@@ -369,9 +369,8 @@ class LammpsInput:
         for line, words in self.state.pair_coefficients:
             if low == 0 and words[:2] != ["*", "*"]:
                 raise line.refuse("depends on types, which the dump does not have: dump type")
-            if low == 0 or (
-                low in self._range(words[0], line) and high in self._range(words[1], line)
-            ):
+            ranges = [self._range(word, line) for word in words[:2]]
+            if low == 0 or (low in ranges[0] and high in ranges[1]):
                 found = line, words[2:]
         return found
 
@@ -480,10 +479,7 @@ class LammpsInput:
         ordered = [atoms[n] for n in numbers]
         length, mass = self.units.length, self.units.mass
         diameters = length * np.array([atom.diameter or math.nan for atom in ordered])
-        types = self.state.type_masses
-        masses = mass * np.array(
-            [types.get(a.kind, math.nan) if math.isnan(a.mass) else a.mass for a in ordered]
-        )
+        masses = mass * np.array([self._mass(atom) for atom in ordered])
         if self.dumped is not None:
             grains = copy.copy(self.dumped)
             known = ~np.isnan(grains.diameters)
@@ -504,6 +500,11 @@ class LammpsInput:
             sides = length * np.diff(self.box)[::2] if self.box else math.nan
             grains.period = np.where(self.periodic, sides, math.inf)
         return grains
+
+    def _mass(self, atom: RunAtom) -> float:
+        """Return the mass of a grain; of a point, that of its type."""
+        of_type = self.state.type_masses.get(atom.kind, math.nan)
+        return of_type if math.isnan(atom.mass) else atom.mass
 
     @property
     def step_s(self) -> float:
