@@ -22,7 +22,7 @@ from .excitation import Impulse
 from .lammps_contacts import read_wall
 from .lammps_forces import ColumnGrains, bond_forces, pair_forces, span
 from .lammps_input import LammpsInput
-from .lammps_load import fit_line, gravity_of, load_between, mean_load
+from .lammps_load import CERTAIN, fit_line, gravity_of, load_between, mean_load
 from .lammps_state import RunFix, RunGrains
 from .lammps_text import InputLine
 from .profile import Profile
@@ -35,6 +35,7 @@ EQUAL = 1e-14  # relative difference of equal numbers
 AT_REST = 1e-6  # of an overlap, by which it may differ from that at rest
 QUIET = 1e-6  # of the largest velocity, below which a grain is at rest
 FEWEST_CONTACTS = 3  # contacts at rest, from which gravity and load follow
+UNLIKE = 1e-2  # relative difference of forces at rest from which a column is not at rest
 FAR_WALL = 0.1  # of a diameter: the distance from which a wall is none of the column
 RESOLVED = 1e-2  # of the largest overlap: rounding from which forces cannot be inferred
 
@@ -549,6 +550,7 @@ class RunColumn:
             self._say("load", "none (no fix addforce on a grain)")
             return gravity, 0.0
         rest = forces[quiet] - gravity * weights[quiet]
+        self._check_rest(rest, forces[quiet], errors[quiet])
         load = mean_load(rest, errors[quiet], float(np.abs(forces).max()))
         if load < 0:
             raise self._refuse(
@@ -559,6 +561,15 @@ class RunColumn:
         as_force = f"{load:.9g} N ({origin}, as a constant force on grain 1)"
         self._say("load", as_force if load else f"none ({origin})")
         return gravity, load
+
+    def _check_rest(self, rest: Array, forces: Array, errors: Array) -> None:
+        """Raise `InputError` if forces less weights, (C,) N, differ too much for grains at rest."""
+        spread = np.abs(rest - np.median(rest))
+        if (spread > CERTAIN * errors + UNLIKE * np.abs(forces).max()).any():
+            raise self._refuse(
+                "its first frame is not at rest, so that its overlaps do not tell the load: dump "
+                "from the strike on, or name the input file beside the dump"
+            )
 
     def _infer_gravity(self, weights: Array, forces: Array, errors: Array) -> float:
         """Return gravity from how the forces at rest grow from grain to grain, m/s2."""
@@ -662,6 +673,9 @@ class RunColumn:
         displacement = self._displacement(chain, self._overlaps())
         excitation = self._excitation(chain, displacement)
         recording = self._recording()
+        if self.source and (indices := self.source.text.indices):
+            given = ", ".join(f"{key} = {value}" for key, value in indices.items())
+            self._say("variables", f"{given}, as in the file: -var may have set others")
         if self.source and self.source.ignored:
             self._say("not read", f"{', '.join(self.source.ignored)}: they change no motion")
         fields = {"chain": chain, "excitation": excitation, **recording}

@@ -35,7 +35,7 @@ WITHOUT_PHYSICS = {
     *("thermo", "thermo_style", "thermo_modify", "compute", "compute_modify", "uncompute"),
     *("dump_modify", "undump", "restart", "write_restart", "write_data", "write_dump"),
     *("neighbor", "neigh_modify", "comm_modify", "comm_style", "processors", "newton"),
-    *("atom_modify", "special_bonds", "partition"),
+    *("atom_modify", "special_bonds"),
 }
 # Fixes that only observe.
 OBSERVERS = ("print", "ave/time", "ave/chunk", "ave/histo", "ave/atom", "ave/correlate")
@@ -92,6 +92,7 @@ class LammpsInput:
         self.changed: InputLine | None = None
         self.run_state: RunState | None = None
         self.steps = 0
+        self.total = 0
         self.every = 0
         self.changes: list[tuple[int, InputLine]] = []
         self.ignored: dict[str, None] = {}
@@ -115,6 +116,8 @@ class LammpsInput:
     def _read(self, line: InputLine) -> None:
         """Read one command."""
         command = line.text.split()[0]
+        if command == "neigh_modify" and "exclude" in line.text.split():
+            raise line.refuse("takes forces away from pairs, which no scene does: take it out")
         if command in WITHOUT_PHYSICS:
             self.ignored[command] = None
             return
@@ -216,6 +219,8 @@ class LammpsInput:
 
     def _do_reset_timestep(self, line: InputLine, words: list[str]) -> None:
         self.steps = self.text.whole(self.text.word(line, words, 0), line)
+        # The changes before have steps of another count.
+        self.changes.clear()
 
     def _do_run(self, line: InputLine, words: list[str]) -> None:
         count = self.text.whole(self.text.word(line, words, 0), line)
@@ -228,6 +233,7 @@ class LammpsInput:
         if not count:
             return
         self.steps += count
+        self.total += count
         if self.changed is not None and self.running is not None and self.dumped is None:
             raise self.changed.refuse(
                 f"comes between the runs of lines {self.running.number} and {line.number}, where "
@@ -493,9 +499,9 @@ class LammpsInput:
         slack = 4 * float(np.spacing(np.abs(x).max()))
         grains = RunGrains(str(self.path), numbers, kinds, x, v, diameters, masses, slack)
         if self.running is not None:
-            grains.duration = self.steps * self.step_s
-            even = self.every and self.steps % self.every == 0
-            grains.samples = self.steps // self.every + 1 if even else 0
+            grains.duration = self.total * self.step_s
+            even = self.every and self.total % self.every == 0
+            grains.samples = self.total // self.every + 1 if even else 0
         if not self.data_only:
             sides = length * np.diff(self.box)[::2] if self.box else math.nan
             grains.period = np.where(self.periodic, sides, math.inf)

@@ -47,10 +47,13 @@ class Variables:
     ----------
     values : dict
         Text of every variable by name; None if only a run gives it a value.
+    indices : dict
+        Those of style index, which the command line of LAMMPS can set.
     """
 
     def __init__(self) -> None:
         self.values: dict[str, str | None] = {}
+        self.indices: dict[str, str] = {}
 
     def define(self, line: InputLine) -> None:
         """Carry out a command `variable`."""
@@ -63,6 +66,8 @@ class Variables:
         elif style != "index" or key not in self.values:
             try:
                 self.values[key] = self.word(line, self.words(line), 3)
+                if style == "index":
+                    self.indices[key] = str(self.values[key])
             except InputError:
                 # Only a use of the variable matters.
                 self.values[key] = None

@@ -126,6 +126,8 @@ REFUSED = {
     "a random velocity": ("", "velocity all create 300 1", "gives velocities that are not read"),
     "a held grain moves": ("", "set atom 3 vx 1.0", "atom 3 is held but has a velocity"),
     "minimize": ("", "minimize 0 0 10 10", "is not understood"),
+    "excluded pairs": ("", "neigh_modify exclude type 1 1", "takes forces away from pairs"),
+    "another partition": ("", "partition yes 1 run 3", "is not understood"),
     "include": ("", "include other.in", "is not understood"),
     "a loop": ("", "label again", "is a loop or a condition, which is not executed"),
     "a jump": ("", "jump SELF again", "is a loop or a condition"),
@@ -186,6 +188,11 @@ def test_a_change_between_runs_asks_for_a_dump(tmp_path: Path):
     assert more.fields["duration"] == 150 * 1e-7
     upto = read(tmp_path, START + "run 120 upto pre no post no\n")
     assert upto.fields["duration"] == pytest.approx(120e-7)
+
+
+def test_a_variable_that_the_command_line_can_set_is_named(tmp_path: Path):
+    text = START.replace("set atom 1 vx 0.1", "variable v index 0.3\nset atom 1 vx $v")
+    assert dict(read(tmp_path, text).facts)["variables"].startswith("v = 0.3, as in the file")
 
 
 def test_variables_are_the_numbers_that_lammps_takes(tmp_path: Path):

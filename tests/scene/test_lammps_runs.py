@@ -123,6 +123,74 @@ def test_any_axis_and_either_direction(tmp_path: Path):
     assert difference(dump, second, 1e-7) < 2e-8
 
 
+def frames_from(dump: Path, first: int) -> Path:
+    """Return a dump without its first frames."""
+    head, *frames = dump.read_text(encoding="utf-8").split("ITEM: TIMESTEP")
+    part = dump.with_name("part.lammpstrj")
+    text = head + "".join(f"ITEM: TIMESTEP{frame}" for frame in frames[first:])
+    part.write_text(text, encoding="utf-8")
+    return part
+
+
+def test_a_dump_that_begins_amid_a_wave(tmp_path: Path):
+    """Load and gravity follow from grains that no wave has reached; the others get a profile."""
+    text, options, units = CASES["cgs"]
+    dump = run_input(tmp_path, text)
+    part = frames_from(dump, 6)
+    understood = scene_of_run([part], options, units)
+    scene = scene_of(understood)
+    assert dict(understood.facts)["load"].startswith("10 N (from 6 overlaps")
+    assert scene.chain.top_load == pytest.approx(10.0, rel=1e-7)
+    assert difference(part, scene, 1e-7, units) < 2e-8
+    # Later no grain is at rest.
+    with pytest.raises(InputError, match="its first frame is not at rest, so that its overlaps"):
+        scene_of_run([frames_from(dump, 30)], options, units)
+
+
+def test_a_strike_after_the_first_frame_is_named(tmp_path: Path):
+    later = LEVEL.replace("velocity        hit", "# velocity").replace("run             3000", "")
+    later += "run 100\nvelocity hit set 0.1 0 0\nrun 2900\n"
+    dump = run_input(tmp_path, later)
+    with pytest.raises(InputError, match="nothing moves in the first frame, but later: dump from"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_a_change_amid_the_dump_is_refused(tmp_path: Path):
+    later = LEVEL + "fix 9 beads viscous 1.0\nrun 1000\n"
+    dump = run_input(tmp_path, later)
+    with pytest.raises(InputError, match=r"\(fix 9 .*changes the run at step 3000, amid the dump"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_types_come_from_the_dump(tmp_path: Path):
+    dump = run_input(tmp_path, INPUTS["springs"])
+    text = dump.read_text(encoding="utf-8").replace("ATOMS id type", "ATOMS id kind")
+    dump.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"pair_coeff.*depends on types.*dump type"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_a_floor_is_seen_from_the_dump_alone(tmp_path: Path):
+    """Grain N moves under the weight, so something carries it: a wall of its material."""
+    k = 6.2e9 / (2 * (1 - 0.2**2)) * 4 / 3
+    text = INPUTS["floor"].replace("hertz 1e8 300.0", f"hertz {k} 300.0")
+    text = text.replace("hertz 1e8 150.0", f"hertz {k} 150.0")
+    settled, struck = text.split("velocity        all set 0 0 0")
+    end = "tangential linear_nohistory 0 0 damping velocity"
+    quiet = f"""unfix 4
+unfix 3
+pair_coeff * * hertz {k} 0 {end}
+fix 3 all wall/gran granular hertz {k} 0 {end} xplane NULL 0.08
+velocity all set 0 0 0
+"""
+    dump = run_input(tmp_path, settled + quiet + struck)
+    options = RunOptions(young=6.2e9, poisson=0.2, timestep=1e-8)
+    understood = scene_of_run([dump], options)
+    assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
+    assert scene_of(understood).chain.gravity == 9.81
+    assert difference(dump, scene_of(understood), 1e-8) < 1e-7
+
+
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
     dump = run_input(tmp_path, LEVEL.replace("%.17g", "%.6g"))
     with pytest.raises(InputError, match=r"too few digits for overlaps of 1e-05 m: dump_modify"):
