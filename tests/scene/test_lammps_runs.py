@@ -141,7 +141,8 @@ def test_a_dump_that_begins_amid_a_wave(tmp_path: Path):
     scene = scene_of(understood)
     assert dict(understood.facts)["load"].startswith("10 N (from 6 overlaps")
     assert scene.chain.top_load == pytest.approx(10.0, rel=1e-7)
-    assert difference(part, scene, 1e-7, units) < 2e-8
+    # Grains count as at rest up to 1e-6 of the wave.
+    assert difference(part, scene, 1e-7, units) < 2e-7
     # Later no grain is at rest.
     with pytest.raises(InputError, match="its first frame is not at rest, so that its overlaps"):
         scene_of_run([frames_from(dump, 30)], options, units)
@@ -188,7 +189,8 @@ velocity all set 0 0 0
     understood = scene_of_run([dump], options)
     assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
     assert scene_of(understood).chain.gravity == 9.81
-    assert difference(dump, scene_of(understood), 1e-8) < 1e-7
+    # The place of the wall is not in the dump: grain N is taken to be at rest on it.
+    assert difference(dump, scene_of(understood), 1e-8) < 2e-6
 
 
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
