@@ -22,6 +22,7 @@ PIECES = re.compile(
 )
 TOKENS = re.compile(r'"""(.*?)"""|"([^"]*)"|\'([^\']*)\'|(\S+)', re.DOTALL)
 LAMMPS_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+FORMAT = re.compile(r"%(\.\d{1,2})?[gef]", re.ASCII)
 REFERENCE = re.compile(r"\bv_(\w+)", re.ASCII)
 # LAMMPS takes -2^2 as 4 and 2^3^2 as 64, other readers do not.
 AMBIGUOUS = re.compile(r"(^|[-+*/^(,])\s*-[^-+*/(,]*\^|\^[^-+*/(,]*\^")
@@ -93,7 +94,9 @@ class Variables:
                     place += 1
                 if depth:
                     raise line.refuse("has a bracket that is not closed")
-                made += f"{self._evaluate(text[begin : place - 1].split(':')[0], line):.15g}"
+                expression, _, style = text[begin : place - 1].partition(":")
+                style = style if FORMAT.fullmatch(style) else "%.15g"
+                made += style % self._evaluate(expression, line)
             elif key := match["braces"] or match["letter"]:
                 made += self._value(key, line)
             else:

