@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import InputError, shown
 from ..util.lammps_units import CONSISTENT, read_units
 from .lammps_data import is_data, read_data
-from .lammps_state import RunAtom, RunBond, RunFix, RunGrains, RunState
+from .lammps_state import RunAtom, RunBond, RunFix, RunGrains, RunPair, RunState
 from .lammps_text import (
     LAMMPS_NUMBER,
     MOST_DIGITS,
@@ -29,6 +29,7 @@ from .lammps_text import (
 )
 
 MOST_TYPES = 10**4
+ALL_TYPES = range(1, 10**MOST_DIGITS + 1)  # as * has them
 # Commands that change neither grains nor forces.
 WITHOUT_PHYSICS = {
     *("log", "echo", "print", "info", "timer", "suffix", "package", "shell"),
@@ -346,9 +347,9 @@ class LammpsInput:
         self.state.pair_coefficients = []
 
     def _do_pair_coeff(self, line: InputLine, words: list[str]) -> None:
-        self.text.word(line, words, 1)
+        first, second = (self._range(self.text.word(line, words, place), line) for place in (0, 1))
         self._note_change(line)
-        self.state.pair_coefficients.append((line, words))
+        self.state.pair_coefficients.append(RunPair(line, first, second, words[2:]))
 
     def _do_bond_style(self, line: InputLine, words: list[str]) -> None:
         style = self.text.word(line, words, 0)
@@ -371,14 +372,12 @@ class LammpsInput:
     def pair_lines(self, first: int, second: int) -> tuple[InputLine, list[str]] | None:
         """Return the last pair_coeff of two types, which may be written as ranges."""
         low, high = sorted((first, second))
-        found = None
-        for line, words in self.state.pair_coefficients:
-            if low == 0 and words[:2] != ["*", "*"]:
-                raise line.refuse("depends on types, which the dump does not have: dump type")
-            ranges = [self._range(word, line) for word in words[:2]]
-            if low == 0 or (low in ranges[0] and high in ranges[1]):
-                found = line, words[2:]
-        return found
+        for pair in reversed(self.state.pair_coefficients):
+            if low == 0 and not (pair.first == pair.second == ALL_TYPES):
+                raise pair.line.refuse("depends on types, which the dump does not have: dump type")
+            if low == 0 or (low in pair.first and high in pair.second):
+                return pair.line, pair.words
+        return None
 
     # Grains -------------------------------------------------------------------------------------
 
@@ -553,15 +552,20 @@ def _bonds_within(
     high: float,
 ) -> list[RunBond]:
     """Return bonds between the atoms of two groups at a distance between two bounds."""
-    both = sorted(one & atoms.keys())
-    partners = sorted(other & atoms.keys())
-    found = {
-        (min(a, b), max(a, b))
-        for a in both
-        for b in partners
-        if a != b and low <= math.dist(atoms[a].x, atoms[b].x) <= high
-    }
-    return [RunBond(kind, first, second) for first, second in sorted(found)]
+    if not atoms:
+        return []
+    places = np.array([atom.x for atom in atoms.values()])
+    axis = int(np.argmax(np.ptp(places, axis=0)))
+    order = sorted(atoms, key=lambda n: atoms[n].x[axis])
+    found = []
+    for place, a in enumerate(order):
+        for b in order[place + 1 :]:
+            if atoms[b].x[axis] - atoms[a].x[axis] > high:
+                break
+            chosen = (a in one and b in other) or (b in one and a in other)
+            if chosen and low <= math.dist(atoms[a].x, atoms[b].x) <= high:
+                found.append(RunBond(kind, a, b))
+    return found
 
 
 def _unread_fix(style: str) -> str:

@@ -97,6 +97,15 @@ class RunBond(NamedTuple):
     second: int
 
 
+class RunPair(NamedTuple):
+    """A pair_coeff of two ranges of types."""
+
+    line: InputLine
+    first: range
+    second: range
+    words: list[str]
+
+
 @dataclass
 class RunState:
     """Forces and grains at one time of the input."""
@@ -106,7 +115,7 @@ class RunState:
     type_masses: dict[int, float] = field(default_factory=dict)
     fixes: dict[str, RunFix] = field(default_factory=dict)
     pair: tuple[InputLine, list[str]] | None = None
-    pair_coefficients: list[tuple[InputLine, list[str]]] = field(default_factory=list)
+    pair_coefficients: list[RunPair] = field(default_factory=list)
     bond: tuple[InputLine, list[str]] | None = None
     bond_coefficients: dict[int, tuple[InputLine, list[str]]] = field(default_factory=dict)
     bonds: list[RunBond] = field(default_factory=list)

@@ -14,6 +14,8 @@ from ..util.files import check_readable
 
 LARGEST_FILE = 2**28  # bytes
 MOST_DIGITS = 18
+MOST_CONTINUED = 1000  # lines of one command
+MOST_EVALUATIONS = 10**6  # of variables in one input
 MOST_NESTED = 20  # variables that depend on variables
 PIECES = re.compile(
     r'"""(?P<triple>.*?)"""|"(?P<double>[^"]*)"|\'(?P<single>[^\']*)\''
@@ -55,6 +57,7 @@ class Variables:
     def __init__(self) -> None:
         self.values: dict[str, str | None] = {}
         self.indices: dict[str, str] = {}
+        self.evaluations = 0
 
     def define(self, line: InputLine) -> None:
         """Carry out a command `variable`."""
@@ -120,12 +123,15 @@ class Variables:
         """Return the value of an arithmetic expression of numbers and variables."""
         if depth > MOST_NESTED:
             raise line.refuse("has variables that depend on each other")
-        values = {}
-        for key in REFERENCE.findall(text):
+        values: dict[str, float] = {}
+        for key in dict.fromkeys(REFERENCE.findall(text)):
             inner = self.values.get(key)
             if inner is None:
                 raise line.refuse(f"uses the variable {key}, whose value is not known")
             values[f"v_{key}"] = self._evaluate(inner, line, depth + 1)
+            self.evaluations += 1
+            if self.evaluations > MOST_EVALUATIONS:
+                raise line.refuse("has variables of too many others: write its number")
         if AMBIGUOUS.search(text):
             raise line.refuse("has powers that LAMMPS reads in an order of its own: add brackets")
         if re.search(r"\blog\s*\(", text):
@@ -178,25 +184,22 @@ def read_text(path: Path) -> str:
 def commands(file: str, text: str) -> Iterator[InputLine]:
     """Yield the commands of a text, without comments and with continued lines joined."""
     waiting = ""
-    begin = 0
+    begin = 1
     for count, raw in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
-        begin = begin or count
         waiting += raw
-        if waiting.count('"""') % 2:
-            waiting += "\n"
+        # LAMMPS joins lines before it removes comments.
+        continued = waiting.rstrip().endswith("&")
+        if continued or waiting.count('"""') % 2:
+            if count - begin > MOST_CONTINUED:
+                break
+            waiting = waiting.rstrip()[:-1] + " " if continued else waiting + "\n"
             continue
-        stripped = _without_comment(waiting).rstrip()
-        if stripped.endswith("&"):
-            waiting = stripped[:-1] + " "
-            continue
-        if stripped.strip():
-            if not stripped.isprintable() and not stripped.replace("\t", " ").isprintable():
-                stripped = " ".join(stripped.split())
-            yield InputLine(file, begin, stripped.strip())
+        if command := _without_comment(waiting).strip():
+            yield InputLine(file, begin, command)
         waiting = ""
-        begin = 0
+        begin = count + 1
     if waiting.strip():
-        raise InputError.at(file, f"line {begin} is continued, but there is no further line")
+        raise InputError.at(file, f"line {begin} is continued, but its end is not found")
 
 
 def _without_comment(text: str) -> str:

@@ -274,7 +274,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             periodic = _periodic(lines[BOX])
             names = _needed(name, header)
             # Types may be written as labels.
-            if TYPE in names and not lines[HEADER].split()[header.index(TYPE)].isdigit():
+            row = dict(zip(words, lines[HEADER].split(), strict=False))
+            if TYPE in names and not row.get(TYPE, b"").isdigit():
                 names.remove(TYPE)
             indices = [header.index(key) for key in names]
         if words != header:

