@@ -204,7 +204,7 @@ class LammpsInput:
     def _do_create_box(self, line: InputLine, words: list[str]) -> None:
         region = self.regions.get(self.text.word(line, words, 1), [])
         bounds = region[1:7] if region[:1] == ["block"] else []
-        if all(LAMMPS_NUMBER.fullmatch(bound) for bound in bounds):
+        if len(bounds) == 6 and all(map(LAMMPS_NUMBER.fullmatch, bounds)):
             self.box = [float(bound) for bound in bounds]
 
     def _do_timestep(self, line: InputLine, words: list[str]) -> None:

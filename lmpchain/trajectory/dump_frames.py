@@ -34,6 +34,7 @@ ATOMS = 7
 HEADER = 8
 LABELS = {COUNT_LABEL: b"ITEM: NUMBER OF ATOMS", BOX: b"ITEM: BOX BOUNDS", ATOMS: b"ITEM: ATOMS"}
 LONGEST_LINE = 2**14  # bytes: a small file could unpack to a line that fills the memory
+MOST_ATOMS = 2.0**53  # numbers of atoms from which doubles are not exact
 COUNT_DIGITS = re.compile(rb"\d{1,18}")
 AXES = ("x", "y", "z")
 UNWRAPPED = ("xu", "yu", "zu")
@@ -289,6 +290,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             raise ValueError(f"an atom has no line at step {step}")
         # A restarted run writes frames again: the last one counts.
         rows[step] = _sort(atoms)
+        if not (np.abs(atoms[:, 0]) < MOST_ATOMS).all():
+            raise ValueError(f"an atom has no number at step {step}")
         numbers = np.sort(atoms[:, 0]).astype(int)
         times[step] = frame.time
         sides[step] = _box_sides(name, lines)

@@ -87,7 +87,7 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     positions = np.stack([frames.positions(axis) for axis in AXES], axis=-1)
     zero = np.zeros(positions.shape[:2])
     velocities = np.stack([columns.get(f"v{axis}", zero) for axis in AXES], axis=-1)
-    if not (np.isfinite(positions).all() and np.isfinite(velocities).all()):
+    if not all(np.isfinite(values).all() for values in frames.columns.values()):
         raise InputError.at(
             name, "holds numbers that are not finite: the run broke down; use a shorter step"
         )
