@@ -21,6 +21,7 @@ EXAMPLES = {
 }
 
 
+DEFAULT_EXAMPLE = "column"
 # Options that a run of LAMMPS may leave open.
 OF_RUNS = (
     *("material", "young", "poisson", "density", "diameter", "timestep", "duration", "samples"),
@@ -34,6 +35,8 @@ def new(arguments: argparse.Namespace) -> int:
     path = output(name, arguments.run[0] if arguments.run else "", (".toml",), force=True)
     if path.exists() and not arguments.force:
         raise InputError.at(name, "is there already: name another file, or add --force")
+    if arguments.run and arguments.example:
+        raise InputError.at("example", "does not go with --from; leave one of them out")
     if arguments.run:
         return _from_run(arguments, path)
     if given := [key for key in OF_RUNS if getattr(arguments, key) is not None]:
@@ -46,13 +49,14 @@ def new(arguments: argparse.Namespace) -> int:
 
     quoted = shlex.quote(name)
     stem = shlex.quote(beside(name, ""))
-    text = render(f"examples/{arguments.example}.toml", scene=quoted, stem=stem)
+    example = arguments.example or DEFAULT_EXAMPLE
+    text = render(f"examples/{example}.toml", scene=quoted, stem=stem)
     with write_aside(path, overwrite=True) as aside:
         aside.write_text(text, encoding="utf-8")
-    print(f"scene: {path} ({EXAMPLES[arguments.example]})")
+    print(f"scene: {path} ({EXAMPLES[example]})")
     print(f"next: lmpchain compare {quoted} -o {shlex.quote(beside(name, '.png'))}")
     print(f"      lmpchain run {quoted}")
-    print("other examples: " + ", ".join(key for key in EXAMPLES if key != arguments.example))
+    print("other examples: " + ", ".join(key for key in EXAMPLES if key != example))
     return 0
 
 

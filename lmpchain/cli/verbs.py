@@ -134,7 +134,6 @@ VERBS = {
             _argument(
                 "--example",
                 choices=list(EXAMPLES),
-                default="column",
                 help="; ".join(f"{key}: {text}" for key, text in EXAMPLES.items())
                 + " (default: column)",
             ),

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..chain.materials import Material, one_material, sphere_mass
-from ..errors import InputError
+from ..errors import InputError, shown
 from ..util.arrays import Array
 from .acting import Drive
 from .excitation import Impulse
@@ -127,7 +127,12 @@ def infer_scene(
     InputError
         If it is not one column that a scene can describe, or something is missing.
     """
-    return RunColumn(grains, source, options or RunOptions()).understood()
+    options = options or RunOptions()
+    for key in ("young", "density", "diameter", "timestep", "duration"):
+        value = getattr(options, key)
+        if value is not None and not 0 < value < math.inf:
+            raise InputError.at(key, f"must be above 0 (got {shown(value)})")
+    return RunColumn(grains, source, options).understood()
 
 
 class RunColumn:
@@ -175,6 +180,7 @@ class RunColumn:
         grains, options = self.grains, self.options
         self.material: Material | None = None
         if self._style("bond"):
+            self._refuse_given("is that of the bonds", "material", "young", "poisson", "diameter")
             # The rest lengths of bonds say how long contacts are.
             return
         missing = np.isnan(grains.diameters) | (grains.diameters <= 0)
@@ -182,8 +188,8 @@ class RunColumn:
             if options.diameter is None:
                 raise InputError.at("diameter", "is not in the run: give --diameter, in m")
             grains.diameters = np.where(missing, options.diameter, grains.diameters)
-        elif options.diameter is not None:
-            raise InputError.at("diameter", "is in the run: leave --diameter out")
+        else:
+            self._refuse_given("is in the run", "diameter")
         self.material = self._material()
         volume = sphere_mass(1.0, grains.diameters)
         missing = np.isnan(grains.masses) | (grains.masses <= 0)
@@ -192,6 +198,14 @@ class RunColumn:
             if density is None:
                 raise InputError.at("mass", "is not in the run: give --material or --density")
             grains.masses = np.where(missing, density * volume, grains.masses)
+        elif self.material is None or options.material is not None:
+            self._refuse_given("is in the run", "density")
+
+    def _refuse_given(self, why: str, *keys: str) -> None:
+        """Raise `InputError` at options that the run answers itself."""
+        given = [key for key in keys if getattr(self.options, key) is not None]
+        if given:
+            raise InputError([(key, f"{why}: leave it out") for key in given])
 
     def _material(self) -> Material | None:
         """Return the material that the user names; None if the input has the contacts."""
@@ -199,11 +213,9 @@ class RunColumn:
         if self._style("pair"):
             assert self.source is not None
             assert self.source.state.pair is not None
-            if given.material is not None or given.young is not None or given.poisson is not None:
-                line, _ = self.source.state.pair
-                raise InputError.at(
-                    "material", f"is in {line.file}, line {line.number}: leave --material out"
-                )
+            line, _ = self.source.state.pair
+            where = f"is in {line.file}, {_place(line)}"
+            self._refuse_given(where, "material", "young", "poisson")
             return None
         if given.material is not None:
             if given.young is not None or given.poisson is not None:
@@ -765,24 +777,31 @@ class RunColumn:
     def _recording(self) -> dict[str, Any]:
         """Return duration and samples."""
         options, grains = self.options, self.grains
-        duration = grains.duration
-        if options.timestep is not None and grains.steps is not None:
-            duration = options.timestep * (grains.steps[1] - grains.steps[0])
-        if not duration > 0 and self.source and grains.steps is not None:
-            duration = self.source.step_s * (grains.steps[1] - grains.steps[0])
-        if options.duration is not None:
-            if grains.steps is not None:
-                raise InputError.at("duration", "is that of the dump: leave --duration out")
-            duration = options.duration
+        duration = options.duration or grains.duration
+        if grains.steps is not None:
+            self._refuse_given("is that of the dump", "duration", "samples")
+            duration = self._dumped_time(grains.steps[1] - grains.steps[0])
+        else:
+            self._refuse_given("is in the run", "timestep")
         if not (duration > 0 and math.isfinite(duration)):
-            if grains.steps is not None:
-                raise InputError.at(
-                    "timestep", f"is not in the dump: give --timestep, in s{self._likely_step()}"
-                )
             raise InputError.at("duration", "is not in the run: give --duration, in s")
         samples = options.samples or grains.samples or 101
         self._say("recording", f"{samples} samples to {duration:.9g} s")
         return {"duration": duration, "samples": samples}
+
+    def _dumped_time(self, steps: int) -> float:
+        """Return the time between the first and the last frame of a dump, s."""
+        known = self.grains.duration
+        if not known > 0 and self._has_commands and self.source:
+            known = self.source.step_s * steps
+        if known > 0:
+            self._refuse_given("is in the run", "timestep")
+            return known
+        if self.options.timestep is None:
+            raise InputError.at(
+                "timestep", f"is not in the dump: give --timestep, in s{self._likely_step()}"
+            )
+        return self.options.timestep * steps
 
     def _likely_step(self) -> str:
         step = self.grains.likely_step

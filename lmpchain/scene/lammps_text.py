@@ -24,7 +24,7 @@ PIECES = re.compile(
 )
 TOKENS = re.compile(r'"""(.*?)"""|"([^"]*)"|\'([^\']*)\'|(\S+)', re.DOTALL)
 LAMMPS_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-FORMAT = re.compile(r"%(\.\d{1,2})?[gef]", re.ASCII)
+NUMBER_STYLE = re.compile(r"%(\.\d{1,2})?[gef]", re.ASCII)
 REFERENCE = re.compile(r"\bv_(\w+)", re.ASCII)
 # LAMMPS takes -2^2 as 4 and 2^3^2 as 64, other readers do not.
 AMBIGUOUS = re.compile(r"(^|[-+*/^(,])\s*-[^-+*/(,]*\^|\^[^-+*/(,]*\^")
@@ -98,7 +98,7 @@ class Variables:
                 if depth:
                     raise line.refuse("has a bracket that is not closed")
                 expression, _, style = text[begin : place - 1].partition(":")
-                style = style if FORMAT.fullmatch(style) else "%.15g"
+                style = style if NUMBER_STYLE.fullmatch(style) else "%.15g"
                 made += style % self._evaluate(expression, line)
             elif key := match["braces"] or match["letter"]:
                 made += self._value(key, line)

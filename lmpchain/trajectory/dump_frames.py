@@ -273,11 +273,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         if not rows:
             header = words
             periodic = _periodic(lines[BOX])
-            names = _needed(name, header)
-            # Types may be written as labels.
-            row = dict(zip(words, lines[HEADER].split(), strict=False))
-            if TYPE in names and not row.get(TYPE, b"").isdigit():
-                names.remove(TYPE)
+            names = _needed(name, header, lines[HEADER].split())
             indices = [header.index(key) for key in names]
         if words != header:
             raise InputError.at(
@@ -290,9 +286,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             raise ValueError(f"an atom has no line at step {step}")
         # A restarted run writes frames again: the last one counts.
         rows[step] = _sort(atoms)
-        if not (np.abs(atoms[:, 0]) < MOST_ATOMS).all():
-            raise ValueError(f"an atom has no number at step {step}")
-        numbers = np.sort(atoms[:, 0]).astype(int)
+        numbers = np.sort(atoms[:, 0])
         times[step] = frame.time
         sides[step] = _box_sides(name, lines)
         if len(rows) > most:
@@ -308,7 +302,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
     if CLOCK in columns and np.isnan(clock).all():
         clock = columns[CLOCK][:, 0]
     return Frames(
-        numbers=numbers,
+        numbers=numbers.astype(int),
         steps=steps,
         times=clock,
         sides=np.array([sides[step] for step in steps]),
@@ -318,8 +312,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
     )
 
 
-def _needed(name: str, columns: Sequence[str]) -> list[str]:
-    """Return the columns of a dump to read, the atom numbers first."""
+def _needed(name: str, columns: Sequence[str], row: Sequence[bytes]) -> list[str]:
+    """Return the columns of a dump to read, the atom numbers first, from the first row."""
     # Periodic boxes wrap x, y and z, but not xu, yu and zu.
     unwrapped = set(UNWRAPPED) <= set(columns)
     positions = UNWRAPPED if unwrapped else AXES
@@ -328,7 +322,10 @@ def _needed(name: str, columns: Sequence[str]) -> list[str]:
         missing.append("vz")
     if missing:
         raise InputError.at(name, f"has no column {', '.join(missing)}: {COLUMNS}")
-    optional = (*MOTION, *GRAINS, TYPE, CLOCK, *(() if unwrapped else IMAGES))
+    # Types may be written as labels.
+    labelled = not dict(zip(columns, row, strict=False)).get(TYPE, b"").isdigit()
+    types = () if labelled else (TYPE,)
+    optional = (*MOTION, *GRAINS, *types, CLOCK, *(() if unwrapped else IMAGES))
     return ["id", *positions, *(key for key in optional if key in columns)]
 
 
@@ -358,6 +355,8 @@ def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
 def _sort(atoms: Array) -> Array:
     """Return the columns of a frame after the atom numbers, sorted by them, (C-1, N)."""
     numbers = atoms[:, 0]
+    if not (np.abs(numbers) < MOST_ATOMS).all():
+        raise ValueError("an atom has no number")
     order = np.argsort(numbers)
     if (np.diff(numbers[order]) <= 0).any():
         raise ValueError("two atoms have the same number")

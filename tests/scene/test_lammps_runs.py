@@ -213,6 +213,10 @@ def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
         ),
         (dump, RunOptions(material="steel"), r"--timestep, in s \(its velocities suggest 1e-07\)"),
         (dump, RunOptions(material="steel", diameter=1e-2), "diameter: is in the run"),
+        (dump, RunOptions(material="steel", timestep=-1.0), r"timestep: must be above 0 \(got -1"),
+        (dump, RunOptions(material="steel", density=1.0), "density: is in the run"),
+        (dump, RunOptions(material="steel", young=1e9), "young: is that of the material"),
+        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: is that of the dump"),
         (bare, RunOptions(material="steel"), "diameter: is not in the run: give --diameter"),
         (
             bare,
@@ -223,6 +227,9 @@ def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
     for path, options, message in asked:
         with pytest.raises(InputError, match=message):
             scene_of_run([path], options)
+    for given in ({"timestep": 1e-7}, {"material": "steel"}, {"young": 1e9}, {"diameter": 1e-2}):
+        with pytest.raises(InputError, match=f"{min(given)}: is in .*leave it out"):
+            scene_of_run([tmp_path / "in.own"], RunOptions(**given))
     known = RunOptions(young=SOFT * 1e10, poisson=0.3, density=7800.0, diameter=1e-2, timestep=1e-7)
     assert difference(dump, scene_of(scene_of_run([bare], known)), 1e-7) < 2e-8
 
