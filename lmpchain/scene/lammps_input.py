@@ -160,14 +160,13 @@ class LammpsInput:
         style = self.text.word(line, words, 0)
         self.units_line = line
         self.units_name = style
-        try:
-            if style == "lj" or self.given_units is None:
-                self.units = read_units(self.given_units, style)
-        except InputError as error:
-            cure = "add --units LENGTH,TIME,MASS in m, s and kg" if style == "lj" else ""
-            raise line.refuse(cure or error.faults[0][1]) from None
         if style not in (*CONSISTENT, "lj"):
             raise line.refuse(f"is not a style for grains: use {', '.join(CONSISTENT)} or lj")
+        if style == "lj" and self.given_units in (None, "lj"):
+            raise line.refuse("has no scale: add --units LENGTH,TIME,MASS in m, s and kg")
+        if style != "lj" and self.given_units not in (None, style):
+            raise line.refuse(f"contradicts --units {self.given_units}: leave the option out")
+        self.units = read_units(self.given_units, style)
 
     def _check_units(self) -> None:
         """Raise `InputError` if LAMMPS would read the file in units without a scale."""
@@ -194,6 +193,8 @@ class LammpsInput:
         self.periodic = ["p" in word for word in words]
 
     def _do_lattice(self, line: InputLine, words: list[str]) -> None:
+        if self.dumped is not None:
+            return
         if words[:1] != ["none"] or (words[1:] and self.text.number(words[1], line) != 1.0):
             raise line.refuse(f"scales positions: write them in units of the box, or {DUMP_CURE}")
 

@@ -134,7 +134,7 @@ REFUSED = {
     "a jump": ("", "jump SELF again", "is a loop or a condition"),
     "rerun": ("", "rerun own.lammpstrj", "is not understood"),
     "units real": ("units", "units real", "is not a style for grains"),
-    "units lj": ("units", "units lj", "add --units LENGTH,TIME,MASS in m, s and kg"),
+    "units lj": ("units", "units lj", "has no scale: add --units LENGTH,TIME,MASS"),
     "no units": ("units", "", "has no command units, so that LAMMPS takes lj"),
     "a lattice": ("", "lattice sc 0.01", "scales positions"),
     "an atom style": ("atom_style", "atom_style ellipsoid", "must be sphere, bond"),
@@ -176,6 +176,21 @@ def test_a_line_is_refused_by_its_number(name: str, tmp_path: Path):
     assert message in text, text
     assert "\n" not in text
     assert text.startswith((str(tmp_path), "lmp"))
+
+
+def test_units_lj_need_a_scale(tmp_path: Path):
+    """The input in units of 10 mm, 1 ms and 1 g is that in SI."""
+    path = tmp_path / "in.own"
+    path.write_text(START.replace("units si", "units lj"), encoding="utf-8")
+    source = LammpsInput(path, units="1e-2,1e-3,1e-3")
+    chain = infer_scene(source.grains(), source, RunOptions()).fields["chain"]
+    assert chain.diameters == pytest.approx(1e-4)
+    # K = k sqrt(R) of k in g/(cm ms2) and R in cm.
+    assert chain.contact_constants == pytest.approx(1e10 * 1e-3 / 1e-2 / 1e-6 * math.sqrt(2.5e-5))
+    path.write_text(START, encoding="utf-8")
+    for units in ("cgs", "1e-2,1e-3,1e-3"):
+        with pytest.raises(InputError, match=r"line 1 \(units si\) contradicts --units"):
+            LammpsInput(path, units=units)
 
 
 def test_a_change_between_runs_asks_for_a_dump(tmp_path: Path):
