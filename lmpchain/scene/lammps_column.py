@@ -328,7 +328,10 @@ class RunColumn:
     def _gravity(self) -> float | None:
         """Return gravity along the axis, m/s2; None if it must be inferred."""
         if self.source is None or not self._has_commands:
-            return None
+            if self.grains.acting is None or "gravity" in self.grains.acting:
+                return None
+            self._say("gravity", "none (no fix gravity)")
+            return 0.0
         units = self.source.units
         total = 0.0
         for fix in self._fixes("gravity"):
@@ -558,7 +561,7 @@ class RunColumn:
             return gravity, pushed
         if self.ends[0].kind != "free":
             return gravity, self._closed_load(chain, gravity)
-        if self._has_commands:
+        if self._has_commands or self.grains.acting is not None:
             self._say("load", "none (no fix addforce on a grain)")
             return gravity, 0.0
         rest = forces[quiet] - gravity * weights[quiet]

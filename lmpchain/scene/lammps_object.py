@@ -19,6 +19,8 @@ from .lammps_state import RunGrains
 ARGUMENT = "lmp"
 FIX = re.compile(r"Fix\[.*?\]:\s*(\S+),\s*style = (\S+),\s*group = (\S+)")
 MOVING = ("nve", "nve/sphere")
+# Pair styles of Hertz's law; granular may have another, which only an input tells.
+HERTZIAN = ("granular", "gran/hertz/history")
 # Fixes of a column whose effect is seen in its overlaps.
 UNDERSTOOD = (*MOVING, "freeze", "gravity", "enforce2d", "DUMMY", *OBSERVERS)
 
@@ -64,6 +66,9 @@ def grains_of(
         values = lmp.numpy.extract_atom(name)
         return None if values is None else np.array(values[:count], dtype=float)
 
+    fixes = [] if read else list(_fixes(lmp))
+    if not read:
+        _check_forces(lmp, fixes)
     numbers = column("id")
     order = np.argsort(numbers)
     positions = scale.length * column("x")[order]
@@ -80,21 +85,29 @@ def grains_of(
         diameters=unknown if radii is None else 2 * scale.length * radii[order],
         masses=unknown if masses is None else scale.mass * masses[order],
         slack=4 * float(np.spacing(np.abs(positions).max())),
-        held=None if read else _held(lmp, column("mask")[order].astype(int)),
+        held=None if read else _held(lmp, fixes, column("mask")[order].astype(int)),
+        acting=None if read else frozenset(fix.style for fix in fixes),
         period=np.where(np.array(periodic, dtype=bool), sides, math.inf),
     )
 
 
-def _held(lmp: Any, masks: np.ndarray) -> np.ndarray:
-    """Return which grains no fix moves, (N,) bool; raise `InputError` at fixes not understood."""
-    fixes = list(_fixes(lmp))
-    for fix in fixes:
-        if fix.style not in UNDERSTOOD:
-            raise InputError.at(
-                ARGUMENT,
-                f"has fix {fix.style}, whose effect LAMMPS does not tell: name the input file, "
-                "input=...",
-            )
+def _check_forces(lmp: Any, fixes: Sequence[_NamedFix]) -> None:
+    """Raise `InputError` at forces and fixes whose effect LAMMPS does not tell."""
+    strange = [f"fix {fix.style}" for fix in fixes if fix.style not in UNDERSTOOD]
+    for kind, known in (("pair_style", HERTZIAN), ("bond_style", ())):
+        style = lmp.extract_global(kind)
+        if style and style not in (*known, "none", "zero"):
+            strange.append(f"{kind} {style}")
+    if strange:
+        raise InputError.at(
+            ARGUMENT,
+            f"has {', '.join(strange)}, whose effect LAMMPS does not tell: name the input file, "
+            "input=...",
+        )
+
+
+def _held(lmp: Any, fixes: Sequence[_NamedFix], masks: np.ndarray) -> np.ndarray:
+    """Return which grains no fix moves, (N,) bool."""
     groups = lmp.available_ids("group")
     moving = np.zeros(len(masks), dtype=bool)
     for fix in fixes:

@@ -31,6 +31,8 @@ class RunGrains:
         Whether positions have fewer digits than double precision.
     held : (N,) bool array or None
         Grains that do not move; None if nothing tells.
+    acting : set of str, or None
+        Styles of the fixes that act; None if they are not known.
     period : (3,) array
         Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
     duration : float
@@ -53,6 +55,7 @@ class RunGrains:
     slack: float
     digits_lost: bool = False
     held: np.ndarray | None = None
+    acting: frozenset[str] | None = None
     period: Array = field(default_factory=lambda: np.full(3, math.inf))
     duration: float = math.nan
     likely_step: float = 0.0

@@ -254,8 +254,9 @@ class Scene(SceneFacts):
     ) -> Self:
         """Make the scene of a column in a LAMMPS instance, as it is now.
 
-        Positions, radii, masses, velocities and the grains that move are those of the instance;
-        gravity and load follow from the overlaps of the grains at rest. LAMMPS does not tell the
+        Positions, radii, masses, velocities and the grains that move are those of the instance.
+        The load follows from the distance of its ends if both are held, and gravity from the
+        overlaps of the grains at rest if there is a `fix gravity`. LAMMPS does not tell the
         coefficients of its contacts: give the material, or the input file.
 
         Parameters

@@ -282,6 +282,26 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
         lmp.close()
 
 
+def test_an_instance_has_no_load_that_no_fix_gives():
+    text = before_the_run(LEVEL).replace("id 1 12", "id 12")
+    lmp = instance(text)
+    try:
+        scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
+        # The overlaps of 1e-5 m push the grains apart.
+        assert scene.initial()[0] == pytest.approx(1e-5 * np.arange(11, -1, -1), rel=1e-9)
+        lmp.command("fix down beads gravity 9.81 vector 1 0 0")
+        lmp.command("fix push beads addforce 1 0 0")
+        with pytest.raises(InputError, match="has fix addforce, whose effect LAMMPS does not"):
+            Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        lmp.command("unfix push")
+        lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")
+        with pytest.raises(InputError, match="has pair_style gran/hooke, whose effect"):
+            Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+    finally:
+        lmp.close()
+
+
 def test_an_instance_without_grains_or_motion_is_refused():
     with pytest.raises(InputError, match=r"lmp: must be a lammps\.lammps object \(got 3\)"):
         Scene.from_lammps(3, duration=1e-4)
