@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -141,7 +141,7 @@ class RunColumn:
     def __init__(self, grains: RunGrains, source: LammpsInput | None, options: RunOptions):
         self.options = options
         self.source = source
-        self.grains = grains
+        self.grains = replace(grains, diameters=grains.diameters.copy())
         self.facts: list[tuple[str, str]] = []
         if source and source.units_line:
             self._say("units", f"{source.units_name} ({_place(source.units_line)})")
@@ -292,18 +292,20 @@ class RunColumn:
         """Return the grains that do not move, (N,) bool along the axis."""
         held = np.zeros(len(self.order), dtype=bool)
         if self.source and self._has_commands:
-            moving = held.copy()
+            moving = np.zeros(len(self.order), dtype=int)
             for fix in self._fixes("nve", "nve/sphere"):
-                moving |= self._among(fix)
+                moving += self._among(fix)
+                if (moving > 1).any():
+                    raise fix.line.refuse("moves grains that another fix moves: leave one of them")
             if not moving.any():
-                raise InputError.at(
-                    str(self.source.path), "has no fix nve or nve/sphere: nothing moves"
-                )
-            held = ~moving
-            for fix in self._fixes("freeze"):
-                held |= self._among(fix)
-            for fix in self._fixes("setforce"):
-                held |= self._among(fix) & self._stops(fix)
+                fault = "has no fix nve or nve/sphere: nothing moves"
+                raise InputError.at(str(self.source.path), fault)
+            held = moving == 0
+            for fix in self._fixes("freeze", "setforce"):
+                if fix.style == "freeze" or self._stops(fix):
+                    stopped = self._among(fix)
+                    self._check_later(fix, stopped & (moving > 0))
+                    held |= stopped
         elif self.grains.held is not None:
             held = self.grains.held[self.order]
         if (pushed := held & (self.v != 0)).any():
@@ -315,6 +317,16 @@ class RunColumn:
                 "grains at its ends only, one at each"
             )
         return held
+
+    def _check_later(self, holding: RunFix, stopped: np.ndarray) -> None:
+        """Raise `InputError` if a fix adds a force to stopped grains behind the one that stops."""
+        fixes = list(self._fixes("freeze", "setforce", "gravity", "addforce", "wall/gran"))
+        for fix in fixes[fixes.index(holding) + 1 :]:
+            if fix.style not in ("freeze", "setforce") and (self._among(fix) & stopped).any():
+                raise fix.line.refuse(
+                    f"acts on grains behind the {holding.style} of line {holding.line.number}, so "
+                    "that they move: write it before"
+                )
 
     def _stops(self, fix: RunFix) -> bool:
         """Return whether `fix setforce` takes the force along the axis."""
