@@ -305,7 +305,8 @@ def _read(
         answer = run
     elif is_dump(run):
         if scene is None:
-            raise InputError.at("scene", "is missing; a dump does not say what it is of")
+            cure = "make it from the dump, lmpchain new scene.toml --from DUMP"
+            raise InputError.at("scene", f"is missing; a dump does not say what it is of: {cure}")
         return Trajectory.from_dump(run, scene, units=units)
     else:
         answer = Trajectory.load(run)

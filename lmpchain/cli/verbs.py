@@ -92,6 +92,23 @@ DUMP_UNITS = _argument(
     help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
     "what the dump says, or si)",
 )
+# What a dump or an input may leave open, for `new --from`.
+OF_A_RUN = (
+    _argument("--material", metavar="NAME", help="with --from: material of the grains"),
+    *(
+        _argument(f"--{key}", metavar="X", type=float, help=f"with --from: {text}")
+        for key, text in {
+            "young": "Young's modulus in Pa, in place of a material",
+            "poisson": "Poisson's ratio, in place of a material",
+            "density": "kg/m3, if the run has no masses",
+            "diameter": "m, if the run has no radii",
+            "timestep": "time step in s, if the run does not have it",
+            "duration": "s, if the run does not have it",
+        }.items()
+    ),
+    _argument("--samples", metavar="N", type=int, help="with --from: samples of the scene"),
+    DUMP_UNITS,
+)
 # A saved run, or a dump with its scene.
 RUN = (
     _argument(
@@ -117,10 +134,18 @@ VERBS = {
             _argument(
                 "--example",
                 choices=list(EXAMPLES),
-                default="column",
                 help="; ".join(f"{key}: {text}" for key, text in EXAMPLES.items())
                 + " (default: column)",
             ),
+            _argument(
+                "--from",
+                dest="run",
+                metavar="FILE",
+                nargs="+",
+                help="make the scene of your own run of LAMMPS, from its dump, its input or data "
+                "file, or from a dump and its input; these are read and not executed",
+            ),
+            *OF_A_RUN,
             _argument("--force", action="store_true", help="replace the file if it is there"),
         ),
     ),

@@ -15,7 +15,7 @@ from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
 from ..chain.plausible import LIMITS, beyond_hertz
 from ..errors import InputError, shown
 from ..util.arrays import Array
-from ..util.files import write_aside
+from ..util.files import expanded, write_aside
 from ..util.lazy import cached_property
 from ..util.plotting import axes_in_units, legend
 from ..util.tables import counted
@@ -23,6 +23,9 @@ from ..util.validation import make_unchecked
 from . import toml_file
 from .excitation import Drive
 from .facts import SceneFacts
+from .lammps_column import RunOptions, infer_scene
+from .lammps_input import LammpsInput
+from .lammps_object import grains_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -237,6 +240,54 @@ class Scene(SceneFacts):
     def from_toml(cls, path: str | PathLike[str]) -> Self:
         """Read a scene file; raise `InputError` with every fault in it."""
         return cls(**toml_file.read_fields(path))
+
+    @classmethod
+    def from_lammps(
+        cls,
+        lmp: Any,
+        *,
+        duration: float,
+        samples: int = 101,
+        input: str | PathLike[str] | None = None,
+        units: str | Sequence[float] | None = None,
+        **options: Any,
+    ) -> Self:
+        """Make the scene of a column in a LAMMPS instance, as it is now.
+
+        Positions, radii, masses, velocities and the grains that move are those of the instance.
+        The load follows from the distance of its ends if both are held, and gravity from the
+        overlaps of the grains at rest if there is a `fix gravity`. LAMMPS does not tell the
+        coefficients of its contacts: give the material, or the input file.
+
+        Parameters
+        ----------
+        lmp : lammps.lammps
+            On one rank.
+        duration : float
+            s.
+        samples : int
+        input : path, optional
+            The input file; it is read for contacts, walls, gravity and loads, and not executed.
+        units : (length, time, mass), optional
+            m, s and kg, if the instance has units lj.
+        options
+            In place of an input: `material`, or `young`, Pa, with `poisson` and `density`, kg/m3;
+            `diameter`, m, if grains have no radius.
+
+        Raises
+        ------
+        InputError
+            If it is not one column that a scene describes, or something is missing.
+        """
+        if unknown := options.keys() - set(RunOptions._fields):
+            raise InputError([(key, "is no option of from_lammps") for key in sorted(unknown)])
+        grains = grains_of(lmp, units, read=input is not None)
+        source = None
+        if input is not None:
+            source = LammpsInput(expanded(input), grains, units)
+            grains = source.grains()
+        given = RunOptions(duration=duration, samples=samples, **options)
+        return cls(**infer_scene(grains, source, given).fields)
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:

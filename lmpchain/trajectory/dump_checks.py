@@ -244,12 +244,14 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
     if abs(gaps[n] - expected[n]) > CHECKS.distance * lengths[n]:
         distance = (
             f"{pair} are {gaps[n]:.6g} m apart in the first frame, in the scene {expected[n]:.6g}: "
-            f"{CURE}, and the dump in units si, with xu yu zu where the box is periodic"
+            f"{CURE}, and the dump in units si, with xu yu zu where the box is periodic; or make "
+            "the scene from the dump, lmpchain new --from"
         )
         return distance, ""
     overlap = (
         f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, in the scene "
-        f"{lengths[n] - expected[n]:.6g}: {CURE}, with its diameter, material, load and gravity"
+        f"{lengths[n] - expected[n]:.6g}: {CURE}, with its diameter, material, load and gravity; "
+        "or make the scene from the dump, lmpchain new --from"
     )
     return "", overlap
 

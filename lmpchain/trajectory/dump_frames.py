@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import math
 import re
 import sys
 import zlib
@@ -15,10 +14,10 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import InputError, short, shown
+from ..errors import InputError, short
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
-from ..util.validation import not_among
+from ..util.lammps_units import STYLES, Units, read_units
 from .other_formats import describe_other_format
 
 BEGIN = b"ITEM: TIMESTEP"
@@ -35,6 +34,7 @@ ATOMS = 7
 HEADER = 8
 LABELS = {COUNT_LABEL: b"ITEM: NUMBER OF ATOMS", BOX: b"ITEM: BOX BOUNDS", ATOMS: b"ITEM: ATOMS"}
 LONGEST_LINE = 2**14  # bytes: a small file could unpack to a line that fills the memory
+MOST_ATOMS = 2.0**53  # numbers of atoms from which doubles are not exact
 COUNT_DIGITS = re.compile(rb"\d{1,18}")
 AXES = ("x", "y", "z")
 UNWRAPPED = ("xu", "yu", "zu")
@@ -42,38 +42,8 @@ IMAGES = ("ix", "iy", "iz")
 MOTION = ("vx", "vy", "vz", "v_phi")
 CLOCK = "v_time"  # of decks of ours, as a line ITEM: TIME makes dumps unreadable for MDAnalysis
 GRAINS = ("radius", "diameter", "mass")
+TYPE = "type"
 COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
-
-
-class Units(NamedTuple):
-    """Units of a dump in SI: m, s, kg and m/s."""
-
-    length: float
-    time: float
-    mass: float
-    velocity: float
-
-    def of(self, column: str) -> float:
-        """Return the unit of a column."""
-        if column in ("vx", "vy", "vz"):
-            return self.velocity
-        if column in IMAGES:
-            return 1.0
-        return {CLOCK: self.time, "mass": self.mass}.get(column, self.length)
-
-
-MOLE = 6.02214076e23
-BOHR = 5.29177210903e-11  # m
-# Styles of the LAMMPS command `units`.
-STYLES = {
-    "si": Units(1.0, 1.0, 1.0, 1.0),
-    "cgs": Units(1e-2, 1.0, 1e-3, 1e-2),
-    "micro": Units(1e-6, 1e-6, 1e-15, 1.0),
-    "nano": Units(1e-9, 1e-9, 1e-21, 1.0),
-    "real": Units(1e-10, 1e-15, 1e-3 / MOLE, 1e5),
-    "metal": Units(1e-10, 1e-12, 1e-3 / MOLE, 1e2),
-    "electron": Units(BOHR, 1e-15, 1e-3 / MOLE, BOHR / 1.03275e-15),
-}
 
 
 class Frames(NamedTuple):
@@ -81,6 +51,8 @@ class Frames(NamedTuple):
 
     Attributes
     ----------
+    numbers : (N,) array
+        Of the atoms.
     steps : (T,) array
         Numbers of the time steps.
     times : (T,) array
@@ -95,6 +67,7 @@ class Frames(NamedTuple):
         Of the columns.
     """
 
+    numbers: np.ndarray
     steps: np.ndarray
     times: Array
     sides: Array
@@ -104,7 +77,16 @@ class Frames(NamedTuple):
 
     def in_si(self) -> dict[str, Array]:
         """Return the columns in SI units."""
-        return {name: values * self.units.of(name) for name, values in self.columns.items()}
+        return {name: values * self._unit(name) for name, values in self.columns.items()}
+
+    def _unit(self, column: str) -> float:
+        """Return the unit of a column in SI."""
+        units = self.units
+        if column in ("vx", "vy", "vz"):
+            return units.velocity
+        if column in (*IMAGES, TYPE):
+            return 1.0
+        return {CLOCK: units.time, "mass": units.mass}.get(column, units.length)
 
     @property
     def position_columns(self) -> tuple[str, ...]:
@@ -138,40 +120,6 @@ def is_dump(path: str | PathLike[str]) -> bool:
             return opened.read(len(BEGIN)).startswith((UNITS, TIME))
     except (OSError, EOFError, ValueError, zlib.error):
         return False
-
-
-def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
-    """Return the units of a dump, which the user or the dump may name.
-
-    Raises
-    ------
-    InputError
-        If these two differ, or the units have no scale.
-    """
-    scales: Any = units
-    if isinstance(units, str):
-        words = units.split(",")
-        scales = words if len(words) == 3 else None
-    if scales is not None:
-        try:
-            length, time, mass = (float(scale) for scale in scales)
-            if not (min(length, time, mass) > 0 and max(length, time, mass) < math.inf):
-                raise ValueError
-        except (TypeError, ValueError):
-            fault = "must be a unit style of LAMMPS, or the units of length, time and mass"
-            raise InputError.at(
-                "units", f"{fault} in m, s and kg, above 0 (got {shown(units)})"
-            ) from None
-        return Units(length, time, mass, length / time)
-    name = units or said or "si"
-    if name == "lj":
-        fault = "lj has no scale: give its units of length, time and mass in m, s and kg"
-        raise InputError.at("units", f"{fault}, such as 1e-3,1e-6,1e-9")
-    if name not in STYLES:
-        raise InputError.at("units", not_among(name, ("lj", *STYLES)))
-    if said and said != name:
-        raise InputError.at("units", f"{name} contradicts ITEM: UNITS of the dump, {said}")
-    return STYLES[name]
 
 
 def read_frames(
@@ -209,6 +157,15 @@ def read_frames(
     return frames._replace(
         units=scale, times=scale.time * frames.times, sides=scale.length * frames.sides
     )
+
+
+def count_atoms(path: Path) -> int:
+    """Return the number of atoms in the first frame of a dump; 0 if it does not say."""
+    with _open(path) as opened:
+        for _ in range(HEADER):
+            if opened.readline(LONGEST_LINE).startswith(LABELS[COUNT_LABEL]):
+                return max(0, _count(opened.readline(LONGEST_LINE)))
+    return 0
 
 
 def _open(path: Path) -> IO[bytes]:
@@ -316,7 +273,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         if not rows:
             header = words
             periodic = _periodic(lines[BOX])
-            names = _needed(name, header)
+            names = _needed(name, header, lines[HEADER].split())
             indices = [header.index(key) for key in names]
         if words != header:
             raise InputError.at(
@@ -329,6 +286,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
             raise ValueError(f"an atom has no line at step {step}")
         # A restarted run writes frames again: the last one counts.
         rows[step] = _sort(atoms)
+        numbers = np.sort(atoms[:, 0])
         times[step] = frame.time
         sides[step] = _box_sides(name, lines)
         if len(rows) > most:
@@ -344,6 +302,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
     if CLOCK in columns and np.isnan(clock).all():
         clock = columns[CLOCK][:, 0]
     return Frames(
+        numbers=numbers.astype(int),
         steps=steps,
         times=clock,
         sides=np.array([sides[step] for step in steps]),
@@ -353,8 +312,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
     )
 
 
-def _needed(name: str, columns: Sequence[str]) -> list[str]:
-    """Return the columns of a dump to read, the atom numbers first."""
+def _needed(name: str, columns: Sequence[str], row: Sequence[bytes]) -> list[str]:
+    """Return the columns of a dump to read, the atom numbers first, from the first row."""
     # Periodic boxes wrap x, y and z, but not xu, yu and zu.
     unwrapped = set(UNWRAPPED) <= set(columns)
     positions = UNWRAPPED if unwrapped else AXES
@@ -363,7 +322,10 @@ def _needed(name: str, columns: Sequence[str]) -> list[str]:
         missing.append("vz")
     if missing:
         raise InputError.at(name, f"has no column {', '.join(missing)}: {COLUMNS}")
-    optional = (*MOTION, *GRAINS, CLOCK, *(() if unwrapped else IMAGES))
+    # Types may be written as labels.
+    labelled = not dict(zip(columns, row, strict=False)).get(TYPE, b"").isdigit()
+    types = () if labelled else (TYPE,)
+    optional = (*MOTION, *GRAINS, *types, CLOCK, *(() if unwrapped else IMAGES))
     return ["id", *positions, *(key for key in optional if key in columns)]
 
 
@@ -393,6 +355,8 @@ def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
 def _sort(atoms: Array) -> Array:
     """Return the columns of a frame after the atom numbers, sorted by them, (C-1, N)."""
     numbers = atoms[:, 0]
+    if not (np.abs(numbers) < MOST_ATOMS).all():
+        raise ValueError("an atom has no number")
     order = np.argsort(numbers)
     if (np.diff(numbers[order]) <= 0).any():
         raise ValueError("two atoms have the same number")

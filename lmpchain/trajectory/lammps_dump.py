@@ -82,7 +82,7 @@ def read_dump(
     z = frames.positions(axis)
     v_phi = columns.get("v_phi")
     spacing = float(np.spacing(np.abs(z[0]).max()))
-    rounding = 2 * length * _last_digit(written[0]) + 4 * spacing
+    rounding = 2 * length * last_digit(written[0]) + 4 * spacing
     column = _Column(z, columns[f"v{axis}"], v_phi, rounding)
     # A deck of lmpchain writes v_phi, and its z points up.
     directions = [-1.0] if v_phi is not None and axis == "z" else _directions(scene, z[0], rest)
@@ -98,10 +98,10 @@ def read_dump(
     numbers = (written if v_phi is None else frames.columns["v_phi"])[:, mover]
     total = int(frames.steps[-1] - frames.steps[0])
     # Grains far from z = 0 have a coarser last digit than the grain with the largest motion.
-    digit = length * _last_digit(numbers)
+    digit = length * last_digit(numbers)
     if v_phi is None:
         digit = max(digit, rounding / 2)
-    speed_digit = velocity * _last_digit(speeds)
+    speed_digit = velocity * last_digit(speeds)
     check_course(name, scene, motion, total, digit, spacing)
     recorded = scene.recorded - 1
     return Record(
@@ -128,7 +128,7 @@ def read_dump(
             "dump": name,
             "displacement": origin,
             "column": f"along {axis}, {axis} points {'up' if motion.down < 0 else 'down'}",
-            "precision": _describe_precision(length * _last_digit(numbers), speed_digit, motion),
+            "precision": _describe_precision(length * last_digit(numbers), speed_digit, motion),
             "displacement_digit": repr(digit),
             "velocity_digit": repr(speed_digit),
         },
@@ -214,7 +214,7 @@ def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
     return sorted((-1.0, 1.0), key=lambda down: float(np.ptp(np.diff(np.sort(down * z)) - gaps)))
 
 
-def _last_digit(values: Array) -> float:
+def last_digit(values: Array) -> float:
     """Return the size of the last digit of the largest number.
 
     Numbers of single precision have its digits, however many were written.
@@ -233,7 +233,7 @@ def _check_digits(name: str, heights: Array, unit: float, motion: float) -> None
 
     The `unit` of the heights is in m.
     """
-    digit = _last_digit(heights)
+    digit = last_digit(heights)
     if heights.any() and motion < CHECKS.levels * unit * digit:
         digits = round(np.log10(np.abs(heights).max() / digit) + 0.5)
         cure = "write them with dump_modify format float %.17g, or dump v_phi"

@@ -86,14 +86,6 @@ def test_a_wall_takes_the_constant_of_the_contact_next_to_it() -> None:
     assert alike.wall_constants.tolist() == [2e6, 2e6]
 
 
-@pytest.mark.parametrize("text", ["k0*u", "k0*u*t"])
-def test_a_law_of_the_ground_is_refused_where_it_is_evaluated(text: str) -> None:
-    law = Law(text, k0=2.0)
-    for evaluate in (law.force, law.stiffness, law.energy, law.overlap):
-        with pytest.raises(InputError, match=r"law\.force: depends on u or t"):
-            evaluate(1e-3)
-
-
 # Separated by | and by ends of lines.
 WRONG = """a*o|k*o)|__import__('os')|o.real|o[0]|k*o+force|u*o|3|o if o else 1|lambda: 0|9**9**9*o
 1e999*o|o^2|sin*o|max(o)|o+1j|True*o|None|nan*o|ö*o|o;o|o\nk|f(o)|exp(o, o)|exp(x=o)|max(*[o])|o@o

@@ -122,7 +122,7 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
         chain=damped_chain(), excitation=Impulse(velocity=3e-2), duration=6e-5, samples=10
     )
     schedule = Steps(7, 1, scene.duration / 9 / 7, adaptive=True)
-    for method in methods_of(True).values():
+    for method in methods_of(scene.chain).values():
         fields = np.empty((2, 2, 1, scene.samples, 12))
         whole = NativeStepper(ChainBatch([scene]), method, schedule, {})
         whole.fill(*fields[0], 0, 9, 10**6)

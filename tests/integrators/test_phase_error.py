@@ -22,7 +22,7 @@ TIME = np.cumsum(RNG.uniform(0.5, 1.5, TIMES))
 U, V = RNG.normal(size=(2, TIMES, GRAINS)) * 0.3
 STIFFNESS, SOFTNESS = RNG.uniform(1, 2, (2, GRAINS + 1))
 MOBILITY = RNG.uniform(0.5, 1, GRAINS)
-LINKS = LinearLinks(STIFFNESS, SOFTNESS, MOBILITY)
+LINKS = LinearLinks(STIFFNESS, SOFTNESS, MOBILITY, np.zeros(GRAINS))
 WALL = RNG.normal(size=(TIMES, 3)) * 0.2
 PUSH = RNG.normal(size=TIMES)
 RECORDED = np.array([True, False, True, True, False, True])
@@ -123,7 +123,7 @@ def test_a_contact_that_opens_between_two_times_is_told():
     not if that is far from here.
     """
     u, v = np.zeros((2, TIMES, GRAINS))
-    links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY)
+    links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY, np.zeros(GRAINS))
     u[0] = [0, 0, 0.9, 0, 0]  # contact 2 is stretched by 0.9 and comes back
     v[0] = [0, 0, -0.5, 0, 0]
     force = STIFFNESS * -np.diff(np.concatenate(([0], u[0], [0])))

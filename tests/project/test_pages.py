@@ -212,7 +212,7 @@ def test_the_page_reads_a_dump(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_scene_files_of_the_page(tmp_path: Path):
-    paper, grains, law, striker, damping = blocks("scenes", "toml")
+    paper, grains, law, ground, striker, damping = blocks("scenes", "toml")
     (tmp_path / "grains.csv").write_text(blocks("scenes", "text")[0])
     for text in (paper, grains, f"{grains}\n{damping}"):
         (tmp_path / "scene.toml").write_text(text)
@@ -221,6 +221,8 @@ def test_scene_files_of_the_page(tmp_path: Path):
     assert Scene.from_toml(tmp_path / "scene.toml").chain.load_grain == 2
     (tmp_path / "scene.toml").write_text(f"{paper}\n{law}")
     assert Scene.from_toml(tmp_path / "scene.toml").chain.law.parameters == (1e4,)
+    (tmp_path / "scene.toml").write_text(f"{paper}\n{ground}")
+    assert Scene.from_toml(tmp_path / "scene.toml").chain.ground_stiffness[0] == 1e6
     (tmp_path / "scene.toml").write_text(f"{paper}\n{damping}")
     assert Scene.from_toml(tmp_path / "scene.toml").chain.damped
 

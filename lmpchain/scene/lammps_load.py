@@ -1,0 +1,79 @@
+"""Gravity and load of a column from the forces of its contacts at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from ..util.arrays import Array
+
+CERTAIN = 3.0  # standard errors
+GRAVITIES = (9.81, 9.80665, 9.8)  # m/s2, the values that inputs have
+NEAR = 1e-5  # relative difference of gravity from one of these, for residues of motion
+# Forces over the largest one below which gravity and load are taken to be 0.
+LEAST_WEIGHT = 1e-7
+LEAST_LOAD = 1e-9
+HARDEST = 1e30  # N
+BISECTIONS = 2000
+
+
+class Line(NamedTuple):
+    """A straight line through points, with the standard error of its slope."""
+
+    slope: float
+    error: float
+
+
+def fit_line(x: Array, y: Array, errors: Array) -> Line:
+    """Return the line that fits points with these errors best, at least two points."""
+    share = (errors.min() / errors) ** 2
+    mean_x = float((share * x).sum() / share.sum())
+    mean_y = float((share * y).sum() / share.sum())
+    spread = float((share * (x - mean_x) ** 2).sum())
+    if not spread > 0:
+        return Line(0.0, math.inf)
+    slope = float((share * (x - mean_x) * (y - mean_y)).sum()) / spread
+    rest = y - mean_y - slope * (x - mean_x)
+    scatter = float((share * rest**2).sum()) / max(1, x.size - 2)
+    return Line(slope, math.sqrt(max(scatter, float(errors.min()) ** 2) / spread))
+
+
+def gravity_of(line: Line, weights: Array, forces: Array) -> float:
+    """Return gravity from the growth of forces with the mass above, m/s2; 0 if none is certain.
+
+    A usual value is taken if it is within the error.
+    """
+    size = abs(line.slope)
+    share = size * float(weights.max() - weights.min()) / max(float(forces.max()), 1e-300)
+    if size <= CERTAIN * line.error or share < LEAST_WEIGHT:
+        return 0.0
+    usual = (g for g in GRAVITIES if abs(size - g) <= CERTAIN * line.error + NEAR * g)
+    return next(usual, size)
+
+
+def mean_load(rest: Array, errors: Array, largest: float) -> float:
+    """Return the mean of forces less weights, N; 0 if it is not certain, or nearly nothing."""
+    share = 1 / errors**2
+    load = float((share * rest).sum() / share.sum())
+    spread = float((share * (rest - load) ** 2).sum()) / max(1, rest.size - 1)
+    error = math.sqrt(max(1.0, spread) / float(share.sum()))
+    return 0.0 if abs(load) <= max(CERTAIN * error, LEAST_LOAD * largest) else load
+
+
+def load_between(excess: Callable[[float], float]) -> float:
+    """Return the load at which an excess of overlaps, which grows with it, is 0; infinite if none.
+
+    The excess is below 0 without a load.
+    """
+    low, high = 0.0, 1.0
+    while excess(high) < 0:
+        high *= 4
+        if high > HARDEST:
+            return math.inf
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        if middle in (low, high):
+            break
+        low, high = (middle, high) if excess(middle) < 0 else (low, middle)
+    return high

@@ -1,0 +1,125 @@
+"""Grains and forces of a run of LAMMPS, as its files give them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from ..util.arrays import Array
+from .lammps_text import InputLine
+
+
+@dataclass
+class RunGrains:
+    """Grains of a run at the time at which its scene begins, in SI units, by atom number.
+
+    Attributes
+    ----------
+    source : str
+        Name of the file, or of the object.
+    numbers, types : (N,) int arrays
+    positions, velocities : (N, 3) arrays
+        m and m/s.
+    diameters, masses : (N,) arrays
+        m and kg; NaN if unknown.
+    slack : float
+        Rounding of a distance between two grains, m.
+    digits_lost : bool
+        Whether positions have fewer digits than double precision.
+    held : (N,) bool array or None
+        Grains that do not move; None if nothing tells.
+    acting : set of str, or None
+        Styles of the fixes that act; None if they are not known.
+    period : (3,) array
+        Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
+    duration : float
+        Of the run, s; NaN if unknown.
+    likely_step : float
+        Time step with which displacements would change as the velocities say, s; 0 if unknown.
+    samples : int
+        Frames of the run; 0 if unknown.
+    steps : (first, last) or None
+        Numbers of the steps of the first and the last frame of a dump.
+    """
+
+    source: str
+    numbers: np.ndarray
+    types: np.ndarray
+    positions: Array
+    velocities: Array
+    diameters: Array
+    masses: Array
+    slack: float
+    digits_lost: bool = False
+    held: np.ndarray | None = None
+    acting: frozenset[str] | None = None
+    period: Array = field(default_factory=lambda: np.full(3, math.inf))
+    duration: float = math.nan
+    likely_step: float = 0.0
+    samples: int = 0
+    steps: tuple[int, int] | None = None
+
+
+@dataclass
+class RunAtom:
+    """A grain while the commands are read, in the units of the input.
+
+    Attributes
+    ----------
+    kind : int
+        Its type.
+    x, v : lists of three numbers
+    diameter, mass : float
+        0 and NaN of a point, whose mass is that of its type.
+    """
+
+    kind: int
+    x: list[float]
+    v: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    diameter: float = 0.0
+    mass: float = math.nan
+
+
+class RunFix(NamedTuple):
+    """A fix with the numbers of the atoms of its group."""
+
+    line: InputLine
+    style: str
+    words: list[str]
+    members: frozenset[int]
+
+
+class RunBond(NamedTuple):
+    """A bond of a type between two atoms."""
+
+    kind: int
+    first: int
+    second: int
+
+
+class RunPair(NamedTuple):
+    """A pair_coeff of two ranges of types."""
+
+    line: InputLine
+    first: range
+    second: range
+    words: list[str]
+
+
+@dataclass
+class RunState:
+    """Forces and grains at one time of the input."""
+
+    atoms: dict[int, RunAtom] = field(default_factory=dict)
+    last_number: int = 0
+    type_masses: dict[int, float] = field(default_factory=dict)
+    fixes: dict[str, RunFix] = field(default_factory=dict)
+    pair: tuple[InputLine, list[str]] | None = None
+    pair_coefficients: list[RunPair] = field(default_factory=list)
+    bond: tuple[InputLine, list[str]] | None = None
+    bond_coefficients: dict[int, tuple[InputLine, list[str]]] = field(default_factory=dict)
+    bonds: list[RunBond] = field(default_factory=list)
+    step: float | None = None

