@@ -66,6 +66,7 @@ if TYPE_CHECKING:
     from .simulation.run_folder import Stopped as Stopped
     from .simulation.time_averages import Averages as Averages
     from .simulation.time_averages import averages as averages
+    from .sweeps.dispersion import dispersion as dispersion
     from .sweeps.results import load_sweep as load_sweep
     from .sweeps.run import sweep as sweep
     from .trajectory.trajectory import Trajectory as Trajectory
@@ -88,6 +89,7 @@ _MODULES = {
     "simulation.run_folder": "Stopped",
     "simulation.time_averages": "averages Averages",
     "report.exploration": "explore",
+    "sweeps.dispersion": "dispersion",
     "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
     "trajectory.trajectory": "Trajectory",

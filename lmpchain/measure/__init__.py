@@ -10,6 +10,7 @@ __all__ = [
     "fit",
     "flight",
     "front",
+    "harmonic",
     "motion",
     "power",
     "shock",
