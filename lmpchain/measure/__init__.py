@@ -6,6 +6,7 @@ __all__ = [
     "collision",
     "contact",
     "dyson",
+    "echo",
     "energy",
     "fit",
     "flight",
