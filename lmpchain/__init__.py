@@ -69,6 +69,7 @@ if TYPE_CHECKING:
     from .sweeps.dispersion import dispersion as dispersion
     from .sweeps.results import load_sweep as load_sweep
     from .sweeps.run import sweep as sweep
+    from .sweeps.strike_shares import strike_shares as strike_shares
     from .trajectory.trajectory import Trajectory as Trajectory
     from .util.version import __version__ as __version__
 
@@ -92,6 +93,7 @@ _MODULES = {
     "sweeps.dispersion": "dispersion",
     "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
+    "sweeps.strike_shares": "strike_shares",
     "trajectory.trajectory": "Trajectory",
     "benchmark.bench": "work_precision",
     "benchmark.own_run": "check check_deck",
