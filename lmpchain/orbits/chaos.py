@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -115,7 +115,8 @@ class Chaos(Shown, Tabular):
             index = self.gali(count)
             positive = index > 0
             ax.plot(self.time[positive], index[positive], lw=1, label=f"{count} deviations")
-        return finish(ax, "time", "generalised alignment index", ncols=2)
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18), "ncols": 3}
+        return finish(ax, "time", "generalised alignment index", **below)
 
 
 @in_one_thread

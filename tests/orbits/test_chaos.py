@@ -142,11 +142,16 @@ def test_indices_fall_by_the_differences_of_exponents() -> None:
             assert fall == pytest.approx(expected, rel=0.05)
 
 
-def test_a_weak_wave_under_load_is_regular() -> None:
-    """No exponent is above its interval, and the indices up to the dimension of the torus stay."""
-    found = chaos_of(struck(Chain(grains=4, top_load=10.0, **BEADS), 1e-3, 0.05))
+def test_indices_of_regular_motion_fall_as_powers_of_time() -> None:
+    """On a torus of N dimensions the index of k > N deviations falls as t^(-2 (k - N))."""
+    found = chaos_of(struck(Chain(grains=3, top_load=50.0, **BEADS), 0.2, 0.2))
     assert not found.chaotic
-    assert (found.gali(2)[64:] > 0.1).all()
+    assert (found.gali(2)[64:] > 0.3).all()
+    late = found.time > found.time[-1] / 5
+    for count in (4, 5, 6):
+        logarithm = found.log_gali[late, count - 1]
+        slope = np.polyfit(np.log(found.time[late]), logarithm, 1)[0]
+        assert slope == pytest.approx(-2 * (count - 3), rel=0.15)
 
 
 def test_pictures_tables_and_refusals() -> None:
