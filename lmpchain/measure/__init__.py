@@ -14,6 +14,7 @@ __all__ = [
     "harmonic",
     "motion",
     "power",
+    "self_similar",
     "shock",
     "solitary",
     "spectrum",
