@@ -39,14 +39,14 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
-SAMPLES = 12  # in a period, at least
-PERIODS = 24  # of the window, at least: half of it must still separate harmonics
-FEWEST = 8  # grains between which a wavenumber is measured
-NEAR = 3  # grains next to a source or an end, whose motion the next contacts do not show
+LEAST_SAMPLES = 12  # in a period, at least
+LEAST_PERIODS = 24  # of the window, at least: half of it must still separate harmonics
+FEWEST_GRAINS = 8  # grains between which a wavenumber is measured
+END_MARGIN = 3  # grains next to a source or an end, whose motion the next contacts do not show
 ENOUGH = 24  # grains: with these, only the steadier ones are used
 # Relative changes of an amplitude from the window to its later half, below which a grain is steady.
 STEADY = (1e-4, 1e-3, 1e-2)
-ROUNDING = 1e-12  # wavenumbers with an imaginary part below this do not decay
+LEAST_DECAY = 1e-12  # a smaller decay of the linear wave is a rounding error
 # The largest amplitude of a harmonic of an error of size 1, which a square wave has.
 SQUARE = 4 / np.pi
 
@@ -222,8 +222,8 @@ def wave(
     motion_error = SQUARE * motion_of(trajectory).known_error("displacement")
     whole, later, rough = _amplitudes(trajectory.time, u, omega, window)
     count = _steady(whole, later, motion_error)
-    if count < FEWEST + 2 * size:
-        few = f"{count} of the chosen grains move steadily, fewer than {FEWEST + 2 * size}"
+    if count < FEWEST_GRAINS + 2 * size:
+        few = f"{count} of the chosen grains move steadily, fewer than {FEWEST_GRAINS + 2 * size}"
         raise InputError.at("duration", f"{few}: record longer, or in a longer chain")
     whole, later, rough = (each[:count] for each in (whole, later, rough))
     cosine = _cosine(whole, size)
@@ -332,12 +332,16 @@ def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force,
     end = float(trajectory.time[-1])
     most = int(end / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
-    if not PERIODS <= count <= most:
-        raise InputError.at("periods", f"must be {PERIODS} to {most}, those of the run: {count}")
+    if not LEAST_PERIODS <= count <= most:
+        raise InputError.at(
+            "periods", f"must be {LEAST_PERIODS} to {most}, those of the run: {count}"
+        )
     step = trajectory.scene.sampling_interval
-    if period < SAMPLES * step * (1 - 1e-9):
-        least = 1 + int(np.ceil(SAMPLES * end / period))
-        raise InputError.at("samples", f"must be {least} or more: {SAMPLES} a period of the drive")
+    if period < LEAST_SAMPLES * step * (1 - 1e-9):
+        least = 1 + int(np.ceil(LEAST_SAMPLES * end / period))
+        raise InputError.at(
+            "samples", f"must be {least} or more: {LEAST_SAMPLES} a period of the drive"
+        )
     return drive, int(count * period / step * (1 + 1e-9))
 
 
@@ -360,8 +364,8 @@ def _choose(
     """Return the numbers of the grains between which the wave may be measured."""
     chain = trajectory.scene.chain
     recorded = np.sort(trajectory.grains)
-    low = max(drive.grain, 1) + NEAR if first is None else int(whole_numbers(first, "first"))
-    high = chain.movable - NEAR if last is None else int(whole_numbers(last, "last"))
+    low = max(drive.grain, 1) + END_MARGIN if first is None else int(whole_numbers(first, "first"))
+    high = chain.movable - END_MARGIN if last is None else int(whole_numbers(last, "last"))
     if not 1 <= low < high <= chain.movable:
         raise InputError.at("first", f"must leave grains to measure (got {low} to {high})")
     stiffness = chain.contacts.stiffness
@@ -376,9 +380,9 @@ def _choose(
         ):
             break
         number += 1
-    if not cell >= 1 or low not in recorded or number - low + 1 < FEWEST + 2 * cell:
+    if not cell >= 1 or low not in recorded or number - low + 1 < FEWEST_GRAINS + 2 * cell:
         few = f"{max(number - low + 1, 0)} grains from grain {low} are recorded and repeat a cell"
-        cure = f"{FEWEST + 2 * cell} or more are needed"
+        cure = f"{FEWEST_GRAINS + 2 * cell} or more are needed"
         raise InputError.at("chain", f"{few} of {cell}: {cure}")
     return np.arange(low, number + 1)
 
@@ -429,7 +433,7 @@ def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> 
         step = np.array([[(above + below - mass) / below, -above / below], [1, 0]])
         transfer = step @ transfer
     root = complex(np.arccos(np.trace(transfer) / 2))
-    decays = abs(root.imag) > ROUNDING
+    decays = abs(root.imag) > LEAST_DECAY
     other = root.imag > 0 if decays else root.real * phase < 0
     return -root if other else root
 

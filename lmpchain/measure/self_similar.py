@@ -23,9 +23,9 @@ __dir__ = listed(__name__)
 
 # Moments at which the profile is compared, relative to the age of the wave at the end.
 AGES = (0.4, 0.6, 0.8, 1.0)
-POINTS = 400
+PROFILE_POINTS = 400
 BEYOND = 1.15  # the profile is drawn up to this multiple of the speed of the leading edge
-NEAR = 0.03  # of the leading speed, within which the largest change is taken
+NEIGHBOURHOOD = 0.03  # of the leading speed, within which the largest change is taken
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -112,14 +112,16 @@ def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     wave = find(trajectory, direction)
     moments = wave.start + np.array(AGES) * (wave.time - wave.start)
     rows = np.abs(wave.moment[:, None] - moments).argmin(0)
-    speed = np.linspace(0.0, BEYOND * wave.leading.speed, POINTS)
+    speed = np.linspace(0.0, BEYOND * wave.leading.speed, PROFILE_POINTS)
     profiles = np.array([_profile(wave, row, speed) for row in rows])
-    limit = np.full(POINTS, np.nan)
+    limit = np.full(PROFILE_POINTS, np.nan)
     if wave.kind == "rarefaction":
         limit = _simple_wave(wave, trajectory.scene.chain.law.power_of("a shock"), speed)
     change = np.abs(profiles[-1] - profiles[0])
-    near = max(1, int(NEAR * POINTS / BEYOND))
-    largest = np.array([change[max(0, n - near) : n + near + 1].max() for n in range(POINTS)])
+    near = max(1, int(NEIGHBOURHOOD * PROFILE_POINTS / BEYOND))
+    largest = np.array(
+        [change[max(0, n - near) : n + near + 1].max() for n in range(PROFILE_POINTS)]
+    )
     return SelfSimilar(wave, speed, wave.moment[rows], profiles, limit, largest)
 
 

@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 REACH = 0.1  # step times the highest frequency, rad
 TURN = 128  # most steps between two orthonormalisations
-MOST_STEPS = 20_000_000
+STEP_LIMIT = 20_000_000
 # Stretches of the time: while deviations turn to their directions, and in all.
 SETTLING = 64
 STRETCHES = SETTLING + BATCHING.stretches
-TINY = 1e-300
+SMALLEST_INDEX = 1e-300
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,7 +83,7 @@ class Chaos(Shown, Tabular):
         if not 2 <= number <= self.exponent.size:
             raise InputError.at("count", f"must be 2 to {self.exponent.size} (got {count})")
         logarithm = self.log_gali[:, number - 1]
-        return np.where(logarithm > math.log(TINY), np.exp(logarithm), 0.0)
+        return np.where(logarithm > math.log(SMALLEST_INDEX), np.exp(logarithm), 0.0)
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)
@@ -163,7 +163,7 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
         raise InputError.at("exponents", f"must be 2 to {size} (got {exponents})")
     stretch = scene.duration / STRETCHES
     steps = max(1, math.ceil(stretch * scene.fastest_motion / REACH))
-    if steps * STRETCHES > MOST_STEPS:
+    if steps * STRETCHES > STEP_LIMIT:
         raise InputError.at("duration", f"takes {steps * STRETCHES:.2g} steps: shorten it")
     turns = math.ceil(steps / TURN)
     mesh = np.full(math.ceil(steps / turns), 1 / math.ceil(steps / turns))

@@ -22,8 +22,8 @@ from ..util.tabular import NamedColumn, Tabular
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SAMPLES = 24  # in a period
-COLUMNS = {
+SAMPLES_A_PERIOD = 24  # in a period
+NUMBERS_OF_A_WAVE = {
     "phase": "rad",
     "phase_error": "rad",
     "decay": "",
@@ -69,7 +69,7 @@ class AmplitudeDispersion(Shown, Tabular):
         shape = self.phase.shape
         yield NamedColumn("frequency", "Hz", np.repeat(self.frequency, shape[1]))
         yield NamedColumn("amplitude", self._unit, np.tile(self.amplitude, shape[0]))
-        for name, unit in COLUMNS.items():
+        for name, unit in NUMBERS_OF_A_WAVE.items():
             yield NamedColumn(name, unit, getattr(self, name).ravel())
         for name in ("linear_phase", "linear_decay"):
             yield NamedColumn(name, "", np.repeat(getattr(self, name), shape[1]))
@@ -145,7 +145,7 @@ def dispersion(
     scenes = [
         scene.replace(
             excitation=drive.replace(amplitude=float(a), frequency=float(f)),
-            samples=1 + int(np.ceil(SAMPLES * scene.duration * f)),
+            samples=1 + int(np.ceil(SAMPLES_A_PERIOD * scene.duration * f)),
         )
         for f in frequency
         for a in amplitude
@@ -158,7 +158,8 @@ def dispersion(
         except InputError as error:
             raise InputError(error.under(f"frequency {f:g} Hz")) from None
     fields = {
-        name: np.array([[getattr(each, name) for each in row] for row in waves]) for name in COLUMNS
+        name: np.array([[getattr(each, name) for each in row] for row in waves])
+        for name in NUMBERS_OF_A_WAVE
     }
     linear = np.array([(row[0].linear_phase, row[0].linear_decay) for row in waves]).T
     unit = "m" if isinstance(drive, Drive) else "N"

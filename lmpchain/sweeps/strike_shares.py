@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 # Grains of the first chain and of the longest one: waves part slowly if the exponent is near 1.
-FEWEST = 100
-MOST = 800
-SAMPLES = 12  # in the time from grain to grain
+SHORTEST_CHAIN = 100
+LONGEST_CHAIN = 800
+SAMPLES_A_GRAIN = 12  # in the time from grain to grain
 STRIKE = 0.1  # m/s; shares do not depend on it
 # Velocity of the leading wave, over that of the strike, which is less than any observed one.
 SLOWEST = 0.35
@@ -129,9 +129,9 @@ def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
 
 def _train(exponent: float, accuracy: float) -> Train:
     """Return the waves of the shortest chain whose share is accurate enough."""
-    grains = FEWEST
+    grains = SHORTEST_CHAIN
     reason = ""
-    while grains <= MOST:
+    while grains <= LONGEST_CHAIN:
         try:
             train = find(simulate(_scene(exponent, grains), "native", min(accuracy, 1e-6) / 100))
         except InputError as error:
@@ -163,4 +163,6 @@ def _scene(exponent: float, grains: int) -> Scene:
     speed = unit * solve(delta=exponent, velocity=SLOWEST).speed
     strike = Impulse(velocity=STRIKE)
     # `find` ignores what is recorded after the leading wave has come near the end.
-    return Scene(chain=chain, excitation=strike, duration=grains / speed, samples=SAMPLES * grains)
+    return Scene(
+        chain=chain, excitation=strike, duration=grains / speed, samples=SAMPLES_A_GRAIN * grains
+    )

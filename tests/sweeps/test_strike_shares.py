@@ -37,6 +37,6 @@ def test_wrong_exponents_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
         strike_shares([1.0])
     with pytest.raises(InputError, match="accuracy"):
         strike_shares([1.5], accuracy=0.0)
-    monkeypatch.setattr(strikes, "MOST", 100)
+    monkeypatch.setattr(strikes, "LONGEST_CHAIN", 100)
     with pytest.raises(RunFailed, match=r"exponent 1\.01"):
         strike_shares([1.01])
