@@ -17,6 +17,7 @@ __all__ = [
     "measured_over",
     "realisation",
     "spreading",
+    "statistics",
     "within",
 ]
 __getattr__ = attributes(
@@ -24,7 +25,7 @@ __getattr__ = attributes(
     names={
         "averages": "Ensemble at_the_end ensemble",
         "draws": "disordered factors realisation",
-        "measured": "MeasuredEnsemble measured_over within",
+        "measured": "MeasuredEnsemble measured_over statistics within",
         "spread": "Spreading spreading",
         "transfer_matrix": "DensityOfStates Localisation density_of_states lyapunov",
     },

@@ -168,6 +168,52 @@ class MeasuredEnsemble(Shown, Tabular):
         return finish(ax, x_label, label, title)
 
 
+def statistics(
+    values: Any, over: str | None = None, x: ArrayLike | None = None
+) -> MeasuredEnsemble:
+    """Return the statistics of values that were computed elsewhere, as by a sweep.
+
+    Parameters
+    ----------
+    values : (R, ...) array_like, or xarray.DataArray
+        One row for each of two chains or more, or a variable of `load_sweep`.
+    over : str, optional
+        Dimension of the chains in a DataArray, as "realisation" or "draw".
+    x : array_like, optional
+        Coordinate of a curve, for pictures.
+
+    Returns
+    -------
+    MeasuredEnsemble
+        Its errors of runs are NaN.
+
+    Raises
+    ------
+    InputError
+        If there is no such dimension, or values are missing, because a scene failed.
+
+    Examples
+    --------
+    >>> found = statistics([1.0, 2.0, 3.0, 4.0, 5.0])
+    >>> float(found.mean), [round(float(end), 3) for end in found.interval]
+    (3.0, [1.037, 4.963])
+    """
+    if over is not None:
+        dimensions = list(getattr(values, "dims", ()))
+        if over not in dimensions:
+            raise InputError.at("over", not_among(over, dimensions))
+        values = values.transpose(over, ...)
+    rows = np.asarray(values, dtype=float)
+    if rows.ndim < 1 or len(rows) < 2:
+        raise InputError.at("values", "must have rows of two chains or more")
+    missing = np.flatnonzero(np.isnan(rows).reshape(len(rows), -1).any(1))
+    if missing.size:
+        message = f"are missing for {missing.size} of {len(rows)} chains, first for {missing[0]}"
+        raise InputError.at("values", f"{message}: leave these out if they do not bias the rest")
+    coordinate = None if x is None else numbers(x, "x")
+    return MeasuredEnsemble(rows, coordinate, np.nan, np.nan)
+
+
 def measured_over(
     scene: Scene,
     measure: Measure,

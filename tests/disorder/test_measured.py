@@ -1,11 +1,13 @@
 """Statistics of any measured quantity, against known distributions and laws."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from lmpchain import Chain, Impulse, InputError, Scene, simulate
-from lmpchain.disorder import MeasuredEnsemble, measured_over, realisation, within
+from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
+from lmpchain.disorder import MeasuredEnsemble, measured_over, realisation, statistics, within
 from lmpchain.measure import energy, flight, spectrum
 
 CHAIN = Chain(grains=24, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
@@ -131,6 +133,30 @@ def test_a_common_diameter_is_one_of_all_grains() -> None:
     assert (each.values > 1e-6).all()
     again = within(SHORT, {"diameter": 1e-5}, spread, **options)
     assert (again.values == each.values).all()
+
+
+def test_statistics_of_a_sweep_are_those_of_the_ensemble(tmp_path: Path) -> None:
+    """Rows of a sweep over disorder give the same numbers as the same chains run here."""
+    disorder = {"m": 5, "seed": 3, "realisations": 6}
+    tables = {
+        "chain": {"grains": 24, "diameter": 5e-3, "material": "steel", "gravity": 0.0}
+        | {"top_load": 10.0},
+        "excitation": {"kind": "impulse", "velocity": 1e-4},
+        "recording": {"duration": 2e-4, "samples": 3},
+    }
+    stored = sweep({"scene": tables, "disorder": disorder, "keep": ["velocity"]}, tmp_path)
+    found = statistics(stored.velocity, over="realisation")
+    here = measured_over(SCENE.replace(samples=3), lambda t: t.velocity, 5, 6, seed=3)
+    size = np.abs(here.values).max()
+    assert found.values.shape == (6, 3, 24)
+    assert found.mean == pytest.approx(here.mean, abs=1e-5 * size)
+    assert found.error == pytest.approx(here.error, abs=1e-5 * size)
+    with pytest.raises(InputError, match="over"):
+        statistics(stored.velocity, over="draw")
+    with pytest.raises(InputError, match="missing for 1 of 3"):
+        statistics([1.0, np.nan, 2.0])
+    with pytest.raises(InputError, match="two chains"):
+        statistics([1.0])
 
 
 def test_pictures_have_labels() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, laws
 from lmpchain.orbits import Chaos, chaos_of
 from lmpchain.orbits import chaos as chaos_module
 
@@ -152,6 +152,25 @@ def test_indices_of_regular_motion_fall_as_powers_of_time() -> None:
         logarithm = found.log_gali[late, count - 1]
         slope = np.polyfit(np.log(found.time[late]), logarithm, 1)[0]
         assert slope == pytest.approx(-2 * (count - 3), rel=0.15)
+
+
+def test_laws_by_formula_have_exponents_too() -> None:
+    """Toda's chain is integrable, and that of Fermi, Pasta, Ulam and Tsingou is not."""
+    fields = {"grains": 4, "gravity": 0.0, "diameter": 1e-2, "masses": np.full(4, 1e-3)}
+    ends = {"top": "wall", "bottom": "wall"}
+    scene = Scene(
+        chain=Chain(law=laws.toda(b=1e5, k=1e5), **fields, **ends),
+        excitation=Profile(velocity=[0.2, -0.1, 0.15, -0.05]),
+        duration=0.2,
+    )
+    toda = chaos_of(scene)
+    assert not toda.chaotic
+    assert (toda.gali(2) > 0.01).all()
+    other = scene.chain.replace(law=laws.fput(beta=1e15, k=1e5))
+    chaotic = chaos_of(scene.replace(chain=other))
+    assert chaotic.chaotic
+    assert chaotic.gali(2)[-1] < 1e-6
+    assert max(toda.energy_drift, chaotic.energy_drift) < 1e-6
 
 
 def test_pictures_tables_and_refusals() -> None:
