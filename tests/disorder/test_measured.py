@@ -47,7 +47,11 @@ def test_drawn_factors_come_back() -> None:
         low, high = found.quantile_interval(share)
         assert low < law.ppf(share) < high
         assert low <= found.quantile(share) <= high
-    assert not np.isfinite(MeasuredEnsemble(found.values[:5], None, 0, 0).quantile_interval(0.9)[1])
+    few = MeasuredEnsemble(found.values[:5], None, 0, 0)
+    assert few.quantile_interval(0.9)[1] == np.inf
+    assert few.quantile_interval(0.1)[0] == -np.inf
+    with pytest.raises(InputError, match="between 0 and 1"):
+        few.quantile(1.0)
 
 
 def test_curves_and_several_quantities_are_those_of_single_runs() -> None:

@@ -156,6 +156,10 @@ def test_what_has_no_echo_is_refused_and_pictures_have_labels() -> None:
         echo.find(t, 8, 8)
     with pytest.raises(InputError, match="between 0 and 1"):
         echo.find(t, 8, least=2.0)
+    # Walls are half a diameter beyond the last grains.
+    for reflector, diameters in ((None, 16.5), (25, 16.5), (24, 16), (1, 7), (0, 7.5)):
+        distance = echo.find(t, 8, reflector).distance
+        assert distance == pytest.approx(2 * diameters * 5e-3, rel=1e-12)
     axes = echo.find(t, 8).plot()
     assert axes.get_xlabel() == "time"
     push = Force(grain=1, shape="half-sine", amplitude=1e-9, duration=1e-3)

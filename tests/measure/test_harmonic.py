@@ -174,6 +174,12 @@ def test_drive_point_of_linear_chains() -> None:
         assert found.apparent_mass == pytest.approx(-exact / omega**2, rel=1e-5)
         assert found.impedance.real > 0
         assert found.loss_factor == pytest.approx(exact.imag / abs(exact.real), rel=1e-4)
+        assert found.impedance == pytest.approx(found.stiffness / (1j * omega), rel=1e-12)
+        assert found.impedance_error == pytest.approx(found.error / omega, rel=1e-12)
+        assert found.apparent_mass_error == pytest.approx(found.error / omega**2, rel=1e-12)
+        part = found.error / abs(exact.real)
+        bounds = part, 2 * part * (1 + found.loss_factor)
+        assert bounds[0] <= found.loss_factor_error <= bounds[1]
 
 
 def test_drive_point_of_a_strongly_shaken_chain() -> None:
@@ -229,6 +235,17 @@ def test_a_plot_has_labels_and_what_cannot_be_measured_is_refused() -> None:
     assert axes.get_ylabel()
     with pytest.raises(InputError, match="are needed"):
         harmonic.wave(t, first=10, last=14)
+    with pytest.raises(InputError, match="leave grains to measure"):
+        harmonic.wave(t, first=20, last=10)
+    # Grains beyond a gap in the recording are left out, and so are those of another kind.
+    sparse = t.scene.replace(grains=(*range(1, 31), *range(40, 60)))
+    assert harmonic.wave(simulate(sparse, "native", 1e-8)).grain.max() == 30
+    heavy = t.scene.chain.masses.copy()
+    heavy[35] *= 1.5
+    mixed = t.scene.replace(chain=t.scene.chain.replace(masses=heavy))
+    assert harmonic.wave(simulate(mixed, "native", 1e-6)).grain.tolist() == list(range(4, 36))
+    unsure = harmonic.DrivePoint(1.0, complex(1.0, 2.0), 1.5, complex(np.nan))
+    assert unsure.loss_factor_error == np.inf
     with pytest.raises(InputError, match="periods"):
         harmonic.wave(t, periods=4)
     burst = t.scene.replace(excitation=t.scene.excitation.replace(cycles=3))
