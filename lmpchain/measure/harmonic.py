@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.acting import Drive, Force
-from ..theory.steady import displacements
+from ..theory.steady import displacements, dynamic_stiffness
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
@@ -369,7 +369,7 @@ def _choose(
     if not 1 <= low < high <= chain.movable:
         raise InputError.at("first", f"must leave grains to measure (got {low} to {high})")
     stiffness = chain.contacts.stiffness
-    kinds = [chain.masses, stiffness[:-1], stiffness[1:], chain.drag]
+    kinds = [chain.masses, stiffness[:-1], stiffness[1:], chain.drag, chain.dynamical_matrix()[0]]
     kinds += [chain.contact_viscosity[:-1], chain.contact_viscosity[1:]]
     number = low
     while number < high and number + 1 in recorded:
@@ -424,14 +424,15 @@ def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> 
     """
     if not chain.linearisable:
         return complex(np.nan, np.nan)
-    numbers = np.arange(grain, grain + cell)
-    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    springs = dynamic_stiffness(chain, omega)
+    # The pull on a grain by a unit displacement of it, without damping.
+    pull = chain.masses[: chain.movable] * chain.dynamical_matrix()[0]
     transfer = np.eye(2, dtype=complex)
-    for n in numbers:
-        mass = chain.masses[n - 1] * (omega**2 - 1j * omega * chain.drag[n - 1])
-        above, below = stiffness[n - 1], stiffness[n]
-        step = np.array([[(above + below - mass) / below, -above / below], [1, 0]])
-        transfer = step @ transfer
+    for n in range(grain, grain + cell):
+        inertia = chain.masses[n - 1] * (omega**2 - 1j * omega * chain.drag[n - 1])
+        above, below = springs[n - 1], springs[n]
+        middle = pull[n - 1] + 1j * (above + below).imag - inertia
+        transfer = np.array([[middle / below, -above / below], [1, 0]]) @ transfer
     root = complex(np.arccos(np.trace(transfer) / 2))
     decays = abs(root.imag) > LEAST_DECAY
     other = root.imag > 0 if decays else root.real * phase < 0
@@ -467,8 +468,7 @@ def _linear_stiffness(chain: Chain, drive: Drive | Force) -> complex:
     if isinstance(drive, Force):
         return complex(drive.amplitude / u[drive.grain])
     omega = 2 * np.pi * drive.frequency
-    stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
-    force = stiffness * (u[:-1] - u[1:])
+    force = dynamic_stiffness(chain, omega) * (u[:-1] - u[1:])
     grain = drive.grain
     above = force[grain - 1] + chain.masses[0] * omega**2 * u[1] if grain else 0.0
     return complex((force[grain] - above) / drive.amplitude)
