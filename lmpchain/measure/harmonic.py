@@ -46,6 +46,9 @@ END_MARGIN = 3  # grains next to a source or an end, whose motion the next conta
 ENOUGH = 24  # grains: with these, only the steadier ones are used
 # Relative changes of an amplitude from the window to its later half, below which a grain is steady.
 STEADY = (1e-4, 1e-3, 1e-2)
+# Transient in the window of a drive point, over its change to the later half of the window, if a
+# third of it dies out in between. Waves leave a uniform piece faster.
+LEFT = 3.0
 LEAST_DECAY = 1e-12  # a smaller decay of the linear wave is a rounding error
 # The largest amplitude of a harmonic of an error of size 1, which a square wave has.
 SQUARE = 4 / np.pi
@@ -122,7 +125,9 @@ class DrivePoint:
     stiffness : complex
         Dynamic stiffness, force over displacement, N/m.
     error : float
-        By how much it may be off in magnitude, N/m, as for `HarmonicWave`.
+        By how much it may be off in magnitude, N/m: three times the change from the window to its
+        later half, the change with every second sample, and the error of the trajectory. It does
+        not hold for a chain that bounces without becoming periodic.
     linear : complex
         That of the linearised chain, N/m; NaN if it has no load.
     """
@@ -313,7 +318,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     linear = complex(np.nan, np.nan)
     if chain.linearisable:
         linear = _linear_stiffness(chain, drive)
-    error = abs(later - whole) + abs(rough - whole) + off * abs(whole)
+    error = LEFT * abs(later - whole) + abs(rough - whole) + off * abs(whole)
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
 

@@ -227,6 +227,31 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
     assert abs(found.linear - fundamental) > max(100 * found.error, 5e-3 * abs(fundamental))
 
 
+def test_errors_cover_what_is_left_of_a_transient() -> None:
+    """After short runs of weakly damped, strongly driven chains, a four times longer one agrees."""
+    rng = np.random.default_rng(6)
+    for number in range(6):
+        chain = Chain(
+            grains=int(rng.integers(4, 10)),
+            top="wall",
+            bottom="wall",
+            damping={"viscoelastic": 2e-6, "drag": 100.0},
+            **LOADED,
+        )
+        frequency = rng.uniform(0.1, 0.5) * chain.band_edge / 2 / np.pi
+        size = 0.3 * float(chain.contacts.overlap[0])
+        drive: Drive | Force = Drive(grain=0, amplitude=size, frequency=frequency)
+        if number % 2:
+            push = size * float(chain.contacts.stiffness[0])
+            drive = Force(grain=2, amplitude=push, frequency=frequency)
+        periods = int(rng.integers(60, 120))
+        short, long = (
+            harmonic.drive_point(driven(chain, drive, count)) for count in (periods, 4 * periods)
+        )
+        assert long.error < 1e-3 * abs(long.stiffness)
+        assert abs(short.stiffness - long.stiffness) <= short.error + long.error
+
+
 def test_a_plot_has_labels_and_what_cannot_be_measured_is_refused() -> None:
     """The picture has labelled axes; a burst or a few grains give no wavenumber."""
     t = long_run(1.5, 0.02)
