@@ -66,8 +66,10 @@ if TYPE_CHECKING:
     from .simulation.run_folder import Stopped as Stopped
     from .simulation.time_averages import Averages as Averages
     from .simulation.time_averages import averages as averages
+    from .sweeps.dispersion import dispersion as dispersion
     from .sweeps.results import load_sweep as load_sweep
     from .sweeps.run import sweep as sweep
+    from .sweeps.strike_shares import strike_shares as strike_shares
     from .trajectory.trajectory import Trajectory as Trajectory
     from .util.version import __version__ as __version__
 
@@ -88,8 +90,10 @@ _MODULES = {
     "simulation.run_folder": "Stopped",
     "simulation.time_averages": "averages Averages",
     "report.exploration": "explore",
+    "sweeps.dispersion": "dispersion",
     "sweeps.run": "sweep",
     "sweeps.results": "load_sweep",
+    "sweeps.strike_shares": "strike_shares",
     "trajectory.trajectory": "Trajectory",
     "benchmark.bench": "work_precision",
     "benchmark.own_run": "check check_deck",

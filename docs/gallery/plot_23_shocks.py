@@ -6,7 +6,7 @@ A piston, or a step of compression (the Riemann problem), sends them down a chai
 """
 
 import lmpchain
-from lmpchain.measure import shock
+from lmpchain.measure import self_similar, shock
 from lmpchain.util.plotting import figure
 
 chain = lmpchain.Chain(
@@ -52,3 +52,13 @@ opening = run(chain.replace(top="free"), step, 4e-3)
 picture = figure(9, 9)
 for ax, wave in zip(picture.subplots(2, 2).flat, (train, steady, vacuum, opening), strict=True):
     wave.plot(ax)
+
+# %%
+# Over distance divided by time, the profiles of a rarefaction at all times approach one curve, the
+# simple wave of gas dynamics; those of a dispersive shock keep its two edges.
+steps = lmpchain.Scene(
+    chain=chain.replace(top="free"), excitation=step, duration=4e-3, samples=1601
+)
+picture_of_rarefaction = self_similar.view(lmpchain.simulate(steps, "native", 1e-5)).plot()
+pistons = lmpchain.Scene(chain=chain, excitation=piston, duration=9e-3, samples=1601)
+picture_of_shock = self_similar.view(lmpchain.simulate(pistons, "native", 1e-5)).plot()

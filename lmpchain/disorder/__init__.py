@@ -6,6 +6,7 @@ __all__ = [
     "DensityOfStates",
     "Ensemble",
     "Localisation",
+    "MeasuredEnsemble",
     "Spreading",
     "at_the_end",
     "density_of_states",
@@ -13,14 +14,18 @@ __all__ = [
     "ensemble",
     "factors",
     "lyapunov",
+    "measured_over",
     "realisation",
     "spreading",
+    "statistics",
+    "within",
 ]
 __getattr__ = attributes(
     __name__,
     names={
         "averages": "Ensemble at_the_end ensemble",
         "draws": "disordered factors realisation",
+        "measured": "MeasuredEnsemble measured_over statistics within",
         "spread": "Spreading spreading",
         "transfer_matrix": "DensityOfStates Localisation density_of_states lyapunov",
     },

@@ -106,8 +106,13 @@ def disordered(
     >>> bool(abs(drawn.linear_stiffness / chain.linear_stiffness / zeta - 1).max() < 1e-13)
     True
     """
+    return change_chain(chain, factors(m, _count(chain, of), rng, law), of)
+
+
+def change_chain(chain: Chain, factor: Array, of: Of) -> Chain:
+    """Return a copy of a chain whose contacts (N-1,) or grains (N,) are multiplied by factors."""
     _check_of(chain, of)
-    return Chain(**_fields(chain, factors(m, _count(chain, of), rng, law), of))
+    return Chain(**_fields(chain, factor, of))
 
 
 def realisation(
@@ -202,10 +207,7 @@ def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
     if of == "diameter" or impure:
         fields["diameter"] = chain.diameters * (zeta if of == "diameter" else 1.0)
     if of == "youngs_modulus" or impure:
-        material: Any = chain.material
-        materials = list(material) if isinstance(material, tuple) else [material] * chain.grains
-        for impurity in impure:
-            materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
+        materials = materials_of(chain)
         if of == "youngs_modulus":
             materials = [
                 Material(
@@ -217,6 +219,15 @@ def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
             ]
         fields["material"] = tuple(materials)
     return fields
+
+
+def materials_of(chain: Chain) -> list[Material]:
+    """Return the material of each grain, those of impurities included."""
+    material: Any = chain.material
+    materials = list(material) if isinstance(material, tuple) else [material] * chain.grains
+    for impurity in chain.given().get("impurity", ()):
+        materials[impurity.grain - 1] = impurity.material or materials[impurity.grain - 1]
+    return materials
 
 
 Fault = tuple[str, str] | None

@@ -153,6 +153,21 @@ class Shock(Shown, Tabular):
     _start: float
     _downward: bool
 
+    @property
+    def source(self) -> float:
+        """Contact at which the wave began."""
+        return self._source
+
+    @property
+    def start(self) -> float:
+        """Time at which a sudden push would have begun, s."""
+        return self._start
+
+    @property
+    def downward(self) -> bool:
+        """Whether the wave goes down."""
+        return self._downward
+
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the final overlaps, edges and plateaus, predicted edges dashed; return axes."""
         ax = axes_in_units(ax, "", "m")

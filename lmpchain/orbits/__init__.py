@@ -3,10 +3,12 @@
 from ..util.lazy import attributes, listed
 
 __all__ = [
+    "Chaos",
     "Event",
     "Family",
     "Orbit",
     "breather",
+    "chaos_of",
     "find",
     "follow",
     "linear_mode",
@@ -17,6 +19,7 @@ __all__ = [
 __getattr__ = attributes(
     __name__,
     names={
+        "chaos": "Chaos chaos_of",
         "orbit": "Orbit",
         "search": "find linear_mode",
         "modes": "breather mode_family normal_mode",

@@ -1,0 +1,444 @@
+"""Any measured quantity over random chains, or within the tolerances of what is known of a chain.
+
+A measure is a function of a trajectory that returns a number, an array, or several of them by name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binom
+from scipy.stats import t as student
+
+from ..chain.chain import Chain
+from ..engines.base import Engine
+from ..errors import InputError, shown
+from ..scene.scene import Scene, check_scene
+from ..simulation.many import simulate_many
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array, numbers
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, finish
+from ..util.progress import ProgressBar
+from ..util.remarks import warnings_aside
+from ..util.tables import NamedColumn, Tabular
+from ..util.validation import not_among
+from .draws import (
+    Law,
+    Of,
+    change_chain,
+    check,
+    fault_of_count,
+    fault_of_whole,
+    materials_of,
+    realisation,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Measure = Callable[[Trajectory], Any]
+Distribution = Literal["normal", "uniform"]
+BATCH = 16  # chains that are in memory at a time
+LEVEL = 0.95  # of intervals
+BAND = (0.05, 0.95)  # quantiles between which a picture is shaded
+OF_GRAINS: dict[str, Of] = {
+    "diameter": "diameter",
+    "youngs_modulus": "youngs_modulus",
+    "mass": "mass",
+}
+OF_CHAIN = ("top_load", "gravity")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MeasuredEnsemble(Shown, Tabular):
+    """A measured quantity of R chains: mean, scatter and quantiles with intervals.
+
+    Attributes
+    ----------
+    values : (R, ...) array
+        Of each chain.
+    x : array or None
+        Coordinate of a curve.
+    model_error, solver_error : float
+        Largest errors of any run, relative, as defined for a trajectory.
+    """
+
+    values: Array
+    x: Array | None
+    model_error: float
+    solver_error: float
+
+    @property
+    def realisations(self) -> int:
+        """Number of chains, R."""
+        return len(self.values)
+
+    @property
+    def mean(self) -> Array:
+        """Mean over the chains, (...)."""
+        return np.asarray(self.values.mean(0))
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation over the chains, (...)."""
+        return np.asarray(self.values.std(0, ddof=1))
+
+    @property
+    def error(self) -> Array:
+        """Standard error of the mean, (...)."""
+        return self.deviation / np.sqrt(self.realisations)
+
+    @property
+    def interval(self) -> tuple[Array, Array]:
+        """Ends of the 95 % confidence interval of the mean, by Student's distribution."""
+        half = student.ppf((1 + LEVEL) / 2, self.realisations - 1) * self.error
+        return self.mean - half, self.mean + half
+
+    def quantile(self, share: float) -> Array:
+        """Return the value below which this share of the chains lies, (...)."""
+        _check_share(share)
+        return np.asarray(np.quantile(self.values, share, axis=0))
+
+    def quantile_interval(self, share: float) -> tuple[Array, Array]:
+        """Return the ends of a 95 % confidence interval of a quantile, (...) each.
+
+        They are order statistics, so that the interval holds for every continuous distribution. An
+        end is infinite if the chains are too few.
+        """
+        _check_share(share)
+        low, high = binom.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], self.realisations, share)
+        ends = np.full((1, *self.values.shape[1:]), np.inf)
+        ordered = np.concatenate((-ends, np.sort(self.values, axis=0), ends))
+        return ordered[int(low)], ordered[int(high) + 1]
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        if self.x is not None:
+            yield NamedColumn("x", "", self.x)
+        low, high = (np.atleast_1d(end) for end in self.interval)
+        columns = {"mean": self.mean, "error": self.error, "deviation": self.deviation}
+        columns |= {"interval_low": low, "interval_high": high}
+        columns |= {f"quantile_{share:g}": self.quantile(share) for share in (0.05, 0.5, 0.95)}
+        for name, values in columns.items():
+            yield NamedColumn(name, "", np.atleast_1d(values).ravel())
+
+    def plot(
+        self, ax: Axes | None = None, label: str = "measured quantity", x_label: str = "x"
+    ) -> Axes:
+        """Draw a number as a histogram, or a curve with its scatter and the error of its mean.
+
+        Parameters
+        ----------
+        ax : axes, optional
+            By default those of a new figure.
+        label, x_label : str
+            Of the quantity and of its coordinate, with their units.
+
+        Raises
+        ------
+        InputError
+            If the quantity has more than one dimension.
+        """
+        ax = axes_in_units(ax, "", "")
+        title = f"{self.realisations} chains"
+        if self.values.ndim == 1:
+            ax.hist(self.values, bins="auto", color="0.75")
+            low, high = self.interval
+            ax.axvline(float(self.mean), color="#0072B2", label="mean")
+            ax.axvspan(float(low), float(high), color="#0072B2", alpha=0.3, lw=0, label="95 %")
+            for share in BAND:
+                quantile = float(self.quantile(share))
+                ax.axvline(quantile, color="#D55E00", ls="--", label=f"{100 * share:g} % below")
+            return finish(ax, label, "number of chains", title)
+        if self.values.ndim > 2:
+            shape = self.values.shape[1:]
+            raise InputError.at("measure", f"returns an array {shape}: draw a curve of it")
+        x = np.arange(self.values.shape[1]) if self.x is None else self.x
+        lowest, highest = (self.quantile(share) for share in BAND)
+        span = f"{100 * BAND[0]:g} to {100 * BAND[1]:g} % of the chains"
+        ax.fill_between(x, lowest, highest, color="0.8", lw=0, label=span)
+        low, high = self.interval
+        ax.fill_between(x, low, high, color="#0072B2", alpha=0.4, lw=0, label="mean, 95 %")
+        ax.plot(x, self.mean, color="#0072B2", lw=1)
+        return finish(ax, x_label, label, title)
+
+
+def statistics(
+    values: Any, over: str | None = None, x: ArrayLike | None = None
+) -> MeasuredEnsemble:
+    """Return the statistics of values that were computed elsewhere, as by a sweep.
+
+    Parameters
+    ----------
+    values : (R, ...) array_like, or xarray.DataArray
+        One row for each of two chains or more, or a variable of `load_sweep`.
+    over : str, optional
+        Dimension of the chains in a DataArray, as "realisation" or "draw".
+    x : array_like, optional
+        Coordinate of a curve, for pictures.
+
+    Returns
+    -------
+    MeasuredEnsemble
+        Its errors of runs are NaN.
+
+    Raises
+    ------
+    InputError
+        If there is no such dimension, or values are missing, because a scene failed.
+
+    Examples
+    --------
+    >>> found = statistics([1.0, 2.0, 3.0, 4.0, 5.0])
+    >>> float(found.mean), [round(float(end), 3) for end in found.interval]
+    (3.0, [1.037, 4.963])
+    """
+    if over is not None:
+        dimensions = list(getattr(values, "dims", ()))
+        if over not in dimensions:
+            raise InputError.at("over", not_among(over, dimensions))
+        values = values.transpose(over, ...)
+    rows = np.asarray(values, dtype=float)
+    if rows.ndim < 1 or len(rows) < 2:
+        raise InputError.at("values", "must have rows of two chains or more")
+    missing = np.flatnonzero(np.isnan(rows).reshape(len(rows), -1).any(1))
+    if missing.size:
+        message = f"are missing for {missing.size} of {len(rows)} chains, first for {missing[0]}"
+        raise InputError.at("values", f"{message}: leave these out if they do not bias the rest")
+    coordinate = None if x is None else numbers(x, "x")
+    return MeasuredEnsemble(rows, coordinate, np.nan, np.nan)
+
+
+def measured_over(
+    scene: Scene,
+    measure: Measure,
+    m: float,
+    realisations: int,
+    seed: int,
+    engine: str | Engine = "native",
+    *,
+    tolerance: float = 1e-6,
+    law: Law = "dyson",
+    of: Of = "stiffness",
+    x: ArrayLike | None = None,
+    progress: bool = False,
+) -> Any:
+    """Measure any quantity of the trajectories of many random chains.
+
+    Parameters
+    ----------
+    scene : Scene
+        The scene with the ordered chain.
+    measure : function
+        Returns a number, an array or several of them by name from a trajectory; arrays of all
+        chains have the same shape.
+    m, realisations, seed, engine, tolerance, law, of, progress
+        As for `ensemble`; two chains or more.
+    x : array_like, optional
+        Coordinate of a curve, for pictures.
+
+    Returns
+    -------
+    MeasuredEnsemble, or dict of MeasuredEnsemble by name
+
+    Raises
+    ------
+    InputError
+        As `ensemble`, or from the measure; the number of the chain is named.
+    ToleranceNotMet, RunFailed
+        As `ensemble`.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> from lmpchain.measure import wavenumbers
+    >>> chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
+    >>> strike = Impulse(velocity=1e-4)
+    >>> scene = Scene(chain=chain, excitation=strike, duration=3e-5, samples=2)
+    >>> def share(t):
+    ...     energy = wavenumbers.bands(t).energy[-1].sum(0)
+    ...     return energy / energy.sum()
+    >>> measured_over(scene, share, m=5, realisations=20, seed=1).mean.round(2).tolist()
+    [0.48, 0.3, 0.13, 0.09]
+    """
+    check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
+    check_scene(scene)
+    scenes = (realisation(scene, m, seed, index, law, of) for index in range(realisations))
+    return _gather(scenes, measure, realisations, engine, tolerance, x, progress)
+
+
+def within(
+    scene: Scene,
+    tolerances: Mapping[str, float],
+    measure: Measure,
+    realisations: int,
+    seed: int,
+    engine: str | Engine = "native",
+    *,
+    tolerance: float = 1e-6,
+    distribution: Distribution = "normal",
+    common: tuple[str, ...] = ("youngs_modulus",),
+    x: ArrayLike | None = None,
+    progress: bool = False,
+) -> Any:
+    """Propagate the tolerances of a chain and its excitation to any measured quantity.
+
+    Parameters
+    ----------
+    scene : Scene
+        With the nominal values.
+    tolerances : dict of float
+        Standard deviations, or half widths of a uniform distribution, in SI units: of "diameter",
+        "youngs_modulus" or "mass" of the grains, "top_load", "gravity", and of a number of the
+        excitation, such as "excitation.velocity". With a diameter mass and contacts change as well.
+    measure, realisations, seed, engine, tolerance, x, progress
+        As for `measured_over`.
+    distribution : "normal" or "uniform"
+    common : tuple of str
+        Those properties of grains that are drawn once for all grains, as the modulus of one batch
+        of beads; others are drawn for each grain.
+
+    Returns
+    -------
+    MeasuredEnsemble, or dict of MeasuredEnsemble by name
+
+    Raises
+    ------
+    InputError
+        If a tolerance is of none of these, negative, or so wide that a value leaves its range.
+    ToleranceNotMet, RunFailed
+        As `measured_over`.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, Impulse
+    >>> from lmpchain.measure import flight
+    >>> chain = Chain(grains=20, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
+    >>> strike = Impulse(velocity=1e-3)
+    >>> scene = Scene(chain=chain, excitation=strike, duration=2e-4, samples=201)
+    >>> speed = within(scene, {"top_load": 0.3, "youngs_modulus": 4e9},
+    ...                lambda t: flight.time_of_flight(t, 3, 15).speed, 20, seed=1)
+    >>> f"{speed.mean:.1f} ± {speed.deviation:.1f} m/s"
+    '356.6 ± 2.9 m/s'
+    """
+    check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
+    check_scene(scene)
+    if distribution not in ("normal", "uniform"):
+        raise InputError.at("distribution", not_among(distribution, ["normal", "uniform"]))
+    if not isinstance(tolerances, Mapping) or not tolerances:
+        raise InputError.at("tolerances", f"must be a dict of numbers (got {shown(tolerances)})")
+    widths = {}
+    for key, value in tolerances.items():
+        field = key.removeprefix("excitation.")
+        allowed = [*OF_GRAINS, *OF_CHAIN]
+        given = scene.excitation.given()
+        strengths = [
+            name for name in scene.excitation.strength if np.ndim(given.get(name, [])) == 0
+        ]
+        if key not in allowed and (key == field or field not in strengths):
+            names = [*allowed, *(f"excitation.{name}" for name in strengths)]
+            raise InputError.at("tolerances", not_among(key, names))
+        widths[key] = float(numbers(value, f"tolerances.{key}"))
+        if not widths[key] >= 0:
+            raise InputError.at(f"tolerances.{key}", f"must be 0 or more (got {value})")
+
+    def scenes() -> Iterator[Scene]:
+        for index in range(realisations):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
+            yield _drawn(scene, widths, distribution, common, rng)
+
+    return _gather(scenes(), measure, realisations, engine, tolerance, x, progress)
+
+
+def _drawn(
+    scene: Scene,
+    widths: Mapping[str, float],
+    distribution: Distribution,
+    common: tuple[str, ...],
+    rng: np.random.Generator,
+) -> Scene:
+    """Return a scene whose properties are changed by random amounts of these widths."""
+    chain = scene.chain
+    excitation = scene.excitation
+
+    def draw(key: str, size: int) -> Array:
+        numbers = (
+            rng.standard_normal(size) if distribution == "normal" else rng.uniform(-1, 1, size)
+        )
+        return widths[key] * numbers
+
+    for key in widths:
+        if key in OF_GRAINS:
+            change = draw(key, 1 if key in common else chain.grains)
+            factor = 1 + np.broadcast_to(change, chain.grains) / _nominal(chain, key)
+            if not (factor > 0).all():
+                message = f"{widths[key]:g} is so wide that a value is below 0: use a smaller one"
+                raise InputError.at(f"tolerances.{key}", message)
+            chain = change_chain(chain, factor, OF_GRAINS[key])
+        elif key in OF_CHAIN:
+            chain = chain.replace(**{key: getattr(chain, key) + float(draw(key, 1)[0])})
+        else:
+            field = key.removeprefix("excitation.")
+            value = getattr(excitation, field) + draw(key, 1)[0]
+            excitation = excitation.replace(**{field: value})
+    return scene.replace(chain=chain, excitation=excitation)
+
+
+def _nominal(chain: Chain, key: str) -> Array:
+    """Return the nominal values of the grains, (N,)."""
+    if key == "diameter":
+        return chain.diameters
+    if key == "mass":
+        return chain.masses
+    return np.array([material.youngs_modulus for material in materials_of(chain)])
+
+
+def _gather(
+    scenes: Iterator[Scene],
+    measure: Measure,
+    realisations: int,
+    engine: str | Engine,
+    tolerance: float,
+    x: ArrayLike | None,
+    progress: bool,
+) -> Any:
+    """Return the statistics of a quantity of all scenes, a batch of which is run at a time."""
+    rows: list[Any] = []
+    model = solver = 0.0
+    with ProgressBar(realisations, "measured", " chains", shown=progress) as bar:
+        while batch := list(islice(scenes, BATCH)):
+            # The errors of the runs are fields of the result.
+            with warnings_aside():
+                answers = simulate_many(batch, tolerance, engine)
+            for answer in answers:
+                try:
+                    rows.append(measure(answer))
+                except InputError as error:
+                    raise InputError(error.under(f"realisations.{len(rows)}")) from None
+                model = max(model, answer.error_estimate.model)
+                solver = max(solver, answer.error_estimate.solver)
+            bar.reach(len(rows))
+    coordinate = None if x is None else numbers(x, "x")
+
+    def statistics(values: list[Any], name: str) -> MeasuredEnsemble:
+        try:
+            stacked = np.array(values, dtype=float)
+        except (TypeError, ValueError):
+            message = f"must return numbers, or arrays of one shape{name} (got {shown(values[0])})"
+            raise InputError.at("measure", message) from None
+        return MeasuredEnsemble(stacked, coordinate, model, solver)
+
+    if isinstance(rows[0], Mapping):
+        return {key: statistics([row[key] for row in rows], f" as {key}") for key in rows[0]}
+    return statistics(rows, "")
+
+
+def _check_share(share: float) -> None:
+    """Raise `InputError` unless a quantile is that of a share between 0 and 1."""
+    if not 0 < share < 1:
+        raise InputError.at("share", f"must be between 0 and 1 (got {shown(share)})")

@@ -1,0 +1,236 @@
+"""Pulses that pass a sensor down and up, and the time until an echo comes back.
+
+The energy that passes a grain per second is the force in it, above that at rest, times its
+velocity. It is positive in waves that go down and negative in waves that go up, of compression and
+of tension alike. Its sign tells an echo from the pulse that went out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..errors import InputError
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array, whole_numbers
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.tables import Tabular
+from .bodies import motion
+from .contact import sensor
+from .flight import arrival
+from .motion import motion_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+
+class Pulse(NamedTuple):
+    """A pulse as it passes a grain.
+
+    Attributes
+    ----------
+    time, error : float
+        Time of the largest power, s; uncertainty by sampling, s.
+    downward : bool
+    force : float
+        Force in the grain at that time above rest, N; negative in a wave of tension.
+    energy, energy_error : float
+        That passes the grain, J; uncertainty by sampling and by the error of the trajectory, J.
+    """
+
+    time: float
+    error: float
+    downward: bool
+    force: float
+    energy: float
+    energy_error: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Echo(Shown, Tabular):
+    """The pulses that pass a grain, and the time of flight of the first echo.
+
+    Attributes
+    ----------
+    grain : int
+    seconds, error : float
+        From the first pulse to the next one that goes the other way, s; uncertainty by sampling.
+    distance : float
+        To the reflector and back, between centres at rest, m.
+    share, share_error : float
+        Energy of the echo relative to that of the first pulse.
+    inverted : bool
+        Whether a pulse of compression comes back as one of tension, or the other way round.
+    pulses : list of Pulse
+        All pulses in the order of time; neighbours go in opposite directions.
+    time, power : (T,) arrays
+        s; power through the grain, positive downward, W.
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}
+
+    grain: int
+    seconds: float
+    error: float
+    distance: float
+    share: float
+    share_error: float
+    inverted: bool
+    pulses: list[Pulse]
+    time: Array
+    power: Array
+
+    @property
+    def speed(self) -> float:
+        """Mean speed on the way to the reflector and back, m/s."""
+        return self.distance / self.seconds
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the power through the grain over time, and mark the pulses; return the axes."""
+        ax = axes_in_units(ax, "s", "W")
+        ax.plot(self.time, self.power, color="0.3", lw=1)
+        for downward, mark, colour in ((True, "v", "#0072B2"), (False, "^", "#D55E00")):
+            times = [pulse.time for pulse in self.pulses if pulse.downward == downward]
+            label = "pulse that goes down" if downward else "pulse that goes up"
+            ax.plot(times, np.interp(times, self.time, self.power), mark, color=colour, label=label)
+        title = f"Grain {self.grain}: echo after {prefixed(self.seconds, 's', 6)}"
+        return finish(ax, "time", "power through the grain", title)
+
+
+def find(
+    trajectory: Trajectory, grain: int, reflector: int | None = None, least: float = 0.02
+) -> Echo:
+    """Measure the time of flight of a pulse from a grain to a reflector and back.
+
+    From this time for a solitary wave, experiments infer the stiffness of a specimen below a chain;
+    see Sensors 20, 3016 (2020).
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With the grain and its neighbours recorded, until the echo has passed the grain.
+    grain : int
+        Grain with the sensor.
+    reflector : int, optional
+        Grain or wall (0 and N + 1) that reflects the pulse; by default the wall or the last grain
+        at the end to which the first pulse goes.
+    least : float
+        Smallest power of a pulse relative to the largest one. Weaker motion, such as the tail of a
+        dispersing pulse, is ignored.
+
+    Returns
+    -------
+    Echo
+
+    Raises
+    ------
+    InputError
+        If the force in the grain is not known, or no pulse comes back.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=40, diameter=5e-3, gravity=0.0, bottom="wall")
+    >>> strike = lmpchain.Impulse(velocity=0.1)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=8e-4, samples=1601)
+    >>> echo = find(lmpchain.simulate(scene, engine="native", tolerance=1e-8), 20)
+    >>> f"{1e6 * echo.seconds:.2f} us, {echo.share:.3f} of the energy"
+    '499.22 us, 0.997 of the energy'
+    """
+    number = int(whole_numbers(grain, "grain"))
+    if not 0 < least < 1:
+        raise InputError.at("least", f"must be between 0 and 1 (got {least})")
+    change = sensor(trajectory, number).change
+    _, velocity = motion(trajectory, np.array([number]))
+    power = change * velocity[:, 0]
+    known = motion_of(trajectory)
+    part = 2 * known.known_error("velocity") / max(known.sampled[1], 1e-300)
+    pulses = _pulses(trajectory.time, power, change, least, part)
+    if len(pulses) < 2:
+        passed = f"{len(pulses)} pulses pass grain {number}, and no echo"
+        raise InputError.at("duration", f"{passed}: record longer, or choose a smaller least")
+    out, back = pulses[:2]
+    chain = trajectory.scene.chain
+    end = reflector
+    if end is None:
+        ends = (chain.movable + 1, chain.bottom) if out.downward else (0, chain.top)
+        # A free end reflects at its last grain.
+        end = ends[0] if ends[1] != "free" else (chain.grains if out.downward else 1)
+    place = int(whole_numbers(end, "reflector"))
+    if not 0 <= place <= chain.grains + 1 or place == number:
+        raise InputError.at("reflector", f"must be another grain or a wall (got {reflector})")
+    share = abs(back.energy / out.energy)
+    return Echo(
+        grain=number,
+        seconds=back.time - out.time,
+        error=out.error + back.error,
+        distance=2 * _distance(trajectory, number, place),
+        share=share,
+        share_error=(back.energy_error + share * out.energy_error) / abs(out.energy),
+        inverted=out.force * back.force < 0,
+        pulses=pulses,
+        time=trajectory.time,
+        power=power,
+    )
+
+
+def _pulses(time: Array, power: Array, change: Array, least: float, part: float) -> list[Pulse]:
+    """Return the pulses whose power exceeds a share of the largest one; `part` is its error."""
+    strong = np.flatnonzero(np.abs(power) > least * np.abs(power).max())
+    if not strong.size:
+        return []
+    signs = np.sign(power[strong])
+    # Runs of strong samples of one sign, and the weak ones between them.
+    begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
+    ends = np.append(begins[1:], strong.size) - 1
+    force = CubicSpline(time, change)
+    passed, rough = (_passed(time, power, stride) for stride in (1, 2))
+    pulses = []
+    start = 0
+    # The energy is stationary between two samples, up to which the power at the nearer one passes.
+    step = time[1] - time[0]
+    for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        low = 0 if number == 0 else int(strong[ends[number - 1]]) + 1
+        last = number == len(begins) - 1
+        high = len(time) if last else int(strong[begins[number + 1]])
+        sign = float(signs[begin])
+        # The energy that has passed is largest between a pulse and the next one.
+        stop = high - 1 if last else strong[end] + int((sign * passed[strong[end] : high]).argmax())
+        energy = float(passed[stop] - passed[start])
+        error = abs(energy - float(rough[stop] - rough[start])) + part * abs(energy)
+        error += step * (abs(power[start]) + abs(power[stop]))
+        start = stop
+        values = sign * power[low:high]
+        # Otherwise the pulse is not complete.
+        if 0 < values.argmax() < len(values) - 1:
+            peak = arrival(time[low:high], values, "power")
+            there = float(force(peak.time))
+            pulses.append(Pulse(peak.time, peak.error, sign > 0, there, energy, error))
+    return pulses
+
+
+def _passed(time: Array, power: Array, stride: int) -> Array:
+    """Return the energy that has passed up to each sample, (T,) J, from every n-th sample."""
+    samples = np.append(np.arange(0, len(time) - 1, stride), len(time) - 1)
+    energy = CubicSpline(time[samples], power[samples]).antiderivative()
+    return np.asarray(energy(time))
+
+
+def _distance(trajectory: Trajectory, grain: int, place: int) -> float:
+    """Return the distance at rest between the centres of grains, or from a grain to a wall, m."""
+    chain = trajectory.scene.chain
+    depths = chain.depths
+    radii = chain.diameters / 2
+    if place == 0:
+        return float(depths[grain - 1] - depths[0] + radii[0])
+    if place > chain.grains:
+        return float(depths[-1] - depths[grain - 1] + radii[-1])
+    return float(abs(depths[place - 1] - depths[grain - 1]))

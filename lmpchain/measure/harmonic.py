@@ -1,0 +1,479 @@
+"""Steady motion of a chain driven at one frequency: wavenumber and decay, drive-point response.
+
+The amplitude of each grain at the frequency of the drive is ``2 sum(w x exp(-i w t)) / sum(w)``
+with the window ``sin^8`` over the last periods, whose side lobes fall with the ninth power of the
+frequency: harmonics, the static displacement of strong waves and transients are left out. In a
+uniform chain the amplitudes of a wave, of its reflection and of their sum all obey
+
+    a[n - c] + a[n + c] = 2 cos(k) a[n]
+
+for a cell of c grains. Least squares give cos(k), without a model of the ends.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..chain.chain import Chain
+from ..errors import InputError
+from ..scene.acting import Drive, Force
+from ..theory.steady import displacements, dynamic_stiffness
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array, whole_numbers
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.tables import Tabular
+from .bodies import motion
+from .contact import contacts
+from .motion import motion_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+Complex = NDArray[np.complex128]
+LEAST_SAMPLES = 12  # in a period, at least
+LEAST_PERIODS = 24  # of the window, at least: half of it must still separate harmonics
+FEWEST_GRAINS = 8  # grains between which a wavenumber is measured
+END_MARGIN = 3  # grains next to a source or an end, whose motion the next contacts do not show
+ENOUGH = 24  # grains: with these, only the steadier ones are used
+# Relative changes of an amplitude from the window to its later half, below which a grain is steady.
+STEADY = (1e-4, 1e-3, 1e-2)
+# Transient in the window of a drive point, over its change to the later half of the window, if a
+# third of it dies out in between. Waves leave a uniform piece faster.
+LEFT = 3.0
+LEAST_DECAY = 1e-12  # a smaller decay of the linear wave is a rounding error
+# The largest amplitude of a harmonic of an error of size 1, which a square wave has.
+SQUARE = 4 / np.pi
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HarmonicWave(Shown, Tabular):
+    """The wave that a harmonic drive sends through a uniform piece of a chain.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    grain : (G,) array
+        Grains between which the wave is measured.
+    amplitude : (G,) complex array
+        Of the displacement ``Re(a exp(i w t))`` at the frequency of the drive, m.
+    phase, phase_error : float
+        Phase lag per cell downward, radians, from -pi to pi; by how much it may be off: changes
+        from the window to its later half, between two parts of the grains and with every second
+        sample, and the error of the trajectory.
+    decay, decay_error : float
+        The amplitude of the wave falls by the factor exp(-decay) per cell downward.
+    cell : int
+        Grains in a cell.
+    strain, strain_error : float
+        Mean change of the overlap, relative to the overlap at rest: strong waves squeeze or stretch
+        the chain, which changes its dispersion as well.
+    linear_phase, linear_decay : float
+        Of the linearised chain.
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {"grain": "", "amplitude": "m"}
+
+    frequency: float
+    grain: NDArray[np.intp]
+    amplitude: Complex
+    phase: float
+    phase_error: float
+    decay: float
+    decay_error: float
+    cell: int
+    strain: float
+    strain_error: float
+    linear_phase: float
+    linear_decay: float
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the phase lag of the grains less that of linear waves; return the axes."""
+        ax = axes_in_units(ax, "", "")
+        lag = -np.unwrap(np.angle(self.amplitude))
+        cells = (self.grain - self.grain[0]) / self.cell
+        ax.plot(self.grain, lag - lag[0] - self.linear_phase * cells, ".", label="grains")
+        slope = self.phase - self.linear_phase
+        error = f"{self.phase:.7g} ± {self.phase_error:.1g} rad a cell"
+        ax.plot(self.grain, slope * cells, label=f"measured, {error}")
+        ax.axhline(0.0, color="k", ls="--", lw=1, label=f"linear, {self.linear_phase:.7g}")
+        title = f"{prefixed(self.frequency, 'Hz')}, {prefixed(float(abs(self.amplitude[0])), 'm')}"
+        label = "phase lag less that of linear waves (rad)"
+        return finish(ax, "grain, from the top", label, title)
+
+
+@dataclass(frozen=True)
+class DrivePoint:
+    """Response of a chain at the grain or wall that is driven at one frequency.
+
+    Force and motion are those of ``Re(a exp(i w t))``, the force that of the driver on the chain,
+    with the inertia of a driven grain.
+
+    Attributes
+    ----------
+    frequency : float
+        Hz.
+    stiffness : complex
+        Dynamic stiffness, force over displacement, N/m.
+    error : float
+        By how much it may be off in magnitude, N/m: three times the change from the window to its
+        later half, the change with every second sample, and the error of the trajectory. It does
+        not hold for a chain that bounces without becoming periodic.
+    linear : complex
+        That of the linearised chain, N/m; NaN if it has no load.
+    """
+
+    frequency: float
+    stiffness: complex
+    error: float
+    linear: complex
+
+    @property
+    def impedance(self) -> complex:
+        """Force over velocity, N s/m; its real part is positive if the chain takes energy."""
+        return self.stiffness / (2j * np.pi * self.frequency)
+
+    @property
+    def impedance_error(self) -> float:
+        """Uncertainty of the impedance in magnitude, N s/m."""
+        return self.error / (2 * np.pi * self.frequency)
+
+    @property
+    def apparent_mass(self) -> complex:
+        """Force over acceleration, kg."""
+        return -self.stiffness / (2 * np.pi * self.frequency) ** 2
+
+    @property
+    def apparent_mass_error(self) -> float:
+        """Uncertainty of the apparent mass in magnitude, kg."""
+        return self.error / (2 * np.pi * self.frequency) ** 2
+
+    @property
+    def loss_factor(self) -> float:
+        """Imaginary part of the dynamic stiffness over the magnitude of its real part."""
+        return self.stiffness.imag / abs(self.stiffness.real)
+
+    @property
+    def loss_factor_error(self) -> float:
+        """Uncertainty of the loss factor; infinite where the real part may be 0."""
+        least = abs(self.stiffness.real) - self.error
+        if least <= 0:
+            return np.inf
+        return self.error * (1 + abs(self.loss_factor)) / least
+
+
+def wave(
+    trajectory: Trajectory,
+    first: int | None = None,
+    last: int | None = None,
+    *,
+    cell: int = 1,
+    periods: int | None = None,
+) -> HarmonicWave:
+    """Measure phase and decay per cell of the wave in a chain that is driven at one frequency.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        Of a `Drive` or `Force` of one amplitude and frequency, with 12 samples a period or more, of
+        a chain that is uniform, or repeats a cell, below the source: a long one before the wave has
+        come back, or one with an absorbing boundary (`patterns.absorbing`).
+    first, last : int, optional
+        Grains between which the wave is measured; by default all below the source that repeat the
+        cell, are recorded and move steadily.
+    cell : int
+        Grains in a cell, 2 of a dimer.
+    periods : int, optional
+        Number of periods, at the end, over which the motion is averaged; by default half of them.
+
+    Returns
+    -------
+    HarmonicWave
+
+    Raises
+    ------
+    InputError
+        If nothing drives the chain at one frequency, the run has too few periods or samples, or too
+        few grains repeat the cell and are steady.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> from lmpchain import patterns
+    >>> chain = lmpchain.Chain(grains=50, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    >>> endless = patterns.absorbing(chain, bottom=40)
+    >>> drive = lmpchain.Drive(amplitude=1e-12, frequency=0.3 * chain.band_edge / np.pi)
+    >>> scene = lmpchain.Scene(chain=endless, excitation=drive, duration=90 / drive.frequency,
+    ...                        samples=1081)
+    >>> found = wave(lmpchain.simulate(scene, "native", tolerance=1e-8))
+    >>> bool(abs(found.phase - found.linear_phase) < found.phase_error < 1e-6)
+    True
+    """
+    chain = trajectory.scene.chain
+    size = int(whole_numbers(cell, "cell"))
+    drive, window = _window(trajectory, periods)
+    numbers = _choose(trajectory, drive, first, last, size)
+    u, _ = motion(trajectory, numbers)
+    omega = 2 * np.pi * drive.frequency
+    motion_error = SQUARE * motion_of(trajectory).known_error("displacement")
+    whole, later, rough = _amplitudes(trajectory.time, u, omega, window)
+    count = _steady(whole, later, motion_error)
+    if count < FEWEST_GRAINS + 2 * size:
+        few = f"{count} of the chosen grains move steadily, fewer than {FEWEST_GRAINS + 2 * size}"
+        raise InputError.at("duration", f"{few}: record longer, or in a longer chain")
+    whole, later, rough = (each[:count] for each in (whole, later, rough))
+    cosine = _cosine(whole, size)
+    weight = np.cumsum(np.abs(whole[size:-size]) ** 2)
+    split = int(np.searchsorted(weight, weight[-1] / 2))
+    split = min(max(split, 2), weight.size - 2)
+    parts = (_cosine(whole[: split + 2 * size], size), _cosine(whole[split:], size))
+    inner = np.abs(whole[size:-size])
+    off = motion_error * (1 + abs(cosine)) * inner.sum() / (inner**2).sum()
+    changes = (_cosine(later, size) - cosine, _cosine(rough, size) - cosine, parts[0] - parts[1])
+    error = off + sum(map(abs, changes))
+    number = _wavenumber(cosine, whole, size)
+    # Near the edges of a band the wavenumber depends on its cosine as a square root.
+    moved = [_wavenumber(cosine + error * turn, whole, size) - number for turn in (1, -1, 1j, -1j)]
+    linear = _linear(chain, int(numbers[0]), size, omega, number.real)
+    overlap = chain.contacts.overlap[numbers[:-1]]
+    strain, strain_error = _strain(u[:, :count], overlap[: count - 1], window)
+    return HarmonicWave(
+        frequency=drive.frequency,
+        grain=numbers[:count],
+        amplitude=whole,
+        phase=number.real,
+        phase_error=float(max(abs(np.angle(np.exp(1j * change.real))) for change in moved)),
+        decay=-number.imag,
+        decay_error=float(max(abs(change.imag) for change in moved)),
+        cell=size,
+        strain=strain,
+        strain_error=strain_error + 2 * motion_error / float(overlap.min()),
+        linear_phase=linear.real,
+        linear_decay=-linear.imag,
+    )
+
+
+def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoint:
+    """Measure the dynamic stiffness, impedance and apparent mass of a chain where it is driven.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        As for `wave`, with the grains recorded that are driven or touch the driven body.
+    periods : int, optional
+        As for `wave`.
+
+    Returns
+    -------
+    DrivePoint
+
+    Raises
+    ------
+    InputError
+        If nothing drives the chain at one frequency, grains were not recorded, or the run has too
+        few periods or samples.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> lossy = {"viscoelastic": 2e-6}
+    >>> chain = lmpchain.Chain(grains=8, diameter=5e-3, top="wall", bottom="wall", damping=lossy,
+    ...                        gravity=0.0, top_load=1.0)
+    >>> shaker = lmpchain.Drive(grain=0, amplitude=1e-11, frequency=0.1 * chain.band_edge / np.pi)
+    >>> scene = lmpchain.Scene(chain=chain, excitation=shaker, duration=200 / shaker.frequency,
+    ...                        samples=3201)
+    >>> found = drive_point(lmpchain.simulate(scene, "native", tolerance=1e-8))
+    >>> bool(abs(found.stiffness - found.linear) < found.error < 1e-6 * abs(found.linear))
+    True
+    """
+    chain = trajectory.scene.chain
+    drive, window = _window(trajectory, periods)
+    time = trajectory.time
+    omega = 2 * np.pi * drive.frequency
+    moved = _amplitudes(time, motion(trajectory, np.array([drive.grain]))[0], omega, window)
+    known = motion_of(trajectory)
+    part = known.known_error("displacement") / max(known.sampled[0], 1e-300)
+    if isinstance(drive, Force):
+        # The waveform is a sine.
+        force = [np.full(1, -1j * drive.amplitude)] * 3
+        off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
+    else:
+        pushed = _force_of_driver(trajectory, drive.grain)
+        force = _amplitudes(time, pushed[:, None], omega, window)
+        inertia = drive.grain * float(chain.masses[0]) * omega**2
+        force = [each - inertia * u for each, u in zip(force, moved, strict=True)]
+        moved = [np.full(1, -1j * drive.amplitude)] * 3
+        size = float(np.abs(pushed).max())
+        off = 2 * part * SQUARE * size / max(abs(force[0][0]), 1e-300)
+    whole, later, rough = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
+    linear = complex(np.nan, np.nan)
+    if chain.linearisable:
+        linear = _linear_stiffness(chain, drive)
+    error = LEFT * abs(later - whole) + abs(rough - whole) + off * abs(whole)
+    return DrivePoint(drive.frequency, whole, float(error), linear)
+
+
+def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force, int]:
+    """Return the drive, and the number of samples over which the motion is averaged."""
+    drive = trajectory.scene.excitation
+    if (
+        not isinstance(drive, Drive | Force)
+        or drive.frequency is None
+        or drive.cycles is not None
+        or not drive.amplitude
+    ):
+        rule = "must be a drive or a force of one amplitude and frequency, without cycles"
+        raise InputError.at("excitation", f"{rule}: only such a chain becomes steady")
+    period = 1 / drive.frequency
+    end = float(trajectory.time[-1])
+    most = int(end / period * (1 + 1e-9))
+    count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
+    if not LEAST_PERIODS <= count <= most:
+        raise InputError.at(
+            "periods", f"must be {LEAST_PERIODS} to {most}, those of the run: {count}"
+        )
+    step = trajectory.scene.sampling_interval
+    if period < LEAST_SAMPLES * step * (1 - 1e-9):
+        least = 1 + int(np.ceil(LEAST_SAMPLES * end / period))
+        raise InputError.at(
+            "samples", f"must be {least} or more: {LEAST_SAMPLES} a period of the drive"
+        )
+    return drive, int(count * period / step * (1 + 1e-9))
+
+
+def _amplitudes(time: Array, signals: Array, omega: float, window: int) -> list[Complex]:
+    """Return amplitudes (G,) in the window, in its later half, and with every second sample."""
+
+    def amplitude(size: int, stride: int) -> Complex:
+        samples = slice(len(time) - size - 1, None, stride)
+        t = time[samples]
+        shape = np.sin(np.pi * (t - t[0]) / (t[-1] - t[0])) ** 8
+        turned: Complex = (shape * np.exp(-1j * omega * t)) @ signals[samples]
+        return 2 * turned / shape.sum()
+
+    return [amplitude(*each) for each in ((window, 1), (window // 2, 1), (window, 2))]
+
+
+def _choose(
+    trajectory: Trajectory, drive: Drive | Force, first: int | None, last: int | None, cell: int
+) -> NDArray[np.intp]:
+    """Return the numbers of the grains between which the wave may be measured."""
+    chain = trajectory.scene.chain
+    recorded = np.sort(trajectory.grains)
+    low = max(drive.grain, 1) + END_MARGIN if first is None else int(whole_numbers(first, "first"))
+    high = chain.movable - END_MARGIN if last is None else int(whole_numbers(last, "last"))
+    if not 1 <= low < high <= chain.movable:
+        raise InputError.at("first", f"must leave grains to measure (got {low} to {high})")
+    stiffness = chain.contacts.stiffness
+    kinds = [chain.masses, stiffness[:-1], stiffness[1:], chain.drag, chain.dynamical_matrix()[0]]
+    kinds += [chain.contact_viscosity[:-1], chain.contact_viscosity[1:]]
+    number = low
+    while number < high and number + 1 in recorded:
+        # Python counts from 0: this is the grain after `number`.
+        if number >= low + cell and not all(
+            np.isclose(values[number], values[number - cell], rtol=1e-9, atol=0.0)
+            for values in kinds
+        ):
+            break
+        number += 1
+    if not cell >= 1 or low not in recorded or number - low + 1 < FEWEST_GRAINS + 2 * cell:
+        few = f"{max(number - low + 1, 0)} grains from grain {low} are recorded and repeat a cell"
+        cure = f"{FEWEST_GRAINS + 2 * cell} or more are needed"
+        raise InputError.at("chain", f"{few} of {cell}: {cure}")
+    return np.arange(low, number + 1)
+
+
+def _steady(whole: Complex, later: Complex, error: float) -> int:
+    """Return the number of grains, from the first, that move steadily."""
+    size = np.abs(whole)
+    count = 0
+    for share in STEADY:
+        moves = (np.abs(later - whole) <= share * size) & (size > 10 * error)
+        count = int(moves.size if moves.all() else moves.argmin())
+        if count >= ENOUGH:
+            break
+    return count
+
+
+def _cosine(amplitude: Complex, cell: int) -> complex:
+    """Return the cosine of the complex wavenumber by least squares."""
+    inner = amplitude[cell:-cell]
+    neighbours = amplitude[: -2 * cell] + amplitude[2 * cell :]
+    return complex(np.vdot(inner, neighbours) / (2 * np.vdot(inner, inner)))
+
+
+def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
+    """Return the wavenumber k of exp(-i k n) with this cosine that the amplitudes show."""
+    root = complex(np.arccos(complex(cosine)))
+    later = amplitude[cell:]
+    misfits = [
+        float((np.abs(later - np.exp(-1j * k) * amplitude[:-cell]) ** 2).sum())
+        for k in (root, -root)
+    ]
+    return root if misfits[0] <= misfits[1] else -root
+
+
+def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> complex:
+    """Return the wavenumber per cell of the linearised chain, of the wave that decays downward.
+
+    Of the two waves without decay it is the one with a phase of the same sign.
+    """
+    if not chain.linearisable:
+        return complex(np.nan, np.nan)
+    springs = dynamic_stiffness(chain, omega)
+    # The pull on a grain by a unit displacement of it, without damping.
+    pull = chain.masses[: chain.movable] * chain.dynamical_matrix()[0]
+    transfer = np.eye(2, dtype=complex)
+    for n in range(grain, grain + cell):
+        inertia = chain.masses[n - 1] * (omega**2 - 1j * omega * chain.drag[n - 1])
+        above, below = springs[n - 1], springs[n]
+        middle = pull[n - 1] + 1j * (above + below).imag - inertia
+        transfer = np.array([[middle / below, -above / below], [1, 0]]) @ transfer
+    root = complex(np.arccos(np.trace(transfer) / 2))
+    decays = abs(root.imag) > LEAST_DECAY
+    other = root.imag > 0 if decays else root.real * phase < 0
+    return -root if other else root
+
+
+def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
+    """Return the mean change of overlaps relative to their rest, and its change in the window."""
+
+    def mean(size: int) -> Array:
+        t = np.arange(size + 1) / size
+        shape = np.sin(np.pi * t) ** 8
+        return np.asarray(shape @ u[len(u) - size - 1 :] / shape.sum())
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        whole, later = (-np.diff(mean(size)) / overlap for size in (window, window // 2))
+    half = whole.size // 2
+    change = abs(whole.mean() - later.mean()) + abs(whole[:half].mean() - whole[half:].mean())
+    return float(whole.mean()), float(change)
+
+
+def _force_of_driver(trajectory: Trajectory, grain: int) -> Array:
+    """Return the force of the driver on the chain, (T,) N above rest, without a grain's inertia."""
+    force = contacts(trajectory, [grain]).change[:, 0]
+    if grain and trajectory.scene.chain.contacts.exists[0]:
+        force = force - contacts(trajectory, [0]).change[:, 0]
+    return force
+
+
+def _linear_stiffness(chain: Chain, drive: Drive | Force) -> complex:
+    """Return the dynamic stiffness of the linearised chain at the driven body, N/m."""
+    u = displacements(chain, drive)
+    if isinstance(drive, Force):
+        return complex(drive.amplitude / u[drive.grain])
+    omega = 2 * np.pi * drive.frequency
+    force = dynamic_stiffness(chain, omega) * (u[:-1] - u[1:])
+    grain = drive.grain
+    above = force[grain - 1] + chain.masses[0] * omega**2 * u[1] if grain else 0.0
+    return complex((force[grain] - above) / drive.amplitude)

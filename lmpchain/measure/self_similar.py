@@ -1,0 +1,143 @@
+"""Shocks and rarefactions over x / t, where long waves of a step have one profile at all times."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import numpy as np
+
+from ..trajectory.trajectory import Trajectory
+from ..util.arrays import Array
+from ..util.lazy import listed
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.tables import Tabular
+from .shock import COLOURS, Shock, find
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+__dir__ = listed(__name__)
+
+# Moments at which the profile is compared, relative to the age of the wave at the end.
+AGES = (0.4, 0.6, 0.8, 1.0)
+PROFILE_POINTS = 400
+BEYOND = 1.15  # the profile is drawn up to this multiple of the speed of the leading edge
+NEIGHBOURHOOD = 0.03  # of the leading speed, within which the largest change is taken
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SelfSimilar(Shown, Tabular):
+    """The overlaps of a shock or a rarefaction over distance divided by time.
+
+    Attributes
+    ----------
+    shock : Shock
+        The wave with its edges and plateaus.
+    speed : (P,) array
+        Distance from where the wave began over the time since then, grains/s, from 0.
+    moment : (4,) array
+        s.
+    overlap : (4, P) array
+        Overlaps at these moments, m.
+    limit : (P,) array
+        Overlaps that long waves approach, m: the simple wave of a rarefaction, which is exact for
+        old waves; NaN of a shock.
+    error : (P,) array
+        By how much the last profile may be off the profile of an old wave, m: its largest change
+        nearby since two fifths of the time. Oscillations of a dispersive shock keep their length in
+        grains and have no limit, so that the error is their height.
+    """
+
+    _units: ClassVar[Mapping[str, str]] = {"speed": "grains/s", "limit": "m", "error": "m"}
+
+    shock: Shock
+    speed: Array
+    moment: Array
+    overlap: Array
+    limit: Array
+    error: Array
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the profiles at all moments, the limit and the edges; return the axes."""
+        ax = axes_in_units(ax, "", "m")
+        shades = np.linspace(0.75, 0.0, len(self.moment))
+        for moment, overlap, shade in zip(self.moment, self.overlap, shades, strict=True):
+            label = f"at {prefixed(moment, 's', 3)}"
+            ax.plot(self.speed, overlap, color=str(shade), lw=1, label=label)
+        if np.isfinite(self.limit).any():
+            ax.plot(self.speed, self.limit, "--", color="#009E73", label="simple wave")
+        for name in ("leading", "trailing"):
+            speed = getattr(self.shock, name).speed
+            if np.isfinite(speed):
+                label = f"{name} edge, {speed:.5g} grains/s"
+                ax.axvline(speed, color=COLOURS[name], lw=1.2, label=label)
+        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18), "ncols": 2}
+        title = f"{self.shock.kind} over distance and time"
+        return finish(ax, "distance over time (grains/s)", "overlap", title, **below)
+
+
+def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> SelfSimilar:
+    """Return the self-similar view of the shock or rarefaction of a piston or a step.
+
+    Parameters
+    ----------
+    trajectory, direction
+        As for `shock.find`.
+
+    Returns
+    -------
+    SelfSimilar
+
+    Raises
+    ------
+    InputError
+        As `shock.find`.
+
+    Examples
+    --------
+    >>> import lmpchain
+    >>> chain = lmpchain.Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="free")
+    >>> less = -0.5 * chain.equilibrium_overlap[0] / 1e-3
+    >>> step = lmpchain.Riemann(velocity=(0, 0), strain=(less, 0), grain=150)
+    >>> duration = 120 * chain.time_scale
+    >>> scene = lmpchain.Scene(chain=chain, excitation=step, duration=duration, samples=401)
+    >>> seen = view(lmpchain.simulate(scene, engine="native"))
+    >>> off = abs(seen.overlap[-1] - seen.limit)
+    >>> seen.shock.kind, bool((off <= seen.error).mean() > 0.95)
+    ('rarefaction', True)
+    """
+    wave = find(trajectory, direction)
+    moments = wave.start + np.array(AGES) * (wave.time - wave.start)
+    rows = np.abs(wave.moment[:, None] - moments).argmin(0)
+    speed = np.linspace(0.0, BEYOND * wave.leading.speed, PROFILE_POINTS)
+    profiles = np.array([_profile(wave, row, speed) for row in rows])
+    limit = np.full(PROFILE_POINTS, np.nan)
+    if wave.kind == "rarefaction":
+        limit = _simple_wave(wave, trajectory.scene.chain.law.power_of("a shock"), speed)
+    change = np.abs(profiles[-1] - profiles[0])
+    near = max(1, int(NEIGHBOURHOOD * PROFILE_POINTS / BEYOND))
+    largest = np.array(
+        [change[max(0, n - near) : n + near + 1].max() for n in range(PROFILE_POINTS)]
+    )
+    return SelfSimilar(wave, speed, wave.moment[rows], profiles, limit, largest)
+
+
+def _profile(wave: Shock, row: int, speed: Array) -> Array:
+    """Return the overlaps at a moment over distance divided by time, (P,) m."""
+    way = np.abs(wave.contact - wave.source)
+    behind = wave.contact < wave.source if wave.downward else wave.contact > wave.source
+    order = np.argsort(np.where(behind, -way, way))
+    distance = np.where(behind, -way, way)[order]
+    age = wave.moment[row] - wave.start
+    return np.asarray(np.interp(speed, distance / age, wave.overlap_then[row][order]))
+
+
+def _simple_wave(wave: Shock, exponent: float, speed: Array) -> Array:
+    """Return the overlaps of a centred simple wave: sound at each of them has its own speed."""
+    ahead = wave.ahead.overlap
+    sound = wave.predictions["continuum"].leading
+    fan = ahead * (speed / sound) ** (2 / (exponent - 1))
+    return np.asarray(np.clip(fan, wave.behind.overlap, ahead))

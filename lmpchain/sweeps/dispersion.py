@@ -1,0 +1,174 @@
+"""Dispersion of a driven chain by frequency and amplitude."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..errors import InputError
+from ..measure.harmonic import HarmonicWave, wave
+from ..scene.acting import Drive, Force
+from ..scene.scene import Scene, check_scene
+from ..simulation.many import simulate_many
+from ..util.arrays import Array, numbers
+from ..util.notebook import Shown
+from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.tables import NamedColumn, Tabular
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+SAMPLES_A_PERIOD = 24  # in a period
+NUMBERS_OF_A_WAVE = {
+    "phase": "rad",
+    "phase_error": "rad",
+    "decay": "",
+    "decay_error": "",
+    "strain": "",
+    "strain_error": "",
+}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class AmplitudeDispersion(Shown, Tabular):
+    """Phase and decay per cell of a chain driven at F frequencies with A amplitudes.
+
+    Attributes
+    ----------
+    frequency : (F,) array
+        Hz.
+    amplitude : (A,) array
+        Of the drive, m, or of the force, N.
+    phase, phase_error, decay, decay_error, strain, strain_error : (F, A) arrays
+        Radians per cell, decay per cell, and mean change of the overlap relative to rest, as in
+        `measure.harmonic.HarmonicWave`.
+    linear_phase, linear_decay : (F,) arrays
+        Of the linearised chain.
+    waves : F lists of A HarmonicWave
+        The waves of all grains.
+    """
+
+    frequency: Array
+    amplitude: Array
+    phase: Array
+    phase_error: Array
+    decay: Array
+    decay_error: Array
+    strain: Array
+    strain_error: Array
+    linear_phase: Array
+    linear_decay: Array
+    waves: list[list[HarmonicWave]]
+    _unit: str
+
+    def _columns(self) -> Iterator[NamedColumn]:
+        shape = self.phase.shape
+        yield NamedColumn("frequency", "Hz", np.repeat(self.frequency, shape[1]))
+        yield NamedColumn("amplitude", self._unit, np.tile(self.amplitude, shape[0]))
+        for name, unit in NUMBERS_OF_A_WAVE.items():
+            yield NamedColumn(name, unit, getattr(self, name).ravel())
+        for name in ("linear_phase", "linear_decay"):
+            yield NamedColumn(name, "", np.repeat(getattr(self, name), shape[1]))
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Draw the phase less that of linear waves over frequency, by amplitude; return axes."""
+        ax = axes_in_units(ax, "Hz", "")
+        for number, amplitude in enumerate(self.amplitude):
+            shift = self.phase[:, number] - self.linear_phase
+            error = self.phase_error[:, number]
+            label = prefixed(amplitude, self._unit)
+            ax.errorbar(self.frequency, shift, error, fmt="o-", ms=3, capsize=2, label=label)
+        ax.axhline(0.0, color="k", ls="--", lw=1, label="linear")
+        label = "phase per cell less that of linear waves (rad)"
+        return finish(ax, "frequency", label, "Dispersion by amplitude of the drive")
+
+
+def dispersion(
+    scene: Scene,
+    frequencies: ArrayLike,
+    amplitudes: ArrayLike,
+    *,
+    tolerance: float = 1e-8,
+    **options: Any,
+) -> AmplitudeDispersion:
+    """Drive a chain at several frequencies and amplitudes, and measure phase and decay per cell.
+
+    Parameters
+    ----------
+    scene : Scene
+        With a harmonic `Drive` or `Force`, whose frequency and amplitude are replaced, and a
+        uniform or periodic chain: a long one, so that no wave returns within the duration, or one
+        with an absorbing boundary. A long one is more accurate for strong waves, because they
+        slowly squeeze or stretch a chain whose end is held. The number of samples is replaced by 24
+        a period.
+    frequencies : (F,) array_like
+        Hz; the duration has 48 periods of each, or more.
+    amplitudes : (A,) array_like
+        m for a drive, N for a force.
+    tolerance : float
+        Of each run.
+    **options
+        first, last, cell and periods, as for `measure.harmonic.wave`.
+
+    Returns
+    -------
+    AmplitudeDispersion
+
+    Raises
+    ------
+    InputError
+        If the scene has no harmonic drive, or a wave cannot be measured; the frequency is named.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain
+    >>> chain = Chain(grains=200, material="steel", diameter=1e-2, gravity=0.0, top_load=20.0)
+    >>> frequency = 0.4 * chain.band_edge / (2 * np.pi)
+    >>> drive = Drive(amplitude=1e-9, frequency=frequency)
+    >>> scene = Scene(chain=chain, excitation=drive, duration=55 / frequency)
+    >>> found = dispersion(scene, [frequency], [1e-9, 2e-7])
+    >>> found.phase.round(5).tolist(), found.linear_phase.round(5).tolist()
+    ([[0.82301, 0.82247]], [0.82301])
+    """
+    check_scene(scene)
+    drive = scene.excitation
+    if not isinstance(drive, Drive | Force) or drive.frequency is None:
+        raise InputError.at("excitation", "must be a Drive or a Force with a frequency")
+    frequency, amplitude = (
+        np.atleast_1d(numbers(values, key))
+        for values, key in ((frequencies, "frequencies"), (amplitudes, "amplitudes"))
+    )
+    scenes = [
+        scene.replace(
+            excitation=drive.replace(amplitude=float(a), frequency=float(f)),
+            samples=1 + int(np.ceil(SAMPLES_A_PERIOD * scene.duration * f)),
+        )
+        for f in frequency
+        for a in amplitude
+    ]
+    answers = iter(simulate_many(scenes, tolerance))
+    waves = []
+    for f in frequency:
+        try:
+            waves.append([wave(next(answers), **options) for _ in amplitude])
+        except InputError as error:
+            raise InputError(error.under(f"frequency {f:g} Hz")) from None
+    fields = {
+        name: np.array([[getattr(each, name) for each in row] for row in waves])
+        for name in NUMBERS_OF_A_WAVE
+    }
+    linear = np.array([(row[0].linear_phase, row[0].linear_decay) for row in waves]).T
+    unit = "m" if isinstance(drive, Drive) else "N"
+    return AmplitudeDispersion(
+        frequency=frequency,
+        amplitude=amplitude,
+        **fields,
+        linear_phase=linear[0],
+        linear_decay=linear[1],
+        waves=waves,
+        _unit=unit,
+    )

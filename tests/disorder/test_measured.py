@@ -1,0 +1,202 @@
+"""Statistics of any measured quantity, against known distributions and laws."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
+from lmpchain.disorder import MeasuredEnsemble, measured_over, realisation, statistics, within
+from lmpchain.measure import energy, flight, spectrum
+
+CHAIN = Chain(grains=24, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
+SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=2e-4, samples=201)
+SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
+
+
+def test_intervals_cover_mean_and_quantiles() -> None:
+    """Of 2000 ensembles, 95 % or more of the intervals contain the truth."""
+    rng = np.random.default_rng(2)
+    law = stats.gamma(5, scale=0.2)
+    covers = np.zeros((2000, 4), bool)
+    for row in covers:
+        values = law.rvs((40, 2), random_state=rng)
+        found = MeasuredEnsemble(values, None, 0.0, 0.0)
+        low, high = found.interval
+        row[0] = low[1] <= law.mean() <= high[1]
+        for number, share in enumerate((0.1, 0.5, 0.9), 1):
+            low, high = found.quantile_interval(share)
+            row[number] = low[1] <= law.ppf(share) <= high[1]
+    mean, *quantiles = covers.mean(0)
+    # Student's interval is slightly short for a skewed distribution.
+    assert 0.935 < mean < 0.965
+    assert all(0.945 < covered < 0.995 for covered in quantiles)
+
+
+def test_drawn_factors_come_back() -> None:
+    """The masses of random chains have the mean and the quantiles of the gamma distribution."""
+    found = measured_over(
+        SHORT, lambda t: t.scene.chain.masses[1], 4, realisations=400, seed=3, of="mass"
+    )
+    law = stats.gamma(4, scale=SHORT.chain.masses[1] / 4)
+    low, high = found.interval
+    assert low < law.mean() < high
+    assert found.deviation == pytest.approx(law.std(), rel=0.15)
+    for share in (0.05, 0.5, 0.95):
+        low, high = found.quantile_interval(share)
+        assert low < law.ppf(share) < high
+        assert low <= found.quantile(share) <= high
+    few = MeasuredEnsemble(found.values[:5], None, 0, 0)
+    assert few.quantile_interval(0.9)[1] == np.inf
+    assert few.quantile_interval(0.1)[0] == -np.inf
+    with pytest.raises(InputError, match="between 0 and 1"):
+        few.quantile(1.0)
+
+
+def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
+    """Values of every chain agree with runs made one by one, and statistics with NumPy."""
+
+    def measure(t):
+        return {"spectrum": spectrum.spectrum(t).amplitude[:, 5], "top": t.velocity[-1, 0]}
+
+    found = measured_over(SCENE, measure, 5, realisations=18, seed=4, x=np.arange(101))
+    for index in (0, 17):
+        alone = measure(simulate(realisation(SCENE, 5, seed=4, index=index), "native"))
+        curve = found["spectrum"].values[index]
+        assert curve == pytest.approx(alone["spectrum"], abs=1e-5 * curve.max())
+    spread = found["spectrum"].values
+    assert found["spectrum"].error == pytest.approx(spread.std(0, ddof=1) / np.sqrt(18))
+    assert found["top"].values.shape == (18,)
+    assert found["top"].solver_error < 1e-6
+    table = found["spectrum"].to_dataframe()
+    assert len(table) == 101
+    assert {"x", "mean", "quantile_0.95"} < set(table.columns)
+
+
+def test_tolerances_of_modulus_and_load_follow_the_law_of_sound() -> None:
+    """The speed goes as E^(1/3) F^(1/6) of the load, so relative deviations add in squares."""
+    modulus = CHAIN.material.youngs_modulus
+    found = within(
+        SCENE,
+        {"youngs_modulus": 0.06 * modulus, "top_load": 0.9},
+        lambda t: flight.time_of_flight(t, 4, 20).speed,
+        realisations=300,
+        seed=5,
+    )
+    expected = np.hypot(0.06 / 3, 0.09 / 6)
+    assert found.deviation / found.mean == pytest.approx(expected, rel=0.12)
+    exact = flight.time_of_flight(simulate(SCENE, "native"), 4, 20).speed
+    low, high = found.interval
+    # The mean of a concave function is a little below the function of the mean.
+    assert low < exact * (1 - 1e-3) < high
+
+
+def test_tolerances_of_diameters_add_up_to_first_order() -> None:
+    """The scatter of an energy is the root of the sum of squares of its derivatives."""
+    width = 2e-6
+
+    def kinetic(t):
+        return energy.ledger(t).kinetic[-1]
+
+    small = SCENE.replace(duration=5e-5, samples=2)
+    found = within(
+        small,
+        {"diameter": width, "excitation.velocity": 1e-6},
+        kinetic,
+        realisations=300,
+        seed=6,
+        distribution="uniform",
+        tolerance=1e-9,
+    )
+    slopes = []
+    for grain in range(24):
+        values = []
+        for sign in (1, -1):
+            diameters = np.full(24, 5e-3)
+            diameters[grain] += sign * width
+            chain = CHAIN.replace(diameter=diameters)
+            values.append(kinetic(simulate(small.replace(chain=chain), "native", 1e-9)))
+        slopes.append((values[0] - values[1]) / 2)
+    nominal = kinetic(simulate(small, "native", 1e-9))
+    # The energy goes as the square of the velocity; a uniform law has a third of the square.
+    expected = np.sqrt((np.sum(np.square(slopes)) + (2 * nominal * 1e-2) ** 2) / 3)
+    assert found.deviation == pytest.approx(expected, rel=0.12)
+
+
+def test_a_common_diameter_is_one_of_all_grains() -> None:
+    """What is common is drawn once, other properties for each grain, and seeds repeat."""
+    options = {"realisations": 6, "seed": 8}
+
+    def spread(t):
+        return float(np.ptp(t.scene.chain.diameters))
+
+    one = within(SHORT, {"diameter": 1e-5}, spread, common=("diameter",), **options)
+    each = within(SHORT, {"diameter": 1e-5}, spread, **options)
+    assert (one.values == 0).all()
+    assert (each.values > 1e-6).all()
+    again = within(SHORT, {"diameter": 1e-5}, spread, **options)
+    assert (again.values == each.values).all()
+
+
+def test_statistics_of_a_sweep_are_those_of_the_ensemble(tmp_path: Path) -> None:
+    """Rows of a sweep over disorder give the same numbers as the same chains run here."""
+    disorder = {"m": 5, "seed": 3, "realisations": 6}
+    tables = {
+        "chain": {"grains": 24, "diameter": 5e-3, "material": "steel", "gravity": 0.0}
+        | {"top_load": 10.0},
+        "excitation": {"kind": "impulse", "velocity": 1e-4},
+        "recording": {"duration": 2e-4, "samples": 3},
+    }
+    stored = sweep({"scene": tables, "disorder": disorder, "keep": ["velocity"]}, tmp_path)
+    found = statistics(stored.velocity, over="realisation")
+    here = measured_over(SCENE.replace(samples=3), lambda t: t.velocity, 5, 6, seed=3)
+    size = np.abs(here.values).max()
+    assert found.values.shape == (6, 3, 24)
+    assert found.mean == pytest.approx(here.mean, abs=1e-5 * size)
+    assert found.error == pytest.approx(here.error, abs=1e-5 * size)
+    with pytest.raises(InputError, match="over"):
+        statistics(stored.velocity, over="draw")
+    with pytest.raises(InputError, match="missing for 1 of 3"):
+        statistics([1.0, np.nan, 2.0])
+    with pytest.raises(InputError, match="two chains"):
+        statistics([1.0])
+
+
+def test_pictures_have_labels() -> None:
+    """A number is drawn as a histogram, a curve as a band; more dimensions are refused."""
+    rng = np.random.default_rng(1)
+    number = MeasuredEnsemble(rng.normal(size=30), None, 0.0, 0.0)
+    axes = number.plot(label="speed (m/s)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed (m/s)", "number of chains")
+    curve = MeasuredEnsemble(rng.normal(size=(30, 5)), np.arange(5.0), 0.0, 0.0)
+    axes = curve.plot(label="force (N)", x_label="time (s)")
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "force (N)")
+    with pytest.raises(InputError, match="draw a curve"):
+        MeasuredEnsemble(rng.normal(size=(4, 3, 2)), None, 0.0, 0.0).plot()
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "match"),
+    [
+        ({}, "dict of numbers"),
+        ({"colour": 1.0}, "colour"),
+        ({"excitation.times": 1.0}, "excitation.times"),
+        ({"top_load": -1.0}, "0 or more"),
+        ({"diameter": 1.0}, "so wide"),
+    ],
+)
+def test_wrong_tolerances_are_refused(tolerances: dict, match: str) -> None:
+    """The message names the key."""
+    with pytest.raises(InputError, match=match):
+        within(SHORT, tolerances, lambda t: 0.0, realisations=3, seed=1)
+
+
+def test_wrong_measures_are_refused() -> None:
+    """A measure that fails names the chain; ragged arrays and words are no numbers."""
+    with pytest.raises(InputError, match=r"realisations\.0"):
+        measured_over(SHORT, lambda t: flight.time_of_flight(t, 2, 3), 5, 3, seed=1)
+    with pytest.raises(InputError, match="one shape"):
+        measured_over(SHORT, lambda t: "word", 5, 3, seed=1)
+    with pytest.raises(InputError, match="realisations"):
+        measured_over(SHORT, lambda t: 0.0, 5, 1, seed=1)

@@ -1,0 +1,168 @@
+"""Echoes of pulses, against an own integration by SciPy and exact solitary waves."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import minimize_scalar
+
+from lmpchain import Chain, Force, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain.measure import echo, flight
+from lmpchain.theory import soliton
+
+BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0}
+
+
+def time_of(chain: Chain, velocity: float, grains: float) -> float:
+    """Return the time that a pulse takes for a number of grains, s: exact, or that of sound."""
+    if chain.compressed:
+        return grains * float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
+    speed = 0.90747 * (chain.contact_constants[0] / chain.masses[0]) ** 0.4
+    return float(grains / (speed * (0.6816 * velocity) ** 0.2))
+
+
+def struck(chain: Chain, velocity: float, duration: float, samples: int) -> Trajectory:
+    """Simulate a strike on the top of a chain."""
+    strike = Impulse(velocity=velocity)
+    scene = Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
+    return simulate(scene, "native", tolerance=1e-9)
+
+
+def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> tuple[float, float]:
+    """Return the times of the largest power down and up, and integrate Eq. (1) by SciPy for it."""
+    contacts = chain.contacts
+    constants = contacts.constant
+    rest = contacts.force
+
+    def change(u: np.ndarray) -> np.ndarray:
+        overlap = contacts.overlap + np.pad(u, (1, 0)) - np.pad(u, (0, 1))
+        return np.where(contacts.exists, constants * np.maximum(overlap, 0.0) ** 1.5 - rest, 0.0)
+
+    def rate(_: float, state: np.ndarray) -> np.ndarray:
+        u, v = state.reshape(2, -1)
+        force = change(u)
+        pull = (force[:-1] - force[1:]) / chain.masses
+        pull[chain.movable :] = 0.0
+        return np.append(v, pull)
+
+    begin = np.zeros(2 * chain.grains)
+    begin[chain.grains] = velocity
+    answer = solve_ivp(
+        rate, (0, duration), begin, "DOP853", dense_output=True, rtol=1e-11, atol=1e-18
+    )
+
+    def power(t: float) -> float:
+        u, v = answer.sol(t).reshape(2, -1)
+        force = change(u)
+        return float((force[grain - 1] + force[grain]) / 2 * v[grain - 1])
+
+    times = np.linspace(0, duration, 4000)
+    values = np.array([power(t) for t in times])
+    found = []
+    for sign in (1, -1):
+        top = int((sign * values).argmax())
+        best = minimize_scalar(
+            lambda t, sign=sign: -sign * power(t),
+            bounds=(times[top - 1], times[top + 1]),
+            method="bounded",
+            options={"xatol": 1e-13},
+        )
+        found.append(float(best.x))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize(
+    ("changes", "velocity", "reflector", "inverted"),
+    [
+        ({"bottom": "wall"}, 0.1, None, False),
+        ({"bottom": "wall", "impurity": [{"grain": 21, "diameter": 9e-3}]}, 0.1, 21, False),
+        ({"top_load": 10.0, "bottom": "fixed"}, 1e-3, None, False),
+        ({"top_load": 10.0, "material": ["steel"] * 20 + ["ptfe"] * 6}, 1e-3, 21, True),
+    ],
+)
+def test_time_of_flight_back_is_that_of_an_own_integration(
+    changes: dict, velocity: float, reflector: int | None, inverted: bool
+) -> None:
+    """The time between the two largest powers is right within the stated error, for each end."""
+    chain = Chain(**{"grains": 26} | BEADS | changes)
+    place = reflector or 26
+    # Up to a little after the echo, with four samples in the time from grain to grain.
+    grains = 2 * place - 8 + (8 if reflector is None else 4)
+    duration = time_of(chain, velocity, grains)
+    out, back = exact_peaks(chain, velocity, 8, duration)
+    assert back > out
+    t = struck(chain, velocity, duration, 1 + 4 * grains)
+    found = echo.find(t, 8, reflector, least=0.01)
+    assert abs(found.seconds - (back - out)) <= found.error < 0.01 * found.seconds
+    assert found.inverted == inverted
+    assert 0.02 < found.share < 1
+    assert found.distance / 5e-3 == pytest.approx(2 * (place - 8), abs=1.01)
+
+
+def test_errors_cover_coarse_sampling() -> None:
+    """Of random strikes and sampling rates, times and shares are right within their errors."""
+    rng = np.random.default_rng(3)
+    covered = []
+    for _ in range(8):
+        load = float(rng.choice([0.0, 10.0]))
+        chain = Chain(grains=24, bottom="wall", top_load=load, **BEADS)
+        velocity = 10 ** rng.uniform(-2, -1)
+        duration = time_of(chain, velocity, 48)
+        samples = int(rng.integers(150, 500))
+        coarse, fine = (
+            echo.find(struck(chain, velocity, duration, 1 + size), 8)
+            for size in (samples, 16 * samples)
+        )
+        covered.append(abs(coarse.seconds - fine.seconds) <= coarse.error)
+        covered.append(abs(coarse.share - fine.share) <= coarse.share_error + fine.share_error)
+    assert np.mean(covered) >= 0.93
+
+
+def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
+    """Between two sensors both ways take the times of exact solitary waves, without the wall's."""
+    chain = Chain(grains=80, bottom="wall", **BEADS)
+    t = struck(chain, 0.1, time_of(chain, 0.1, 150), 5001)
+    upper, lower = (echo.find(t, grain) for grain in (35, 55))
+    constant = chain.contact_constants[0] / chain.masses[0]
+    # V = C (K/m)^(2/5) v^(1/5) grains/s for the largest velocity v of a grain.
+    unit = soliton.solve(velocity=1.0).speed * constant**0.4
+    expected = 0.0
+    for number, direction in ((0, 1), (1, -1)):
+        window = np.abs(t.time - upper.pulses[number].time) < 5e-5
+        speed = float((direction * t.velocity[window, 34]).max())
+        expected += 20 / (unit * speed**0.2)
+    assert upper.seconds - lower.seconds == pytest.approx(expected, rel=2e-5)
+    # The other measure takes the larger of two peaks, here that of the same pulse.
+    assert flight.arrival(t.time, upper.power).time == pytest.approx(upper.pulses[0].time, rel=1e-9)
+
+
+def test_energy_of_pulses_is_that_of_the_chain() -> None:
+    """What passes a grain downward is the energy of the strike less what stays above."""
+    chain = Chain(grains=30, bottom="wall", **BEADS)
+    t = struck(chain, 0.1, time_of(chain, 0.1, 60), 2001)
+    pulses = echo.find(t, 10).pulses
+    strike = chain.masses[0] * 0.1**2 / 2
+    assert pulses[0].energy == pytest.approx(strike, rel=0.02)
+    assert pulses[0].energy < strike
+    assert pulses[1].energy < 0 < pulses[1].force
+
+
+def test_what_has_no_echo_is_refused_and_pictures_have_labels() -> None:
+    """A run that ends before the echo, or a wrong reflector, raises an error."""
+    chain = Chain(grains=24, bottom="wall", **BEADS)
+    t = struck(chain, 0.1, time_of(chain, 0.1, 48), 801)
+    with pytest.raises(InputError, match="no echo"):
+        echo.find(struck(chain, 0.1, 1.2e-4, 201), 8)
+    with pytest.raises(InputError, match="another grain"):
+        echo.find(t, 8, 8)
+    with pytest.raises(InputError, match="between 0 and 1"):
+        echo.find(t, 8, least=2.0)
+    # Walls are half a diameter beyond the last grains.
+    for reflector, diameters in ((None, 16.5), (25, 16.5), (24, 16), (1, 7), (0, 7.5)):
+        distance = echo.find(t, 8, reflector).distance
+        assert distance == pytest.approx(2 * diameters * 5e-3, rel=1e-12)
+    axes = echo.find(t, 8).plot()
+    assert axes.get_xlabel() == "time"
+    push = Force(grain=1, shape="half-sine", amplitude=1e-9, duration=1e-3)
+    still = simulate(Scene(chain=chain, excitation=push, duration=1e-9), "native")
+    with pytest.raises(InputError, match="0 pulses"):
+        echo.find(still, 20)

@@ -1,0 +1,83 @@
+"""Shocks and rarefactions over x / t, against the simple wave of gas dynamics."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Riemann, Scene, Trajectory, simulate
+from lmpchain.measure import self_similar
+
+
+@cache
+def rarefaction(exponent: float, grain: int, share: float) -> Trajectory:
+    """Simulate a step to a smaller overlap, until waves from the ends arrive."""
+    chain = Chain(
+        grains=2 * grain, diameter=1e-3, gravity=0.0, top_load=1.0, top="free", exponent=exponent
+    )
+    less = -share * chain.equilibrium_overlap[0] / 1e-3
+    step = Riemann(velocity=(0, 0), strain=(less, 0), grain=grain)
+    duration = 0.9 * grain * chain.time_scale
+    return simulate(
+        Scene(chain=chain, excitation=step, duration=duration, samples=601), "native", 1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("exponent", "share"), [(1.3, 0.5), (1.5, 0.3), (1.5, 0.8), (2.0, 0.6), (2.5, 0.4)]
+)
+def test_a_rarefaction_approaches_the_simple_wave(exponent: float, share: float) -> None:
+    """Within the fan the overlap goes as (x / c t)^(2 / (delta - 1)); errors cover the rest."""
+    t = rarefaction(exponent, 250, share)
+    chain = t.scene.chain
+    seen = self_similar.view(t)
+    rest = chain.equilibrium_overlap[0]
+    sound = np.sqrt(
+        exponent * chain.contact_constants[0] * rest ** (exponent - 1) / chain.masses[0]
+    )
+    fan = rest * (seen.speed / sound) ** (2 / (exponent - 1))
+    inside = (seen.limit < 0.999 * rest) & (seen.limit > 1.001 * seen.shock.behind.overlap)
+    assert inside.sum() > 10
+    assert seen.limit[inside] == pytest.approx(fan[inside], rel=1e-9)
+    off = np.abs(seen.overlap - seen.limit)
+    assert (off[-1] <= seen.error).mean() > 0.97
+    # The stated error is of the order of the departure, not of the wave.
+    jump = rest - seen.shock.behind.overlap
+    assert np.median(seen.error) < 0.15 * jump
+    # The profile approaches its limit at each moment.
+    assert (np.diff(off.mean(1)) < 0).all()
+
+
+def test_a_wave_that_goes_up_is_the_mirror_image() -> None:
+    """The same step, mirrored, gives the same profile."""
+    t = rarefaction(1.5, 250, 0.3)
+    chain = t.scene.chain
+    less = -0.3 * chain.equilibrium_overlap[0] / 1e-3
+    step = Riemann(velocity=(0, 0), strain=(0, less), grain=249)
+    mirrored = simulate(t.scene.replace(excitation=step), "native", 1e-6)
+    down = self_similar.view(t)
+    up = self_similar.view(mirrored, "up")
+    assert up.shock.kind == "rarefaction"
+    middle = np.interp(down.speed, up.speed, up.overlap[-1])
+    rest = chain.equilibrium_overlap[0]
+    assert np.abs(middle - down.overlap[-1]).max() < 0.05 * rest
+
+
+def test_a_dispersive_shock_keeps_its_edges_but_has_no_limit() -> None:
+    """Profiles at all moments lie between the edges; pictures have labels."""
+    chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall")
+    speed = 0.3 * chain.equilibrium_overlap[0] / chain.time_scale
+    piston = Drive(shape="piston", velocity=float(speed), rise=1e-6, grain=0)
+    scene = Scene(chain=chain, excitation=piston, duration=270 * chain.time_scale, samples=1201)
+    seen = self_similar.view(simulate(scene, "native", 1e-6))
+    shock = seen.shock
+    assert shock.kind == "dispersive shock"
+    assert np.isnan(seen.limit).all()
+    jump = shock.behind.overlap - shock.ahead.overlap
+    ahead = seen.speed > 1.08 * shock.leading.speed
+    behind = (seen.speed < 0.8 * shock.trailing.speed) & (seen.speed > 0.1 * shock.trailing.speed)
+    assert np.abs(seen.overlap[:, ahead] - shock.ahead.overlap).max() < 0.02 * jump
+    assert np.abs(seen.overlap[-1, behind] - shock.behind.overlap).max() < 0.2 * jump
+    axes = seen.plot()
+    assert axes.get_xlabel() == "distance over time (grains/s)"
+    assert axes.get_ylabel()

@@ -1,0 +1,194 @@
+"""Lyapunov exponents and alignment indices, against matrix exponentials, SciPy and theory."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, laws
+from lmpchain.orbits import Chaos, chaos_of
+from lmpchain.orbits import chaos as chaos_module
+
+BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0, "top": "wall", "bottom": "wall"}
+
+
+def start(size: int, count: int, seed: int) -> np.ndarray:
+    """Return the orthonormal deviations at t = 0 of a seed."""
+    random = np.random.default_rng(seed).standard_normal((size, count))
+    return np.linalg.qr(random)[0]
+
+
+def log_volume(deviations: np.ndarray) -> float:
+    """Return the logarithm of the volume of unit deviations, by singular values."""
+    unit = deviations / np.linalg.norm(deviations, axis=0)
+    return float(np.log(np.linalg.svd(unit, compute_uv=False)).sum())
+
+
+def struck(chain: Chain, velocity: float, duration: float) -> Scene:
+    """Return a strike on the top."""
+    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
+
+
+def test_a_linear_chain_has_the_indices_of_its_matrix() -> None:
+    """All exponents are 0 within their intervals; indices agree with the exponential to 1e-8."""
+    chain = Chain(grains=4, top_load=10.0, exponent=1.0, **BEADS)
+    scene = struck(chain, 1e-3, 5e-3)
+    found = chaos_of(scene, seed=3)
+    assert not found.chaotic
+    assert (np.abs(found.exponent) <= found.half_width).all()
+    root = np.sqrt(chain.masses)
+    springs = chain.contacts.stiffness
+    pull = np.diag(springs[:-1] + springs[1:]) - np.diag(springs[1:-1], 1)
+    pull -= np.diag(springs[1:-1], -1)
+    rate = scene.fastest_motion
+    # q = sqrt(m) phi and p = sqrt(m) phi' / rate
+    matrix = np.zeros((8, 8))
+    matrix[:4, 4:] = rate * np.eye(4)
+    matrix[4:, :4] = -pull / np.outer(root, root) / rate
+    deviation = expm(matrix * found.time[-1]) @ start(8, 8, 3)
+    for count in range(2, 9):
+        expected = log_volume(deviation[:, :count])
+        assert found.log_gali[-1, count - 1] == pytest.approx(expected, abs=1e-8)
+        assert found.gali(count)[-1] == pytest.approx(np.exp(expected), abs=1e-8)
+
+
+def test_indices_and_growth_agree_with_variational_equations_by_scipy(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Over a chaotic time, volumes of deviations agree with an own integration."""
+    # Chaos amplifies the error of the steps in which a contact opens.
+    monkeypatch.setattr(chaos_module, "REACH", 0.003)
+    chain = Chain(grains=3, **BEADS)
+    scene = struck(chain, 0.1, 0.8e-3)
+    found = chaos_of(scene, exponents=3, seed=5)
+    assert found.exponent[0] * scene.duration > 1
+    constants = np.array(
+        [chain.wall_constants[0], *chain.contact_constants, chain.wall_constants[1]]
+    )
+    root = np.sqrt(chain.masses)
+    rate = scene.fastest_motion
+
+    def slope(_: float, state: np.ndarray) -> np.ndarray:
+        columns = state.reshape(2, 3, 4)
+        overlap = np.maximum(-np.diff(np.pad(columns[0, :, 0], 1)), 0.0)
+        force = constants * overlap**1.5
+        stiffness = 1.5 * constants * np.sqrt(overlap)
+        closer = -np.diff(np.pad(columns[0, :, 1:], ((1, 1), (0, 0))), axis=0)
+        pushed = np.column_stack((force, stiffness[:, None] * closer))
+        pull = (pushed[:-1] - pushed[1:]) / chain.masses[:, None]
+        return np.stack((columns[1], pull)).ravel()
+
+    units = np.concatenate((root, root / rate))[:, None]
+    begin = np.zeros((6, 4))
+    begin[3, 0] = 0.1
+    begin[:, 1:] = start(6, 3, 5) / units
+    answer = solve_ivp(slope, (0, scene.duration), begin.ravel(), "DOP853", rtol=1e-10, atol=1e-16)
+    deviation = units * answer.y[:, -1].reshape(6, 4)[:, 1:]
+    for count in (2, 3):
+        expected = log_volume(deviation[:, :count])
+        assert found.log_gali[-1, count - 1] == pytest.approx(expected, abs=2e-4)
+    grown = float(np.log(np.linalg.norm(deviation[:, 0])))
+    assert found.running[-1, 0] * scene.duration == pytest.approx(grown, abs=2e-4)
+    assert found.energy_drift < 1e-7
+
+
+@cache
+def ensemble() -> list[Chaos]:
+    """Return the exponents of motions of one energy in a sonic vacuum of five grains."""
+    chain = Chain(grains=5, **BEADS)
+    rng = np.random.default_rng(7)
+    found = []
+    for seed in range(16):
+        velocity = rng.normal(size=5)
+        velocity *= 0.1 / np.linalg.norm(velocity)
+        scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=0.03)
+        found.append(chaos_of(scene, seed=seed))
+    return found
+
+
+def test_intervals_cover_the_mean_of_many_motions() -> None:
+    """Motions of one energy have one spectrum; 90 % or more of the intervals contain its mean."""
+    exponents = np.array([each.exponent for each in ensemble()])
+    half_widths = np.array([each.half_width for each in ensemble()])
+    mean = exponents.mean(0)
+    assert (np.abs(exponents - mean) <= half_widths).mean() >= 0.9
+    # The intervals are not wide: the largest exponent is known to a quarter.
+    assert (half_widths[:, 0] < 0.25 * mean[0]).all()
+    # Scale invariance: the time goes as the energy to the power -1/10.
+    chain = Chain(grains=5, **BEADS)
+    strong = chaos_of(struck(chain, 10.0, 0.03 * 100**-0.2))
+    assert strong.exponent[0] * 100**-0.2 == pytest.approx(mean[0], rel=0.25)
+
+
+def test_exponents_come_in_pairs_and_volume_is_kept() -> None:
+    """The map is symplectic: exponents are opposite in pairs, and their sum vanishes."""
+    for each in ensemble()[:4]:
+        paired = each.exponent + each.exponent[::-1]
+        assert (np.abs(paired) <= each.half_width).all()
+        assert abs(each.running[-1].sum()) < 1e-9 * each.exponent[0]
+        # The pair of the energy: no growth.
+        assert np.abs(each.exponent[4:6]).max() < 0.1 * each.exponent[0]
+
+
+def test_indices_fall_by_the_differences_of_exponents() -> None:
+    """In chaos the index of k deviations falls as exp(-sum of lambda_1 - lambda_j) in time."""
+    for each in ensemble()[:4]:
+        duration = each.time[-1] - each.time[63]
+        for count in (2, 3, 6):
+            fall = (each.log_gali[63, count - 1] - each.log_gali[-1, count - 1]) / duration
+            expected = (each.exponent[0] - each.exponent[:count]).sum()
+            assert fall == pytest.approx(expected, rel=0.05)
+
+
+def test_indices_of_regular_motion_fall_as_powers_of_time() -> None:
+    """On a torus of N dimensions the index of k > N deviations falls as t^(-2 (k - N))."""
+    found = chaos_of(struck(Chain(grains=3, top_load=50.0, **BEADS), 0.2, 0.2))
+    assert not found.chaotic
+    assert (found.gali(2)[64:] > 0.3).all()
+    late = found.time > found.time[-1] / 5
+    for count in (4, 5, 6):
+        logarithm = found.log_gali[late, count - 1]
+        slope = np.polyfit(np.log(found.time[late]), logarithm, 1)[0]
+        assert slope == pytest.approx(-2 * (count - 3), rel=0.15)
+
+
+def test_laws_by_formula_have_exponents_too() -> None:
+    """Toda's chain is integrable, and that of Fermi, Pasta, Ulam and Tsingou is not."""
+    fields = {"grains": 4, "gravity": 0.0, "diameter": 1e-2, "masses": np.full(4, 1e-3)}
+    ends = {"top": "wall", "bottom": "wall"}
+    scene = Scene(
+        chain=Chain(law=laws.toda(b=1e5, k=1e5), **fields, **ends),
+        excitation=Profile(velocity=[0.2, -0.1, 0.15, -0.05]),
+        duration=0.2,
+    )
+    toda = chaos_of(scene)
+    assert not toda.chaotic
+    assert (toda.gali(2) > 0.01).all()
+    other = scene.chain.replace(law=laws.fput(beta=1e15, k=1e5))
+    chaotic = chaos_of(scene.replace(chain=other))
+    assert chaotic.chaotic
+    assert chaotic.gali(2)[-1] < 1e-6
+    assert max(toda.energy_drift, chaotic.energy_drift) < 1e-6
+
+
+def test_pictures_tables_and_refusals() -> None:
+    """Pictures have labels, tables have columns; what cannot be done is refused by its key."""
+    found = ensemble()[0]
+    assert found.plot().get_xlabel() == "time"
+    assert found.plot_gali().get_ylabel() == "generalised alignment index"
+    assert {"time [s]", "exponent_1 [1/s]", "log_gali_10"} <= set(found.to_dataframe().columns)
+    assert (found.gali(10)[-1:] == 0).all()
+    chain = Chain(grains=4, **BEADS)
+    scene = struck(chain, 0.1, 1e-3)
+    with pytest.raises(InputError, match="exponents"):
+        chaos_of(scene, exponents=1)
+    with pytest.raises(InputError, match="steps"):
+        chaos_of(scene.replace(duration=1e5))
+    with pytest.raises(InputError, match="excitation"):
+        chaos_of(scene.replace(excitation=Drive(amplitude=1e-9, frequency=1e3)))
+    with pytest.raises(InputError, match="damping"):
+        chaos_of(scene.replace(chain=chain.replace(damping=Damping(drag=1.0))))
+    with pytest.raises(InputError, match="count"):
+        found.gali(11)
