@@ -21,7 +21,7 @@ from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
-from ..util.suggestions import did_you_mean, not_among
+from ..util.suggestions import did_you_mean, not_among, unknown_key
 from ..util.validation import Checked, make_unchecked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
@@ -49,6 +49,8 @@ class FileSizes:
 
 FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
+# Keys of [chain]: those of a chain in Python, of patterns, and of a file with a row for each grain.
+CHAIN_KEYS = (*Chain.arguments, *IN_FILES, "file")
 # options of a run, which a scene does not have
 OF_RUNS = ("engine", "tolerance", "integrator", "step", "threads", "ranks")
 # Patterns of lines that are not TOML, with the remedy; the first match counts.
@@ -141,13 +143,10 @@ def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _misplaced(key: str) -> str:
     """Return the cure for a key that is no section."""
-    of_excitations = [
-        key for kind in EXCITATIONS.values() for key in (*kind.arguments, *kind.other_arguments)
-    ]
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
-        "chain": [*Chain.arguments, *IN_FILES],
-        "excitation": ["kind", *of_excitations],
+        "chain": CHAIN_KEYS,
+        "excitation": [key for kind in EXCITATIONS.values() for key in _excitation_keys(kind)],
     }
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
     if homes:
@@ -157,6 +156,25 @@ def _misplaced(key: str) -> str:
         cure = f"the scene is run with lmpchain run SCENE.toml --{option} ..."
         return f"belongs to a run, not to its scene{guess}: take it out; {cure}"
     return f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {', '.join(SECTIONS)}"
+
+
+def _excitation_keys(kind: type[Excitation]) -> list[str]:
+    """Return the keys of the table of an excitation of this kind."""
+    return ["kind", *kind.arguments, *kind.other_arguments]
+
+
+def _make(
+    make: Callable[[dict[str, Any]], Any], keys: Mapping[str, Any], known: Sequence[str]
+) -> Any:
+    """Return the object of the known keys; raise `InputError` with its faults and unknown keys."""
+    faults = [(key, unknown_key(key, known)) for key in keys if key not in known]
+    try:
+        made = make({key: value for key, value in keys.items() if key in known})
+    except InputError as error:
+        faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return made
 
 
 def _of_this_length(table: Any) -> Chain | None:
@@ -224,6 +242,10 @@ def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
+    return _make(lambda known: _known_chain(known, folder), keys, CHAIN_KEYS)
+
+
+def _known_chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         if patterns := [key for key in IN_FILES if key in keys]:
             cure = "the file has every grain already; take it out, or the file"
@@ -260,7 +282,9 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
             keys["start"] = Profile(**_beside(start, folder))
         except InputError as error:
             raise InputError(error.under("start")) from None
-    return excitation(**(_beside(keys, folder) if issubclass(excitation, Measured) else keys))
+    if issubclass(excitation, Measured):
+        keys = _beside(keys, folder)
+    return _make(lambda known: excitation(**known), keys, _excitation_keys(excitation))
 
 
 def _beside(keys: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

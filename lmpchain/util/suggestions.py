@@ -32,6 +32,19 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
     return f" (did you mean {names[close[0]]!r}?)" if close else ""
 
 
+def unknown_key(key: object, known: Iterable[str], elsewhere: Iterable[str] = ()) -> str:
+    """Return the fault of a key that is not among the known ones; suggest also names `elsewhere`.
+
+    Examples
+    --------
+    >>> unknown_key("grain", ["grains", "diameter"])
+    "unknown key (did you mean 'grains'?); the keys here are grains, diameter"
+    """
+    names = list(known)
+    guess = did_you_mean(key, [*names, *elsewhere])
+    return f"unknown key{guess}; the keys here are {', '.join(names)}"
+
+
 def either(names: Iterable[str]) -> str:
     """Return names as alternatives in words.
 

@@ -16,7 +16,7 @@ from .arrays import Array, numbers, objection, plain, read_only
 from .caching import cached_property
 from .notebook import Shown
 from .remarks import warn
-from .suggestions import did_you_mean
+from .suggestions import did_you_mean, unknown_key
 
 NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
 
@@ -95,9 +95,7 @@ class Checked(Shown, BaseModel):
         """Return the fault of a key that is not an argument."""
         if key in cls.elsewhere:
             return f"is no key here: {cls.elsewhere[key]}"
-        known = [*cls.arguments, *cls.other_arguments]
-        guess = did_you_mean(key, [*known, *cls.elsewhere])
-        return f"unknown key{guess}; the keys here are {', '.join(known)}"
+        return unknown_key(key, [*cls.arguments, *cls.other_arguments], cls.elsewhere)
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings about valid but unlikely values."""
