@@ -6,7 +6,7 @@ import argparse
 import shlex
 
 from ..errors import InputError
-from .common import beside, output
+from .common import STDOUT, beside, output, written
 
 # Examples, and what each of them shows.
 EXAMPLES = {
@@ -22,9 +22,9 @@ EXAMPLES = {
 
 def new(arguments: argparse.Namespace) -> int:
     """Write a commented scene."""
-    name = arguments.scene
-    path = output(name, "", (".toml",), force=True)
-    if path.exists() and not arguments.force:
+    name = arguments.new_scene
+    path = output(name, "", (".toml",), force=True, stream=True)
+    if path != STDOUT and path.exists() and not arguments.force:
         raise InputError.at(name, "is there already: name another file, or add --force")
     # The name stands in comments, which a line break would end.
     if not name.isprintable():
@@ -32,12 +32,15 @@ def new(arguments: argparse.Namespace) -> int:
     from ..util.files import write_aside
     from ..util.templates import render
 
+    if path == STDOUT:
+        # The comments name the file that the reader of the text will make.
+        name = "scene.toml"
     quoted = shlex.quote(name)
     stem = shlex.quote(beside(name, ""))
     text = render(f"examples/{arguments.example}.toml", scene=quoted, stem=stem)
-    with write_aside(path, overwrite=True) as aside:
+    with written(path) as file, write_aside(file, overwrite=True) as aside:
         aside.write_text(text, encoding="utf-8")
-    print(f"scene: {path} ({EXAMPLES[arguments.example]})")
+    print(f"scene: {'standard output' if path == STDOUT else path} ({EXAMPLES[arguments.example]})")
     print(f"next: lmpchain compare {quoted} -o {shlex.quote(beside(name, '.png'))}")
     print(f"      lmpchain run {quoted}")
     print("other examples: " + ", ".join(key for key in EXAMPLES if key != arguments.example))

@@ -207,7 +207,6 @@ def parse(path: Path) -> dict[str, Any]:
         check_readable(path, FILE_SIZES.scene)
         # editors on Windows begin a file with a mark of its encoding, which utf-8-sig takes off
         text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text)
     except FileNotFoundError:
         raise InputError.at(name, "there is no such file") from None
     except OSError as error:
@@ -218,11 +217,21 @@ def parse(path: Path) -> dict[str, Any]:
         raise InputError.at(
             name, "is not text in UTF-8; a scene file is a TOML text file"
         ) from None
+    # The name has a null character.
+    except ValueError as error:
+        raise InputError.at(name, f"cannot be read: {error}") from None
+    return parse_text(text, name)
+
+
+def parse_text(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of the text of a scene file; `name` is that of the file in messages."""
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError.at(name, f"is not valid TOML: {error}{_cure(text, error)}") from None
     except RecursionError:
         raise InputError.at(name, "is not valid TOML: nested too deeply") from None
-    # a number of thousands of digits; a name with a null character
+    # A number has thousands of digits.
     except ValueError as error:
         raise InputError.at(name, f"cannot be read: {error}") from None
 
