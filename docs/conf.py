@@ -64,6 +64,13 @@ nb_merge_streams = True
 smartquotes_action = "qe"  # quotes and three dots; the two dashes of an option stay two
 default_role = "py:obj"  # what docstrings put between single backquotes
 autosummary_generate = True
+# names of files that would differ by case only are one file on macOS and Windows
+autosummary_filename_map = {
+    "lmpchain.averages": "lmpchain.averages-function",
+    "lmpchain.theory.bessel": "lmpchain.theory.bessel-module",
+    "lmpchain.theory.continuum": "lmpchain.theory.continuum-module",
+    "lmpchain.theory.modes": "lmpchain.theory.modes-module",
+}
 # a summary ends with its sentence, not within it
 sphinx.ext.autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.", "Fig.", "Phys.")
 autodoc_default_options = {
