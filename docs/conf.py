@@ -13,6 +13,7 @@ from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name, as equations
+from gallery_pictures import describe_thumbnails  # noqa: E402
 
 project = "lmpchain"
 author = "the lmpchain developers"
@@ -108,5 +109,6 @@ def leave_out(app: Sphinx, what: str, name: str, member: Any, skip: bool, option
 
 
 def setup(app: Sphinx) -> None:
-    """Tell Sphinx what the reference leaves out."""
+    """Tell Sphinx what the reference leaves out, and how the gallery is described."""
     app.connect("autodoc-skip-member", leave_out)
+    app.connect("doctree-resolved", describe_thumbnails)

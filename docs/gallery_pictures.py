@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import live_figures
+from docutils import nodes
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
 import lmpchain
@@ -34,6 +36,14 @@ def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
     # else they are kept from script to script, and matplotlib warns of that
     pyplot.close("all")
     return figure_rst(shown, conf["src_dir"], title_of(names)) + _live(names, conf)
+
+
+def describe_thumbnails(app: Sphinx, document: nodes.document, page: str) -> None:
+    """Give the thumbnails of the gallery the titles of their scripts as text."""
+    if page == "measurements/index":
+        for image in document.findall(nodes.image):
+            link = image.next_node(nodes.reference, ascend=True)
+            image["alt"] = link.astext() if link else ""
 
 
 def title_of(names: dict[str, Any]) -> str:

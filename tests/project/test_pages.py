@@ -174,6 +174,10 @@ def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
             "src_file": {str(script)!r},
         }}
         print(gallery_pictures.scraper(("", "", 0), names, {{"src_dir": {str(tmp_path)!r}}}))
+        from docutils.core import publish_doctree
+        page = publish_doctree(".. image:: one.png\\n   :alt:\\n\\n`A title <plot_1.html>`_\\n")
+        gallery_pictures.describe_thumbnails(None, page, "measurements/index")
+        print(page.pformat())
     """)
     done = subprocess.run(
         [sys.executable, "-c", program],
@@ -184,6 +188,7 @@ def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
         env=os.environ | {"PYTHONPATH": str(DOCS)},
     )
     assert ":alt: A wave in a row" in done.stdout
+    assert '<image alt="A title" uri="one.png">' in done.stdout
     assert (tmp_path / "images" / "one.png").is_file()
 
 
