@@ -1,9 +1,15 @@
 """Misspelt names: every message says which name was probably meant."""
 
+import re
+
 import pytest
 
 from lmpchain import Chain, Impulse, Impurity, InputError, Scene, disorder, simulate
 from lmpchain.cli import main
+from lmpchain.cli.verbs import VERBS
+from lmpchain.design import sensitivities
+from lmpchain.engines import Lammps, Native
+from lmpchain.simulation import observables
 from lmpchain.sweeps.file import read_sweep
 
 SCENE = Scene(
@@ -136,3 +142,27 @@ def test_nothing_is_guessed_where_nothing_is_near():
     with pytest.raises(InputError) as caught:
         Chain(grains=3, diameter=1e-3, material="wood")
     assert "did you mean" not in str(caught.value)
+
+
+def help_of(verb: str, option: str) -> str:
+    (text,) = (options["help"] for spelled, options in VERBS[verb].arguments if option in spelled)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("verb", "option", "owned"),
+    [
+        (
+            "averages",
+            "--of",
+            {*observables.OF_CHAIN, *observables.OF_GRAIN, *observables.OF_CONTACT},
+        ),
+        ("sensitivity", "--answer", set(sensitivities.UNITS)),
+        ("run", "--integrator", {*Native.integrators, *Lammps.integrators}),
+    ],
+)
+def test_the_help_lists_what_is_accepted(verb: str, option: str, owned: set[str]):
+    """The help is typed, because the owners of these names are slow to import."""
+    words = set(re.findall(r"[a-z][a-z0-9_-]+", help_of(verb, option)))
+    assert owned
+    assert owned <= words
