@@ -1,7 +1,7 @@
 """Traces as instruments write them: each is read in one call, and acts as it says.
 
-The two files of `make_traces.py` are made, from closed forms; the others are
-written here, with numbers of closed forms too.
+The two files of `make_traces.py` follow closed forms; the others are written here, from numbers
+of closed forms too.
 """
 
 import os
@@ -174,7 +174,7 @@ def test_volts_need_a_calibration(header: str, tmp_path: Path):
 
 
 def test_an_oscilloscopes_hammer_moves_a_chain():
-    """The file of the example `hammer`: its impulse is in the chain, by an interpolation of its own."""
+    """The file of the example `hammer`: its impulse is in the chain, by its own interpolation."""
     assert EXAMPLE.read_text() == hammer()
     force = Force(grain=1, file=EXAMPLE, scale=2.0, baseline=(-40e-6, -2e-7), trigger=0.0)
     time = np.arange(400) * 4e-7
