@@ -13,6 +13,7 @@ from sphinx.application import Sphinx
 
 HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE))  # for what Sphinx keeps by name, as equations
+from gallery_pictures import describe_thumbnails  # noqa: E402
 
 project = "lmpchain"
 author = "the lmpchain developers"
@@ -64,6 +65,13 @@ nb_merge_streams = True
 smartquotes_action = "qe"  # quotes and three dots; the two dashes of an option stay two
 default_role = "py:obj"  # what docstrings put between single backquotes
 autosummary_generate = True
+# names of files that would differ by case only are one file on macOS and Windows
+autosummary_filename_map = {
+    "lmpchain.averages": "lmpchain.averages-function",
+    "lmpchain.theory.bessel": "lmpchain.theory.bessel-module",
+    "lmpchain.theory.continuum": "lmpchain.theory.continuum-module",
+    "lmpchain.theory.modes": "lmpchain.theory.modes-module",
+}
 # a summary ends with its sentence, not within it
 sphinx.ext.autosummary.WELL_KNOWN_ABBREVIATIONS += ("Eq.", "Eqs.", "Fig.", "Phys.")
 autodoc_default_options = {
@@ -101,5 +109,6 @@ def leave_out(app: Sphinx, what: str, name: str, member: Any, skip: bool, option
 
 
 def setup(app: Sphinx) -> None:
-    """Tell Sphinx what the reference leaves out."""
+    """Tell Sphinx what the reference leaves out, and how the gallery is described."""
     app.connect("autodoc-skip-member", leave_out)
+    app.connect("doctree-resolved", describe_thumbnails)

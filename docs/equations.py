@@ -20,13 +20,20 @@ CITED = re.compile(r"Eqs?\.\s\(\d+\)(?:(?:,|,? and| to|, or| or)\s\(\d+\))*")
 NUMBER = re.compile(r"\((\d+)\)")
 DECIMAL = re.compile(r"[-−]?\d+(?:\.\d+)?e-\d+")
 JOINT = re.compile(r"(?<=[./_:,])(?=\w)")
+# an upright letter with an exponent or index, which latex2mathml would set in italics
+UPRIGHT = re.compile(r"\\mathrm(?: ([A-Za-z])|\{([A-Za-z])\})(?=\s*[\^_])")
 # code, formulas and headings stay as they are
 PLAIN = (nodes.literal, nodes.literal_block, nodes.math, nodes.math_block, nodes.title, nodes.raw)
 
 
+def typeset(formula: str, display: str = "inline") -> str:
+    """Return the MathML of a formula in LaTeX."""
+    return convert(UPRIGHT.sub(r"\\text{\1\2}", formula), display=display)
+
+
 def write_inline(writer: HTML5Translator, node: nodes.math) -> None:
     """Write a formula within a line."""
-    writer.body.append(convert(node.astext()))
+    writer.body.append(typeset(node.astext()))
     raise nodes.SkipNode
 
 
@@ -34,7 +41,7 @@ def write_block(writer: HTML5Translator, node: nodes.math_block) -> None:
     """Write a formula on lines of its own, with the number that the paper gives it."""
     label = node.get("label") or ""
     writer.body.append(writer.starttag(node, "div", CLASS="equation"))
-    writer.body.append(convert(node.astext(), display="block"))
+    writer.body.append(typeset(node.astext(), "block"))
     if label.startswith("eq-"):
         writer.body.append(f'<span class="number">({label.removeprefix("eq-")})</span>')
     writer.body.append("</div>\n")

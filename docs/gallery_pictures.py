@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import live_figures
+from docutils import nodes
 from matplotlib import pyplot
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from sphinx.application import Sphinx
 from sphinx_gallery.scrapers import figure_rst
 
 import lmpchain
@@ -33,7 +35,20 @@ def scraper(block: Any, names: dict[str, Any], conf: dict[str, Any]) -> str:
             value.figure.savefig(shown[-1], dpi=110)
     # else they are kept from script to script, and matplotlib warns of that
     pyplot.close("all")
-    return figure_rst(shown, conf["src_dir"]) + _live(names, conf)
+    return figure_rst(shown, conf["src_dir"], title_of(names)) + _live(names, conf)
+
+
+def describe_thumbnails(app: Sphinx, document: nodes.document, page: str) -> None:
+    """Give the thumbnails of the gallery the titles of their scripts as text."""
+    if page == "measurements/index":
+        for image in document.findall(nodes.image):
+            link = image.next_node(nodes.reference, ascend=True)
+            image["alt"] = link.astext() if link else ""
+
+
+def title_of(names: dict[str, Any]) -> str:
+    """Return the title of a gallery script, which is the text in place of its pictures."""
+    return Path(names["src_file"]).read_text(encoding="utf-8").splitlines()[1]
 
 
 def _live(names: dict[str, Any], conf: dict[str, Any]) -> str:
@@ -47,6 +62,5 @@ def _live(names: dict[str, Any], conf: dict[str, Any]) -> str:
     # a figure names the command that wrote it, not the folder in which the pages were built
     sys.argv = [script.name]
     lmpchain.explore(source, folder / f"{script.stem}.html")
-    title = script.read_text(encoding="utf-8").splitlines()[1]
-    element = live_figures.frame(script.stem, f"{title}: live figure", "../")
+    element = live_figures.frame(script.stem, f"{title_of(names)}: live figure", "../")
     return f"\n\n.. raw:: html\n\n    {element}\n\n"

@@ -19,7 +19,7 @@ def averages(arguments: argparse.Namespace) -> int:
         scene,
         [name.strip() for name in arguments.of.split(",")],
         time=arguments.time,
-        tolerance=arguments.tolerance,
+        tolerance=arguments.energy_tolerance,
         warm_up=arguments.warm_up,
         copies=arguments.copies,
         progress=on_terminal(),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from ..errors import InputError, check_tolerance
-from .common import collect, keep, on_terminal, output, read_scene
+from .common import check_numbers, collect, keep, on_terminal, read_scene
 
 
 def check(arguments: argparse.Namespace) -> int:
@@ -15,10 +15,7 @@ def check(arguments: argparse.Namespace) -> int:
         raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")
     scene, numbers, _ = collect(
         lambda: arguments.scene and read_scene(arguments.scene),
-        lambda: (
-            arguments.json
-            and output(arguments.json, arguments.scene or subject, force=arguments.force)
-        ),
+        lambda: check_numbers(arguments, arguments.scene or subject),
         lambda: check_tolerance(0.5 if arguments.tolerance is None else arguments.tolerance),
     )
     from ..benchmark.own_run import check, check_deck

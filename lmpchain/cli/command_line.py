@@ -23,9 +23,10 @@ from typing import Any
 
 from ..errors import InputError, LmpchainError
 from ..util import mpi
-from .common import complain
+from .common import complain, data_apart
 from .parser import Parser, ShowVersion
 from .run import resume, run, run_folder, sweep
+from .shell import SHELLS, PrintCompletion, PrintManual
 from .verbs import GROUPS, VERBS
 
 # Most objects that a command makes at its start live to its end. Python's default frequency of
@@ -161,7 +162,8 @@ def _main(argv: Sequence[str] | None) -> int:
         with warnings.catch_warnings():
             # A warning is printed as one line, without the line of Python code that raised it.
             warnings.showwarning = _show_warning  # type: ignore[assignment]
-            return arguments.command(arguments)
+            with data_apart(arguments):
+                return arguments.command(arguments)
     except InputError as error:
         for key, message in error.faults:
             complain(f"{key if key.strip() else repr(key)}: {message}")
@@ -248,13 +250,25 @@ def _list_commands() -> Iterator[str]:
 def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="lmpchain",
-        usage="lmpchain [-h] [--version] COMMAND ...",
+        usage="lmpchain [OPTION] COMMAND ...",
         description="\n\n".join([textwrap.fill(PURPOSE, HELP_WIDTH), *_list_commands()]),
         epilog=textwrap.fill(EXIT_CODES, HELP_WIDTH),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=_show_help)
     parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
+    parser.add_argument(
+        "--print-completion",
+        action=PrintCompletion,
+        choices=SHELLS,
+        help="print the script by which this shell completes commands and options, and exit",
+    )
+    parser.add_argument(
+        "--print-manual",
+        action=PrintManual,
+        nargs=0,
+        help="print the manual page for man, and exit",
+    )
     verbs = parser.add_subparsers(metavar="COMMAND", prog="lmpchain", help=argparse.SUPPRESS)
     for name, verb in VERBS.items():
         sub = verbs.add_parser(
@@ -264,6 +278,7 @@ def _parser() -> argparse.ArgumentParser:
             epilog=f"Example: lmpchain {verb.example}",
         )
         sub.set_defaults(command=verb.command)
+        sub.renamed = verb.renamed
         for names, options in verb.arguments:
             sub.add_argument(*names, **options)
         if verb.choice:

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
-from collections.abc import Callable, Sequence
+import textwrap
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, redirect_stdout
+from contextvars import ContextVar
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..errors import InputError
@@ -15,18 +20,32 @@ from ..util.validation import either
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
+STANDARD = "-"  # in place of the name of a file: standard input, or standard output
+STDOUT = Path("/dev/stdout")  # path that `output` returns for it
 PICTURES = (".png", ".pdf", ".svg")
+MESSAGE_WIDTH = 80  # columns of an error message on a terminal
+# Standard output of a command that writes data there; its text goes to standard error.
+_data: ContextVar[TextIO | None] = ContextVar("data", default=None)
 KIND_STYLES = {"error": "bold red", "fault": "bold red", "warning": "bold yellow", "ok": "green"}
 
 
 def complain(text: str, kind: str = "error") -> None:
-    """Print a fault on stderr in one line, with unprintable characters escaped."""
+    """Print a fault on stderr, in one line unless it is a terminal; escape unprintable letters."""
     # A file name may contain a line break, or a code that moves the cursor.
     letters = (
         letter if letter.isprintable() else letter.encode("unicode_escape").decode()
         for letter in " ".join(text.split())
     )
-    show(kind, f": {''.join(letters)}", sys.stderr)
+    message = f"{kind}: {''.join(letters)}"
+    if on_terminal():
+        message = textwrap.fill(
+            message,
+            MESSAGE_WIDTH,
+            subsequent_indent="  ",
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+    show(kind, message.removeprefix(kind), sys.stderr)
 
 
 def show(kind: str, text: str, stream: TextIO | None) -> None:
@@ -63,19 +82,64 @@ def collect(*checks: Callable[[], Any]) -> list[Any]:
 
 
 def read_scene(path: str) -> Scene:
-    """Return the scene of a file."""
+    """Return the scene of a file, or of standard input, whose files lie in the current folder."""
     from ..scene.scene import Scene
 
-    return Scene.from_toml(path)
+    if path != STANDARD:
+        return Scene.from_toml(path)
+    from ..scene.toml_file import parse_text
+
+    return Scene.from_dict(parse_text(sys.stdin.read(), "standard input"))
 
 
-def output(name: str, scene: str, suffixes: Sequence[str] = (), *, force: bool = False) -> Path:
+@contextmanager
+def data_apart(arguments: argparse.Namespace) -> Iterator[None]:
+    """Send the text of a command to standard error if it writes data to standard output."""
+    written = [getattr(arguments, name, None) for name in ("json", "output", "new_scene")]
+    if STANDARD not in written:
+        yield
+        return
+    if written.count(STANDARD) > 1:
+        raise InputError.at(STANDARD, "names standard output twice; name a file for one of them")
+    before = _data.set(sys.stdout)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        _data.reset(before)
+
+
+@contextmanager
+def written(path: Path) -> Iterator[Path]:
+    """Yield the path of a text file to write; copy its text to standard output for `STDOUT`."""
+    if path != STDOUT:
+        yield path
+        return
+    with TemporaryDirectory() as folder:
+        aside = Path(folder) / "text"
+        yield aside
+        print(aside.read_text(encoding="utf-8"), end="", file=_data.get())
+
+
+def output(
+    name: str,
+    scene: str,
+    suffixes: Sequence[str] = (),
+    *,
+    force: bool = False,
+    stream: bool = False,
+) -> Path:
     """Return the path of a file to write, after checking that it can be written.
 
-    A file that lmpchain did not write may be replaced only by `force`.
+    A file that lmpchain did not write may be replaced only by `force`. With `stream`, the name "-"
+    stands for standard output.
     """
     from ..util.files import expanded, is_foreign
 
+    if name == STANDARD:
+        if not stream:
+            raise InputError.at(name, "is standard output, which takes text alone: name a file")
+        return STDOUT
     path = expanded(name)
     source = expanded(scene)
     _check_file(name, path, "" if suffixes else "run.nc")
@@ -112,8 +176,15 @@ def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Calla
         lambda: (
             arguments.output and output(arguments.output, source, PICTURES, force=arguments.force)
         ),
-        lambda: arguments.json and output(arguments.json, source, force=arguments.force),
+        lambda: check_numbers(arguments, source),
     )
+
+
+def check_numbers(arguments: Any, source: str) -> Path | None:
+    """Return the checked path of the numbers, `STDOUT` for "-"; None if they are not asked for."""
+    if not arguments.json:
+        return None
+    return output(arguments.json, source, force=arguments.force, stream=True)
 
 
 def beside(path: str, suffix: str) -> str:
@@ -121,21 +192,23 @@ def beside(path: str, suffix: str) -> str:
     return os.path.splitext(path)[0] + suffix
 
 
-def write_json(data: dict[str, Any], path: Path) -> None:
-    """Write numbers as JSON to a path that `output` has checked."""
+def write_json(data: dict[str, Any], path: Path, what: str = "numbers") -> None:
+    """Write numbers as JSON to a path that `output` has checked, and print where they are."""
     import json
 
     from ..util.files import write_aside
 
-    with write_aside(path, overwrite=True) as aside:
-        aside.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    with written(path) as file, write_aside(file, overwrite=True) as aside:
+        aside.write_text(text, encoding="utf-8")
+    if path != STDOUT:
+        print(f"{what}: {path}")
 
 
 def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
     """Write numbers and picture of a result to paths that `output` has checked, if any."""
     if numbers:
         write_json(result.to_json(*arguments), numbers)
-        print(f"numbers: {numbers}")
     if picture:
         import matplotlib
 

@@ -21,6 +21,7 @@ from ..util.tables import wrap
 from .common import (
     PICTURES,
     beside,
+    check_numbers,
     check_outputs,
     collect,
     complain,
@@ -225,7 +226,7 @@ def workprec(arguments: argparse.Namespace) -> int:
             arguments.output
             and output(arguments.output, arguments.scene, PICTURES, force=arguments.force)
         ),
-        lambda: json and output(json, arguments.scene, force=arguments.force),
+        lambda: json and output(json, arguments.scene, force=arguments.force, stream=True),
     )
     from ..benchmark.bench import work_precision
 
@@ -261,7 +262,7 @@ def _show_finding(finding: Finding) -> None:
 
 def doctor(arguments: argparse.Namespace) -> int:
     """Check the installation and print finding by finding; a fault sets the exit code."""
-    path = arguments.json and output(arguments.json, "", force=arguments.force)
+    path = check_numbers(arguments, "")
     from ..doctor import compile_all, diagnose
 
     if arguments.compile:
@@ -269,6 +270,5 @@ def doctor(arguments: argparse.Namespace) -> int:
     diagnosis = diagnose(tell=_show_finding)
     print(diagnosis.summary)
     if path:
-        write_json(diagnosis.to_json(), path)
-        print(f"findings: {path}")
+        write_json(diagnosis.to_json(), path, "findings")
     return 1 if diagnosis.counts["fault"] else 0

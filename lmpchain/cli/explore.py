@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 from ..errors import InputError, shown
-from .common import collect, on_terminal, output, read_scene
+from .common import STANDARD, collect, on_terminal, output, read_scene
 from .read import PAGES
 
 RUNS_OF_KEY = 15  # of a key whose number of values is not named
@@ -16,7 +16,7 @@ FORM = "KEY=LOW:HIGH[:N][:log], such as excitation.velocity=1e-6:1e-1:25:log"
 
 def explore(arguments: argparse.Namespace) -> int:
     """Write a page with sliders that go through runs of a scene."""
-    _, path, *axes = collect(
+    scene, path, *axes = collect(
         lambda: read_scene(arguments.scene),
         lambda: output(arguments.output, arguments.scene, PAGES, force=arguments.force),
         *((lambda text=text: read_axis(text)) for text in arguments.over),
@@ -27,7 +27,8 @@ def explore(arguments: argparse.Namespace) -> int:
     if twice := [key for key in dict.fromkeys(keys) if keys.count(key) > 1]:
         raise InputError.at(twice[0], "has two sliders: name each key once")
     # The file is passed on because a key may be absent from the file and have a default.
-    source = {"scene": arguments.scene, "over": dict(axes), "tolerance": arguments.tolerance}
+    known = scene if arguments.scene == STANDARD else arguments.scene
+    source = {"scene": known, "over": dict(axes), "tolerance": arguments.tolerance}
     explore(source, path, progress=on_terminal(), overwrite=True)
     runs = math.prod(len(values) for _, values in axes)
     size = path.stat().st_size

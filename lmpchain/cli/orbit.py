@@ -24,7 +24,7 @@ def orbit(arguments: argparse.Namespace) -> int:
     )
     if name:
         family = _answers(scene, name, until)
-        family[0].response(arguments.of)
+        family[0].response(arguments.draw)
     else:
         from ..orbits.modes import mode_family
 
@@ -35,7 +35,7 @@ def orbit(arguments: argparse.Namespace) -> int:
     if picture:
         from ..util.plotting import save
 
-        save(_picture(family, arguments.of), picture, overwrite=True)
+        save(_picture(family, arguments.draw), picture, overwrite=True)
         print(f"picture: {picture}")
     return 0 if family.reached else 1
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from ..errors import SHOWN_LETTERS, short
@@ -17,9 +18,13 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, **options)
+        # Earlier spellings of options, which are still accepted.
+        self.renamed: Mapping[str, str] = {}
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Report unknown arguments here, because the options of the command are known only here."""
+        if args is not None:
+            args = [self._current_spelling(each) for each in args]
         arguments, unknown = super().parse_known_args(args, namespace)
         if unknown:
             options = self._option_string_actions
@@ -27,6 +32,11 @@ class Parser(argparse.ArgumentParser):
             cure = next(filter(None, cures), "")
             self.error(f"unrecognized arguments: {' '.join(unknown)}{cure}")
         return arguments, unknown
+
+    def _current_spelling(self, word: str) -> str:
+        """Return a word of the command line with an earlier spelling of an option replaced."""
+        name, equals, value = word.partition("=")
+        return self.renamed.get(name, name) + equals + value
 
     def print_help(self, file: Any = None) -> None:
         """Print the help; raise an error if the pipe is closed, which argparse may ignore."""

@@ -6,7 +6,7 @@ import argparse
 
 from ..errors import InputError, LmpchainError, check_tolerance
 from ..util.tables import align, number
-from .common import collect, keep, output, read_scene
+from .common import check_numbers, collect, keep, read_scene
 
 
 def plan(arguments: argparse.Namespace) -> int:
@@ -17,9 +17,7 @@ def plan(arguments: argparse.Namespace) -> int:
         raise InputError.at("json", "goes with a scene file; name one")
     scene, numbers, _ = collect(
         lambda: arguments.scene and read_scene(arguments.scene),
-        lambda: (
-            arguments.json and output(arguments.json, arguments.scene or "", force=arguments.force)
-        ),
+        lambda: check_numbers(arguments, arguments.scene or ""),
         lambda: check_tolerance(arguments.tolerance),
     )
     # Calibration runs first, so that the proposals below use the new speeds.

@@ -7,9 +7,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from ..errors import InputError, shown
-from .common import beside, check_outputs, collect, keep, on_terminal, output, read_scene
+from .common import (
+    STDOUT,
+    beside,
+    check_numbers,
+    check_outputs,
+    collect,
+    keep,
+    on_terminal,
+    output,
+    read_scene,
+    written,
+)
 
 if TYPE_CHECKING:
+    from ..measure.traces import TraceTable
     from ..trajectory.trajectory import Trajectory
 
 PAGES = (".html", ".htm")
@@ -39,26 +51,28 @@ def export(arguments: argparse.Namespace) -> int:
     """Write traces of a run as a CSV file."""
     run, path, force, velocity, displacement = collect(
         lambda: _run_or_dump(arguments),
-        lambda: output(arguments.output, arguments.run, TABLES, force=arguments.force),
+        lambda: output(arguments.output, arguments.run, TABLES, force=arguments.force, stream=True),
         lambda: _places(arguments.contact_force, "contact-force", ("wall", "top", "bottom")),
         lambda: _places(arguments.velocity, "velocity"),
         lambda: _places(arguments.displacement, "displacement"),
     )
-    if force or velocity or displacement or arguments.energy:
+    # Without a choice all recorded grains are exported.
+    source: Trajectory | TraceTable = run
+    if force or velocity or displacement or arguments.energies:
         from ..measure.traces import gather as gather_traces
 
-        gather_traces(
+        source = gather_traces(
             run,
             force=force,
             velocity=velocity,
             displacement=displacement,
-            energy=arguments.energy,
+            energy=arguments.energies,
             above_rest=arguments.above_rest,
-        ).to_csv(path, overwrite=True)
-    else:
-        # All recorded grains are exported.
-        run.to_csv(path, overwrite=True)
-    print(f"traces: {path}")
+        )
+    with written(path) as file:
+        source.to_csv(file, overwrite=True)
+    if path != STDOUT:
+        print(f"traces: {path}")
     return 0
 
 
@@ -77,10 +91,7 @@ def fit(arguments: argparse.Namespace) -> int:
     """Fit the theory to a saved run or a LAMMPS dump."""
     trajectory, path = collect(
         lambda: _run_or_dump(arguments),
-        lambda: (
-            arguments.json
-            and output(arguments.json, arguments.scene or arguments.run, force=arguments.force)
-        ),
+        lambda: check_numbers(arguments, arguments.scene or arguments.run),
     )
     if path and path.exists() and path.samefile(arguments.run):
         raise InputError.at(arguments.json, "is the run itself; name another file")

@@ -7,14 +7,24 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.remarks import warn
-from ..util.tables import align, counted
+from ..util.tables import align, counted, finite
 from ..util.validation import either
-from .common import beside, collect, complain, on_terminal, output, read_scene
+from .common import (
+    STANDARD,
+    beside,
+    check_numbers,
+    collect,
+    complain,
+    on_terminal,
+    output,
+    read_scene,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from ..engines.base import Engine
@@ -33,10 +43,14 @@ def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Solve a scene and save the trajectory, in a file or in a run folder."""
+    if arguments.scene == STANDARD and not arguments.output:
+        raise InputError.at(
+            "output", "name the file of the run with -o: standard input has no name"
+        )
     name = arguments.output or beside(arguments.scene, ".nc")
     # A name that ends in / is a folder, even if it does not exist yet.
     in_folder = run_folder(arguments) is not None
-    scene, path, engine, _ = collect(
+    scene, path, engine, _, numbers = collect(
         lambda: read_scene(arguments.scene),
         lambda: (
             _new_folder(name, arguments.force)
@@ -45,6 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
         ),
         lambda: _engine_with_options(arguments),
         lambda: check_tolerance(arguments.tolerance),
+        lambda: check_numbers(arguments, arguments.scene),
     )
     from .. import engines
     from ..simulation.api import simulate
@@ -77,6 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
         ),
         arguments.tolerance,
         path,
+        numbers,
         save=not in_folder,
     )
 
@@ -87,6 +103,7 @@ def resume(arguments: argparse.Namespace) -> int:
     from ..simulation.run_folder import status
     from ..util.files import expanded
 
+    numbers = check_numbers(arguments, arguments.folder)
     state = status(arguments.folder)
     if state["state"] == "finished":
         print(f"{arguments.folder}: this run is finished; there is nothing left to do")
@@ -104,6 +121,7 @@ def resume(arguments: argparse.Namespace) -> int:
         ),
         state["tolerance"],
         expanded(arguments.folder),
+        numbers,
     )
 
 
@@ -151,9 +169,13 @@ def _new_file(name: str, scene: str, force: bool) -> Path:
 
 
 def _report(
-    answer: Callable[[], Trajectory], tolerance: float, path: Path, save: bool = False
+    answer: Callable[[], Trajectory],
+    tolerance: float,
+    path: Path,
+    numbers: Path | None,
+    save: bool = False,
 ) -> int:
-    """Run, print the summary and return the exit code."""
+    """Run, print the summary, write its numbers if asked for, and return the exit code."""
     from ..simulation.run_folder import Stopped
 
     missed = ""
@@ -172,16 +194,48 @@ def _report(
     if save:
         trajectory.save(path, overwrite=True)
     print(_summary(trajectory, tolerance, path))
-    if missed:
-        complain(missed)
     # A named engine that solves another equation than Eq. (1) has already warned of its model
     # error.
-    return int(bool(missed) or trajectory.error_estimate.model > tolerance)
+    met = not missed and trajectory.error_estimate.model <= tolerance
+    if numbers:
+        write_json(_numbers(trajectory, tolerance, met, path), numbers)
+    if missed:
+        complain(missed)
+    return int(not met)
+
+
+def _numbers(trajectory: Trajectory, tolerance: float, met: bool, path: Path) -> dict[str, Any]:
+    """Return the numbers of the summary of a run for a JSON file."""
+    from ..trajectory.gathered import numbers
+
+    cost = trajectory.cost
+    error = trajectory.error_estimate
+    scene = trajectory.scene
+    return {
+        "engine": trajectory.engine,
+        "equation": trajectory.equation,
+        "integrator": cost.integrator,
+        "grains": scene.chain.grains,
+        "samples": scene.samples,
+        "duration_s": scene.duration,
+        "tolerance": None if _has_given_step(trajectory) else tolerance,
+        "tolerance_met": met,
+        "error": finite({"total": error.total, "model": error.model, "solver": error.solver}),
+        "cost": finite(cost._asdict()),
+        "quantities": numbers(scene, trajectory.gathered),
+        "folder" if path.is_dir() else "file": str(path),
+    }
+
+
+def _has_given_step(trajectory: Trajectory) -> bool:
+    """Return whether the user gave the step, so that no tolerance was enforced."""
+    from ..simulation.choice import GIVEN_STEP
+
+    return trajectory.provenance.get("tolerance") == GIVEN_STEP
 
 
 def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     """Return a summary of the run: engine, steps, error and cost."""
-    from ..simulation.choice import GIVEN_STEP
     from ..trajectory.gathered import describe_gathered
 
     cost = trajectory.cost
@@ -191,8 +245,8 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
     ranks = f", on {cost.ranks} ranks" if cost.ranks > 1 else ""
     # Eq. (1) has no model error.
     shares = f" = {error.model:.2g} (equation) + {error.solver:.2g} (solver)" if error.model else ""
-    fixed = trajectory.provenance.get("tolerance") == GIVEN_STEP
-    asked = "no tolerance: the step is given" if fixed else f"tolerance {tolerance:g}"
+    given = _has_given_step(trajectory)
+    asked = "no tolerance: the step is given" if given else f"tolerance {tolerance:g}"
     lines = {
         "engine": f"{trajectory.engine}, which solves Eq. ({trajectory.equation}){ranks}",
         "scene": f"{grains}, {scene.samples} samples over {scene.duration:g} s",

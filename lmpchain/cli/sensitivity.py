@@ -6,9 +6,9 @@ import argparse
 from typing import Any
 
 from ..errors import InputError
-from .common import check_outputs, collect, keep
+from .common import STANDARD, check_outputs, collect, keep, read_scene
 
-# Option of the command, parameter, and description.
+# Option of the command after --sigma-, parameter, and description.
 UNCERTAIN = {
     "diameter": ("diameters", "diameter"),
     "youngs-modulus": ("youngs_modulus", "Young's modulus"),
@@ -26,13 +26,16 @@ def sensitivity(arguments: argparse.Namespace) -> int:
     scene, picture, numbers, _ = collect(
         lambda: _scene(arguments.run),
         *check_outputs(arguments, arguments.run),
-        lambda: sensitivities.objective(arguments.of),
+        lambda: sensitivities.objective(arguments.answer),
     )
     uncertainties = {
-        field: getattr(arguments, key.replace("-", "_")) for key, (field, _) in UNCERTAIN.items()
+        field: getattr(arguments, f"sigma_{key.replace('-', '_')}")
+        for key, (field, _) in UNCERTAIN.items()
     }
     shares = {field: share for field, share in uncertainties.items() if share is not None}
-    result = sensitivities.sensitivity(scene, arguments.of, shares, arguments.tolerance)
+    result = sensitivities.sensitivity(
+        scene, arguments.answer, shares, arguments.derivative_tolerance
+    )
     print(result.table())
     keep(result, numbers, picture)
     return 0
@@ -40,9 +43,7 @@ def sensitivity(arguments: argparse.Namespace) -> int:
 
 def _scene(path: str) -> Any:
     """Return the scene of a saved run, or of a scene file."""
-    if path.endswith(".toml"):
-        from .common import read_scene
-
+    if path == STANDARD or path.endswith(".toml"):
         return read_scene(path)
     from ..trajectory.dump_frames import is_dump
     from ..trajectory.trajectory import Trajectory

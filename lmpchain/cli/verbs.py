@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import argparse
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ..errors import shown
 from .averages import averages
 from .check import check
+from .common import STANDARD
 from .compare import compare, doctor, stability, workprec
 from .explore import explore
 from .new import EXAMPLES, new
@@ -39,13 +41,18 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
 class Verb(NamedTuple):
-    """A command with its summary and an example; of the arguments in `choice` one may be given."""
+    """A command with its summary and an example.
+
+    Of the arguments in `choice` one may be given. `renamed` maps earlier spellings of options,
+    which are still accepted, to those of today.
+    """
 
     command: Callable[[argparse.Namespace], int]
     summary: str
     example: str
     arguments: Sequence[Argument]
     choice: Sequence[Argument] = ()
+    renamed: Mapping[str, str] = MappingProxyType({})
 
 
 def _argument(*names: str, **options: Any) -> Argument:
@@ -54,7 +61,7 @@ def _argument(*names: str, **options: Any) -> Argument:
 
 
 # Arguments that several commands share.
-SCENE = _argument("scene", metavar="SCENE.toml", help="scene file")
+SCENE = _argument("scene", metavar="SCENE.toml", help="scene file, or - for standard input")
 TOLERANCE = _argument(
     "--tolerance",
     metavar="X",
@@ -65,7 +72,14 @@ TOLERANCE = _argument(
 PICTURE = _argument(
     "-o", "--output", metavar="PICTURE.png", help="picture to write (.png, .pdf or .svg)"
 )
-NUMBERS = _argument("--json", metavar="FILE", help="file for the numbers")
+NUMBERS = _argument(
+    "--json",
+    metavar="FILE",
+    nargs="?",
+    const=STANDARD,
+    help="write the numbers as JSON: to a file, or without its name to standard output, and the "
+    "text to standard error",
+)
 FORCE = _argument("--force", action="store_true", help="replace files that lmpchain did not write")
 RANKS = _argument(
     "--ranks",
@@ -130,7 +144,9 @@ VERBS = {
         "write a commented example scene, which the other commands read",
         "new striker.toml --example striker",
         (
-            _argument("scene", metavar="SCENE.toml", help="file to write"),
+            _argument(
+                "new_scene", metavar="SCENE.toml", help="file to write, or - for standard output"
+            ),
             _argument(
                 "--example",
                 choices=list(EXAMPLES),
@@ -197,6 +213,7 @@ VERBS = {
             RANKS,
             *TEMPLATES,
             MAX_WALL,
+            NUMBERS,
         ),
     ),
     "resume": Verb(
@@ -207,6 +224,8 @@ VERBS = {
             _argument("folder", metavar="FOLDER", help="folder that lmpchain run -o FOLDER/ made"),
             RANKS,
             MAX_WALL,
+            NUMBERS,
+            FORCE,
         ),
     ),
     "compare": Verb(
@@ -239,7 +258,12 @@ VERBS = {
         "show which engine solves a scene at the lowest cost, and why",
         "plan scene.toml --tolerance 1e-9",
         (
-            _argument("scene", metavar="SCENE.toml", nargs="?", help="scene file"),
+            _argument(
+                "scene",
+                metavar="SCENE.toml",
+                nargs="?",
+                help="scene file, or - for standard input",
+            ),
             TOLERANCE,
             _argument(
                 "--engine",
@@ -291,7 +315,7 @@ VERBS = {
                 "(default: 1)",
             ),
             _argument(
-                "--tolerance",
+                "--energy-tolerance",
                 metavar="X",
                 type=float,
                 default=1e-4,
@@ -301,6 +325,7 @@ VERBS = {
             NUMBERS,
             FORCE,
         ),
+        renamed={"--tolerance": "--energy-tolerance"},
     ),
     "orbit": Verb(
         orbit,
@@ -317,24 +342,26 @@ VERBS = {
                 "drive.frequency, drive.amplitude, damping.drag, chain.top_load ...",
             ),
             _argument(
-                "--of",
+                "--draw",
                 metavar="SIZE",
                 default="amplitude",
-                help="what is drawn of it: amplitude, displacement:GRAIN or force:CONTACT",
+                help="size of the answer in the picture: amplitude, displacement:GRAIN or "
+                "force:CONTACT (default: amplitude)",
             ),
             PICTURE,
             NUMBERS,
             FORCE,
         ),
+        renamed={"--of": "--draw"},
     ),
     "sensitivity": Verb(
         sensitivity,
         "rank the influence of each grain on an answer of a saved run",
-        "sensitivity run.nc --of peak_force:10 --diameter 0.01 -o sensitivity.png",
+        "sensitivity run.nc --answer peak_force:10 --sigma-diameter 0.01 -o sensitivity.png",
         (
-            _argument("run", metavar="RUN.nc", help="saved run, or a scene file"),
+            _argument("run", metavar="RUN.nc|SCENE.toml", help="saved run, or a scene file"),
             _argument(
-                "--of",
+                "--answer",
                 metavar="ANSWER",
                 required=True,
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
@@ -343,7 +370,7 @@ VERBS = {
             # Each parameter that may be uncertain has an option.
             *(
                 _argument(
-                    f"--{name}",
+                    f"--sigma-{name}",
                     metavar="PART",
                     type=float,
                     help=f"relative uncertainty of each {quantity}, 0.01 for 1 %%",
@@ -351,16 +378,18 @@ VERBS = {
                 for name, (_, quantity) in UNCERTAIN.items()
             ),
             _argument(
-                "--tolerance",
+                "--derivative-tolerance",
                 metavar="X",
                 type=float,
                 default=1e-4,
-                help="of the derivatives (default: 1e-4)",
+                help="largest relative error of the derivatives (default: 1e-4)",
             ),
             PICTURE,
             NUMBERS,
             FORCE,
         ),
+        renamed={"--of": "--answer", "--tolerance": "--derivative-tolerance"}
+        | {f"--{name}": f"--sigma-{name}" for name in UNCERTAIN},
     ),
     "deck": Verb(
         deck,
@@ -428,7 +457,13 @@ VERBS = {
         "export run.nc -o traces.csv --contact-force 10,wall --velocity 1",
         (
             *RUN,
-            _argument("-o", "--output", metavar="TRACE.csv", required=True, help="file to write"),
+            _argument(
+                "-o",
+                "--output",
+                metavar="TRACE.csv",
+                required=True,
+                help="file to write, or - for standard output",
+            ),
             FORCE,
             _argument(
                 "--contact-force",
@@ -439,7 +474,7 @@ VERBS = {
             _argument("--velocity", metavar="N,N,...", help="velocity of these grains"),
             _argument("--displacement", metavar="N,N,...", help="displacement of these grains"),
             _argument(
-                "--energy",
+                "--energies",
                 action="store_true",
                 help="kinetic and total energy, work of a drive, energy dissipated",
             ),
@@ -449,6 +484,7 @@ VERBS = {
                 help="forces above those at rest, as piezoelectric sensors show them",
             ),
         ),
+        renamed={"--energy": "--energies"},
     ),
     "check": Verb(
         check,
@@ -541,9 +577,9 @@ VERBS = {
                 "-o",
                 "--output",
                 metavar="CHART.png",
-                help="picture to write (.png, .pdf or .svg), with its numbers beside it",
+                help="picture to write (.png, .pdf or .svg), with its numbers beside it as .json",
             ),
-            _argument("--json", metavar="FILE", help="file for the numbers (default: CHART.json)"),
+            NUMBERS,
             FORCE,
         ),
     ),
@@ -582,7 +618,7 @@ VERBS = {
         "check the installation: LAMMPS, MPI, versions, cores, engines",
         "doctor",
         (
-            _argument("--json", metavar="FILE", help="file for the findings"),
+            NUMBERS,
             FORCE,
             _argument(
                 "--compile",

@@ -23,7 +23,7 @@ from ..util.files import check_not_foreign, expanded, write_aside
 from ..util.progress import ProgressBar
 from ..util.provenance import command
 from ..util.remarks import warnings_aside
-from ..util.validation import did_you_mean
+from ..util.validation import unknown_key
 from . import live
 from .html import render_live
 from .live import Slider, View
@@ -133,11 +133,8 @@ def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
     """Return the sweep and the sliders of a page; raises `InputError` with every fault."""
     if not isinstance(source, Mapping):
         raise InputError.at("source", 'must be a mapping, such as {"scene": scene, "over": {...}}')
-    cure = f"the keys here are {', '.join(SOURCE_KEYS)}"
     faults = [
-        (str(key), f"unknown key{did_you_mean(str(key), SOURCE_KEYS)}; {cure}")
-        for key in source
-        if key not in SOURCE_KEYS
+        (str(key), unknown_key(str(key), SOURCE_KEYS)) for key in source if key not in SOURCE_KEYS
     ]
     values: dict[str, list[float]] = {}
     try:

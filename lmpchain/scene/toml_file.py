@@ -21,7 +21,7 @@ from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
-from ..util.validation import Checked, did_you_mean, make_unchecked, not_among
+from ..util.validation import Checked, did_you_mean, make_unchecked, not_among, unknown_key
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
 from .facts import SceneFacts
@@ -48,6 +48,8 @@ class FileSizes:
 
 FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
+# Keys of [chain]: those of a chain in Python, of patterns, and of a file with a row for each grain.
+CHAIN_KEYS = (*Chain.arguments, *IN_FILES, "file")
 # options of a run, which a scene does not have
 OF_RUNS = ("engine", "tolerance", "integrator", "step", "threads", "ranks")
 # Patterns of lines that are not TOML, with the remedy; the first match counts.
@@ -140,13 +142,10 @@ def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _misplaced(key: str) -> str:
     """Return the cure for a key that is no section."""
-    of_excitations = [
-        key for kind in EXCITATIONS.values() for key in (*kind.arguments, *kind.other_arguments)
-    ]
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
-        "chain": [*Chain.arguments, *IN_FILES],
-        "excitation": ["kind", *of_excitations],
+        "chain": CHAIN_KEYS,
+        "excitation": [key for kind in EXCITATIONS.values() for key in _excitation_keys(kind)],
     }
     homes = " or ".join(f"[{section}]" for section, keys in fields.items() if key in keys)
     if homes:
@@ -156,6 +155,25 @@ def _misplaced(key: str) -> str:
         cure = f"the scene is run with lmpchain run SCENE.toml --{option} ..."
         return f"belongs to a run, not to its scene{guess}: take it out; {cure}"
     return f"unknown section{did_you_mean(key, SECTIONS)}; the sections are {', '.join(SECTIONS)}"
+
+
+def _excitation_keys(kind: type[Excitation]) -> list[str]:
+    """Return the keys of the table of an excitation of this kind."""
+    return ["kind", *kind.arguments, *kind.other_arguments]
+
+
+def _make(
+    make: Callable[[dict[str, Any]], Any], keys: Mapping[str, Any], known: Sequence[str]
+) -> Any:
+    """Return the object of the known keys; raise `InputError` with its faults and unknown keys."""
+    faults = [(key, unknown_key(key, known)) for key in keys if key not in known]
+    try:
+        made = make({key: value for key, value in keys.items() if key in known})
+    except InputError as error:
+        faults += error.faults
+    if faults:
+        raise InputError(faults)
+    return made
 
 
 def _of_this_length(table: Any) -> Chain | None:
@@ -188,7 +206,6 @@ def parse(path: Path) -> dict[str, Any]:
         check_readable(path, FILE_SIZES.scene)
         # editors on Windows begin a file with a mark of its encoding, which utf-8-sig takes off
         text = path.read_bytes().decode("utf-8-sig")
-        return tomllib.loads(text)
     except FileNotFoundError:
         raise InputError.at(name, "there is no such file") from None
     except OSError as error:
@@ -199,11 +216,21 @@ def parse(path: Path) -> dict[str, Any]:
         raise InputError.at(
             name, "is not text in UTF-8; a scene file is a TOML text file"
         ) from None
+    # The name has a null character.
+    except ValueError as error:
+        raise InputError.at(name, f"cannot be read: {error}") from None
+    return parse_text(text, name)
+
+
+def parse_text(text: str, name: str) -> dict[str, Any]:
+    """Return the tables of the text of a scene file; `name` is that of the file in messages."""
+    try:
+        return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise InputError.at(name, f"is not valid TOML: {error}{_cure(text, error)}") from None
     except RecursionError:
         raise InputError.at(name, "is not valid TOML: nested too deeply") from None
-    # a number of thousands of digits; a name with a null character
+    # A number has thousands of digits.
     except ValueError as error:
         raise InputError.at(name, f"cannot be read: {error}") from None
 
@@ -223,6 +250,10 @@ def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
 
 
 def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
+    return _make(lambda known: _known_chain(known, folder), keys, CHAIN_KEYS)
+
+
+def _known_chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         if patterns := [key for key in IN_FILES if key in keys]:
             cure = "the file has every grain already; take it out, or the file"
@@ -259,7 +290,9 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
             keys["start"] = Profile(**_beside(start, folder))
         except InputError as error:
             raise InputError(error.under("start")) from None
-    return excitation(**(_beside(keys, folder) if issubclass(excitation, Measured) else keys))
+    if issubclass(excitation, Measured):
+        keys = _beside(keys, folder)
+    return _make(lambda known: excitation(**known), keys, _excitation_keys(excitation))
 
 
 def _beside(keys: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
 from ..util.lazy import cached_property
-from ..util.validation import Checked, Positive, Whole, did_you_mean
+from ..util.validation import Checked, Positive, Whole, did_you_mean, unknown_key
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered
 
@@ -269,10 +269,7 @@ def is_name(text: Any) -> bool:
 
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
     """Return the sweep of the tables of a sweep file; raises `InputError` with every fault."""
-    cure = f"the keys here are {', '.join(KEYS)}"
-    faults = [
-        (key, f"unknown key{did_you_mean(key, KEYS)}; {cure}") for key in data if key not in KEYS
-    ]
+    faults = [(key, unknown_key(key, KEYS)) for key in data if key not in KEYS]
     kinds = {kind: data[kind] for kind in MAKERS if kind in data}
     tolerance = data.get("tolerance", 1e-6)
     results: list[Any] = []

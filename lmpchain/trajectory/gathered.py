@@ -107,6 +107,29 @@ def variables(
     }
 
 
+def numbers(scene: Scene, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values, errors and unit of each quantity for a JSON file; NaN becomes None."""
+    return {
+        name: {
+            "values": _plain(values[name]),
+            "errors": _plain(values[f"{name}_error"]),
+            "unit": _unit(name),
+        }
+        for name in scene.quantities
+    }
+
+
+def _plain(values: Any) -> Any:
+    """Return numbers as lists of Python; None replaces what is not finite."""
+    given = np.asarray(values, dtype=object)
+    given[~np.isfinite(np.asarray(values, dtype=float))] = None
+    return given.tolist()
+
+
+def _unit(name: str) -> str:
+    return QUANTITIES[name.partition(":")[0]].units.replace(" s-1", "/s")
+
+
 def describe_gathered(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]:
     """Return a line for each quantity: the range of its values, and their largest error."""
     lines = {}
@@ -121,7 +144,6 @@ def describe_gathered(scene: Scene, values: Mapping[str, Any]) -> dict[str, str]
         low = f"{value[finite].min():.6g}"
         high = f"{value[finite].max():.6g}"
         span = low if low == high else f"{low} to {high}"
-        units = QUANTITIES[name.partition(":")[0]].units.replace(" s-1", "/s")
         grains = "" if finite.all() else f" in {finite.sum()} of {finite.size} grains"
-        lines[name] = f"{span} {units}{grains}, off by {error[finite].max():.2g} at most"
+        lines[name] = f"{span} {_unit(name)}{grains}, off by {error[finite].max():.2g} at most"
     return lines

@@ -95,9 +95,7 @@ class Checked(Shown, BaseModel):
         """Return the fault of a key that is not an argument."""
         if key in cls.elsewhere:
             return f"is no key here: {cls.elsewhere[key]}"
-        known = [*cls.arguments, *cls.other_arguments]
-        guess = did_you_mean(key, [*known, *cls.elsewhere])
-        return f"unknown key{guess}; the keys here are {', '.join(known)}"
+        return unknown_key(key, [*cls.arguments, *cls.other_arguments], cls.elsewhere)
 
     def _remarks(self) -> Iterator[str]:
         """Yield warnings about valid but unlikely values."""
@@ -380,6 +378,19 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
         return f" (did you mean {SYMBOLS[name]!r}?)"
     close = get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
     return f" (did you mean {names[close[0]]!r}?)" if close else ""
+
+
+def unknown_key(key: object, known: Iterable[str], elsewhere: Iterable[str] = ()) -> str:
+    """Return the fault of a key that is not among the known ones; suggest also names `elsewhere`.
+
+    Examples
+    --------
+    >>> unknown_key("grain", ["grains", "diameter"])
+    "unknown key (did you mean 'grains'?); the keys here are grains, diameter"
+    """
+    names = list(known)
+    guess = did_you_mean(key, [*names, *elsewhere])
+    return f"unknown key{guess}; the keys here are {', '.join(names)}"
 
 
 def either(names: Iterable[str]) -> str:

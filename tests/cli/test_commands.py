@@ -316,7 +316,7 @@ def test_help_states_the_defaults(verb: str):
             "integrator",
             "pair_style",
             "example",
-            "of",
+            "draw",
         ):
             assert action.default in (None, False), action.dest
 
@@ -786,7 +786,16 @@ def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any,
     monkeypatch.setattr(
         "lmpchain.design.sensitivities.sensitivity", lambda *values: asked.extend(values) or result
     )
-    words = ["sensitivity", str(scene), "--of", "momentum:3", "--mass", "0.02", "--constant", "0"]
+    words = [
+        "sensitivity",
+        str(scene),
+        "--answer",
+        "momentum:3",
+        "--sigma-mass",
+        "0.02",
+        "--sigma-constant",
+        "0",
+    ]
     assert main(words) == 0
     assert capsys.readouterr().out == "the table\n"
     assert asked == [

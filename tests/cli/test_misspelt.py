@@ -1,9 +1,15 @@
 """Misspelt names: every message says which name was probably meant."""
 
+import re
+
 import pytest
 
 from lmpchain import Chain, Impulse, Impurity, InputError, Scene, disorder, simulate
 from lmpchain.cli import main
+from lmpchain.cli.verbs import VERBS
+from lmpchain.design import sensitivities
+from lmpchain.engines import Lammps, Native
+from lmpchain.simulation import observables
 from lmpchain.sweeps.file import read_sweep
 
 SCENE = Scene(
@@ -90,7 +96,73 @@ def test_the_command_line_guesses_what_was_meant(line, meant, capsys):
     assert f"(did you mean '{meant}'?)" in said
 
 
+@pytest.mark.parametrize(
+    ("section", "more"),
+    [
+        ("chain", {"cell", "taper", "file", "law", "damping", "grains"}),
+        ("excitation", {"kind", "velocity", "grain"}),
+        ("recording", {"duration", "samples", "quantities"}),
+        ("chain.impurity]", {"grain", "mass"}),
+    ],
+)
+def test_every_key_that_a_section_takes_is_listed_and_no_other(section: str, more: set[str]):
+    """Each listed key is accepted by name, whatever becomes of its value."""
+    listed = said_of_keys(section, "qqqq = 1")["qqqq"].split("; the keys here are ")[1].split(", ")
+    assert more <= set(listed)
+    for key in listed:
+        if f"\n{key} =" not in TEXT and key != "impurity":
+            assert "unknown key" not in said_of_keys(section, f"{key} = {{}}").get(key, ""), key
+
+
+def said_of_keys(section: str, line: str) -> dict[str, str]:
+    """Return the faults of a scene with a line more in a section, by the last name of their key."""
+    text = TEXT.replace(f"[{section}]", f"[{section}]\n{line}")
+    try:
+        Scene.from_text(text)
+    except InputError as error:
+        return {key.split(".")[-1]: message for key, message in error.faults}
+    return {}
+
+
+def test_the_keys_of_a_trace_from_a_file_are_listed():
+    text = TEXT.replace('"impulse"', '"drive"').replace("velocity =", "qqqq =")
+    with pytest.raises(InputError, match=r"the keys here are kind, .*file.*columns"):
+        Scene.from_text(text)
+
+
+def test_unknown_keys_and_wrong_values_are_reported_together():
+    with pytest.raises(InputError) as caught:
+        Scene.from_text(TEXT.replace("grains = 3", "grains = -3\nfil = 1"))
+    faults = dict(caught.value.faults)
+    assert faults["chain.fil"].startswith("unknown key (did you mean 'file'?)")
+    assert faults["chain.grains"].startswith("must be")
+
+
 def test_nothing_is_guessed_where_nothing_is_near():
     with pytest.raises(InputError) as caught:
         Chain(grains=3, diameter=1e-3, material="wood")
     assert "did you mean" not in str(caught.value)
+
+
+def help_of(verb: str, option: str) -> str:
+    (text,) = (options["help"] for spelled, options in VERBS[verb].arguments if option in spelled)
+    return text
+
+
+@pytest.mark.parametrize(
+    ("verb", "option", "owned"),
+    [
+        (
+            "averages",
+            "--of",
+            {*observables.OF_CHAIN, *observables.OF_GRAIN, *observables.OF_CONTACT},
+        ),
+        ("sensitivity", "--answer", set(sensitivities.UNITS)),
+        ("run", "--integrator", {*Native.integrators, *Lammps.integrators}),
+    ],
+)
+def test_the_help_lists_what_is_accepted(verb: str, option: str, owned: set[str]):
+    """The help is typed, because the owners of these names are slow to import."""
+    words = set(re.findall(r"[a-z][a-z0-9_-]+", help_of(verb, option)))
+    assert owned
+    assert owned <= words

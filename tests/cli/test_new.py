@@ -47,6 +47,32 @@ def test_examples_are_what_they_say(tmp_path: Path):
     assert struck.equilibrium_force == pytest.approx([0.0] + [2.38] * 59, rel=1e-12)
 
 
+def test_examples_with_a_file_of_an_instrument(tmp_path: Path, monkeypatch, capsys):
+    """The forces and motions are those that the files show; both lie beside the scene."""
+    path = made(tmp_path, "hammer")
+    assert f"data: {tmp_path / 'hammer.csv'}" in capsys.readouterr().out
+    push = Scene.from_toml(path).excitation
+    # A half-sine of 1.5 V in 40 us, and 100 N/V.
+    inside = push.times <= 40e-6
+    exact = 150.0 * np.sin(np.pi * push.times[inside] / 40e-6)
+    assert push.force[inside] == pytest.approx(exact, abs=2e-2)
+    plate = Scene.from_toml(made(tmp_path, "vibrometer"))
+    assert plate.excitation.grain == 0
+    assert plate.chain.material == lmpchain.PTFE
+    assert np.abs(plate.excitation.displacement).max() == pytest.approx(3.745e-7, rel=1e-4)
+    # No file is replaced unasked, and data cannot go to standard output.
+    (tmp_path / "other.csv").write_text("mine")
+    assert main(["new", str(tmp_path / "other.toml"), "--example", "hammer"]) == 2
+    assert "other.csv: is there already" in capsys.readouterr().err
+    assert not (tmp_path / "other.toml").exists()
+    assert main(["new", "-", "--example", "hammer"]) == 2
+    assert "name a file" in capsys.readouterr().err
+    # Any name works in the scene.
+    odd = tmp_path / 'a "b" \\ é.toml'
+    assert main(["new", str(odd), "--example", "hammer"]) == 0
+    assert Scene.from_toml(odd) == Scene.from_toml(path)
+
+
 def test_comments_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["new", "my balls.toml"]) == 0

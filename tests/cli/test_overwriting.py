@@ -19,7 +19,7 @@ WRITERS = {
     "plan": ("--json FILE.json", ()),
     "averages": ("--of temperature -o FILE.png", ("--of temperature --json FILE.json",)),
     "orbit": ("--mode 1 --energy 1e-12 -o FILE.png", ("--mode 1 --energy 1e-12 --json FILE.json",)),
-    "sensitivity": ("--of momentum:5 -o FILE.png", ("--of momentum:5 --json FILE.json",)),
+    "sensitivity": ("--answer momentum:5 -o FILE.png", ("--of momentum:5 --json FILE.json",)),
     "deck": ("-o FOLDER", ()),
     "dyson": ("--m 1 -o FILE.png", ("--m 1 --json FILE.json",)),
     "export": ("-o FILE.csv", ()),

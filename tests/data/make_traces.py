@@ -1,4 +1,4 @@
-"""Make the two traces of instruments in this folder: run it here, and it writes them anew.
+"""Make two traces of instruments, that of `lmpchain new --example hammer` and one in this folder.
 
 What they show is known in closed form; `tests/scene/test_trace_files.py` compares with it.
 """
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 HERE = Path(__file__).parent
+EXAMPLE = HERE.parents[1] / "templates" / "examples" / "hammer.csv"
 
 
 def hammer() -> str:
@@ -52,5 +53,5 @@ def vibrometer() -> str:
 
 
 if __name__ == "__main__":
-    (HERE / "hammer.csv").write_text(hammer(), encoding="utf-8")
+    EXAMPLE.write_text(hammer(), encoding="utf-8")
     (HERE / "vibrometer.csv").write_bytes(b"\xef\xbb\xbf" + vibrometer().encode())

@@ -93,7 +93,14 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
     simulate(VACUUM, tolerance=1e-6).save(tmp_path / "run.nc")
     picture = tmp_path / "along.png"
     numbers = tmp_path / "numbers.json"
-    wanted = ["sensitivity", str(tmp_path / "run.nc"), "--of", "energy:3-9", "--diameter", "0.01"]
+    wanted = [
+        "sensitivity",
+        str(tmp_path / "run.nc"),
+        "--answer",
+        "energy:3-9",
+        "--sigma-diameter",
+        "0.01",
+    ]
     assert main([*wanted, "-o", str(picture), "--json", str(numbers)]) == 0
     said = capsys.readouterr().out
     assert "energy:3-9" in said
@@ -110,7 +117,7 @@ def test_the_command_knows_damping(tmp_path: Path, capsys: pytest.CaptureFixture
     scene = DAMPED.replace(duration=3e-5)
     scene.to_toml(tmp_path / "scene.toml")
     wanted = ["sensitivity", str(tmp_path / "scene.toml"), "--of", "momentum:3"]
-    assert main([*wanted, "--viscoelastic", "0.1", "--drag", "0.1"]) == 0
+    assert main([*wanted, "--sigma-viscoelastic", "0.1", "--sigma-drag", "0.1"]) == 0
     said = capsys.readouterr().out
     assert "by the uncertainty of damping.viscoelastic" in said
     assert "by the uncertainty of damping.drag" in said

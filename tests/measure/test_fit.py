@@ -483,13 +483,18 @@ def test_scenes_to_which_a_fit_does_not_apply(fit: Any, changes: dict[str, Any],
 
 def test_summary_names_what_applies_and_what_does_not(column: Trajectory, uniform: Trajectory):
     found = summary(column)
-    assert list(dict.fromkeys(row.fit for row in found.rows)) == ["modes", "continuum", "exponents"]
+    assert list(dict.fromkeys(row.fit for row in found.rows)) == [
+        "front",
+        "modes",
+        "continuum",
+        "exponents",
+    ]
     assert [fit for fit, _ in found.left_out] == ["bessel", "soliton"]
     assert "strike a grain further down" in found.left_out[0][1]
     value = {row.quantity: row.value for row in found.rows}
     assert value["amplitude C of Eq. (35)"] == pytest.approx(C, rel=1e-5)
     other = summary(uniform)
-    assert list(dict.fromkeys(row.fit for row in other.rows)) == ["modes", "bessel"]
+    assert list(dict.fromkeys(row.fit for row in other.rows)) == ["front", "modes", "bessel"]
     assert [fit for fit, _ in other.left_out] == ["continuum", "exponents", "soliton"]
     data = found.to_json()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
@@ -530,7 +535,7 @@ def test_summary_where_nothing_applies():
     chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5)
     found = summary(simulate(scene, "native", 1e-6))
-    assert (found.rows, len(found.left_out)) == ((), 5)
+    assert (found.rows, len(found.left_out)) == ((), 6)
     assert "linear theory is not expected to hold" in found.table()
     assert found.to_json()["strike_number"] is None
 

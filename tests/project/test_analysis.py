@@ -611,8 +611,7 @@ def test_the_table_of_scaling_is_of_the_stored_numbers():
             "" if rate is None else f"{rate / 1e6:.{'0f' if rate > 1e8 else '1f'}} M/s"
             for rate in rates
         ]
-        ends = f"{1e3 * answer['seconds']:.1f} ms, {answer['active_grains']} computed"
-        line = " | ".join([f"| {grains:,}", *cells, f"{ends} |"])
+        line = " | ".join([f"| {grains:,}", *cells]) + " |"
         assert " ".join(line.split()) in PAGE
     for row in kept["ensembles"]:
         seconds = f"{row['seconds']:.{1 if row['seconds'] > 1 else 2}f}"

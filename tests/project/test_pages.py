@@ -146,6 +146,69 @@ def test_the_reference_lists_what_is_public():
         assert entry is not None
 
 
+def test_pages_of_the_reference_differ_by_more_than_case():
+    """On macOS and Windows names that differ by case only are one file."""
+    settings = ast.parse((DOCS / "conf.py").read_text(encoding="utf-8"))
+    (chosen,) = [
+        ast.literal_eval(line.value)
+        for line in settings.body
+        if isinstance(line, ast.Assign) and ast.unparse(line.targets) == "autosummary_filename_map"
+    ]
+    names = set(listed_names())
+    assert set(chosen) <= names
+    files = [chosen.get(name, name).lower() for name in names]
+    assert sorted(files) == sorted(set(files))
+
+
+def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
+    """In a process of its own, because the module of the gallery changes how lmpchain speaks."""
+    (tmp_path / "images").mkdir()
+    script = tmp_path / "plot_1.py"
+    script.write_text('"""\nA wave in a row\n===============\n"""\n')
+    program = textwrap.dedent(f"""
+        import gallery_pictures
+        from matplotlib.figure import Figure
+        names = {{
+            "example_globals": {{"picture": Figure()}},
+            "image_path_iterator": iter(["images/one.png"]),
+            "src_file": {str(script)!r},
+        }}
+        print(gallery_pictures.scraper(("", "", 0), names, {{"src_dir": {str(tmp_path)!r}}}))
+        from docutils.core import publish_doctree
+        page = publish_doctree(".. image:: one.png\\n   :alt:\\n\\n`A title <plot_1.html>`_\\n")
+        gallery_pictures.describe_thumbnails(None, page, "measurements/index")
+        print(page.pformat())
+    """)
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(DOCS)},
+    )
+    assert ":alt: A wave in a row" in done.stdout
+    assert '<image alt="A title" uri="one.png">' in done.stdout
+    assert (tmp_path / "images" / "one.png").is_file()
+
+
+def test_upright_letters_stay_upright_under_an_exponent():
+    """A letter alone is in italics in MathML unless it is a text or says that it is not."""
+    typeset = runpy.run_path(str(DOCS / "equations.py"))["typeset"]
+    for formula in re.findall(r"\$([^$]*\\mathrm[^$]*)\$", (DOCS / "model.md").read_text()):
+        upright = re.findall(r"\\mathrm(?: (\w)|{(\w)})", formula)
+        shown = typeset(formula)
+        for letter in filter(None, sum(upright, ())):
+            code = f"&#x{ord(letter):05X};"
+            assert (
+                f"<mtext>{letter}</mtext>" in shown
+                or f'"normal">{code}' in shown
+                or (f'"normal">{letter}<' in shown)
+            ), formula
+            assert f"<msup><mi>{letter}<" not in shown
+            assert f"<msup><mi>{code}<" not in shown
+
+
 def listed_names() -> list[str]:
     """Return the dotted names that the reference lists."""
     found = []
@@ -251,7 +314,8 @@ def test_commands(
     for line in "".join(blocks(page, "sh")).splitlines():
         command, _, remark = line.partition("  # ")
         wanted = int((re.search(r"exit code (\d+)", remark) or [0, 0])[1])
-        if command.startswith("lmpchain "):  # in this process, which has compiled everything
+        # In this process, which has compiled everything, unless a shell joins commands.
+        if command.startswith("lmpchain ") and not set("|>") & set(command):
             code = main(shlex.split(command)[1:])
             fault = capsys.readouterr().err
         else:

@@ -1,7 +1,7 @@
 """Traces as instruments write them: each is read in one call, and acts as it says.
 
-The two files in `tests/data` are made by `make_traces.py`, from closed forms; the others are
-written here, with numbers of closed forms too.
+The two files of `make_traces.py` follow closed forms; the others are written here, from numbers
+of closed forms too.
 """
 
 import os
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from data.make_traces import hammer, vibrometer
+from data.make_traces import EXAMPLE, hammer, vibrometer
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Force, InputError, Profile, Scene, simulate
@@ -174,11 +174,9 @@ def test_volts_need_a_calibration(header: str, tmp_path: Path):
 
 
 def test_an_oscilloscopes_hammer_moves_a_chain():
-    """The file of `tests/data`: its impulse is in the chain, by an interpolation of its own."""
-    assert (DATA / "hammer.csv").read_text() == hammer()
-    force = Force(
-        grain=1, file=DATA / "hammer.csv", scale=2.0, baseline=(-40e-6, -2e-7), trigger=0.0
-    )
+    """The file of the example `hammer`: its impulse is in the chain, by its own interpolation."""
+    assert EXAMPLE.read_text() == hammer()
+    force = Force(grain=1, file=EXAMPLE, scale=2.0, baseline=(-40e-6, -2e-7), trigger=0.0)
     time = np.arange(400) * 4e-7
     newtons = np.where(time <= 40e-6, 3.0 * np.sin(np.pi * time / 40e-6), 0.0)
     np.testing.assert_allclose(force.waveform.at(time), newtons, rtol=0, atol=3e-6)

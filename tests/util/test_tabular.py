@@ -155,7 +155,7 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
     run.save(tmp_path / "run.nc")
     path = tmp_path / "trace.csv"
     command = ["export", str(tmp_path / "run.nc"), "-o", str(path)]
-    chosen = ["--contact-force", "10,wall", "--velocity", "5", "--displacement", "5", "--energy"]
+    chosen = ["--contact-force", "10,wall", "--velocity", "5", "--displacement", "5", "--energies"]
     assert main([*command, *chosen]) == 0
     assert capsys.readouterr().out == f"traces: {path}\n"
     frame = pandas.read_csv(path, float_precision="round_trip")

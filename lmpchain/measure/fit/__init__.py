@@ -6,6 +6,7 @@ _NAMES = {
     "overview": "Summary summary",
     "waves": "BesselFit ModeFit fit_bessel fit_modes",
     "column": "ContinuumFit ExponentFit FrontLaw fit_continuum fit_exponents",
+    "passage": "FrontPassage fit_passage",
     "solitary": "SolitonFit fit_soliton",
     "inverse": "ParameterFit Trace fit_parameter",
 }

@@ -12,6 +12,7 @@ from ...trajectory.trajectory import Trajectory
 from ...util.notebook import Shown
 from ...util.tables import align, finite, wrap
 from .column import fit_continuum, fit_exponents
+from .passage import fit_passage
 from .solitary import fit_soliton
 from .table import TITLES, Fitted, FittedNumber
 from .waves import ModeFit, fit_bessel, fit_modes
@@ -60,8 +61,7 @@ class Summary(Shown):
     def table(self) -> str:
         """Return the numbers as text, within 80 columns."""
         lines = align(self.cells()) if self.rows else []
-        left_out = [f"left out: {fit} ({reason})" for fit, reason in self.left_out]
-        lines += wrap(*self.notes, *left_out)
+        lines += wrap(*self.notes, *self._brief_reasons())
         remark = (
             ""
             if self.strike_number <= WEAK_STRIKE
@@ -70,6 +70,14 @@ class Summary(Shown):
         return "\n".join([*lines, f"strike number {self.strike_number:.3g}{remark}"])
 
     __str__ = table
+
+    def _brief_reasons(self) -> Iterator[str]:
+        """Yield the main reason why fits are left out, one line for all fits that share it."""
+        names: dict[str, list[str]] = {}
+        for fit, reason in self.left_out:
+            names.setdefault(reason.partition("; ")[0], []).append(fit)
+        for reason, fits in names.items():
+            yield f"left out: {', '.join(fits)} ({reason})"
 
 
 def summary(trajectory: Trajectory) -> Summary:
@@ -94,12 +102,13 @@ def summary(trajectory: Trajectory) -> Summary:
     >>> scene = lmpchain.Scene(chain=chain, excitation=strike, duration=duration)
     >>> fits = summary(lmpchain.simulate(scene, engine="native"))
     >>> sorted({row.fit for row in fits.rows}), [fit for fit, _ in fits.left_out]
-    (['bessel', 'modes'], ['continuum', 'exponents', 'soliton'])
+    (['bessel', 'front', 'modes'], ['continuum', 'exponents', 'soliton'])
     """
     rows: list[FittedNumber] = []
     notes: list[str] = []
     left_out = []
     fits: dict[str, Callable[[Trajectory], Fitted]] = {
+        "front": fit_passage,
         "modes": _modes,
         "bessel": fit_bessel,
         "continuum": fit_continuum,

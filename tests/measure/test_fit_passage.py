@@ -1,0 +1,77 @@
+"""The front, velocity and force of any run, against its samples ten times as dense."""
+
+import numpy as np
+import pytest
+
+from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
+from lmpchain.cli import main
+from lmpchain.measure.fit import fit_passage
+from lmpchain.measure.fit import passage as module
+from lmpchain.measure.fit.overview import summary
+
+CHAIN = Chain(grains=40, material="steel", diameter=10e-3, gravity=0.0, top_load=20.0)
+EXCITATIONS = {
+    "push": Force(grain=1, times=[0.0, 2e-5, 4e-5], force=[0.0, 150.0, 0.0]),
+    "drive": Drive(amplitude=1e-8, frequency=5e3, cycles=2),
+    "strike": Impulse(velocity=0.1),
+}
+
+
+def ran(name: str, samples: int) -> Trajectory:
+    scene = Scene(chain=CHAIN, excitation=EXCITATIONS[name], duration=4e-4, samples=samples)
+    return simulate(scene, "native", 1e-9)
+
+
+@pytest.mark.parametrize("name", EXCITATIONS)
+def test_front_velocity_and_force_are_those_of_dense_samples(name: str):
+    found = {row.quantity: row for row in fit_passage(ran(name, 801)).rows()}
+    dense = ran(name, 16001)
+    speeds = np.abs(dense.velocity)
+    (arrival,) = (row for row in found.values() if row.quantity.startswith("arrival"))
+    grain = int(arrival.quantity.split()[-1])
+    (column,) = np.flatnonzero(dense.grains == grain)
+    # The front is the first maximum above half of the largest speed of the grain.
+    own = speeds[:, column]
+    rises = (own[1:-1] >= own[:-2]) & (own[1:-1] > own[2:]) & (own[1:-1] > own.max() / 2)
+    step = dense.time[1]
+    first = dense.time[1 + np.argmax(rises)]
+    assert arrival.value == pytest.approx(first, abs=step + arrival.error)
+    largest = next(row for row in found.values() if row.quantity.startswith("largest velocity"))
+    assert largest.value == pytest.approx(speeds.max(), rel=1e-4)
+    # F = a overlap^(3/2), with the overlap at rest from the load.
+    law = CHAIN.contacts.of(np.arange(1, 40))
+    overlap = law.overlap - np.diff(dense.displacement, axis=1)
+    force = (law.constant * np.maximum(overlap, 0.0) ** 1.5).max(axis=0)
+    contact = 1 + int(np.argmax(force))
+    sampled = found[f"largest sampled force, contact {contact}"]
+    assert sampled.value == pytest.approx(force.max(), rel=2e-3)
+    speed = next(row for row in found.values() if row.quantity.startswith("mean speed"))
+    ends = [int(word) for word in speed.quantity.replace("grains ", "").split() if word.isdecimal()]
+    assert ends[1] == grain
+    assert 0.9 * 600 < speed.value < 800
+
+
+def test_forces_of_blocks_of_contacts_are_those_of_all(monkeypatch: pytest.MonkeyPatch):
+    run = ran("push", 401)
+    whole = fit_passage(run)
+    monkeypatch.setattr(module, "CONTACTS_AT_ONCE", 7)
+    again = fit_passage(run)
+    assert (again.contact, again.force) == (whole.contact, whole.force)
+
+
+def test_a_forced_level_chain_prints_the_wave_and_short_reasons(tmp_path, capsys):
+    ran("push", 801).save(tmp_path / "run.nc")
+    assert main(["fit", str(tmp_path / "run.nc")]) == 0
+    said = capsys.readouterr().out
+    for words in ("arrival at grain", "mean speed, grains", "largest velocity", "sampled force"):
+        assert words in said
+    reasons = said.split("left out: ")[1:]
+    # One line for all laws of a column under gravity, and one reason each.
+    assert [reason.partition(" (")[0] for reason in reasons][-1].startswith("continuum, exponents")
+    assert not any("; " in reason for reason in reasons)
+
+
+def test_a_chain_at_rest_has_no_front():
+    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=0.0), duration=1e-4, samples=101)
+    found = summary(simulate(scene, "native"))
+    assert "front" in dict(found.left_out)
