@@ -71,7 +71,7 @@ CASES = {
 
 def scene_of(name: str, samples: int) -> Scene:
     chain, excitation = CASES[name]
-    duration = 4e-4 if name == "springs" else 6e-5
+    duration = 3e-4 if name == "springs" else 4e-5
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
 
 

@@ -6,11 +6,13 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.cli.command_line import main
@@ -88,8 +90,7 @@ STORED = [
 ]
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
-@pytest.mark.parametrize("name", STORED)
+@pytest.mark.parametrize(("damage", "name"), thinned(product(DAMAGE, STORED), 3))
 def test_what_is_not_whole_is_computed_again(
     name: str, damage: Callable[[Path], None], folder: Path, right: Any
 ):
