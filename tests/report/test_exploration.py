@@ -171,6 +171,16 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert fault.count("\n") == 1, fault
 
 
+@pytest.mark.parametrize(
+    ("velocity", "start"), [(1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3)]
+)
+def test_a_slider_starts_at_the_value_nearest_to_that_of_the_scene(velocity: float, start: int):
+    values = [-2e-3, -1e-3, 0.0, 1e-3]
+    scene = SCENE.replace(excitation=Impulse(velocity=velocity))
+    slider = exploration._axis("excitation.velocity", values, scene, "impulse")
+    assert (slider.log, slider.start) == (False, start)
+
+
 def test_numbers_of_grains_stay_whole():
     assert read_axis("chain.grains=10:40:4") == ("chain.grains", [10, 20, 30, 40])
     _, values = read_axis("chain.gravity=1.62:9.81")
