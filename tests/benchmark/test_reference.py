@@ -77,7 +77,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, 2))
+@pytest.mark.parametrize("kind", thinned(KINDS, 3))
 def test_the_error_of_the_reference_is_what_it_says(kind: str):
     scene = KINDS[kind]
     truth = reference(scene)
