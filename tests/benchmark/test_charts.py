@@ -321,6 +321,7 @@ def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
             assert lines[name].get_color() == COLOURS["vermilion"]
     ways = panels[0].figure.axes[3]
     lines = [text.get_text() for text in ways.texts]
+    assert [text.get_weight() for text in ways.texts] == ["bold", *["normal"] * (len(lines) - 1)]
     assert [line.split()[1:3] for line in lines] == [line.split()[1:3] for line in RESULT.best()]
     assert [line[:5].strip() for line in lines[1:4:2]] == ["10⁻³", "10⁻⁶"]
     assert {text.get_color() for text in ways.texts if "lammps" in text.get_text()} == {

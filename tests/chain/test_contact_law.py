@@ -371,3 +371,13 @@ def test_what_does_not_fit_to_the_ends_is_refused() -> None:
     assert text == "must have 3 entries for 4 grains, not 4"
     ((_, text),) = faults(material=[STEEL] * 3)
     assert text == "must be one or 4 (one a grain), not 3"
+
+
+@pytest.mark.parametrize("numbers", [2, slice(1, 4), np.array([3, 1])])
+def test_some_contacts_keep_their_own_parameters(numbers: Any) -> None:
+    law = Law("k*max(o, 0)**p", k=1e6, p=[1.2, 1.4, 1.6, 1.8, 2.0])
+    contacts = Chain(grains=6, diameter=1e-3, law=law).contacts
+    overlap = np.full(contacts.overlap.shape, 1e-6)
+    assert np.array_equal(
+        contacts.of(numbers).force_at(overlap[numbers]), contacts.force_at(overlap)[numbers]
+    )

@@ -226,3 +226,17 @@ def test_masses_and_constants_that_were_given_stay():
     assert Chain(grains=3, diameter=1e-3).given() == {"grains": 3, "diameter": 1e-3}
     with pytest.raises(AttributeError, match="weights"):
         _ = chain.weights
+
+
+@pytest.mark.parametrize(("bottom", "loaded"), [("fixed", 5), ("wall", 5), ("wall", 8)])
+def test_a_load_below_the_top_is_kept_if_its_grain_moves_in_the_part(bottom: str, loaded: int):
+    """A part holds its last grain unless the chain ends with it."""
+    chain = Chain(
+        grains=8, diameter=1e-3, gravity=0.0, top_load=0.02, load_grain=loaded, bottom=bottom
+    )
+    for last in range(2, 8):
+        part = chain.part(1, last)
+        assert (part.top_load, part.load_grain) == ((0.02, loaded) if loaded < last else (0.0, 1))
+    assert chain.part(1, 8) == chain
+    below = chain.part(3, 8)
+    assert (below.top_load, below.load_grain) == (0.02, loaded - 2)

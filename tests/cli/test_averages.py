@@ -20,7 +20,8 @@ def scene(tmp_path: Path) -> Path:
 def test_averages(scene: Path, capsys: pytest.CaptureFixture):
     numbers = scene.with_suffix(".json")
     picture = scene.with_suffix(".png")
-    words = ["--of", "kinetic_energy, force:3", "--time", "0.02", "--tolerance", "1e-3"]
+    words = ["--of", "kinetic_energy, force:3", "--time", "0.02", "--tolerance", "1e-3", "--force"]
+    picture.write_bytes(b"an older picture")
     assert main(["averages", str(scene), *words, "--json", str(numbers), "-o", str(picture)]) == 0
     shown = capsys.readouterr().out
     assert "kinetic_energy" in shown

@@ -34,6 +34,7 @@ from lmpchain import (
 from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
+from lmpchain.cli.explore import read_axis
 from lmpchain.cli.verbs import VERBS
 from lmpchain.simulation.run_folder import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
@@ -835,3 +836,13 @@ def test_a_saved_run_is_evaluated_as_asked(
     assert main(["fit", str(file), "--json", str(numbers)]) == 0
     assert capsys.readouterr().out == f"the table of 0 chains\nnumbers: {numbers}\n"
     assert json.loads(numbers.read_text()) == {"chains": 0}
+
+
+def test_a_slider_is_read_from_its_range_number_and_scale():
+    assert read_axis("chain.grains=10:40:4") == ("chain.grains", [10, 20, 30, 40])
+    _, values = read_axis("chain.gravity=1.62:9.81")
+    assert len(values) == 15
+    assert values[7] == pytest.approx((1.62 + 9.81) / 2)
+    key, values = read_axis("excitation.velocity=1e-6:1e-2:3:log")
+    assert key == "excitation.velocity"
+    assert values == pytest.approx([1e-6, 1e-4, 1e-2], rel=1e-12)

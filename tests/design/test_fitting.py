@@ -138,7 +138,7 @@ def test_one_parameter_is_fitted_by_its_name_alone():
 
 def test_a_posterior_is_drawn_again_from_its_seed():
     fitted = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3), guess(), ["velocity"])
-    first, again, other = (fitted.posterior(samples=40, seed=seed) for seed in (3, 3, 4))
+    first, again, other = (fitted.posterior(40, walkers=4, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
 

@@ -14,6 +14,7 @@ from helpers.reference_scenes import (
     at_speed,
     reference_motion,
 )
+from helpers.thinned import thinned
 
 from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
@@ -53,7 +54,7 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
 each_kind = pytest.mark.parametrize("kind", KINDS)
 
 
-@each_kind
+@pytest.mark.parametrize("kind", thinned(KINDS, 2))
 def test_the_references_agree(kind):
     """Taylor series in extended precision agree with SciPy in double precision."""
     u, v, own = reference_motion(kind)

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.example_scenes import struck
 from helpers.independent_integrators import relative_error
 from scipy.integrate import solve_ivp
 
@@ -317,11 +318,6 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
 
 
 # --- what is known before a run
-
-
-def struck(velocity: float = 1e-6, **chain) -> Scene:
-    made = Chain(**{"grains": 40, "diameter": 1e-3} | chain)
-    return Scene(chain=made, excitation=Impulse(velocity=velocity), duration=5e-5, samples=11)
 
 
 def test_the_expected_error_of_linear_theory_goes_like_the_strike_and_the_curvature():

@@ -63,6 +63,8 @@ def test_a_missed_tolerance_carries_the_answer():
         "the trajectory",
     )
     assert ToleranceNotMet("no").trajectory is None
+    assert ToleranceNotMet("no").known_until == np.inf
+    assert ToleranceNotMet("too chaotic", None, 2e-3).known_until == 2e-3
 
 
 @pytest.mark.parametrize("tolerance", [1e-300, 1e-6, 0.5, np.nextafter(1.0, 0.0)])

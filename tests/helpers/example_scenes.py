@@ -1,5 +1,7 @@
 """Scenes that many tests share."""
 
+from typing import Any
+
 import numpy as np
 
 from lmpchain import (
@@ -31,6 +33,16 @@ def paper(name: str, samples: int = 26) -> Scene:
     chain = Chain(grains=120, material=GLASS, diameter=1e-3, gravity=gravity)
     return Scene(
         chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples
+    )
+
+
+def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **chain: Any) -> Scene:
+    """Return a column of 1 mm beads struck on its top, with other fields of the chain."""
+    return Scene(
+        chain=Chain(**{"grains": grains, "diameter": 1e-3} | chain),
+        excitation=Impulse(velocity=velocity),
+        duration=duration,
+        samples=11,
     )
 
 

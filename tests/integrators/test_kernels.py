@@ -243,10 +243,10 @@ alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
     ("form", "operation"),
     [
         (Form.CORRECTED, "sqrt"),
-        (6, "sqrt"),
+        pytest.param(6, "sqrt", marks=pytest.mark.slow),
         (Form.POLYNOMIAL, "fmadd"),
         (Form.POWER, "div"),
-        (Form.UNCOMPRESSED_POWER, "div"),
+        pytest.param(Form.UNCOMPRESSED_POWER, "div", marks=pytest.mark.slow),
     ],
 )
 def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):

@@ -307,7 +307,7 @@ def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float)
     """
     tried = 0
     doubtful = 0
-    for seed in range(150):
+    for seed in range(60):
         random = np.random.default_rng(seed)
         frequency = random.uniform(0.3, 1, 6)
         height = random.normal(size=6)
@@ -327,7 +327,7 @@ def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float)
         peak = arrival(time, values)
         assert abs(peak.time - truth) <= peak.error + 1e-3, seed
         doubtful += peak.error > 1 / per_wave
-    assert tried > 100
+    assert tried > 40
     # With good sampling, all but the most similar maxima are distinguished.
     assert per_wave < 6 or doubtful < 0.05 * tried
 

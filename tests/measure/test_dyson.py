@@ -202,7 +202,7 @@ def test_the_picture_ends_four_grains_below_the_wave():
     """Grain 40 of 90 is the last with more than 1e-3 of the largest motion: shown down to 44."""
     size = 90
     wave = np.zeros(size)
-    wave[[3, 39, 59]] = 1.0, -2e-3, 0.9e-3
+    wave[[3, 20, 39, 59]] = 1.0, 0.5, -2e-3, 0.9e-3
     whole = by_hand(1.0)
     kappa = np.ones(size)
     motion = np.stack((wave, wave))

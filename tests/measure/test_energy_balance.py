@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.taylor_series import reference
+from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
@@ -71,7 +72,7 @@ CASES = {
 
 def scene_of(name: str, samples: int) -> Scene:
     chain, excitation = CASES[name]
-    duration = 4e-4 if name == "springs" else 6e-5
+    duration = 3e-4 if name == "springs" else 4e-5
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
 
 
@@ -196,17 +197,17 @@ def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, s
         assert error < 1e-8 * put_in
 
 
+LINEAR_CASES = [
+    *(("modes", "damped", act) for act in LINEAR_ACTS),
+    *(("modes", "overdamped", act) for act in ("strike", "force", "wall")),
+    *(("modes", "lossless", act) for act in ("strike", "burst", "tone", "wall")),
+    ("chebyshev", "lossless", "drive"),
+    ("chebyshev", "lossless", "wall"),
+]
+
+
 @pytest.mark.parametrize("samples", [3, 41])
-@pytest.mark.parametrize(
-    ("engine", "damping", "act"),
-    [
-        *(("modes", "damped", act) for act in LINEAR_ACTS),
-        *(("modes", "overdamped", act) for act in ("strike", "force", "wall")),
-        *(("modes", "lossless", act) for act in ("strike", "burst", "tone", "wall")),
-        ("chebyshev", "lossless", "drive"),
-        ("chebyshev", "lossless", "wall"),
-    ],
-)
+@pytest.mark.parametrize(("engine", "damping", "act"), thinned(LINEAR_CASES, 2))
 def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, damping, act, samples):
     """Springs that stay closed are linear: linear engines solve Eq. (1) itself."""
     scene, *true = exact_linear(damping, act)
@@ -303,7 +304,8 @@ def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
         assert all(np.array_equal(run.gathered[name], t.gathered[name]) for name in names)
     found = simulate(some, "native", 1e-8).gathered
     assert found.keys() > names
-    assert largest(found["drive"] - t.gathered["drive"]) <= found["drive_error"]
+    errors = found["drive_error"] + t.gathered["drive_error"]
+    assert largest(found["drive"] - t.gathered["drive"]) <= errors
 
 
 def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):

@@ -177,3 +177,32 @@ def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: fl
     )
     assert close.sum() > 20
     np.testing.assert_allclose(steps[close], 0.35 * distance[close], rtol=0.05)
+
+
+@pytest.mark.parametrize("time", [0.004, 0.996])
+def test_an_opening_of_a_driven_chain_counts_a_period_earlier_and_later(time: float):
+    """Steps shorten at both ends of a period if a contact opens near one of them."""
+    turns = 50.0
+    rest = np.zeros((1, CHAIN.grains))
+    flow = Flow(CHAIN, 1e6, Drive(amplitude=1e-9, frequency=1e5))
+    period = turns / mesh.highest_frequency(flow, rest)
+    steps = mesh.graded(flow, period, rest, np.array([time]))
+    ends = np.concatenate(([0.0], np.cumsum(steps)))
+    middles = (ends[1:] + ends[:-1]) / 2
+    distance = np.abs(middles[:, None] - (time + np.array([-1.0, 0.0, 1.0]))).min(1)
+    even = mesh.uniform(flow, period, rest)[0]
+    close = (
+        (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
+    )
+    for half in (close & (middles < 0.5), close & (middles > 0.5)):
+        assert half.any()
+        np.testing.assert_allclose(steps[half], 0.35 * distance[half], rtol=0.05)
+
+
+def test_a_driven_chain_has_the_same_largest_number_of_steps():
+    rest = np.zeros((1, CHAIN.grains))
+    flow = Flow(CHAIN, 1e6, Drive(amplitude=1e-9, frequency=1e5))
+    period = 4e3 / mesh.highest_frequency(flow, rest)
+    steps = mesh.graded(flow, period, rest, np.linspace(0.01, 0.99, 800))
+    assert steps.size == 20_000
+    assert steps.sum() == pytest.approx(1, rel=1e-12)

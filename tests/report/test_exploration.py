@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from helpers.browser import browser, installed
 from helpers.live_figure import arrays, numbers_of
-from scipy.optimize import brentq
 
 import lmpchain
 from lmpchain import Chain, Damping, Impulse, InputError, Scene, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.cli.explore import read_axis
 from lmpchain.report import exploration
 
 SCENE = Scene(
@@ -171,13 +169,14 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
         assert fault.count("\n") == 1, fault
 
 
-def test_numbers_of_grains_stay_whole():
-    assert read_axis("chain.grains=10:40:4") == ("chain.grains", [10, 20, 30, 40])
-    _, values = read_axis("chain.gravity=1.62:9.81")
-    assert len(values) == 15
-    assert values[7] == pytest.approx((1.62 + 9.81) / 2)
-    middle = brentq(lambda x: x / 1e-6 - 1e-2 / x, 1e-6, 1e-2)
-    assert read_axis("excitation.velocity=1e-6:1e-2:3:log")[1][1] == pytest.approx(middle)
+@pytest.mark.parametrize(
+    ("velocity", "start"), [(1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3)]
+)
+def test_a_slider_starts_at_the_value_nearest_to_that_of_the_scene(velocity: float, start: int):
+    values = [-2e-3, -1e-3, 0.0, 1e-3]
+    scene = SCENE.replace(excitation=Impulse(velocity=velocity))
+    slider = exploration._axis("excitation.velocity", values, scene, "impulse")
+    assert (slider.log, slider.start) == (False, start)
 
 
 SAID = "document.getElementById('said').textContent"

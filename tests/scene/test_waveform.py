@@ -83,6 +83,17 @@ def test_a_spline_is_that_through_its_points() -> None:
     assert wave.path(1.0) == np.inf
 
 
+@pytest.mark.parametrize("first", [0.4, 0.1])
+def test_points_that_begin_later_are_reached_from_rest_in_one_interval(first: float) -> None:
+    """The rise begins at t = 0 if the first point is earlier than one interval."""
+    wave = Waveform.through(first + KNOTS, VALUES, "linear", holds=True)
+    begin = max(first - 0.3, 0.0)
+    times = np.array([0.0, begin / 2, begin, (begin + first) / 2, first])
+    expected = VALUES[0] * np.array([0.0, 0.0, 0.0, 0.5, 1.0])
+    # Rounding of a slope times a time: 1e-15 of the values.
+    assert wave.at(times) == pytest.approx(expected, rel=1e-14, abs=1e-15)
+
+
 @pytest.mark.parametrize("cycles", CYCLES)
 def test_no_value_or_derivative_is_beyond_the_largest(cycles: float | None) -> None:
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)

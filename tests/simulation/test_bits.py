@@ -28,7 +28,7 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     "number",
     [
         pytest.param(
-            n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
+            n, marks=() if n % 60 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
         )
         for n in range(make_bits.SCENES)
     ],

@@ -1,8 +1,10 @@
 """A list of scenes in one call: the answers, their order, their errors, and refusals."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from helpers.example_scenes import smooth
+from helpers.example_scenes import smooth, struck
 from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import (
@@ -17,11 +19,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 
-
-def struck(velocity: float, grains: int = 12, **more) -> Scene:
-    """Return a short column that is struck."""
-    chain = Chain(grains=grains, diameter=1e-3, **more)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=2e-5, samples=11)
+short = partial(struck, grains=12, duration=2e-5)
 
 
 def test_answers_come_in_order_with_the_bits_of_each_alone():
@@ -29,8 +27,8 @@ def test_answers_come_in_order_with_the_bits_of_each_alone():
 
     Those that are alike go together, and each is itself.
     """
-    scenes = [struck(v, n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [
-        struck(1e-4, gravity=1.62)
+    scenes = [short(v, grains=n) for v in (1e-6, 1e-4, 1e-2) for n in (12, 9, 12)] + [
+        short(1e-4, gravity=1.62)
     ]
     found = simulate_many(scenes, 1e-8)
     assert [t.scene for t in found] == scenes
@@ -84,13 +82,13 @@ def test_the_error_covers_the_truth():
 
 def test_a_batch_costs_its_scenes_the_same():
     """Shares of a batch add up; one that took two attempts has both in it."""
-    alike = simulate_many([struck(1e-4 * (1 + 1e-3 * i)) for i in range(4)])
+    alike = simulate_many([short(1e-4 * (1 + 1e-3 * i)) for i in range(4)])
     assert len({t.cost.integration_s for t in alike}) == 1
     assert all(t.cost.integration_s > 0 for t in alike)
 
 
 def test_other_engines_and_given_steps():
-    scenes = [struck(1e-8), struck(1e-7)]
+    scenes = [short(1e-8), short(1e-7)]
     for options in ({"engine": "modes"}, {"engine": "auto"}, {"engine": Native(step=1e-7)}):
         for t, scene in zip(simulate_many(scenes, 1e-2, **options), scenes, strict=True):
             alone = simulate(scene, tolerance=1e-2, **options)
@@ -100,7 +98,7 @@ def test_other_engines_and_given_steps():
 
 
 def test_one_that_cannot_be_met():
-    scenes = [struck(1e-6), struck(3e-2)]
+    scenes = [short(1e-6), short(3e-2)]
     with pytest.raises(ToleranceNotMet) as missed:
         simulate_many(scenes, 3e-15)
     assert missed.value.reason
@@ -112,12 +110,12 @@ def test_one_that_cannot_be_met():
 
 def test_what_is_refused():
     with pytest.raises(InputError, match=r"scenes\.1: must be a Scene"):
-        simulate_many([struck(1e-6), 3])
+        simulate_many([short(1e-6), 3])
     with pytest.raises(InputError, match="on_miss"):
-        simulate_many([struck(1e-6)], on_miss="ignore")
+        simulate_many([short(1e-6)], on_miss="ignore")
     with pytest.raises(InputError, match=r"scenes\.1\.gravity"):
-        simulate_many([struck(1e-6), struck(1e-6, gravity=0.0)], engine="modes")
+        simulate_many([short(1e-6), short(1e-6, gravity=0.0)], engine="modes")
     with pytest.raises(InputError, match="scenes: must be"):
-        simulate_many(struck(1e-6))
+        simulate_many(short(1e-6))
     with pytest.raises(InputError, match="scenes: must be"):
         simulate_many(3)

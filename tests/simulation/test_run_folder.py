@@ -138,7 +138,7 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
     )
 
 
-@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+@pytest.mark.parametrize("integrator", ["rkn6", pytest.param("verlet", marks=pytest.mark.slow)])
 def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     """Every session adds to it; it does not grow with the drifts of a splitting."""
     engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")

@@ -5,7 +5,7 @@ Every law against what is measured, and its constants against other arithmetic.
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, struck
 from helpers.independent_integrators import scipy_reference
 from laws import theories
 from laws.theory_errors import (
@@ -23,7 +23,7 @@ from laws.theory_errors import (
     uniform_error,
 )
 
-from lmpchain import Chain, Displacement, Impulse, InputError, Scene
+from lmpchain import Displacement, Impulse, InputError
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
@@ -183,11 +183,6 @@ def test_the_package_foresees_the_error_of_linear_theory():
         assert true / 2 < theory(scene, "chebyshev").error_estimate.model < 2 * true
 
 
-def struck(duration: float = 5e-5, **chain) -> Scene:
-    made = Chain(**{"grains": 40, "diameter": 1e-3} | chain)
-    return Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)
-
-
 def test_what_is_a_struck_column():
     scene = struck()
     chain = scene.chain
@@ -195,10 +190,10 @@ def test_what_is_a_struck_column():
     hops = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
     assert lasts == pytest.approx(hops.sum(), rel=1e-12)
     assert linear_theory.struck_column(scene)
-    assert linear_theory.struck_column(struck(9.99 * lasts))
+    assert linear_theory.struck_column(struck(duration=9.99 * lasts))
     assert linear_theory.struck_column(struck(exponent=2.2))
     for other in (
-        struck(10.01 * lasts),
+        struck(duration=10.01 * lasts),
         scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
         scene.replace(excitation=Displacement(displacement=1e-12)),
         struck(exponent=2.21),

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ import tomli_w
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
 from helpers.example_sweeps import contents, done, long_sweep
+from helpers.thinned import thinned
 
 import lmpchain.sweeps.run as run
 from lmpchain import (
@@ -214,9 +216,14 @@ DRAWN: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("keys", [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]])
-@pytest.mark.parametrize("bottom", ["fixed", "wall"])
-def test_numbers_of_every_grain_are_drawn(tmp_path, keys, bottom):
+@pytest.mark.parametrize(
+    ("bottom", "keys"),
+    thinned(
+        product(["fixed", "wall"], [*([key] for key in DRAWN), list(DRAWN)[:2], list(DRAWN)[3:]]),
+        2,
+    ),
+)
+def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
     """Each scene equals its scene file, to the last bit; drawn numbers are a coordinate."""
     impurity = [{"grain": 4, "mass": 1e-6}]
     scene = SHORT | {"chain": SHORT["chain"] | {"bottom": bottom, "impurity": impurity}}

@@ -6,11 +6,13 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.cli.command_line import main
@@ -88,8 +90,7 @@ STORED = [
 ]
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
-@pytest.mark.parametrize("name", STORED)
+@pytest.mark.parametrize(("damage", "name"), thinned(product(DAMAGE, STORED), 7))
 def test_what_is_not_whole_is_computed_again(
     name: str, damage: Callable[[Path], None], folder: Path, right: Any
 ):
@@ -124,8 +125,10 @@ def right_name(folder: Path) -> str:
     return path.name
 
 
-@pytest.mark.parametrize("damage", DAMAGE)
-@pytest.mark.parametrize("name", ["shards/0000001.json", "store.json", "sweep.json"])
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    thinned(product(["shards/0000001.json", "store.json", "sweep.json"], DAMAGE), 2),
+)
 def test_seals_and_tasks_too(name: str, damage: Callable[[Path], None], folder: Path, right: Any):
     (path,) = folder.glob(f"*/{name}")
     damage(path)

@@ -4,6 +4,7 @@ import gzip
 import re
 import tracemalloc
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from helpers.standalone_lammps import lmp
 from helpers.taylor_series import reference
+from helpers.thinned import thinned
 
 from lmpchain import Chain, Displacement, Force, Impulse, InputError, Scene, Trajectory
 from lmpchain.cli import main
@@ -419,22 +421,22 @@ def test_masses_and_radii_are_those_of_the_chain(decks: dict[str, Path], key: st
 # --- decks that were run otherwise
 
 
+OTHER_VARIABLES = {
+    "-var dt 5e-9": "frames are 1e-07 s apart by",
+    "-var dt 2e-8": "frames are 4e-07 s apart by",
+    "-var every 10": "frames are 1e-07 s apart by",
+    "-var every 60": "frames are 6e-07 s apart by",
+    "-var dt 5e-9 -var every 40": "",
+    "-var samples 20": "21 whole frames",
+    "-var v0 2e-4": "velocity of 0.0002 m/s, in the scene 0.0001",
+}
+
+
 @pytest.mark.parametrize(
-    ("options", "says"),
-    [
-        ("-var dt 5e-9", "frames are 1e-07 s apart by"),
-        ("-var dt 2e-8", "frames are 4e-07 s apart by"),
-        ("-var every 10", "frames are 1e-07 s apart by"),
-        ("-var every 60", "frames are 6e-07 s apart by"),
-        ("-var dt 5e-9 -var every 40", ""),
-        ("-var samples 20", "21 whole frames"),
-        ("-var v0 2e-4", "velocity of 0.0002 m/s, in the scene 0.0001"),
-    ],
+    ("diameter", "options"), thinned(product(["physical", "gauge"], OTHER_VARIABLES), 2)
 )
-@pytest.mark.parametrize("diameter", ["physical", "gauge"])
-def test_a_deck_that_is_run_with_other_variables(
-    tmp_path: Path, options: str, says: str, diameter: str
-):
+def test_a_deck_that_is_run_with_other_variables(tmp_path: Path, diameter: str, options: str):
+    says = OTHER_VARIABLES[options]
     write_deck(SCENE, tmp_path, step=1e-8, diameter=diameter)
     lmp(tmp_path, *options.split())
     path = tmp_path / "column.lammpstrj"

@@ -46,7 +46,7 @@ SCENES = {
 
 def scene_of(name: str) -> Scene:
     chain, excitation = SCENES[name]
-    return Scene(chain=chain, excitation=excitation, duration=6e-5, samples=21)
+    return Scene(chain=chain, excitation=excitation, duration=3e-5, samples=11)
 
 
 def at_rest(constant: float, carried: float) -> float:

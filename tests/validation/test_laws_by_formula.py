@@ -31,11 +31,11 @@ CASES: dict[str, tuple[dict[str, Any], float, float, Callable[[Any], Any]]] = {
     "spring": ({"law": Law("k*o", k=K)}, 0.02, 1e-3, lambda o: K * o),
     "bilinear": (
         {"law": laws.bilinear(0.3, k=K)},
-        *(0.02, 1e-3, lambda o: K * np.where(o > 0, o, 0.3 * o)),
+        *(0.02, 4e-4, lambda o: K * np.where(o > 0, o, 0.3 * o)),
     ),
     "bilinear under load": (
         {"law": laws.bilinear(0.3, k=K), "top_load": 1e-3},
-        *(0.02, 1e-3, lambda o: K * np.where(o > 0, o, 0.3 * o)),
+        *(0.02, 4e-4, lambda o: K * np.where(o > 0, o, 0.3 * o)),
     ),
     "an exponent below 1": (
         {"law": laws.power(0.6, k=10.0), "top_load": 1e-3},
@@ -47,7 +47,7 @@ CASES: dict[str, tuple[dict[str, Any], float, float, Callable[[Any], Any]]] = {
     ),
     "one exponent a contact": (
         {"law": Law("k*max(o, 0)**p", k=1e6, p=EXPONENTS.tolist()), "gravity": 9.81},
-        *(0.01, 1e-3, lambda o: 1e6 * np.maximum(o, 0) ** EXPONENTS),
+        *(0.01, 4e-4, lambda o: 1e6 * np.maximum(o, 0) ** EXPONENTS),
     ),
 }
 

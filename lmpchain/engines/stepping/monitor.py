@@ -165,15 +165,14 @@ class Monitor:
     @cached_property
     def _closest_allowed(self) -> Array:
         """Largest approach of two grains beyond that at rest, (R,) m, in a stable run."""
-        # The energy of the weakest motions underflows.
-        energy = np.maximum(self._allowed, np.finfo(float).tiny)
-        bound = self._chains.contacts.overlap_bound(energy[:, None]).max(1)
         if self._chains.arrays.acts:
             # No energy bounds a driven motion. An approach of a million lengths of the column is
             # certainly unstable.
             lengths = [scene.chain.diameters.sum() for scene in self._scenes]
-            bound = np.minimum(bound, 1e6 * min(lengths))
-        return bound
+            return np.full(len(lengths), 1e6 * min(lengths))
+        # The energy of the weakest motions underflows.
+        energy = np.maximum(self._allowed, np.finfo(float).tiny)
+        return self._chains.contacts.overlap_bound(energy[:, None]).max(1)
 
     def choose_looks(self, work_s: float, together: int) -> frozenset[int]:
         """Return the samples at which a run of this time, s, is judged; multiples of `together`.

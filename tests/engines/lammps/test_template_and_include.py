@@ -340,7 +340,7 @@ def scenes(text: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("text", thinned(HOSTILE, 3))
+@pytest.mark.parametrize("text", thinned(HOSTILE, 5))
 def test_text_in_a_scene_stays_out_of_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
