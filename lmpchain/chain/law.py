@@ -62,6 +62,8 @@ NUMPY: dict[str, Any] = {
 # Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
 GROWTH = 16.0
 MOST_PIECES = 20
+# Forces of an integral that are computed together.
+VALUES_AT_ONCE = 100_000
 # Iterations of a solution: bisection alone ends in fewer.
 ITERATIONS = 2000
 # Overlaps, over the largest one, at which the largest stiffness is looked for.
@@ -221,12 +223,12 @@ class Law(ContactLaw):
         """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
         total = np.zeros(r.shape)
-        for s, weight in self._nodes(rest, r):
-            total = total + weight * self._change(rest, s, constant)
+        for s, weights in self._nodes(rest, r):
+            total = total + (weights * self._change(rest, s, constant)).sum(axis=0)
         return np.sign(r) * total
 
     def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield places s between 0 and r, and their weights, of an integral over them.
+        """Yield places s between 0 and r, and their weights, (n, ...), of an integral over them.
 
         Pieces end at kinks, and grow with the distance to them.
         """
@@ -237,9 +239,12 @@ class Law(ContactLaw):
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
             ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
         places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
+        count = math.ceil(NODES.size * r.size / VALUES_AT_ONCE) or 1
+        rule = np.stack((NODES, WEIGHTS)).reshape(2, -1, *[1] * r.ndim)
+        groups = np.array_split(rule, min(count, NODES.size), axis=1)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
-            for node, weight in zip(NODES, WEIGHTS, strict=True):
-                yield begin + node * width, weight * width
+            for nodes, weights in groups:
+                yield begin + nodes * width, weights * width
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
@@ -558,8 +563,8 @@ class Law(ContactLaw):
         )
         overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
         total = np.zeros(shape)
-        for place, weight in self._nodes(np.zeros(shape), overlap):
-            total += weight * self.force(place, constant)
+        for places, weights in self._nodes(np.zeros(shape), overlap):
+            total += (weights * self.force(places, constant)).sum(axis=0)
         return (np.sign(overlap) * total)[()]
 
     def lepton(
