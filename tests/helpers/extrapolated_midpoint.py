@@ -23,7 +23,7 @@ from lmpchain import Law, Scene
 
 KINDS = ("power", "one-sided", "tanh", "exp", "sine", "soft", "log")
 FINEST = {"long double": 1e-19, "double": 1e-16}
-MOST_STEPS = 2e4
+MOST_STEPS = 4e3
 
 
 class Term(NamedTuple):
