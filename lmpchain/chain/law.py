@@ -13,7 +13,7 @@ t         t           time, s, in a ground law
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any, NoReturn
@@ -400,8 +400,7 @@ class Law(ContactLaw):
     def _shape(self) -> tuple[bool, bool, bool]:
         """Whether contacts pull, whether the force never falls, and whether it is stiff at rest."""
         pulls, grows, bonds = False, True, True
-        kinds = max(map(np.size, self.parameters), default=1)
-        parameters = np.array([np.broadcast_to(p, kinds) for p in self.parameters])
+        parameters = np.array([np.ravel(p) for p in np.broadcast_arrays(*self.parameters)])
         constant = float(np.max(self.given.get("k", 1.0)))
         for values in np.unique(parameters, axis=1).T if self.parameters else [()]:
             alone = self.with_parameters(values)
@@ -457,6 +456,19 @@ class Law(ContactLaw):
         return self.with_parameters(
             value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
         )
+
+    @property
+    def form(self) -> Any:
+        """A key that is equal for laws that differ in the values of parameters only."""
+        return self.formula, tuple(self.names), self.kinks, self.onset
+
+    def joined(self, laws: Sequence[ContactLaw]) -> Law:
+        """Return the law of many chains, with a row of every parameter for each chain."""
+        rows = []
+        for values in zip(*(law.parameters for law in laws), strict=True):
+            width = max(map(np.size, values))
+            rows.append(np.array([np.broadcast_to(value, width) for value in values]))
+        return self.with_parameters(map(read_only, rows))
 
     def part(self, first: int, last: int) -> Law:
         """Return the law of grains `first` to `last` of the chain."""

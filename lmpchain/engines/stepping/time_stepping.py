@@ -331,6 +331,6 @@ def kind(scene: Scene) -> tuple:
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
-    built = chain.grains, *ends, chain.law, chain.compressed, chain.damped
+    built = chain.grains, *ends, chain.law.form, chain.compressed, chain.damped
     acted = excitation.driven, excitation.does_work
     return *built, *acted, scene.samples, scene.duration, scene.grains
