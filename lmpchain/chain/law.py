@@ -667,7 +667,8 @@ class LawKernel:
     ----------
     force_change, stiffness : Formula
         Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
-        names are ``o``, ``k``, the parameters, and ``q0``, ``q1`` ... of what is kept at rest.
+        names are ``o``, ``k``, ``_p0`` ... of the parameters, and ``_q0`` ... of what is kept at
+        rest.
     codes : mapping
         Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
     change : function
@@ -685,11 +686,14 @@ class LawKernel:
 
 @cache
 def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
-    force, stiffness, _ = _derived(formula)
+    # No parameter of a user begins with an underscore: one may be called r.
+    own = [f"_p{n}" for n in range(len(names))]
+    renamed = formula.substitute(dict(zip(names, map(name, own), strict=True)))
+    force, stiffness, _ = _derived(renamed)
     change = force.change("o", "r")
-    inner, kept = change.without(["o", "k", *names], "_q")
-    parameters = {key: f"p[{n}]" for n, key in enumerate(names)}
-    columns = ["o", "k", *names, *(f"_q{n}" for n in range(len(kept)))]
+    inner, kept = change.without(["o", "k", *own], "_q")
+    parameters = {key: f"p[{n}]" for n, key in enumerate(own)}
+    columns = ["o", "k", *own, *(f"_q{n}" for n in range(len(kept)))]
     return LawKernel(
         inner,
         stiffness.substitute({"o": add(name("o"), name("r"))}),
