@@ -39,7 +39,8 @@ COMPARED = 4
 NEAR_KINK = 1e-6
 # Sizes of overlaps among which a rest is looked for, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
-LARGEST = 1e300  # N
+# Forces, N, and energies, J, that are as large as can be.
+LARGEST = 1e300
 # Iterations after which bisection alone has found a root between two of these sizes.
 BISECTIONS = 64
 # Lengths of the stiffness's own change up to which a kink is near.
@@ -555,7 +556,11 @@ class Law(ContactLaw):
         return bound
 
     def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
-        """Return by how much a contact is closed (side 1) or stretched that holds this energy."""
+        """Return by how much a contact is closed (side 1) or stretched that holds this energy.
+
+        It is infinite for an energy without a bound, as that of a forced motion.
+        """
+        energy = np.where(energy < LARGEST, energy, np.inf)
         with np.errstate(all="ignore"):
             k = np.abs(self.stiffness(rest, constant))
             start = np.sqrt(energy / np.where((k > 0) & np.isfinite(k), k, constant))
