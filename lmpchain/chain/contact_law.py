@@ -14,7 +14,7 @@ delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
@@ -116,6 +116,15 @@ class ContactLaw(ABC):
 
     def of(self, numbers: Any) -> ContactLaw:
         """Return the law of some of the contacts that have parameters of their own."""
+        return self
+
+    @property
+    def form(self) -> Any:
+        """A key that is equal for laws that differ in the values of parameters only."""
+        return self
+
+    def joined(self, laws: Sequence[ContactLaw]) -> ContactLaw:
+        """Return the law of many chains, whose laws of one `form` are given."""
         return self
 
     def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:

@@ -121,8 +121,7 @@ class Contacts:
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
         """Return these contacts of one chain, or the contacts of these of many chains."""
         # Of many chains, the first axis is that of the chains.
-        law = self.law.of(numbers) if numbers is not None and self.constant.ndim == 1 else self.law
-        return Contacts(law, *(values[numbers] for values in self.arrays))
+        return Contacts(self.law.of(numbers), *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
         """Return the contacts above a grain that is held from now on."""
@@ -219,4 +218,5 @@ def together(contacts: Sequence[Contacts]) -> Contacts:
         return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
     # Read-only like those of one chain, because numba compiles again for writable arrays.
-    return Contacts(contacts[0].law, *map(read_only, rows))
+    law = contacts[0].law.joined([chain.law for chain in contacts])
+    return Contacts(law, *map(read_only, rows))

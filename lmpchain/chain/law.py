@@ -13,7 +13,7 @@ t         t           time, s, in a ground law
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
@@ -39,7 +39,8 @@ COMPARED = 4
 NEAR_KINK = 1e-6
 # Sizes of overlaps among which a rest is looked for, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
-LARGEST = 1e300  # N
+# Forces, N, and energies, J, that are as large as can be.
+LARGEST = 1e300
 # Iterations after which bisection alone has found a root between two of these sizes.
 BISECTIONS = 64
 # Lengths of the stiffness's own change up to which a kink is near.
@@ -62,6 +63,8 @@ NUMPY: dict[str, Any] = {
 # Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
 GROWTH = 16.0
 MOST_PIECES = 20
+# Forces of an integral that are computed together.
+VALUES_AT_ONCE = 100_000
 # Iterations of a solution: bisection alone ends in fewer.
 ITERATIONS = 2000
 # Overlaps, over the largest one, at which the largest stiffness is looked for.
@@ -221,12 +224,12 @@ class Law(ContactLaw):
         """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
         total = np.zeros(r.shape)
-        for s, weight in self._nodes(rest, r):
-            total = total + weight * self._change(rest, s, constant)
+        for s, weights in self._nodes(rest, r):
+            total = total + (weights * self._change(rest, s, constant)).sum(axis=0)
         return np.sign(r) * total
 
     def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield places s between 0 and r, and their weights, of an integral over them.
+        """Yield places s between 0 and r, and their weights, (n, ...), of an integral over them.
 
         Pieces end at kinks, and grow with the distance to them.
         """
@@ -237,9 +240,12 @@ class Law(ContactLaw):
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
             ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
         places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
+        count = math.ceil(NODES.size * r.size / VALUES_AT_ONCE) or 1
+        rule = np.stack((NODES, WEIGHTS)).reshape(2, -1, *[1] * r.ndim)
+        groups = np.array_split(rule, min(count, NODES.size), axis=1)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
-            for node, weight in zip(NODES, WEIGHTS, strict=True):
-                yield begin + node * width, weight * width
+            for nodes, weights in groups:
+                yield begin + nodes * width, weights * width
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
@@ -397,8 +403,7 @@ class Law(ContactLaw):
     def _shape(self) -> tuple[bool, bool, bool]:
         """Whether contacts pull, whether the force never falls, and whether it is stiff at rest."""
         pulls, grows, bonds = False, True, True
-        kinds = max(map(np.size, self.parameters), default=1)
-        parameters = np.array([np.broadcast_to(p, kinds) for p in self.parameters])
+        parameters = np.array([np.ravel(p) for p in np.broadcast_arrays(*self.parameters)])
         constant = float(np.max(self.given.get("k", 1.0)))
         for values in np.unique(parameters, axis=1).T if self.parameters else [()]:
             alone = self.with_parameters(values)
@@ -454,6 +459,19 @@ class Law(ContactLaw):
         return self.with_parameters(
             value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
         )
+
+    @property
+    def form(self) -> Any:
+        """A key that is equal for laws that differ in the values of parameters only."""
+        return self.formula, tuple(self.names), self.kinks, self.onset
+
+    def joined(self, laws: Sequence[ContactLaw]) -> Law:
+        """Return the law of many chains, with a row of every parameter for each chain."""
+        rows = []
+        for values in zip(*(law.parameters for law in laws), strict=True):
+            width = max(map(np.size, values))
+            rows.append(np.array([np.broadcast_to(value, width) for value in values]))
+        return self.with_parameters(map(read_only, rows))
 
     def part(self, first: int, last: int) -> Law:
         """Return the law of grains `first` to `last` of the chain."""
@@ -540,7 +558,11 @@ class Law(ContactLaw):
         return bound
 
     def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
-        """Return by how much a contact is closed (side 1) or stretched that holds this energy."""
+        """Return by how much a contact is closed (side 1) or stretched that holds this energy.
+
+        It is infinite for an energy without a bound, as that of a forced motion.
+        """
+        energy = np.where(energy < LARGEST, energy, np.inf)
         with np.errstate(all="ignore"):
             k = np.abs(self.stiffness(rest, constant))
             start = np.sqrt(energy / np.where((k > 0) & np.isfinite(k), k, constant))
@@ -560,8 +582,8 @@ class Law(ContactLaw):
         )
         overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
         total = np.zeros(shape)
-        for place, weight in self._nodes(np.zeros(shape), overlap):
-            total += weight * self.force(place, constant)
+        for places, weights in self._nodes(np.zeros(shape), overlap):
+            total += (weights * self.force(places, constant)).sum(axis=0)
         return (np.sign(overlap) * total)[()]
 
     def lepton(
@@ -652,7 +674,8 @@ class LawKernel:
     ----------
     force_change, stiffness : Formula
         Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
-        names are ``o``, ``k``, the parameters, and ``q0``, ``q1`` ... of what is kept at rest.
+        names are ``o``, ``k``, ``_p0`` ... of the parameters, and ``_q0`` ... of what is kept at
+        rest.
     codes : mapping
         Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
     change : function
@@ -670,11 +693,14 @@ class LawKernel:
 
 @cache
 def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
-    force, stiffness, _ = _derived(formula)
+    # No parameter of a user begins with an underscore: one may be called r.
+    own = [f"_p{n}" for n in range(len(names))]
+    renamed = formula.substitute(dict(zip(names, map(name, own), strict=True)))
+    force, stiffness, _ = _derived(renamed)
     change = force.change("o", "r")
-    inner, kept = change.without(["o", "k", *names], "_q")
-    parameters = {key: f"p[{n}]" for n, key in enumerate(names)}
-    columns = ["o", "k", *names, *(f"_q{n}" for n in range(len(kept)))]
+    inner, kept = change.without(["o", "k", *own], "_q")
+    parameters = {key: f"p[{n}]" for n, key in enumerate(own)}
+    columns = ["o", "k", *own, *(f"_q{n}" for n in range(len(kept)))]
     return LawKernel(
         inner,
         stiffness.substitute({"o": add(name("o"), name("r"))}),

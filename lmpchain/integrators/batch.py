@@ -155,8 +155,12 @@ class ChainBatch:
         kink = nearest_kinks(self.contacts)
         typical = arrays.scale[:, :1] + 1e-300
         strain = typical * np.where(self.contacts.exists, inverse_length, 1.0)
-        ends = [self.contacts.force_at(kink + side * typical) for side in (-1, 0, 1)]
-        bent = np.abs(ends[0] - 2 * ends[1] + ends[2])
+        far, near, at, after, beyond = (
+            self.contacts.force_at(kink + side * typical) for side in (-1, -0.5, 0, 0.5, 1)
+        )
+        # Two sides of opposite sign, as of o |o|, have no second difference.
+        odd = beyond - far - 2 * (after - near)
+        bent = np.maximum(np.abs(far - 2 * at + beyond), 2 * np.abs(odd))
         strength = arrays.strength[:, contacts] * strain**self.opening_power
         ratio = np.divide(bent, strength, out=np.zeros_like(bent), where=strength > 0)
         arrays.opening_weight[:, contacts] *= ratio**2

@@ -34,8 +34,9 @@ def simulate_many(
     """Simulate many scenes; like scenes are integrated together, several times faster than alone.
 
     Scenes are alike if their chains have the same length, contact law and kind of ends, and if they
-    record the same grains at the same times. Each scene has the step and the error estimate that it
-    would have alone. Rounding may differ from `simulate`, which computes the light cone only.
+    record the same grains at the same times. Parameters of a law by formula may differ. Each scene
+    has the step and the error estimate that it would have alone. Rounding may differ from
+    `simulate`, which computes the light cone only.
 
     Parameters
     ----------

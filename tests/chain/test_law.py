@@ -67,6 +67,17 @@ def test_lepton_has_the_same_force_and_energy(text: str, parameters: dict[str, f
             assert eval(energy, names) == pytest.approx(law.energy(place), rel=1e-8, abs=1e-13)
 
 
+@pytest.mark.parametrize("key", ["r", "p", "n", "given", "q0"])
+def test_a_parameter_may_have_the_name_of_a_variable_inside(key: str) -> None:
+    law = Law(f"k*(max(o, 0) + {key}*min(o, 0))", k=1e5, **{key: 0.3})
+    chain = Chain(grains=3, diameter=1e-3, top_load=1e-3, law=law)
+    closer = np.array([0.0, -3e-8, 1e-7, 0.0])
+    found = chain.contacts.force_change(closer)
+    # The contacts are pressed by 10 nm and more.
+    expected = law.force(chain.contacts.overlap + closer) - law.force(chain.contacts.overlap)
+    assert found[1:3] == pytest.approx(expected[1:3], rel=1e-12)
+
+
 def test_parameters_are_one_for_each_contact() -> None:
     law = Law("k*max(o, 0)**n", n=[1.5, 1.3, 0.6], k=1e6)
     expected = 1e6 * np.float64(1e-6) ** np.array([1.5, 1.3, 0.6])

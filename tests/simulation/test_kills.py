@@ -30,7 +30,17 @@ from helpers.child_processes import (
 from helpers.example_scenes import paper
 from helpers.kill_moments import kill_moments
 
-from lmpchain import Chain, EngineUnavailable, Impulse, Scene, Trajectory, engines, resume, simulate
+from lmpchain import (
+    Chain,
+    EngineUnavailable,
+    Impulse,
+    Scene,
+    Trajectory,
+    engines,
+    laws,
+    resume,
+    simulate,
+)
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
@@ -81,6 +91,12 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
     return scene, engines.Native("verlet"), 1e-3
 
 
+def by_formula(monkeypatch: pytest.MonkeyPatch):
+    """A contact law by formula, with a kink."""
+    chain = SMALL.chain.replace(law=laws.bilinear(0.3, k=1e5))
+    return SMALL.replace(chain=chain), engines.Native("rkn4"), 1e-6
+
+
 def fallback(monkeypatch: pytest.MonkeyPatch):
     """An attempt of "auto" with linear theory, which turns out to leave out too much."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
@@ -104,9 +120,12 @@ def busy_disk(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(run_folder, "INTERVALS", intervals)
 
 
-CASES = native, lammps, breakdown, fallback
+CASES = native, by_formula, lammps, breakdown, fallback
 EVERY = [
-    *(pytest.param(case, 4, marks=() if case is native else pytest.mark.slow) for case in CASES),
+    *(
+        pytest.param(case, 4, marks=() if case in (native, by_formula) else pytest.mark.slow)
+        for case in CASES
+    ),
     *(pytest.param(case, 60, marks=pytest.mark.soak) for case in CASES),
 ]
 
@@ -123,7 +142,7 @@ def test_a_kill_at_any_change_of_the_disk(
     left = kill_moments(
         run, lambda: simulate(scene, engine, tolerance, folder=run), most, rng, tmp_path / "killed"
     )
-    assert status(run)["attempt"] >= (1 if case is fallback else 2)
+    assert status(run)["attempt"] >= (1 if case in (fallback, by_formula) else 2)
     # A folder without a scene cannot be resumed.
     begun = [folder for folder in left if (folder / "scene.toml").exists()]
     assert len(begun) > most / 2

@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from helpers.taylor_series import FINEST, Reference, Unresolved, reference, solve
+from helpers import extrapolated_midpoint, taylor_series
+from helpers.taylor_series import Reference, Unresolved
+from helpers.trial_laws import law_trial
 from helpers.trial_scenes import (
     acted_trial_scene,
     damped,
@@ -42,7 +44,7 @@ ROUND = 2.3e-16  # difference of two solutions in double precision
 SAFE = 10.0  # the error of the reference must be smaller than its margin by this factor
 FAMILIES = (
     *("native", "step", "auto", "linear", "lammps", "acted"),
-    *("damped", "damped-lammps", "loose", "damped-short"),
+    *("damped", "damped-lammps", "loose", "damped-short", "law"),
 )
 # Smallest reasonable tolerance.
 LOOSE = {
@@ -129,6 +131,10 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
             engine = "native"
             tolerance = float(10 ** rng.uniform(-11, -3))
             scene = short_damped_scene(rng)
+        case "law":
+            engine = "native"
+            tolerance = float(10 ** rng.uniform(-11, -3))
+            scene = law_trial(rng)
         case "loose":
             engine = rng.choice(["auto", "native"]).item()
             tolerance = float(10 ** rng.uniform(-11, -3))
@@ -159,7 +165,7 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
     chain = scene.chain
     row: dict[str, Any] = {
         "family": family, "seed": seed, "engine": engine, "tolerance": tolerance, **options,
-        "grains": chain.grains, "exponent": chain.exponent, "top": chain.top,
+        "grains": chain.grains, "law": repr(chain.law), "top": chain.top,
         "bottom": chain.bottom,
         "pressed": chain.compressed, "kind": scene.excitation.kind, "samples": scene.samples,
         "number": scene.strike_number, "angle": scene.highest_frequency * scene.duration,
@@ -196,6 +202,12 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
     return row | {"reference_s": time.process_time() - began}
 
 
+def solver_of(scene: Scene) -> Any:
+    """Return the module with the independent integrator of the law of this scene."""
+    by_formula = scene.chain.given_law in extrapolated_midpoint.TERMS
+    return extrapolated_midpoint if by_formula else taylor_series
+
+
 def judge(
     scene: Scene,
     engine: str,
@@ -214,12 +226,13 @@ def judge(
         row |= {"estimate": estimate, "solver": answer.error_estimate.solver,
                 "method": answer.cost.integrator,
                 "answered": answer.engine, "steps": answer.cost.steps}  # fmt: skip
-    finest = FINEST["long double"]
+    solver = solver_of(scene)
+    finest = solver.FINEST["long double"]
     tried = max(finest, 1e-4 * tolerance)
     against = False
     while True:
         try:
-            true, doubt = reference(scene, tried)
+            true, doubt = solver.reference(scene, tried)
         except Unresolved as error:
             return row | {"ending": "missed" if missed else "unresolved", "why": str(error)}
         row |= {"doubt": doubt, "events": true.events}
@@ -263,8 +276,9 @@ def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bo
         if answer.time.size < scene.samples:
             return False
         return true.error(answer.displacement, answer.velocity) < tolerance / 3
+    solver = solver_of(scene)
     try:
-        plain = solve(scene, max(FINEST["double"], 1e-4 * tolerance), "double")
+        plain = solver.solve(scene, max(solver.FINEST["double"], 1e-4 * tolerance), "double")
     except Unresolved:
         return False
     return true.error(plain.displacement, plain.velocity) < tolerance / 3
@@ -303,7 +317,7 @@ def summary(row: dict[str, Any], faults: Iterable[str] = ()) -> str:
     )
     method = f"{row.get('integrator', '')}({row.get('method', '')}){' h' if 'step' in row else ''}"
     what = (
-        f"N={row['grains']} delta={row['exponent']:.4g} {row['top']}/{row['bottom']} {row['kind']} "
+        f"N={row['grains']} {row['law'][:60]} {row['top']}/{row['bottom']} {row['kind']} "
         f"number={row['number']:.2g} angle={row['angle']:.2g} T={row['samples']} {method} "
         f"steps={row.get('steps', '?')} events={row.get('events', '?')}"
     )

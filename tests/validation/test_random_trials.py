@@ -24,6 +24,8 @@ TRIALS = {
     "damped": 1000,
     "damped-lammps": 300,
     "loose": 3000,
+    "damped-short": 1000,
+    "law": 1000,
 }
 
 
@@ -195,3 +197,12 @@ def test_no_error_exceeds_its_tolerance_without_a_warning(family):
     print(told := table(rows))
     assert not [row for row in rows if row["ending"] in ("above", "failed", "slow")], told
     assert sum(bool(row.get("low")) for row in rows) <= len(rows) / 1000, told
+
+
+# 32: a kink of odd forces; 92: a forced motion without a bound of its energy.
+@pytest.mark.parametrize("seed", [1, 6, 12, 32, 92])
+def test_a_trial_of_a_law_by_formula(seed: int) -> None:
+    row = trial("law", seed, LONGEST)
+    assert row["ending"] == "right"
+    assert not row["low"]
+    assert row["seconds"] < 30

@@ -358,6 +358,9 @@ class LammpsColumn:
     @cached_property
     def coefficients(self) -> list[str]:
         """Arguments of the pair_coeff commands."""
+        unused = f"{self.type_count + 1} {self.type_count + 1} dpd 0.0 0.0"
+        if self.formula:
+            return ["* * none", unused]
         # Among several pair styles, a coefficient names its own.
         style = f" {self.pair_style}" if self.predicts else ""
         pairs = self._types_and_contacts[1]
@@ -371,12 +374,13 @@ class LammpsColumn:
             ]
         else:
             lines = [f"* *{style}"]
-        unused = self.type_count + 1
-        return [*lines, f"{unused} {unused} dpd 0.0 0.0"] if self.predicts else lines
+        return [*lines, unused] if self.predicts else lines
 
     @property
     def style(self) -> str:
         """Arguments of the pair_style command."""
+        if self.formula:
+            return f"hybrid/overlay dpd 0.0 {self.skin!r} 1" if self.predicts else "none"
         style = self.pair_style
         if style != "granular":
             contact = self._types_and_contacts[1].get((1, 1), Contact(1.0, 0.0))

@@ -182,13 +182,10 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
     types = np.array(column.types)
     atoms = "%d %d %s %s 0 0 %r\n"
     columns: tuple[Array, ...] = types, column.diameters, column.densities, z
-    if column.predicts:
-        # Positions come first, and what atom_style sph adds last.
-        atoms = "%d %d 0 0 %r %s %s 0 0 0\n"
-        columns = types, z, column.diameters, column.densities
-    if column.formula:
-        # Positions come first, and the molecule of atom_style bond last.
-        atoms = "%d %d 0 0 %r %s %s 0\n"
+    if column.predicts or column.formula:
+        # Positions come first, the molecule of atom_style bond and what sph adds come last.
+        last = " 0" * bool(column.formula) + " 0 0 0" * column.predicts
+        atoms = f"%d %d 0 0 %r %s %s{last}\n"
         columns = types, z, column.diameters, column.densities
     pieces = render_pieces(
         "column.data",

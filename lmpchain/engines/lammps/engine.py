@@ -211,8 +211,9 @@ class Lammps(TimeSteppingEngine):
         if self.pair_style != "granular":
             return [("pair_style", f"{self.pair_style} has no law by formula: leave it out")]
         native = "use the engine native"
-        if scene.chain.damped:
-            return [("chain.damping", f"LAMMPS has no damping with a law by formula; {native}")]
+        if scene.chain.contact_viscosity.any():
+            fault = "LAMMPS has no viscous contacts with a law by formula, only a drag"
+            return [("chain.damping.viscoelastic", f"{fault}; {native}")]
         if scene.excitation.wall is not None:
             return [("excitation", f"LAMMPS moves no wall with a law by formula; {native}")]
         return []

@@ -335,7 +335,7 @@ def kind(scene: Scene) -> tuple:
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains
-    built = chain.grains, *ends, chain.law, chain.compressed, chain.damped
+    built = chain.grains, *ends, chain.law.form, chain.compressed, chain.damped
     on_ground = chain.ground and kernel_of(chain.ground)
     acted = excitation.driven, excitation.does_work
     return *built, on_ground, *acted, scene.samples, scene.duration, scene.grains

@@ -92,13 +92,14 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         STRIKE,
         1e-3,
     ),
+    "drag": ({"law": laws.toda(1e5, k=K), "damping": {"drag": 300.0}}, STRIKE, 1e-3),
     "walls": (
         {"law": CUBIC, "gravity": 9.81, "top": "wall", "bottom": "wall", "top_load": 0.01},
         Impulse(velocity=0.01),
         2e-4,
     ),
 }
-DEFAULT = ("toda under gravity", "one exponent a contact", "adhesion", "walls")
+DEFAULT = ("drag", "toda under gravity", "one exponent a contact", "adhesion", "walls")
 
 
 def case(name: str) -> tuple[Scene, float]:
@@ -218,7 +219,12 @@ def test_a_resumed_run_gives_the_same_bits(
 
 
 REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
-    "damping": ({"damping": {"drag": 10.0}}, {}, STRIKE, "no damping with a law by formula"),
+    "damping": (
+        {"damping": {"viscoelastic": 1e-7}},
+        {},
+        STRIKE,
+        "no viscous contacts with a law by formula, only a drag",
+    ),
     "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
     "moving wall": (
         {"top": "wall", "top_load": 1e-2},

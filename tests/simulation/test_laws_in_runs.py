@@ -1,0 +1,138 @@
+"""Native runs of laws by formula: resumed, on threads, in batches, sweeps, and files."""
+
+import itertools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lmpchain
+from lmpchain import (
+    Chain,
+    Damping,
+    Impulse,
+    Law,
+    Scene,
+    Stopped,
+    laws,
+    resume,
+    simulate,
+    simulate_many,
+)
+from lmpchain.engines import Native
+from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping.time_stepping import kind
+
+N = 9
+HARDER = Law("k*max(o, 0)**1.5*(1 + c*o)", k=1e9, c=1e5)
+KINKED = Law("k*(max(o, 0) + r*min(o, 0))", k=1e5, r=0.3)
+
+
+def scene_of(law: Law, **options: Any) -> Scene:
+    fields = {"grains": N, "diameter": 1e-3, "top_load": 0.01, "law": law}
+    excitation = Impulse(velocity=0.2)
+    chain = Chain(**fields | options)
+    return Scene(chain=chain, excitation=excitation, duration=2e-4, samples=41)
+
+
+def same(one: lmpchain.Trajectory, two: lmpchain.Trajectory) -> bool:
+    return np.array_equal(one.displacement[:], two.displacement[:]) and np.array_equal(
+        one.velocity[:], two.velocity[:]
+    )
+
+
+@pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])
+@pytest.mark.parametrize("damped", [False, True])
+def test_a_run_that_was_stopped_ends_with_the_same_bits(
+    law: Law, damped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = {"damping": Damping(viscoelastic=1e-7, drag=100.0)} if damped else {}
+    scene = scene_of(law, **options)
+    whole = simulate(scene, "native", 1e-8)
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
+    stops = 0
+    for attempt in itertools.count():
+        limit = 1e-9 if attempt < 3 else None
+        try:
+            if attempt == 0:
+                simulate(scene, "native", 1e-8, folder=tmp_path / "run", max_wall=limit)
+            else:
+                answer = resume(tmp_path / "run", max_wall=limit)
+                break
+        except Stopped:
+            stops += 1
+    assert stops > 0
+    assert same(answer, whole)
+    assert answer.scene == scene
+
+
+def test_a_saved_answer_and_its_scene_are_read_back(tmp_path: Path) -> None:
+    parameters = np.linspace(1e4, 1e5, N - 1).tolist()
+    scene = scene_of(HARDER.replace(c=parameters))
+    run = simulate(scene, "native", 1e-6)
+    run.save(tmp_path / "run.nc")
+    again = lmpchain.Trajectory.load(tmp_path / "run.nc")
+    assert again.scene == scene
+    assert again.scene.chain.law.given["c"] == tuple(parameters)
+    assert same(again, run)
+    scene.to_toml(tmp_path / "scene.toml")
+    assert Scene.from_toml(tmp_path / "scene.toml") == scene
+
+
+BATCHES = {
+    "parameters": [scene_of(HARDER.replace(c=c)) for c in (0.0, 1e5, 3e5, 1e6)],
+    "constants": [scene_of(HARDER.replace(k=k)) for k in (1e9, 2e9)],
+    "one for each contact": [
+        scene_of(HARDER.replace(c=c)) for c in (1e5, np.linspace(1e4, 1e6, N - 1).tolist())
+    ],
+    "pulls": [
+        scene_of(laws.toda(b=b, k=1e5), gravity=0.0, top_load=0.0, top="wall", bottom="wall")
+        for b in (1e5, 2e5, 4e5)
+    ],
+    "kinks of their own": [scene_of(KINKED.replace(r=r)) for r in (0.3, 0.6)]
+    + [scene_of(Law("k*(o + max(o - e, 0))", k=1e5, e=e)) for e in (1e-7, 6e-7)],
+    "damped": [
+        scene_of(KINKED.replace(r=r), damping=Damping(viscoelastic=1e-7)) for r in (0.3, 0.6)
+    ],
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_batch_has_parameters_of_its_own_for_every_scene(name: str) -> None:
+    scenes = BATCHES[name]
+    answers = simulate_many(scenes, tolerance=1e-9)
+    finals = []
+    for scene, found in zip(scenes, answers, strict=True):
+        alone = simulate(scene, "native", tolerance=1e-9)
+        size = np.abs(alone.velocity).max()
+        allowed = alone.error_estimate.total + found.error_estimate.total + 1e-13
+        assert np.abs(alone.velocity - found.velocity).max() <= allowed * size
+        assert found.error_estimate.total <= 1e-9
+        finals.append(found.velocity[-1])
+    # The scenes differ by far more than the tolerance.
+    assert np.abs(np.diff(finals, axis=0)).max(axis=1).min() > 1e-5
+
+
+def test_scenes_that_differ_in_parameters_are_one_batch() -> None:
+    for name in ("parameters", "constants", "one for each contact", "pulls", "damped"):
+        assert len({kind(scene) for scene in BATCHES[name]}) == 1
+    assert len({kind(scene) for scene in BATCHES["kinks of their own"]}) == 3
+
+
+@pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])
+def test_threads_do_not_change_a_bit(law: Law) -> None:
+    scene = scene_of(law, grains=600)
+    one, two = (simulate(scene, Native(threads=threads), tolerance=1e-6) for threads in (1, 2))
+    assert same(one, two)
+
+
+def test_a_sweep_varies_a_parameter(tmp_path: Path) -> None:
+    scene = scene_of(HARDER)
+    values = [1e4, 1e5, 1e6]
+    table = lmpchain.sweep(
+        {"scene": scene.to_dict(), "grid": {"chain.law.c": values}, "keep": ["peak_velocity"]},
+        tmp_path / "sweep",
+    )
+    assert (table.reason == "").all()
+    assert table["chain.law.c"].to_numpy().tolist() == values
