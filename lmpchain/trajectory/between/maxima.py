@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
-from .derivatives import NEWS, SampledBlock, compiled, joined
+from .derivatives import SampledBlock, compiled, compiled_measure, joined
 from .hermite import (
     BEND,
     DISPLACEMENT,
@@ -301,7 +300,9 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
 
 @compiled
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
-    """Process some intervals of a body; return the log of its events and their number.
+    """Process some intervals of a body, as long as the log of events has room.
+
+    Return the first interval that is left, or the end of the window, and the number of events.
 
     Parameters
     ----------
@@ -335,6 +336,8 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     for k in range(3):
         largest[k, n] = larger(largest[k, n], top)
     for i in range(window.begin, window.end):
+        if latest.size and used + ROOM > events.size:
+            return i, used
         before = y[i]
         after = y[i + 1]
         error = p[ERROR, i]
@@ -369,12 +372,6 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
         elif not seen:
             largest[HIGH, n] = larger(largest[HIGH, n], limit)
         if latest.size and (rises or not seen or latest[n].kind != LEVEL):
-            if used + ROOM > events.size:
-                # Doubling the size keeps the cost of copies below that of the events.
-                grown = np.empty(2 * events.size + ROOM, EVENT)
-                for k in range(used):
-                    grown[k] = events[k]
-                events = grown
             t = (window.first + i) * h
             if latest[n].kind == LEVEL:
                 # Maxima are sought from here on.
@@ -385,7 +382,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
             ends = (before, after)
             counts = (count, turns)
             used = _log_maxima(p, interval, ends, counts, latest[n], events, used, work)
-    return events, used
+    return window.end, used
 
 
 @compiled
@@ -484,19 +481,29 @@ def reduce(
     events : (E,) array of EVENT
         Those so far.
     """
-    path = np.zeros((8, block.u.shape[1]))
-    arguments = (block, table, derived, ceiling, window, *largest, tracked, latest, events)
-    log, used = _reduce(*arguments, path, scratch())
-    return log[:used]
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def _reduce(
-    block, table, derived, ceiling, window, far, fast, closest, tracked, latest, events, path, work
-):
-    """Do the work of `reduce`; return the log and the number of its events."""
+    motion = (block, table, derived, ceiling)
+    work = np.zeros((8, block.u.shape[1])), scratch()
     used = events.size
-    for f in range(table.shape[0]):
+    row = 0
+    rest = window
+    while row < table.shape[0]:
+        # Doubling the size keeps the cost of copies below that of the events.
+        events = np.concatenate((events[:used], np.zeros(used + ROOM, EVENT)))
+        row, begin, used = _reduce(*motion, window, *largest, tracked, latest, events, used, *work, row, rest)
+        rest = window._replace(begin=begin)
+    return events[:used]
+
+
+@compiled_measure()
+def _reduce(
+    block, table, derived, ceiling, window, far, fast, closest, tracked, latest, events, used, path, work, begin, rest
+):
+    """Do the work of `reduce` from a row of the table on, as long as the log has room.
+
+    Of the first row, only the intervals `rest` are left. Return the row and interval that are left,
+    and the number of events.
+    """
+    for f in range(begin, table.shape[0]):
         kind = table[f, 3]
         n = table[f, 4]
         moves = fill_path(path, block, derived, table[f, 0], table[f, 1], table[f, 2])
@@ -504,7 +511,8 @@ def _reduce(
             limits = ceiling[n if ceiling.shape[0] > 1 else 0]
             largest = fast if kind == VELOCITY else (far if kind == DISPLACEMENT else closest)
             few = latest if kind == tracked else latest[:0]
-            events, used = follow(
-                path, kind, block.h, window, limits, largest, few, n, events, used, work
-            )
-    return events, used
+            left = rest if f == begin else window
+            i, used = follow(path, kind, block.h, left, limits, largest, few, n, events, used, work)
+            if i < window.end:
+                return f, i, used
+    return table.shape[0], window.end, used
