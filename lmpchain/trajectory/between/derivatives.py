@@ -25,7 +25,7 @@ UNKNOWN = -2
 # Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation. Nothing
 # compiled makes arrays, so that counting references, half of the compilation, is left out.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
-INGREDIENT = _OPTIONS | {"no_cpython_wrapper": True, "pipeline_class": Ingredient}
+INGREDIENT = _OPTIONS | {"pipeline_class": Ingredient}
 compiled = numba.njit(**INGREDIENT)
 # Functions with records of arrays are inlined, because copies of the records would be expensive.
 joined = numba.njit(**INGREDIENT, forceinline=True)
