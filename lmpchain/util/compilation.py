@@ -38,7 +38,6 @@ OF_KERNELS = re.compile(r"^from \.\.\.integrators\.kernels\.(\w+) import", re.MU
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
 
-
 def _equal_flags(one: Flags, other: object) -> bool:
     """Return whether two sets of flags are equal, without reading each flag of equal ones."""
     given = isinstance(other, Flags) and one._values == other._values
@@ -46,7 +45,7 @@ def _equal_flags(one: Flags, other: object) -> bool:
 
 
 # Numba compares flags some 50,000 times in a first run, which takes 7 % of the compilation.
-Flags.__eq__ = _equal_flags  # type: ignore[method-assign]
+Flags.__eq__ = _equal_flags  # type: ignore[assignment,method-assign]
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     # The kernels use records that Python does not have.
@@ -66,7 +65,7 @@ if BLAS not in sys.modules:
 LONG_S = 3  # what compiles as long is announced, and has a bar from then on
 # Number of new objects between two searches for garbage during a compilation. Numba makes millions
 # of objects; with Python's 700, the searches take 10 % of the time.
-GARBAGE = 50_000
+GARBAGE = 500_000
 
 
 class _Job(NamedTuple):
@@ -203,7 +202,14 @@ class Ingredient(Compiler):
     """
 
     def __init__(
-        self, typing: Any, target: Any, _library: Any, args: Any, result: Any, flags: Any, names: Any
+        self,
+        typing: Any,
+        target: Any,
+        _library: Any,
+        args: Any,
+        result: Any,
+        flags: Any,
+        names: Any,
     ):
         flags.no_cpython_wrapper = True
         flags.no_cfunc_wrapper = True

@@ -441,6 +441,9 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
         Their numbers.
     """
     derived = np.zeros((grains.size, 3, block.u.shape[1]))
+    lawful = block.lawful[grains]
+    if not lawful.all():
+        _fill_sampled(block.u, block.v, block.column[grains], lawful, block.h, derived)
     _fill_derived(
         block, grains, np.full(block.column.size, -1), derived, np.zeros((5, *derived.shape[2:]))
     )
@@ -448,14 +451,21 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
 
 
 @compiled_measure()
+def _fill_sampled(u, v, column, lawful, h, derived):
+    """Fill in the results of `derive` that follow from the samples: those of damped chains."""
+    for g in range(lawful.size):
+        if not lawful[g]:
+            _differentiate(u[column[g]], v[column[g]], h, derived[g])
+
+
+@compiled_measure()
 def _fill_derived(block, grains, row, derived, work):
-    """Fill in the results of `derive`, and the row of each body in them (-1 if absent)."""
+    """Fill in the results of `derive` by the law, and the row in them of each body, or -1."""
     law = block.law
     imposed = block.imposed
     for g in range(grains.size):
         n = grains[g]
         if not block.lawful[n]:
-            _differentiate(block.u[block.column[n]], block.v[block.column[n]], block.h, derived[g])
             continue
         if law.inverse_mass[n - 1] > 0.0 and not (n == imposed.grain and imposed.driven):
             row[n] = g

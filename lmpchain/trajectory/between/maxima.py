@@ -405,8 +405,8 @@ def _add_body(p, sign, block, derived, place, n):
         _add_row(p[U], sign, block.u[column])
         _add_row(p[V], sign, block.v[column])
     if place >= 0:
-        _add_row(p[A], sign, derived[place, 0])
-        _add_row(p[J], sign, derived[place, 1])
+        for k in range(2):
+            _add_row(p[A + k], sign, derived[place, k])
         _add_row(p[DOUBT], 1.0, derived[place, 2])
 
 
@@ -419,9 +419,9 @@ def fill_path(p, block, derived, body, row, lower):
     for k in range(5):
         for i in range(p.shape[1]):
             p[k, i] = 0.0
-    _add_body(p, 1.0, block, derived, row, body)
-    if lower >= AT_REST:
-        _add_body(p, -1.0, block, derived, lower, body + 1)
+    # In a loop, the compiler puts the code for a body in place once.
+    for side in range(2 if lower >= AT_REST else 1):
+        _add_body(p, 1.0 - 2.0 * side, block, derived, lower if side else row, body + side)
     moves = False
     for i in range(p.shape[1]):
         moves |= (p[U, i] != 0.0) | (p[V, i] != 0.0)
@@ -481,29 +481,30 @@ def reduce(
     events : (E,) array of EVENT
         Those so far.
     """
-    motion = (block, table, derived, ceiling)
     work = np.zeros((8, block.u.shape[1])), scratch()
     used = events.size
-    row = 0
     rest = window
-    while row < table.shape[0]:
+    while len(table):
         # Doubling the size keeps the cost of copies below that of the events.
         events = np.concatenate((events[:used], np.zeros(used + ROOM, EVENT)))
-        row, begin, used = _reduce(*motion, window, *largest, tracked, latest, events, used, *work, row, rest)
+        maxima = tuple(largest), tracked, latest, (events, used)
+        done, begin, used = _reduce(block, table, derived, ceiling, rest, window, *maxima, work)
+        table = table[done:]
         rest = window._replace(begin=begin)
     return events[:used]
 
 
 @compiled_measure()
-def _reduce(
-    block, table, derived, ceiling, window, far, fast, closest, tracked, latest, events, used, path, work, begin, rest
-):
-    """Do the work of `reduce` from a row of the table on, as long as the log has room.
+def _reduce(block, table, derived, ceiling, rest, window, sizes, tracked, latest, log, work):
+    """Do the work of `reduce` as long as the log has room; of the first row, do only `rest`.
 
-    Of the first row, only the intervals `rest` are left. Return the row and interval that are left,
-    and the number of events.
+    Return the number of rows that are done, the first interval of the next row that is left, and
+    the number of events.
     """
-    for f in range(begin, table.shape[0]):
+    far, fast, closest = sizes
+    events, used = log
+    path, places = work
+    for f in range(table.shape[0]):
         kind = table[f, 3]
         n = table[f, 4]
         moves = fill_path(path, block, derived, table[f, 0], table[f, 1], table[f, 2])
@@ -511,8 +512,10 @@ def _reduce(
             limits = ceiling[n if ceiling.shape[0] > 1 else 0]
             largest = fast if kind == VELOCITY else (far if kind == DISPLACEMENT else closest)
             few = latest if kind == tracked else latest[:0]
-            left = rest if f == begin else window
-            i, used = follow(path, kind, block.h, left, limits, largest, few, n, events, used, work)
-            if i < window.end:
-                return f, i, used
-    return table.shape[0], window.end, used
+            left = window if f > 0 else rest
+            begin, used = follow(
+                path, kind, block.h, left, limits, largest, few, n, events, used, places
+            )
+            if begin < window.end:
+                return f, begin, used
+    return table.shape[0], window.begin, used
