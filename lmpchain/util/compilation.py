@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import pickle
 import re
 import secrets
@@ -19,9 +20,10 @@ import numba
 from numba.core.bytecode import FunctionIdentity
 from numba.core.caching import FunctionCache, IndexDataCacheFile
 from numba.core.codegen import JITCodeLibrary
-from numba.core.compiler import Compiler
+from numba.core.compiler import Compiler, Flags
 from numba.core.event import Event, Listener, register
 from numba.core.runtime import rtsys
+from numba.core.targetconfig import TargetConfig
 
 from .progress import PERCENT, ProgressBar
 from .remarks import warn
@@ -34,6 +36,16 @@ OF_KERNELS = re.compile(r"^from \.\.\.integrators\.kernels\.(\w+) import", re.MU
 # calls the wrong one: a force with another exponent, or a step of another method
 # (https://github.com/numba/numba/issues/10486). Random numbers are unique, in forks, too.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
+
+
+def _equal_flags(one: Flags, other: object) -> bool:
+    """Return whether two sets of flags are equal, without reading each flag of equal ones."""
+    given = isinstance(other, Flags) and one._values == other._values
+    return given or TargetConfig.__eq__(one, other)
+
+
+# Numba compares flags some 50,000 times in a first run, which takes 7 % of the compilation.
+Flags.__eq__ = _equal_flags  # type: ignore[assignment,method-assign]
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     # The kernels use records that Python does not have.
@@ -51,6 +63,9 @@ if BLAS not in sys.modules:
     del sys.modules[BLAS]
 
 LONG_S = 3  # what compiles as long is announced, and has a bar from then on
+# Number of new objects between two searches for garbage during a compilation. Numba makes millions
+# of objects; with Python's 700, the searches take 10 % of the time.
+GARBAGE = 500_000
 
 
 class _Job(NamedTuple):
@@ -67,10 +82,14 @@ DIGEST = sha256().digest_size
 
 
 class _Announcer(Listener):
-    """Announcer of compilations that take long; loading a cached result is silent."""
+    """Announcer of compilations that take long; loading a cached result is silent.
+
+    Meanwhile, garbage is collected less often.
+    """
 
     def __init__(self) -> None:
         self.depth = 0
+        self.garbage = gc.get_threshold()
         self.bar: ProgressBar | None = None
         self.silent = False
 
@@ -86,10 +105,15 @@ class _Announcer(Listener):
                     job.seconds, "compiling", layout=PERCENT, delay_s=LONG_S, shown=on_terminal
                 )
                 self.began = time.perf_counter()
+        if self.depth == 0:
+            self.garbage = gc.get_threshold()
+            gc.set_threshold(max(GARBAGE, self.garbage[0]), *self.garbage[1:])
         self.depth += 1
 
     def on_end(self, event: Event) -> None:
         self.depth -= 1
+        if self.depth == 0:
+            gc.set_threshold(*self.garbage)
         if self.bar is not None:
             # Compilations are nested, so only the clock shows the remaining time.
             self.bar.reach(min(time.perf_counter() - self.began, self.bar.total))
@@ -173,11 +197,24 @@ class _Ingredients(JITCodeLibrary):
 class Ingredient(Compiler):
     """Compiler for functions that only compiled functions call, for `numba.njit`.
 
-    Numba would optimise and emit each function separately as well, a ninth of the total time.
+    Numba would optimise and emit each function separately as well, a ninth of the total time, and
+    make wrappers by which Python and C could call it.
     """
 
-    def __init__(self, typing: Any, target: Any, _library: Any, *rest: Any):
-        super().__init__(typing, target, _Ingredients(target.codegen(), "ingredient"), *rest)
+    def __init__(
+        self,
+        typing: Any,
+        target: Any,
+        _library: Any,
+        args: Any,
+        result: Any,
+        flags: Any,
+        names: Any,
+    ):
+        flags.no_cpython_wrapper = True
+        flags.no_cfunc_wrapper = True
+        library = _Ingredients(target.codegen(), "ingredient")
+        super().__init__(typing, target, library, args, result, flags, names)
 
 
 class _KeptFile(IndexDataCacheFile):

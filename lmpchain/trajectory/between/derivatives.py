@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from functools import partial
+from typing import Any, NamedTuple
 
 import numba
 import numpy as np
@@ -18,14 +19,19 @@ from ...util.lazy import listed
 
 __dir__ = listed(__name__)
 
-NEWS = "the measures", 8  # topic and seconds of the compilation
 # Columns of bodies at rest and of unrecorded bodies; any negative numbers would do.
 STILL = -1
 UNKNOWN = -2
-# Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation.
-compiled = numba.njit(error_model="numpy", pipeline_class=Ingredient)
+# Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation. Nothing
+# compiled makes arrays, so that counting references, half of the compilation, is left out.
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+INGREDIENT = _OPTIONS | {"pipeline_class": Ingredient}
+compiled = numba.njit(**INGREDIENT)
 # Functions with records of arrays are inlined, because copies of the records would be expensive.
-joined = numba.njit(error_model="numpy", forceinline=True, pipeline_class=Ingredient)
+joined = numba.njit(**INGREDIENT, forceinline=True)
+# Numba itself inlines functions that return arrays or records, and long ones with one caller.
+pasted = numba.njit(**INGREDIENT, inline="always")
+compiled_measure = partial(compiled_once, "the measures", 8, nogil=True, **_OPTIONS)
 
 
 class OpeningErrors(NamedTuple):
@@ -326,7 +332,7 @@ def _inverse_mass(law, n):
     return law.inverse_mass[n - 1] if 0 < n <= law.inverse_mass.size else 0.0
 
 
-@compiled
+@pasted
 def _motion(block, n, rest):
     """Return displacement and velocity of a body, (R,) each."""
     column = block.column[n]
@@ -435,21 +441,31 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
         Their numbers.
     """
     derived = np.zeros((grains.size, 3, block.u.shape[1]))
+    lawful = block.lawful[grains]
+    if not lawful.all():
+        _fill_sampled(block.u, block.v, block.column[grains], lawful, block.h, derived)
     _fill_derived(
         block, grains, np.full(block.column.size, -1), derived, np.zeros((5, *derived.shape[2:]))
     )
     return derived
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
+@compiled_measure()
+def _fill_sampled(u, v, column, lawful, h, derived):
+    """Fill in the results of `derive` that follow from the samples: those of damped chains."""
+    for g in range(lawful.size):
+        if not lawful[g]:
+            _differentiate(u[column[g]], v[column[g]], h, derived[g])
+
+
+@compiled_measure()
 def _fill_derived(block, grains, row, derived, work):
-    """Fill in the results of `derive`, and the row of each body in them (-1 if absent)."""
+    """Fill in the results of `derive` by the law, and the row in them of each body, or -1."""
     law = block.law
     imposed = block.imposed
     for g in range(grains.size):
         n = grains[g]
         if not block.lawful[n]:
-            _differentiate(block.u[block.column[n]], block.v[block.column[n]], block.h, derived[g])
             continue
         if law.inverse_mass[n - 1] > 0.0 and not (n == imposed.grain and imposed.driven):
             row[n] = g

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
-from .derivatives import NEWS, SampledBlock, compiled
+from .derivatives import SampledBlock, compiled, compiled_measure
 from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
 from .maxima import EVENT, HIDDEN, HIGH, LOW, MAXIMUM, NONE, SHOULDER, VALUE, fill_path
 
@@ -179,7 +178,7 @@ def _events_of_grain(events, begin, latest, few):
     return count + 1
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
+@compiled_measure()
 def _fill_arrivals(events, latest, largest, start, rules, few, out):
     """Fill in the results of `arrivals`."""
     begin = 0
@@ -308,7 +307,7 @@ def _width(p, front, apart, rules, work):
     return width, error
 
 
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
+@compiled_measure()
 def _fill_fronts(block, grains, derived, events, latest, largest, start, rules, few, p, work, out):
     """Fill in the results of `fronts`."""
     begin = 0

@@ -20,8 +20,7 @@ import numba
 import numpy as np
 
 from ...util.arrays import Array
-from ...util.compilation import Ingredient
-from .derivatives import compiled, joined
+from .derivatives import INGREDIENT, compiled, joined
 
 # Values of interest: |u|, |v|, or u with its sign.
 DISPLACEMENT, VELOCITY, RAISED = range(3)
@@ -126,7 +125,7 @@ def size(y, kind):
 
 
 # Without NaN and signed zeros the compiler vectorises the maximum.
-@numba.njit(error_model="numpy", fastmath={"nnan", "nsz"}, pipeline_class=Ingredient)
+@numba.njit(**INGREDIENT, fastmath={"nnan", "nsz"})
 def highest(y, begin, end, kind):
     """Return the largest size of the values from `begin` to before `end`."""
     top = size(y[begin], kind)

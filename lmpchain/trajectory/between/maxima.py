@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...util.arrays import Array
-from ...util.compilation import compiled_once
-from .derivatives import NEWS, SampledBlock, compiled, joined
+from .derivatives import SampledBlock, compiled, compiled_measure, joined
 from .hermite import (
     BEND,
     DISPLACEMENT,
@@ -301,7 +300,9 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
 
 @compiled
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
-    """Process some intervals of a body; return the log of its events and their number.
+    """Process some intervals of a body, as long as the log of events has room.
+
+    Return the first interval that is left, or the end of the window, and the number of events.
 
     Parameters
     ----------
@@ -335,6 +336,8 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     for k in range(3):
         largest[k, n] = larger(largest[k, n], top)
     for i in range(window.begin, window.end):
+        if latest.size and used + ROOM > events.size:
+            return i, used
         before = y[i]
         after = y[i + 1]
         error = p[ERROR, i]
@@ -369,12 +372,6 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
         elif not seen:
             largest[HIGH, n] = larger(largest[HIGH, n], limit)
         if latest.size and (rises or not seen or latest[n].kind != LEVEL):
-            if used + ROOM > events.size:
-                # Doubling the size keeps the cost of copies below that of the events.
-                grown = np.empty(2 * events.size + ROOM, EVENT)
-                for k in range(used):
-                    grown[k] = events[k]
-                events = grown
             t = (window.first + i) * h
             if latest[n].kind == LEVEL:
                 # Maxima are sought from here on.
@@ -385,7 +382,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
             ends = (before, after)
             counts = (count, turns)
             used = _log_maxima(p, interval, ends, counts, latest[n], events, used, work)
-    return events, used
+    return window.end, used
 
 
 @compiled
@@ -408,8 +405,8 @@ def _add_body(p, sign, block, derived, place, n):
         _add_row(p[U], sign, block.u[column])
         _add_row(p[V], sign, block.v[column])
     if place >= 0:
-        _add_row(p[A], sign, derived[place, 0])
-        _add_row(p[J], sign, derived[place, 1])
+        for k in range(2):
+            _add_row(p[A + k], sign, derived[place, k])
         _add_row(p[DOUBT], 1.0, derived[place, 2])
 
 
@@ -422,9 +419,9 @@ def fill_path(p, block, derived, body, row, lower):
     for k in range(5):
         for i in range(p.shape[1]):
             p[k, i] = 0.0
-    _add_body(p, 1.0, block, derived, row, body)
-    if lower >= AT_REST:
-        _add_body(p, -1.0, block, derived, lower, body + 1)
+    # In a loop, the compiler puts the code for a body in place once.
+    for side in range(2 if lower >= AT_REST else 1):
+        _add_body(p, 1.0 - 2.0 * side, block, derived, lower if side else row, body + side)
     moves = False
     for i in range(p.shape[1]):
         moves |= (p[U, i] != 0.0) | (p[V, i] != 0.0)
@@ -484,18 +481,29 @@ def reduce(
     events : (E,) array of EVENT
         Those so far.
     """
-    path = np.zeros((8, block.u.shape[1]))
-    arguments = (block, table, derived, ceiling, window, *largest, tracked, latest, events)
-    log, used = _reduce(*arguments, path, scratch())
-    return log[:used]
-
-
-@compiled_once(*NEWS, nogil=True, error_model="numpy")
-def _reduce(
-    block, table, derived, ceiling, window, far, fast, closest, tracked, latest, events, path, work
-):
-    """Do the work of `reduce`; return the log and the number of its events."""
+    work = np.zeros((8, block.u.shape[1])), scratch()
     used = events.size
+    rest = window
+    while len(table):
+        # Doubling the size keeps the cost of copies below that of the events.
+        events = np.concatenate((events[:used], np.zeros(used + ROOM, EVENT)))
+        maxima = tuple(largest), tracked, latest, (events, used)
+        done, begin, used = _reduce(block, table, derived, ceiling, rest, window, *maxima, work)
+        table = table[done:]
+        rest = window._replace(begin=begin)
+    return events[:used]
+
+
+@compiled_measure()
+def _reduce(block, table, derived, ceiling, rest, window, sizes, tracked, latest, log, work):
+    """Do the work of `reduce` as long as the log has room; of the first row, do only `rest`.
+
+    Return the number of rows that are done, the first interval of the next row that is left, and
+    the number of events.
+    """
+    far, fast, closest = sizes
+    events, used = log
+    path, places = work
     for f in range(table.shape[0]):
         kind = table[f, 3]
         n = table[f, 4]
@@ -504,7 +512,10 @@ def _reduce(
             limits = ceiling[n if ceiling.shape[0] > 1 else 0]
             largest = fast if kind == VELOCITY else (far if kind == DISPLACEMENT else closest)
             few = latest if kind == tracked else latest[:0]
-            events, used = follow(
-                path, kind, block.h, window, limits, largest, few, n, events, used, work
+            left = window if f > 0 else rest
+            begin, used = follow(
+                path, kind, block.h, left, limits, largest, few, n, events, used, places
             )
-    return events, used
+            if begin < window.end:
+                return f, begin, used
+    return table.shape[0], window.begin, used
