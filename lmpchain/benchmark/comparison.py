@@ -23,7 +23,8 @@ from ..util.plotting import (
     set_title,
     window,
 )
-from ..util.tables import NamedColumn, Tabular, align, finite, number, of_rows, wrap
+from ..util.tables import align, finite, number, wrap
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
 
 if TYPE_CHECKING:

@@ -10,7 +10,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..errors import shown
-from ..util.validation import Checked, Positive, Real, did_you_mean
+from ..util.suggestions import did_you_mean
+from ..util.validation import Checked, Positive, Real
 
 # Least plausible values; smaller ones are probably given in GPa or g/cm3.
 LEAST_MODULUS = 1e6  # Pa

@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TextIO
 
 from ..errors import InputError
-from ..util.validation import either
+from ..util.suggestions import either
 
 # Heavy modules are imported inside the functions, so that wrong input is reported at once.
 if TYPE_CHECKING:

@@ -57,6 +57,12 @@ def new(arguments: argparse.Namespace) -> int:
         raise InputError.at("scene", "must be a name of letters that can be printed")
     if data and path == STDOUT:
         raise InputError.at(name, f"{example} has a file beside its scene: name a file")
+    _write_example(example, path, data, name)
+    return 0
+
+
+def _write_example(example: str, path: Path, data: Path | None, name: str) -> None:
+    """Write an example and its file of an instrument, if any; print what follows."""
     from ..util.files import write_aside
     from ..util.templates import render
 
@@ -80,7 +86,6 @@ def new(arguments: argparse.Namespace) -> int:
     print(
         "\n".join(wrap("other examples: " + ", ".join(key for key in EXAMPLES if key != example)))
     )
-    return 0
 
 
 def _from_run(arguments: argparse.Namespace, path: Path) -> int:

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any, NoReturn
 
 from ..errors import SHOWN_LETTERS, short
-from ..util.validation import did_you_mean
+from ..util.suggestions import did_you_mean
 from .common import complain
 
 

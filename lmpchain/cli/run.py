@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from ..errors import InputError, ToleranceNotMet, check_tolerance
 from ..util import mpi
 from ..util.remarks import warn
+from ..util.suggestions import either
 from ..util.tables import align, counted, finite
-from ..util.validation import either
 from .common import (
     STANDARD,
     beside,

@@ -115,10 +115,16 @@ OF_A_RUN = (
             "young": "Young's modulus in Pa, in place of a material",
             "poisson": "Poisson's ratio, in place of a material",
             "density": "kg/m3, if the run has no masses",
-            "diameter": "m, if the run has no radii",
             "timestep": "time step in s, if the run does not have it",
             "duration": "s, if the run does not have it",
         }.items()
+    ),
+    _argument(
+        "--grain-diameter",
+        dest="diameter",
+        metavar="X",
+        type=float,
+        help="with --from: m, if the run has no radii",
     ),
     _argument("--samples", metavar="N", type=int, help="with --from: samples of the scene"),
     DUMP_UNITS,

@@ -14,7 +14,7 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
 from .changes import changed
 from .traces import Traces

@@ -24,7 +24,7 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 from . import parameters as params
 from .objectives import Objective, Seen
 

@@ -21,7 +21,7 @@ from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.progress import ProgressBar
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import RUNS, Answer, at_step, refine

@@ -21,7 +21,7 @@ from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 
 VISCOSITY = "damping.viscoelastic"
 DRAG = "damping.drag"

@@ -12,8 +12,8 @@ from ..errors import InputError, RunFailed, shown
 from ..integrators.differentiation import DIFFERENTIABLE
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.tables import NamedColumn, Tabular
-from ..util.validation import not_among
+from ..util.suggestions import not_among
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import Gradient, at_step, gradient, shortens

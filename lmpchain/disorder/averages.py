@@ -13,7 +13,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
 from ..util.remarks import warnings_aside
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
 from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 

@@ -21,7 +21,8 @@ from ..chain.materials import Material
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.validation import make_unchecked, not_among
+from ..util.suggestions import not_among
+from ..util.validation import make_unchecked
 
 Law = Literal["dyson", "paper"]
 Of = Literal["stiffness", "constant", "mass", "diameter", "youngs_modulus"]

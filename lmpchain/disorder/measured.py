@@ -26,8 +26,8 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
-from ..util.tables import NamedColumn, Tabular
-from ..util.validation import not_among
+from ..util.suggestions import not_among
+from ..util.tabular import NamedColumn, Tabular
 from .draws import (
     Law,
     Of,

@@ -12,7 +12,7 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .draws import Law, Of, check, fault_of_count
 from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 

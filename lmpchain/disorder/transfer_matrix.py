@@ -33,7 +33,7 @@ from ..util.arrays import EPSILON, Array, numbers
 from ..util.compilation import compiled_once
 from ..util.notebook import Shown
 from ..util.progress import ProgressBar
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from ..errors import InputError
 from ..scene.scene import Scene
 from ..util.lazy import listed
-from ..util.validation import did_you_mean, either, not_among
+from ..util.suggestions import did_you_mean, either, not_among
 from .base import Engine
 
 if TYPE_CHECKING:

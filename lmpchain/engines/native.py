@@ -12,7 +12,7 @@ from ..integrators.methods import LAGGED
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
 from ..util.plotting import COLOURS
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 from .base import Proposal
 from .stepping.time_stepping import CompiledSteps
 

@@ -17,7 +17,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
-from ..util.tables import NamedColumn, Tabular, number_columns
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 
 if TYPE_CHECKING:

@@ -16,7 +16,8 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.tables import NamedColumn, Tabular, align, counted, number, number_columns, wrap
+from ..util.tables import align, counted, number, wrap
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, mark_decades
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .motion import motion_of
 from .recorded import Field, check
 

@@ -13,7 +13,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish, prefixed
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .shock import COLOURS, Shock, find
 
 if TYPE_CHECKING:

@@ -31,7 +31,7 @@ from ..util.plotting import (
     set_title,
 )
 from ..util.plotting import edges as cell_edges
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .crests import local_maxima, summit
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, legend
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .recorded import Field, check
 
 if TYPE_CHECKING:

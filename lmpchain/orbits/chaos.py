@@ -24,7 +24,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.linear_algebra import in_one_thread
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .flow import Flow
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from ..util.files import check_not_foreign, expanded, write_aside
 from ..util.progress import ProgressBar
 from ..util.provenance import command
 from ..util.remarks import warnings_aside
-from ..util.validation import unknown_key
+from ..util.suggestions import unknown_key
 from . import live
 from .html import render_live
 from .live import Slider, View

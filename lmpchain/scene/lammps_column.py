@@ -186,7 +186,7 @@ class RunColumn:
         missing = np.isnan(grains.diameters) | (grains.diameters <= 0)
         if missing.any():
             if options.diameter is None:
-                raise InputError.at("diameter", "is not in the run: give --diameter, in m")
+                raise InputError.at("diameter", "is not in the run: give --grain-diameter, in m")
             grains.diameters = np.where(missing, options.diameter, grains.diameters)
         else:
             self._refuse_given("is in the run", "diameter")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from ..chain.contacts import reduced
 from ..util.lammps_units import Units
-from ..util.validation import either
+from ..util.suggestions import either
 from .lammps_text import InputLine
 
 # Numbers of coefficients behind the name of a model.

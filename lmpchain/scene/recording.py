@@ -13,7 +13,8 @@ from pydantic import BeforeValidator, Field
 from ..chain.chain import Chain
 from ..errors import shown
 from ..util.arrays import plain
-from ..util.validation import Checked, Positive, Whole, not_among
+from ..util.suggestions import not_among
+from ..util.validation import Checked, Positive, Whole
 
 
 def _selection(value: Any) -> Any:

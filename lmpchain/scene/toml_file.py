@@ -21,7 +21,8 @@ from ..chain.materials import MATERIALS, Material
 from ..chain.patterns import IN_FILES, write_out
 from ..errors import InputError, short, shown
 from ..util.files import check_readable, expanded
-from ..util.validation import Checked, did_you_mean, make_unchecked, not_among, unknown_key
+from ..util.suggestions import did_you_mean, not_among, unknown_key
+from ..util.validation import Checked, make_unchecked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile
 from .facts import SceneFacts

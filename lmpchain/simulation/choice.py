@@ -18,7 +18,7 @@ from ..errors import InputError, ToleranceNotMet
 from ..scene.scene import Scene
 from ..util.compilation import clock
 from ..util.provenance import versions
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 
 AUTO = "auto"
 REFUSED = "cannot do it: "  # begins the verdict on an engine that refuses a scene

@@ -12,7 +12,7 @@ from ..chain.contacts import Contacts
 from ..errors import InputError, shown
 from ..scene.recording import contact_of
 from ..util.arrays import Array
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 
 # Quantities of the whole chain, and of one grain or contact, whose number follows a colon.
 OF_CHAIN = ("kinetic_energy", "potential_energy", "temperature", "equipartition")

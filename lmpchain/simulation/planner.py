@@ -16,7 +16,8 @@ from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
 from ..util.plotting import LEAST_ERROR, axes_in_units, legend
-from ..util.tables import NamedColumn, Tabular, align, number, of_rows, wrap
+from ..util.tables import align, number, wrap
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .choice import REFUSED, ask, cheapest, propose, reason
 
 if TYPE_CHECKING:

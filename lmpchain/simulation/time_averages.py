@@ -26,7 +26,8 @@ from ..util.arrays import Array, check_flags
 from ..util.notebook import Shown
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from ..util.tables import NamedColumn, Tabular, align, number
+from ..util.tables import align, number
+from ..util.tabular import NamedColumn, Tabular
 from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable

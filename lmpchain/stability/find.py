@@ -55,9 +55,9 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     Stability
         Limits and curves, predicted and measured.
     """
-    scene.chain.refuse_ground("the search for limits")
     check_scene(scene)
     scene.chain.refuse_damping("the search for limits")
+    scene.chain.refuse_ground("the search for limits")
     boundaries: list[Boundary] = []
     curves: list[Curve] = []
     left_out: list[str] = []

@@ -22,7 +22,8 @@ from ..util.plotting import (
     typeset,
     window,
 )
-from ..util.tables import NamedColumn, Tabular, align, finite, number, of_rows
+from ..util.tables import align, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from ..util.ticks import UnitFormatter
 
 if TYPE_CHECKING:

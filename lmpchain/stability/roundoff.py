@@ -18,7 +18,7 @@ from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
-from ..util.validation import not_among
+from ..util.suggestions import not_among
 
 Long = np.longdouble
 STEP = 0.3  # omega h of rkn6, at which its truncation error is about 1e-9

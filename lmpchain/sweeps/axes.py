@@ -15,7 +15,8 @@ from pydantic import Field
 from ..errors import InputError
 from ..scene.toml_file import SECTIONS
 from ..util.arrays import Array, plain
-from ..util.validation import Checked, Whole, did_you_mean
+from ..util.suggestions import did_you_mean
+from ..util.validation import Checked, Whole
 from .laws import ALWAYS, MARKS, GrainLaw, Normal, Uniform, bind_laws, make_law
 
 MOST_SCENES = 10**6

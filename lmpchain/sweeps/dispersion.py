@@ -17,7 +17,7 @@ from ..simulation.many import simulate_many
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish, prefixed
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -26,7 +26,8 @@ from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
 from ..util.lazy import cached_property
-from ..util.validation import Checked, Positive, Whole, did_you_mean, unknown_key
+from ..util.suggestions import did_you_mean, unknown_key
+from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered
 

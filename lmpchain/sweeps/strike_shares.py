@@ -19,7 +19,7 @@ from ..theory.soliton import solve
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -29,7 +29,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend, set_title
 from ..util.progress import ProgressBar
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .domain import real, require
 
 if TYPE_CHECKING:

@@ -230,7 +230,7 @@ def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
     return replace(modes, decay=decay)
 
 
-def between(stiffness: Array, mass: Array, ground: Array) -> Eigenmodes:
+def between(stiffness: Array, mass: Array, ground: Array | None = None) -> Eigenmodes:
     """Return the eigenmodes of M grains between two bodies that stand still, or nothing.
 
     Parameters
@@ -239,13 +239,14 @@ def between(stiffness: Array, mass: Array, ground: Array) -> Eigenmodes:
         Of the contacts above, between and below them, N/m; 0 where there is nothing.
     mass : (M,) array
         kg.
-    ground : (M,) array
+    ground : (M,) array, optional
         Stiffness between each grain and the ground, N/m.
 
     Returns
     -------
     Modes
     """
+    ground = np.zeros(mass.size) if ground is None else ground
     diagonal = (stiffness[:-1] + stiffness[1:] + ground) / mass
     _, vectors = eigh_tridiagonal(diagonal, -stiffness[1:-1] / np.sqrt(mass[:-1] * mass[1:]))
     shape = vectors / np.sqrt(mass)[:, None]

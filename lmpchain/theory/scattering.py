@@ -28,8 +28,8 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, legend
-from ..util.tables import Tabular
-from ..util.validation import not_among
+from ..util.suggestions import not_among
+from ..util.tabular import Tabular
 from .domain import real, require
 
 if TYPE_CHECKING:

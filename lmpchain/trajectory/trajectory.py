@@ -14,7 +14,8 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.files import expanded
 from ..util.notebook import Shown
-from ..util.tables import Tabular, counted
+from ..util.tables import counted
+from ..util.tabular import Tabular
 from .other_formats import describe_other_format
 from .record import Record, read_result, select_gathered
 

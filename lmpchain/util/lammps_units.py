@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 from ..errors import InputError, shown
-from .validation import not_among
+from .suggestions import not_among
 
 
 class Units(NamedTuple):

@@ -217,7 +217,7 @@ def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
         (dump, RunOptions(material="steel", density=1.0), "density: is in the run"),
         (dump, RunOptions(material="steel", young=1e9), "young: is that of the material"),
         (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: is that of the dump"),
-        (bare, RunOptions(material="steel"), "diameter: is not in the run: give --diameter"),
+        (bare, RunOptions(material="steel"), "diameter: is not in the run: give --grain-diameter"),
         (
             bare,
             RunOptions(young=1e9, poisson=0.3, diameter=1e-2),

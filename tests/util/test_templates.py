@@ -18,9 +18,9 @@ import pytest
 from lmpchain import InputError
 from lmpchain.util import provenance
 from lmpchain.util.lazy import attributes, listed
+from lmpchain.util.suggestions import did_you_mean, not_among
 from lmpchain.util.tables import align, finite, number
 from lmpchain.util.templates import render, render_text
-from lmpchain.util.validation import did_you_mean, not_among
 
 
 def fault(text: str, **values: Any) -> str:

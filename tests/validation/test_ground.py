@@ -6,7 +6,21 @@ import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk, mathieu_a, mathieu_b
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Law, Profile, Scene, laws, simulate
+from lmpchain import (
+    Chain,
+    Displacement,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Law,
+    Profile,
+    RunFailed,
+    Scene,
+    laws,
+    simulate,
+)
+from lmpchain.benchmark.reference import reference
 from lmpchain.theory import bands, modes, steady
 
 
@@ -137,3 +151,79 @@ def test_modes_on_springs_agree_with_the_native_engine():
     # The error of the linear equation, and that of the native run.
     assert off < (linear.error_estimate.total + 1e-10) * np.abs(native.displacement).max()
     assert linear.error_estimate.total < 1e-4
+
+
+def draw(rng: np.random.Generator) -> tuple[Scene, float]:
+    """Return a random scene on a random ground, and a tolerance."""
+    grains = int(rng.integers(1, 30))
+    alone = grains == 1
+    ends = {
+        "top": "wall" if alone or rng.random() < 0.3 else "free",
+        "bottom": "wall" if alone or rng.random() < 0.5 else "fixed",
+    }
+    gravity = float(rng.choice([0.0, 9.81]))
+    load = 0.0 if gravity or rng.random() < 0.1 else 10 ** rng.uniform(-2, 1)
+    fields = {"grains": grains, "diameter": 1e-3, "gravity": gravity, "top_load": load, **ends}
+    if rng.random() < 0.3:
+        fields["exponent"] = float(rng.choice([1, 1.25, 2, 2.5]))
+    chain = Chain(**fields)
+    w = chain.band_edge or 1e5
+    size = chain.length_scale or 1e-9
+    k = chain.masses.mean() * w**2 / 4 * 10 ** rng.uniform(-3, 0.7)
+    b = k / size**2 * 10 ** rng.uniform(-1, 1)
+    stiffness = (k * (1 + rng.random(grains))).tolist() if rng.random() < 0.3 else k
+    rate = w * 10 ** rng.uniform(-1, 0.5)
+    ground = [
+        Law("k*u + b*u**3", k=stiffness, b=b),
+        laws.frenkel_kontorova(stiffness, period=2 * np.pi * size),
+        Law("b*u**3 - k*u", k=k / 10, b=b),
+        laws.mathieu(stiffness, depth=rng.uniform(0, 1.5), frequency=rate / (2 * np.pi)),
+        Law("k*u*(1 + 0.9*tanh(w*t - 3))", k=k, w=rate),
+        Law("k*(exp(b*u) - 1)/b", k=k, b=rng.uniform(0.1, 1) / size),
+    ][rng.integers(6)]
+    if rng.random() < 0.3:
+        drag = {"drag": w * 10 ** rng.uniform(-3, -0.5)}
+        viscous = {"viscoelastic": 10 ** rng.uniform(-3, -1) / w}
+        fields["damping"] = drag if rng.random() < 0.5 else viscous
+    chain = Chain(**fields, ground=ground)
+    speed = size * w * 10 ** rng.uniform(-2, 1.3)
+    grain = int(rng.integers(1, chain.movable + 1))
+    shaken = {"frequency": w / (2 * np.pi) * rng.uniform(0.1, 0.9)}
+    excitation = [
+        Impulse(velocity=speed, grain=grain),
+        Displacement(displacement=speed / w, grain=grain),
+        Force(amplitude=speed * w * chain.masses[0], grain=grain, **shaken),
+        Drive(amplitude=speed / w, **shaken) if grains > 2 else Impulse(velocity=speed),
+    ][rng.integers(4)]
+    duration = 2 * np.pi / w * 10 ** rng.uniform(0, 1.5)
+    samples = int(rng.integers(2, 80))
+    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
+    return scene, 10 ** rng.uniform(-10, -3)
+
+
+def excess(seed: int) -> float:
+    """Return the error of a random scene over its estimate, or over its tolerance if larger.
+
+    The error is what the reference leaves no doubt about; 0 for scenes that are refused.
+    """
+    try:
+        scene, tolerance = draw(np.random.default_rng(seed))
+    except InputError:
+        return 0.0
+    answer = simulate(scene, "native", tolerance=tolerance, on_miss="warn")
+    try:
+        exact = reference(scene)
+    except RunFailed:
+        return 0.0
+    off = [
+        np.abs(getattr(answer, field) - getattr(exact, field)).max() / size
+        for field, size in zip(("displacement", "velocity"), exact.scale, strict=True)
+    ]
+    return (max(off) - exact.error) / max(tolerance, answer.error_estimate.solver)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("seeds", [range(0, 3), pytest.param(range(3, 60), marks=pytest.mark.slow)])
+def test_random_scenes_on_a_ground(seeds):
+    """No error is above the tolerance and above what the run says."""
+    assert {seed: ratio for seed in seeds if (ratio := excess(seed)) > 1} == {}

@@ -24,7 +24,7 @@ from ...util.arrays import Array
 from ...util.files import expanded, make_folder
 from ...util.plotting import COLOURS
 from ...util.remarks import warn
-from ...util.validation import not_among
+from ...util.suggestions import not_among
 from ..base import ErrorBudget, Proposal, Run
 from ..cost_model import announce, check_time
 from ..step_control import (

@@ -19,7 +19,7 @@ from ...integrators.steps import Steps
 from ...scene.scene import Scene
 from ...util.arrays import Array
 from ...util.compilation import clock
-from ...util.validation import not_among
+from ...util.suggestions import not_among
 from ..base import Engine, ErrorBudget, Proposal
 from ..cost_model import seconds
 from .auxiliary_runs import LONGER, AuxiliarySteps, longer_steps

@@ -19,7 +19,7 @@ from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import axes_in_units, choose_few, finish
-from ...util.tables import Tabular
+from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
 from .table import Fitted, FittedNumber
