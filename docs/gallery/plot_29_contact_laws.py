@@ -14,6 +14,7 @@ import numpy as np
 import lmpchain
 from lmpchain import laws
 
+plt.style.use("tableau-colorblind10")
 figure, (meeting, recurrence, cradle) = plt.subplots(3, figsize=(7, 9), layout="constrained")
 
 # %%
@@ -120,5 +121,5 @@ run = lmpchain.simulate(
 for ball, last in enumerate([-0.07108502, -0.02962620, 0.10973864, 0.99097257]):
     cradle.plot(run.time * 1e6, run.velocity[:, ball] / 0.1, f"C{ball}", label=f"ball {ball + 1}")
     cradle.axhline(last, color=f"C{ball}", linestyle="--", linewidth=0.8)
-cradle.set(xlabel="time (us)", ylabel="velocity over that of the strike", title="Newton's cradle")
+cradle.set(xlabel="time (µs)", ylabel="velocity over that of the strike", title="Newton's cradle")
 cradle.legend()
