@@ -15,7 +15,7 @@ import lmpchain
 from lmpchain import laws
 
 plt.style.use("tableau-colorblind10")
-figure, (meeting, recurrence, cradle) = plt.subplots(3, figsize=(7, 9), layout="constrained")
+picture, (meeting, recurrence, cradle) = plt.subplots(3, figsize=(7, 9), layout="constrained")
 
 # %%
 # Toda's bonds, k (exp(b o) - 1) / b, have solitons that pass through each other. Dashed lines show

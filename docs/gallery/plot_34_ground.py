@@ -72,7 +72,7 @@ for i, depth in enumerate(depths):
         trace = u.displacement[1, 0] / 1e-12 + v.velocity[1, 0] / (1e-12 * w)
         growth[i, j] = np.arccosh(max(abs(trace) / 2, 1.0))
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
+picture, (left, right) = plt.subplots(1, 2, figsize=(7.2, 3.2), layout="constrained")
 left.plot(q, bands.branches(cell, q).frequency[0] / (2e3 * np.pi), label="theory")
 moves = driven > low
 left.plot(phase[moves], driven[moves] / (2e3 * np.pi), "o", mfc="none", label="driven chain")
@@ -88,8 +88,7 @@ right.set(
     xlim=(values[0], values[-1]),
     title="(b)",
 )
-figure.colorbar(mesh, label="growth a period, natural log")
-plt.show()
+picture.colorbar(mesh, label="growth a period, natural log")
 
 # %%
 # Below the gap the amplitude falls from grain to grain by what theory says.

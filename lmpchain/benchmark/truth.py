@@ -110,6 +110,10 @@ def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     scene : Scene
     tolerance : float
         Of the two native runs that show how much the answer changes.
+
+    Returns
+    -------
+    Scene and str
     """
     excitation = scene.excitation
     if not isinstance(excitation, Drive | Force) or excitation.times is None:

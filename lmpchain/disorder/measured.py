@@ -237,10 +237,12 @@ def measured_over(
     measure : function
         Returns a number, an array or several of them by name from a trajectory; arrays of all
         chains have the same shape.
-    m, realisations, seed, engine, tolerance, law, of, progress
+    m, realisations, seed, engine, tolerance, law, of
         As for `ensemble`; two chains or more.
     x : array_like, optional
         Coordinate of a curve, for pictures.
+    progress : bool
+        Whether to show a progress bar.
 
     Returns
     -------
@@ -296,12 +298,14 @@ def within(
         Standard deviations, or half widths of a uniform distribution, in SI units: of "diameter",
         "youngs_modulus" or "mass" of the grains, "top_load", "gravity", and of a number of the
         excitation, such as "excitation.velocity". With a diameter mass and contacts change as well.
-    measure, realisations, seed, engine, tolerance, x, progress
+    measure, realisations, seed, engine, tolerance
         As for `measured_over`.
     distribution : "normal" or "uniform"
     common : tuple of str
         Those properties of grains that are drawn once for all grains, as the modulus of one batch
         of beads; others are drawn for each grain.
+    x, progress
+        As for `measured_over`.
 
     Returns
     -------
