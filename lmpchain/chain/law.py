@@ -41,6 +41,8 @@ NEAR_KINK = 1e-6
 SIZES = np.geomspace(1e-18, 1e2, 801)
 # Forces, N, and energies, J, that are as large as can be.
 LARGEST = 1e300
+# Relative distance from a value at which it counts as reached.
+CLOSE = 1e-6
 # Iterations after which bisection alone has found a root between two of these sizes.
 BISECTIONS = 64
 # Lengths of the stiffness's own change up to which a kink is near.
@@ -88,7 +90,7 @@ NODES, WEIGHTS = _smooth_rule()
 def solve_growing(
     function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
 ) -> Array:
-    """Return the x >= 0 at which a function that grows from 0 has this value.
+    """Return the x >= 0 at which a function that grows from 0 has this value, infinite if none has.
 
     Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
     """
@@ -109,7 +111,10 @@ def solve_growing(
             if not (known & (np.abs(new - x) > 2 * np.finfo(x.dtype).eps * x)).any():
                 break
             x = new
-    return np.where(known, new, target)
+        # A force that saturates never reaches some values, and overflows on the way there.
+        near = np.abs(function(new) - target) <= CLOSE * target
+        reached = (np.isfinite(high) & (function(high) >= target)) | near
+        return np.where(known, np.where(reached, new, np.inf), target)
 
 
 class Law(ContactLaw):

@@ -142,7 +142,12 @@ class SceneFacts(Recording):
     def imposed(self) -> tuple[float, float]:
         """The largest displacement and speed that the excitation imposes, m and m/s."""
         _, near = self._surroundings
-        return near.excitation.strongest(near.chain)
+        displacement, speed = near.excitation.strongest(near.chain)
+        # A contact that cannot hold the force lets its grain fly: the time is what limits it.
+        if displacement > speed * self.duration and near.excitation.does_work:
+            start = float(np.abs(near.excitation.initial(near.chain)[0]).max())
+            displacement = min(displacement, start + speed * self.duration)
+        return displacement, speed
 
     @property
     def at_rest(self) -> bool:
