@@ -288,11 +288,14 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
 
 
 def drive_force(trajectory: Trajectory) -> Array:
-    """Return the force of the driver on grain 1 or on the top wall, (T,) N, positive downward.
+    """Return the force of the driver on the driven end, (T,) N, positive downward.
 
     On grain 1, whose drag is left out, it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall
     above it; on the wall that of its contact. At rest it is the top load, or 0 on grain 1 below a
     wall. The impulse that starts a motion with a velocity at t = 0 is left out.
+
+    A driver below carries the column, with a negative force at rest. On the bottom wall the force
+    is that of its contact, on the last grain it is m_N (phi_N'' - g) - F_(N-1).
 
     Parameters
     ----------
@@ -306,12 +309,16 @@ def drive_force(trajectory: Trajectory) -> Array:
     Raises
     ------
     InputError
-        If the chain is not driven, or grain 2 was not recorded.
+        If the chain is not driven, or the grain next to the driven body was not recorded.
     """
     chain = trajectory.scene.chain
     acceleration = drive_motion(trajectory)[2]
     if trajectory.scene.excitation.wall:
         return contacts(trajectory, [0]).force[:, 0]
+    if trajectory.scene.excitation.from_below:
+        force = -contacts(trajectory, [chain.movable]).force[:, 0]
+        held = chain.bottom == "fixed"
+        return force + held * (chain.masses[-1] * acceleration - chain.held_weight)
     force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
     # At rest the wall carries the load, so that the driver exerts no force.
     if chain.top == "wall":

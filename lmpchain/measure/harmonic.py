@@ -299,7 +299,8 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     drive, window = _window(trajectory, periods)
     time = trajectory.time
     omega = 2 * np.pi * drive.frequency
-    moved = _amplitudes(time, motion(trajectory, np.array([drive.grain]))[0], omega, window)
+    body = drive.grain if isinstance(drive, Force) else drive.body(chain)
+    moved = _amplitudes(time, motion(trajectory, np.array([body]))[0], omega, window)
     known = motion_of(trajectory)
     part = known.known_error("displacement") / max(known.sampled[0], 1e-300)
     if isinstance(drive, Force):
@@ -307,9 +308,10 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
         force = [np.full(1, -1j * drive.amplitude)] * 3
         off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
     else:
-        pushed = _force_of_driver(trajectory, drive.grain)
+        pushed = _force_of_driver(trajectory, body)
         force = _amplitudes(time, pushed[:, None], omega, window)
-        inertia = drive.grain * float(chain.masses[0]) * omega**2
+        mass = float(chain.masses[body - 1]) if 1 <= body <= chain.grains else 0.0
+        inertia = mass * omega**2
         force = [each - inertia * u for each, u in zip(force, moved, strict=True)]
         moved = [np.full(1, -1j * drive.amplitude)] * 3
         size = float(np.abs(pushed).max())
@@ -459,11 +461,14 @@ def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
     return float(whole.mean()), float(change)
 
 
-def _force_of_driver(trajectory: Trajectory, grain: int) -> Array:
+def _force_of_driver(trajectory: Trajectory, body: int) -> Array:
     """Return the force of the driver on the chain, (T,) N above rest, without a grain's inertia."""
-    force = contacts(trajectory, [grain]).change[:, 0]
-    if grain and trajectory.scene.chain.contacts.exists[0]:
-        force = force - contacts(trajectory, [0]).change[:, 0]
+    exists = trajectory.scene.chain.contacts.exists
+    force = np.zeros(trajectory.time.size)
+    if body < exists.size and exists[body]:
+        force += contacts(trajectory, [body]).change[:, 0]
+    if body and exists[body - 1]:
+        force -= contacts(trajectory, [body - 1]).change[:, 0]
     return force
 
 
@@ -473,7 +478,10 @@ def _linear_stiffness(chain: Chain, drive: Drive | Force) -> complex:
     if isinstance(drive, Force):
         return complex(drive.amplitude / u[drive.grain])
     omega = 2 * np.pi * drive.frequency
-    force = dynamic_stiffness(chain, omega) * (u[:-1] - u[1:])
-    grain = drive.grain
-    above = force[grain - 1] + chain.masses[0] * omega**2 * u[1] if grain else 0.0
-    return complex((force[grain] - above) / drive.amplitude)
+    # The force of every contact, of which those above the top wall and below the bottom are none.
+    force = np.pad(dynamic_stiffness(chain, omega) * (u[:-1] - u[1:]), 1)
+    body = drive.body(chain)
+    mass = chain.masses[body - 1] if 1 <= body <= chain.grains else 0.0
+    # Contact n has the index n + 1.
+    pull = force[body + 1] - force[body] - mass * omega**2 * u[body]
+    return complex(pull / drive.amplitude)

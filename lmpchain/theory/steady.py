@@ -69,7 +69,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     stiffness = dynamic_stiffness(chain, omega)
     answer = np.zeros(chain.grains + 2, complex)
     if isinstance(drive, Drive):
-        answer[drive.grain] = drive.amplitude
+        answer[drive.body(chain)] = drive.amplitude
     free = np.arange(drive.driven, chain.movable)
     if not free.size:
         return answer
@@ -81,6 +81,8 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     pull = np.zeros(free.size, complex)
     if isinstance(drive, Force):
         pull[drive.grain - 1] = drive.amplitude
+    elif drive.from_below:
+        pull[-1] = stiffness[chain.movable] * drive.amplitude
     else:
         pull[0] = stiffness[free[0]] * drive.amplitude
     answer[free + 1] = solve_banded((1, 1), bands, pull)
