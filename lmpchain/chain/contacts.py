@@ -142,9 +142,7 @@ class Contacts:
         return self.law.largest_stiffness(overlap, self.constant)  # type: ignore[no-any-return]
 
     @staticmethod
-    def closer(
-        displacement: Array, wall: Array | None = None, base: Array | None = None
-    ) -> Array:
+    def closer(displacement: Array, wall: Array | None = None, base: Array | None = None) -> Array:
         """Return by how much every overlap exceeds that at rest, (..., N+1) m.
 
         The top wall and the base, the bottom wall, are at (...) m, by default where they rest.

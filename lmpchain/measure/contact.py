@@ -19,6 +19,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
+from .motion import OF_DRIVER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -260,6 +261,8 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
     if kind == "free":
         raise InputError.at("end", f"there is no wall at the end {shown(end)} of this chain")
+    if end == "bottom" and kind == "fixed" and trajectory.scene.excitation.from_below:
+        raise InputError.at("end", OF_DRIVER)
     force = contacts(trajectory, [0 if end == "top" else chain.movable]).force[:, 0]
     return force + chain.held_weight if kind == "fixed" else force
 

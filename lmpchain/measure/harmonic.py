@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.acting import Drive, Force
-from ..theory.steady import displacements, dynamic_stiffness
+from ..theory.steady import drive_stiffness, dynamic_stiffness
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
@@ -319,7 +319,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     whole, later, rough = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
     linear = complex(np.nan, np.nan)
     if chain.linearisable:
-        linear = _linear_stiffness(chain, drive)
+        linear = drive_stiffness(chain, drive)
     error = LEFT * abs(later - whole) + abs(rough - whole) + off * abs(whole)
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
@@ -470,18 +470,3 @@ def _force_of_driver(trajectory: Trajectory, body: int) -> Array:
     if body and exists[body - 1]:
         force -= contacts(trajectory, [body - 1]).change[:, 0]
     return force
-
-
-def _linear_stiffness(chain: Chain, drive: Drive | Force) -> complex:
-    """Return the dynamic stiffness of the linearised chain at the driven body, N/m."""
-    u = displacements(chain, drive)
-    if isinstance(drive, Force):
-        return complex(drive.amplitude / u[drive.grain])
-    omega = 2 * np.pi * drive.frequency
-    # The force of every contact, of which those above the top wall and below the bottom are none.
-    force = np.pad(dynamic_stiffness(chain, omega) * (u[:-1] - u[1:]), 1)
-    body = drive.body(chain)
-    mass = chain.masses[body - 1] if 1 <= body <= chain.grains else 0.0
-    # Contact n has the index n + 1.
-    pull = force[body + 1] - force[body] - mass * omega**2 * u[body]
-    return complex(pull / drive.amplitude)
