@@ -310,8 +310,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     if direction not in ("down", "up"):
         raise InputError.at("direction", 'must be "down" or "up"')
     chain = trajectory.scene.chain
-    gas = _medium(trajectory)
-    wave = _wave_of(trajectory, direction == "up", gas)
+    gas = medium_of(trajectory)
+    wave = wave_of(trajectory, direction == "up", gas)
     ahead = State(float(wave.velocity[0, -2]), float(wave.overlap[0, -1]))
     behind, behind_error = _plateau(wave, gas, ahead)
     steady = (State(np.nan, np.nan), np.nan)
@@ -356,7 +356,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     )
 
 
-def _medium(trajectory: Trajectory) -> Medium:
+def medium_of(trajectory: Trajectory) -> Medium:
     """Return the chain as a gas; raise `InputError` unless it is uniform and fully recorded."""
     chain = trajectory.scene.chain
     exponent = chain.law.power_of("a shock")
@@ -373,7 +373,7 @@ def _medium(trajectory: Trajectory) -> Medium:
     return Medium(exponent, float(constants[0]), float(masses[0]))
 
 
-def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
+def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
     """Return the motion up to the time at which other waves disturb the wave of the source."""
     scene = trajectory.scene
     time = trajectory.time

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -367,7 +367,9 @@ class Drive(_Acting):
         turned = self.scaled(-1.0)
         fields: dict[str, object] = {"end": "top", "grain": int(chain.bottom == "fixed")}
         if turned.start is not None:
-            backwards = {key: values[::-1] for key, values in turned.start.fields.items()}
+            backwards: dict[str, Any] = {
+                key: values[::-1] for key, values in turned.start.fields.items()
+            }
             fields["start"] = Profile(**backwards)
         return turned.replace(**fields)
 
