@@ -43,7 +43,9 @@ def opening() -> Trajectory:
     chain = Chain(grains=600, top="free", bottom="wall", **BEADS)
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 9.5e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=350)
-    return simulate(Scene(chain=chain, excitation=step, duration=4e-3, samples=1601), "native", 1e-5)
+    return simulate(
+        Scene(chain=chain, excitation=step, duration=4e-3, samples=1601), "native", 1e-5
+    )
 
 
 def struck(chain: Chain, velocity: float = 1e-3, duration: float = 2e-4) -> Trajectory:
@@ -104,8 +106,6 @@ def rarefaction() -> Row:
 def travelling_wave() -> Row:
     """Compare the speed of a solitary wave with its published constant of a sonic vacuum."""
     return lmpchain.theory.soliton.solve(1.5, velocity=1.0).speed, 0.907470, 1e-6
-
-
 
 
 def dispersion() -> Row:
