@@ -329,6 +329,36 @@ def drive_force(trajectory: Trajectory) -> Array:
     return force + (chain.top_load if chain.load_grain == 1 else 0.0)
 
 
+def force_above_rest(trajectory: Trajectory, body: int) -> Array:
+    """Return the force of the driver on a driven body less that at rest, (T,) N.
+
+    The inertia of a driven grain is left out.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    body : int
+        Number of the driven body, `Drive.body`.
+
+    Returns
+    -------
+    (T,) array
+        N, positive downward.
+
+    Raises
+    ------
+    InputError
+        If a grain that touches the body was not recorded.
+    """
+    exists = trajectory.scene.chain.contacts.exists
+    force = np.zeros(trajectory.time.size)
+    if body < exists.size and exists[body]:
+        force += contacts(trajectory, [body]).change[:, 0]
+    if body and exists[body - 1]:
+        force -= contacts(trajectory, [body - 1]).change[:, 0]
+    return force
+
+
 def sensor(trajectory: Trajectory, grain: int) -> Signal:
     """Return the signal of a force sensor inside a grain: the mean of its two contact forces.
 

@@ -425,17 +425,14 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         # An applied force is exact, and so is the speed of a driven body.
-        driven = doubt[:, :2].sum(1) if scene.excitation.driven else doubt[:, 0]
-        if scene.excitation.from_below:
-            driven = doubt[:, chain.movable]
+        driven = _doubt_of_driver(scene, doubt)
         moves = scene.drive is not None
         drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
         if push.on_grain:
             push_impulse, error = integral(push.force, push.rate, pieces.push)
             impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
             impulse_error += error + _area(time, driven if moves else 0.0)
-    # The driver of a last grain acts on this grain, which is then one of those that move.
-    if chain.bottom == "wall" or (chain.bottom == "fixed" and not scene.excitation.from_below):
+    if _carries(scene):
         of_bottom = force[:, chain.movable], rate[:, chain.movable]
         bottom, error = integral(*of_bottom, pieces.bottom if pieces else None)
         impulse = impulse - bottom
@@ -507,6 +504,22 @@ def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
 def _area(time: Array, size: Array | float) -> float:
     """Return the time integral of an error, (T,) or a number, over the samples; 0 for one."""
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
+
+
+def _doubt_of_driver(scene: Scene, doubt: Array) -> Array:
+    """Return the error of the force on the driven body, (T,) N, given those of the contacts."""
+    if scene.excitation.from_below:
+        return doubt[:, scene.chain.movable]
+    return np.asarray(doubt[:, :2].sum(1)) if scene.excitation.driven else doubt[:, 0]
+
+
+def _carries(scene: Scene) -> bool:
+    """Return whether a body that is not one of the grains that move carries the lowest of them.
+
+    A last grain that is driven is one of the grains that move.
+    """
+    chain = scene.chain
+    return chain.bottom == "wall" or (chain.bottom == "fixed" and not scene.excitation.from_below)
 
 
 def _work_at_ends(scene: Scene, time: Array, u: Array, top: Array | None) -> Array:

@@ -30,7 +30,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
-from .contact import contacts
+from .contact import force_above_rest
 from .motion import motion_of
 
 if TYPE_CHECKING:
@@ -308,7 +308,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
         force = [np.full(1, -1j * drive.amplitude)] * 3
         off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
     else:
-        pushed = _force_of_driver(trajectory, body)
+        pushed = force_above_rest(trajectory, body)
         force = _amplitudes(time, pushed[:, None], omega, window)
         mass = float(chain.masses[body - 1]) if 1 <= body <= chain.grains else 0.0
         inertia = mass * omega**2
@@ -459,14 +459,3 @@ def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
     half = whole.size // 2
     change = abs(whole.mean() - later.mean()) + abs(whole[:half].mean() - whole[half:].mean())
     return float(whole.mean()), float(change)
-
-
-def _force_of_driver(trajectory: Trajectory, body: int) -> Array:
-    """Return the force of the driver on the chain, (T,) N above rest, without a grain's inertia."""
-    exists = trajectory.scene.chain.contacts.exists
-    force = np.zeros(trajectory.time.size)
-    if body < exists.size and exists[body]:
-        force += contacts(trajectory, [body]).change[:, 0]
-    if body and exists[body - 1]:
-        force -= contacts(trajectory, [body - 1]).change[:, 0]
-    return force

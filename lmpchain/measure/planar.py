@@ -66,7 +66,7 @@ COLUMNS = (
 POINTS = 201  # of an orbit from crest to trough
 
 
-class Orbit(NamedTuple):
+class ClosedOrbit(NamedTuple):
     """A closed orbit of a planar ODE, from a crest to the next trough.
 
     Attributes
@@ -111,7 +111,7 @@ class PlanarOrbits(Shown, Tabular):
         The same of the closed orbit between this trough and crest, grains and m.
     orbit_spacing_error, orbit_mean_error : (W,) arrays
         Difference to another planar ODE of the same order.
-    orbits : tuple of Orbit
+    orbits : tuple of ClosedOrbit
         The closed orbits.
     """
 
@@ -139,7 +139,7 @@ class PlanarOrbits(Shown, Tabular):
     orbit_spacing_error: Array
     orbit_mean: Array
     orbit_mean_error: Array
-    orbits: tuple[Orbit, ...]
+    orbits: tuple[ClosedOrbit, ...]
     _measured: tuple[tuple[Array, Array], ...]
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -203,7 +203,7 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
     jump = shock.behind.overlap - shock.ahead.overlap
     count = min(crests.size, *(each.size for each in neighbours.values())) - 1
     rows = []
-    closed: list[Orbit] = []
+    closed: list[ClosedOrbit] = []
     measured = []
     for k in range(count):
         begin, end = crests[k : k + 2]
@@ -298,7 +298,7 @@ def _orbit(
     trough: float,
     crest: float,
     ode: Callable[[Medium, float, Array], Bend],
-) -> Orbit | None:
+) -> ClosedOrbit | None:
     """Return the orbit of a planar ODE between a trough and a crest, or None if there is none."""
     bend, (low, high) = ode(gas, gas.mass * speed**2, np.array([trough, crest]))
     # The constant A makes the integral of the bend over the way vanish.
@@ -330,4 +330,4 @@ def _orbit(
     else:
         overlap = value
     mean = float(np.mean((overlap[1:] + overlap[:-1]) / 2))
-    return Orbit(place, overlap, slope, 2 * half, mean)
+    return ClosedOrbit(place, overlap, slope, 2 * half, mean)
