@@ -12,7 +12,7 @@ import lmpchain
 from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.cli.command_line import main
-from lmpchain.measure import contact, energy
+from lmpchain.measure import contact, energy, power, shock
 
 SHAKEN = Drive(end="bottom", amplitude=3e-6, frequency=2000.0)
 PATH = Drive(end="bottom", times=[0, 3e-4, 7e-4, 1e-3], displacement=[0, -1e-6, 1e-6, 0])
@@ -290,3 +290,37 @@ def test_drives_from_above_and_below_are_mirror_images_without_gravity() -> None
     size = np.abs(other.velocity).max()
     assert np.abs(below.velocity + other.velocity[:, ::-1]).max() < 2e-9 * size
     assert Impulse(velocity=1.0).from_below is False
+
+
+@BOTTOMS
+def test_power_of_a_shaker_below(bottom: str) -> None:
+    """The power that a weak shaker gives is that of the linear column, and the ledger's."""
+    damping = Damping(viscoelastic=4e-6)
+    chain = Chain(grains=6, material="steel", diameter=1e-2, bottom=bottom, damping=damping)
+    shaker = Drive(end="bottom", amplitude=1e-10, frequency=300.0)
+    run = simulate(scene_of(chain, shaker, 0.2, 4801), "native", tolerance=1e-8)
+    passed = power.through(run, 5)
+    assert passed.input == pytest.approx(passed.linear_input, rel=1e-6)
+    assert passed.mean == pytest.approx(passed.linear, rel=1e-6)
+    work = energy.ledger(run).drive
+    mean = (work[-1] - work[2400]) / 0.1
+    assert passed.input == pytest.approx(mean, rel=1e-3)
+
+
+def test_a_shock_from_below_is_the_mirror_image_of_one_from_above() -> None:
+    chain = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    speed = 0.3 * float(chain.equilibrium_overlap[0]) / chain.time_scale
+    found = []
+    for way, drive in (
+        ("up", Drive(shape="piston", velocity=-speed, rise=1e-6, end="bottom")),
+        ("down", Drive(shape="piston", velocity=speed, rise=1e-6, grain=0)),
+    ):
+        scene = scene_of(chain, drive, 180 * chain.time_scale, 801)
+        found.append(shock.find(simulate(scene, "native", 1e-6), way))  # type: ignore[arg-type]
+    up, down = found
+    assert up.leading.speed == pytest.approx(down.leading.speed, rel=1e-9)
+    assert up.trailing.speed == pytest.approx(down.trailing.speed, rel=1e-6)
+    scene = scene_of(chain, Drive(shape="piston", velocity=-speed, rise=1e-6, end="bottom"), 1e-4)
+    run = simulate(scene, "native", 1e-6)
+    with pytest.raises(InputError, match='must be "up": the drive acts at the bottom'):
+        shock.find(run, "down")
