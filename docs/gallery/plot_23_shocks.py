@@ -6,7 +6,7 @@ A piston, or a step of compression (the Riemann problem), sends them down a chai
 """
 
 import lmpchain
-from lmpchain.measure import self_similar, shock
+from lmpchain.measure import planar, self_similar, shock
 from lmpchain.util.plotting import figure
 
 chain = lmpchain.Chain(
@@ -61,4 +61,15 @@ steps = lmpchain.Scene(
 )
 picture_of_rarefaction = self_similar.view(lmpchain.simulate(steps, "native", 1e-5)).plot()
 pistons = lmpchain.Scene(chain=chain, excitation=piston, duration=9e-3, samples=1601)
-picture_of_shock = self_similar.view(lmpchain.simulate(pistons, "native", 1e-5)).plot()
+compressed = lmpchain.simulate(pistons, "native", 1e-5)
+picture_of_shock = self_similar.view(compressed).plot()
+
+# %%
+# Near one ratio of distance to time, the waves of a dispersive shock are closed orbits of a planar
+# ordinary differential equation: dots are measured, lines are orbits between crest and trough. The
+# distance between crests and the mean follow from the orbit.
+waves = planar.orbits(compressed)
+for row in (0, len(waves.orbits) // 2):
+    print(f"measured {waves.spacing[row]:.2f} ± {waves.spacing_error[row]:.2f} grains, ", end="")
+    print(f"orbit {waves.orbit_spacing[row]:.2f} ± {waves.orbit_spacing_error[row]:.2f} grains")
+picture_of_orbits = waves.plot()

@@ -201,28 +201,31 @@ def _equations(scene: Scene) -> Callable[[float, Array], Array]:
     contacts = chain.contacts
     grains = chain.grains
     driven = bool(excitation.driven)
+    body = scene.drive.body(chain) if scene.drive else 0
     moves = (np.arange(grains) < chain.movable) & (np.arange(grains) >= driven)
 
     def rates(t: float, state: Array) -> Array:
         u, v = state.reshape(2, grains).copy()
-        wall = np.zeros(2)
+        wall, base = np.zeros((2, 2))
         push = np.zeros(grains)
         if wave is not None:
             imposed = np.array([wave.at(t, 0), wave.at(t, 1)])
-            if driven:
-                u[0], v[0] = imposed
+            if 1 <= body <= grains:
+                u[body - 1], v[body - 1] = imposed
+            elif body:
+                base = imposed
             elif excitation.wall is not None:
                 wall = imposed
             else:
                 push[excitation.acts_on - 1] = imposed[0]
-        closer = contacts.closer(u, wall[0])
+        closer = contacts.closer(u, wall[0], base[0])
         force = contacts.force_change(closer)
         if chain.damped:
             overlap = contacts.overlap + closer
             # The power of a negative overlap is no number; laws by formula have forces there.
             overlap = overlap if chain.law.power is None else np.maximum(overlap, 0.0)
             viscosity = chain.contact_viscosity * contacts.stiffness_at(overlap)
-            force = force + viscosity * contacts.closer(v, wall[1])
+            force = force + viscosity * contacts.closer(v, wall[1], base[1])
         pull = chain.ground.force(u, t) if chain.ground else 0.0
         acceleration = (push - pull - np.diff(force)) / chain.masses - chain.drag * v
         return np.concatenate((moves * v, moves * acceleration))
@@ -265,9 +268,10 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
         begin = end
     solution = np.concatenate(rows).reshape(-1, 2, grains).swapaxes(0, 1).copy()
     wave = scene.excitation.waveform
-    if scene.excitation.driven and wave is not None:
-        solution[:, :, 0] = wave.at(scene.time, 0), wave.at(scene.time, 1)
-        peaks.append(np.abs(solution[:, :, 0]).max(axis=1))
+    body = scene.drive.body(scene.chain) if scene.drive else 0
+    if 1 <= body <= grains and wave is not None:
+        solution[:, :, body - 1] = wave.at(scene.time, 0), wave.at(scene.time, 1)
+        peaks.append(np.abs(solution[:, :, body - 1]).max(axis=1))
     return solution[0], solution[1], np.max(peaks, axis=0)
 
 
@@ -286,6 +290,8 @@ class _Motion:
         self.delta = Long(chain.law.power_of("the reference solution"))
         self.driven = bool(excitation.driven)
         self.walled = excitation.wall is not None
+        self.from_below = excitation.from_below
+        self.held = chain.bottom == "fixed"
         self.pushed = None
         if self.wave is not None and not scene.drive:
             self.pushed = excitation.acts_on - 1
@@ -362,7 +368,8 @@ class _Motion:
         moving = before.start + np.flatnonzero(state[:, before].any(axis=0))
         if self.wave:
             # A grain with an applied force counts even while it rests.
-            moving = np.union1d(moving, self.pushed or 0).astype(int)
+            first = state.shape[1] - 1 if self.from_below else self.pushed or 0
+            moving = np.union1d(moving, first).astype(int)
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
         # A series moves two orders per grain, and one if forces depend on velocities.
         reach = order if self.viscosity.any() else order // 2
@@ -389,11 +396,18 @@ class _Motion:
         y = np.zeros((order + 1, closer.size), dtype=Long)
         power = np.zeros_like(y)
         x[:2] = state
-        wall = np.zeros(order + 1, dtype=Long)
+        wall, base = np.zeros((2, order + 1), dtype=Long)
+        # The grains of these columns follow from the equation of motion.
+        free = slice(None)
         outside = np.zeros_like(x)
-        driven = self.driven and grains.start == 0
-        if driven:
+        if self.driven and grains.start == 0:
             x[:, 0] = self._imposed(t, order) / self.length
+            free = slice(1, None)
+        elif self.from_below and grains.stop == self.drag.size:
+            base = self._imposed(t, order) / self.length
+            if self.held:
+                x[:, -1] = base
+                free = slice(-1)
         elif self.walled and grains.start == 0:
             wall = self._imposed(t, order) / self.length
         elif self.pushed is not None:
@@ -401,7 +415,7 @@ class _Motion:
         k = np.arange(order + 1, dtype=Long)
         change = np.zeros_like(y)
         for i in range(order + 1):
-            y[i] = -np.diff(x[i], prepend=wall[i], append=Long(0)) * closer
+            y[i] = -np.diff(x[i], prepend=wall[i], append=base[i]) * closer
             if i == order:
                 break
             if i == 0:
@@ -422,7 +436,7 @@ class _Motion:
             force = strength * (change[i - 1] + viscosity * i * change[i])
             pull = (force[:-1] - force[1:] + outside[i - 1]) * self.mobility[grains]
             following = pull / (i * (i + 1)) - drag * x[i] / (i + 1)
-            x[i + 1, driven:] = following[driven:]
+            x[i + 1, free] = following[free]
         return x, y
 
     def _imposed(self, t: Long, order: int) -> Longs:

@@ -142,10 +142,10 @@ class Contacts:
         return self.law.largest_stiffness(overlap, self.constant)  # type: ignore[no-any-return]
 
     @staticmethod
-    def closer(displacement: Array, wall: Array | None = None) -> Array:
+    def closer(displacement: Array, wall: Array | None = None, base: Array | None = None) -> Array:
         """Return by how much every overlap exceeds that at rest, (..., N+1) m.
 
-        The top wall is at (...) m, by default where it is at rest.
+        The top wall and the base, the bottom wall, are at (...) m, by default where they rest.
         """
         u = np.asarray(displacement)
         # filled in place: numpy's diff of a row with two ends would copy long records twice
@@ -153,6 +153,8 @@ class Contacts:
         closer[..., 0] = 0.0 if wall is None else wall
         closer[..., 0] -= u[..., 0]
         closer[..., -1] = u[..., -1]
+        if base is not None:
+            closer[..., -1] -= base
         np.subtract(u[..., :-1], u[..., 1:], out=closer[..., 1:-1])
         return closer
 

@@ -177,7 +177,7 @@ def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
 
 def _check_still(scene: Scene, contact: int) -> None:
     """Raise `InputError` if this contact is with a wall that moves."""
-    if contact == 0 and scene.drive is not None and scene.drive.grain == 0:
+    if contact == 0 and scene.excitation.wall is not None:
         message = "cannot look at the contact with a wall that moves: use other grains"
         raise InputError.at("objective", message)
 
@@ -448,7 +448,7 @@ class DriveWork:
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return grains 1 and 2."""
-        if scene.drive is None or scene.drive.grain != 1:
+        if scene.drive is None or not scene.drive.driven:
             message = "DriveWork needs a scene in which grain 1 is driven"
             raise InputError.at("objective", message)
         return [1, 2]

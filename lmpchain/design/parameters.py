@@ -65,6 +65,8 @@ def _refuse(scene: Scene, name: str) -> str:
     """Return the reason why a scene has no derivative by a parameter; empty if it has one."""
     chain = scene.chain
     course = _course(scene)
+    if scene.excitation.from_below:
+        return "has no derivative in a scene whose base is driven: drive the top"
     match name:
         case "top_load" | "gravity" if not chain.compressed:
             return "has no derivative in a chain that nothing presses: give it a load or gravity"

@@ -248,7 +248,7 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
     is below rounding. A wall that touches the top of a chain of `powers` has a form of its own.
     """
     constant, force, overlap, stiffness = contacts.arrays
-    if powers and not loose:
+    if powers and not loose and not _touches_base(contacts):
         return overlap, force, constant, stiffness
     if not powers:
         # The length is the distance to a kink, and the force, which is not read, that of a spring.
@@ -265,6 +265,15 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
         constant,
         read_only(np.where(touch, 0.0, stiffness)),
     )
+
+
+def _touches_base(contacts: Contacts) -> bool:
+    """Return whether the last grain touches a wall that carries nothing at rest.
+
+    Of the chains upside down, those with a wall that touched grain 1 have such a wall.
+    """
+    carries_nothing = (contacts.constant[..., -1] > 0) & (contacts.force[..., -1] == 0)
+    return bool(carries_nothing.any())
 
 
 def nearest_kinks(contacts: Contacts) -> Array:
@@ -339,7 +348,8 @@ def force_form(scene: Scene, force: str = "auto") -> int:
     if roots is not None and (force == "plain" or (force == "auto" and _strong(scene))):
         return roots
     # The correction is one for strains, and the strain of a touching contact is unbounded.
-    if exponent == 1.5 and not scene.chain.loose_grains:
+    touches = scene.chain.loose_grains or _touches_base(scene.chain.contacts)
+    if exponent == 1.5 and not touches:
         return Form.CORRECTED
     return Form.POWER
 

@@ -13,6 +13,7 @@ __all__ = [
     "front",
     "harmonic",
     "motion",
+    "planar",
     "power",
     "self_similar",
     "shock",

@@ -66,9 +66,13 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     v = trajectory.velocity[:, column]
     # The mark of a body that stands still is also a valid index: the last column.
     u[:, column == STILL] = v[:, column == STILL] = 0.0
-    if wall := trajectory.scene.excitation.wall:
-        u[:, bodies == 0] = wall.at(trajectory.time, 0)[:, None]
-        v[:, bodies == 0] = wall.at(trajectory.time, 1)[:, None]
+    drive = trajectory.scene.drive
+    # Grain 1 is recorded like other grains.
+    if drive is not None and not drive.driven:
+        driven = bodies == drive.body(trajectory.scene.chain)
+        displacement, velocity = drive.motion(trajectory.time)
+        u[:, driven] = displacement[:, None]
+        v[:, driven] = velocity[:, None]
     return u, v
 
 

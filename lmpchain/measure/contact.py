@@ -19,6 +19,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
+from .motion import OF_DRIVER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -260,6 +261,8 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
     if kind == "free":
         raise InputError.at("end", f"there is no wall at the end {shown(end)} of this chain")
+    if end == "bottom" and kind == "fixed" and trajectory.scene.excitation.from_below:
+        raise InputError.at("end", OF_DRIVER)
     force = contacts(trajectory, [0 if end == "top" else chain.movable]).force[:, 0]
     return force + chain.held_weight if kind == "fixed" else force
 
@@ -288,11 +291,14 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
 
 
 def drive_force(trajectory: Trajectory) -> Array:
-    """Return the force of the driver on grain 1 or on the top wall, (T,) N, positive downward.
+    """Return the force of the driver on the driven end, (T,) N, positive downward.
 
     On grain 1, whose drag is left out, it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall
     above it; on the wall that of its contact. At rest it is the top load, or 0 on grain 1 below a
     wall. The impulse that starts a motion with a velocity at t = 0 is left out.
+
+    A driver below carries the column, with a negative force at rest. On the bottom wall the force
+    is that of its contact, on the last grain it is m_N (phi_N'' - g) - F_(N-1).
 
     Parameters
     ----------
@@ -306,17 +312,51 @@ def drive_force(trajectory: Trajectory) -> Array:
     Raises
     ------
     InputError
-        If the chain is not driven, or grain 2 was not recorded.
+        If the chain is not driven, or the grain next to the driven body was not recorded.
     """
     chain = trajectory.scene.chain
     acceleration = drive_motion(trajectory)[2]
     if trajectory.scene.excitation.wall:
         return contacts(trajectory, [0]).force[:, 0]
+    if trajectory.scene.excitation.from_below:
+        force = -contacts(trajectory, [chain.movable]).force[:, 0]
+        held = chain.bottom == "fixed"
+        return force + held * (chain.masses[-1] * acceleration - chain.held_weight)
     force = chain.masses[0] * acceleration + contacts(trajectory, [1]).change[:, 0]
     # At rest the wall carries the load, so that the driver exerts no force.
     if chain.top == "wall":
         return force - contacts(trajectory, [0]).change[:, 0]
     return force + (chain.top_load if chain.load_grain == 1 else 0.0)
+
+
+def force_above_rest(trajectory: Trajectory, body: int) -> Array:
+    """Return the force of the driver on a driven body less that at rest, (T,) N.
+
+    The inertia of a driven grain is left out.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    body : int
+        Number of the driven body, `Drive.body`.
+
+    Returns
+    -------
+    (T,) array
+        N, positive downward.
+
+    Raises
+    ------
+    InputError
+        If a grain that touches the body was not recorded.
+    """
+    exists = trajectory.scene.chain.contacts.exists
+    force = np.zeros(trajectory.time.size)
+    if body < exists.size and exists[body]:
+        force += contacts(trajectory, [body]).change[:, 0]
+    if body and exists[body - 1]:
+        force -= contacts(trajectory, [body - 1]).change[:, 0]
+    return force
 
 
 def sensor(trajectory: Trajectory, grain: int) -> Signal:

@@ -312,13 +312,14 @@ class _Pieces(NamedTuple):
 
     Attributes
     ----------
-    work, push, top : (T-1,) arrays
-        Of the power and of the force of a push, J and N s, and of that of the top wall, N s.
+    work, push, top, bottom : (T-1,) arrays
+        Of the power and of the force of a push, J and N s, and of those of the walls, N s.
     """
 
     work: Array
     push: Array
     top: Array
+    bottom: Array
 
 
 class _Forces(NamedTuple):
@@ -386,12 +387,13 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
-    top, top_speed = _motion_of_wall(scene, time)
-    closer = chain.contacts.closer(u, top)
+    walls = _positions_of_walls(scene, time)
+    closer = chain.contacts.closer(u, *walls)
     known = motion_of(trajectory)
     off = known.known_error("displacement")
     fast = known.known_error("velocity")
-    contacts = _forces(chain, closer, chain.contacts.closer(v, top_speed), 2 * off, 2 * fast)
+    closing = chain.contacts.closer(v, *_positions_of_walls(scene, time, 1))
+    contacts = _forces(chain, closer, closing, 2 * off, 2 * fast)
     force, rate, doubt = contacts.force, contacts.rate, contacts.doubt
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
@@ -423,15 +425,16 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         # An applied force is exact, and so is the speed of a driven body.
-        driven = doubt[:, :2].sum(1) if scene.excitation.driven else doubt[:, 0]
-        moves = bool(scene.excitation.driven or scene.excitation.wall)
+        driven = _doubt_of_driver(scene, doubt)
+        moves = scene.drive is not None
         drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
         if push.on_grain:
             push_impulse, error = integral(push.force, push.rate, pieces.push)
             impulse = impulse + push_impulse + push.inertia * (speed - speed[0])
             impulse_error += error + _area(time, driven if moves else 0.0)
-    if chain.bottom != "free":
-        bottom, error = integral(force[:, chain.movable], rate[:, chain.movable])
+    if _carries(scene):
+        of_bottom = force[:, chain.movable], rate[:, chain.movable]
+        bottom, error = integral(*of_bottom, pieces.bottom if pieces else None)
         impulse = impulse - bottom
         impulse_error += error + _area(time, doubt[:, chain.movable])
     terms = {
@@ -450,7 +453,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         kinetic=v**2 @ chain.masses / 2,
         contact=elastic + closer @ chain.contacts.force,
         gravity=-chain.gravity * (u @ chain.masses),
-        load=-_work_of_load(chain, u, top),
+        load=-_work_at_ends(scene, time, u, walls[0]),
         total=total,
         drive=terms["drive"][0],
         dissipated=terms["dissipated"][0],
@@ -503,10 +506,35 @@ def _area(time: Array, size: Array | float) -> float:
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
-def _work_of_load(chain: Chain, u: Array, top: Array | None) -> Array:
-    """Return the work of the top load, (T,) J, with the top wall at (T,) m if the wall is moved."""
-    of_grain = chain.constant_load * u[:, chain.load_grain - 1]
-    return of_grain if top is None else of_grain + chain.wall_load * top
+def _doubt_of_driver(scene: Scene, doubt: Array) -> Array:
+    """Return the error of the force on the driven body, (T,) N, given those of the contacts."""
+    if scene.excitation.from_below:
+        return doubt[:, scene.chain.movable]
+    return np.asarray(doubt[:, :2].sum(1)) if scene.excitation.driven else doubt[:, 0]
+
+
+def _carries(scene: Scene) -> bool:
+    """Return whether a body that is not one of the grains that move carries the lowest of them.
+
+    A last grain that is driven is one of the grains that move.
+    """
+    chain = scene.chain
+    return chain.bottom == "wall" or (chain.bottom == "fixed" and not scene.excitation.from_below)
+
+
+def _work_at_ends(scene: Scene, time: Array, u: Array, top: Array | None) -> Array:
+    """Return the work of the top load and of the support of a driven base at rest, (T,) J.
+
+    The top wall is at (T,) m if it is moved.
+    """
+    chain = scene.chain
+    work = chain.constant_load * u[:, chain.load_grain - 1]
+    if top is not None:
+        work = work + chain.wall_load * top
+    if scene.drive is not None and scene.drive.from_below:
+        support = chain.contacts.force[chain.movable] + chain.held_weight
+        work = work - support * scene.drive.motion(time)[0]
+    return work
 
 
 def losses(trajectory: Trajectory) -> EnergyLosses:
@@ -540,10 +568,12 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
-    top, top_speed = _motion_of_wall(scene, time)
     motion = motion_of(trajectory)
     doubts = (2 * motion.known_error(field) for field in ("displacement", "velocity"))
-    closer, closing = chain.contacts.closer(u, top), chain.contacts.closer(v, top_speed)
+    closer, closing = (
+        chain.contacts.closer(x, *_positions_of_walls(scene, time, order))
+        for order, x in enumerate((u, v))
+    )
     contacts = _forces(chain, closer, closing, *doubts)
     lost = _sum_losses(scene, time, contacts, v, motion.known_error("velocity"))
     if not chain.damped:
@@ -571,6 +601,8 @@ def _drag(scene: Scene) -> Array:
     """Return m gamma of every grain that is not driven, (N,) kg/s."""
     drag = scene.chain.masses * scene.chain.drag
     drag[: scene.excitation.driven] = 0.0
+    if scene.excitation.from_below and scene.chain.bottom == "fixed":
+        drag[-1] = 0.0
     return drag
 
 
@@ -613,15 +645,16 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     """
     wave = scene.excitation.waveform
     assert wave
-    moves = bool(scene.excitation.driven or scene.excitation.wall)
+    moves = scene.drive is not None
     unknown = np.full(time.size - 1, np.nan)
     corners = np.array(wave.corners)
     corners = corners[(corners > 0) & (corners <= time[-1])]
     # The slope at a corner is the right-hand one, so an interval that ends there has a corner.
     known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
     # Viscous forces on a driven body need more than displacements.
+    pieces = _Pieces(unknown, unknown, unknown, unknown)
     if not known.any() or (moves and scene.chain.damped):
-        return _Pieces(unknown, unknown, unknown)
+        return pieces
     turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)
     count = 1 if moves else math.ceil(turn)
     between = np.interp(np.arange(count * (time.size - 1)) / count, np.arange(time.size), time)
@@ -634,15 +667,24 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
         return np.where(known, np.add.reduceat((half * values) @ WEIGHTS, begin), np.nan)
 
     contacts = scene.chain.contacts
+    if scene.excitation.from_below:
+        last = scene.chain.movable
+        above = CubicHermiteSpline(time, u[:, last - 1], v[:, last - 1])(x)
+        force = contacts.of(last).force_change(above - wave.at(x))
+        impulse = integrate(force)
+        return pieces._replace(
+            work=-integrate(force * wave.at(x, 1)), push=-impulse, bottom=impulse
+        )
     if scene.excitation.wall:
         below = CubicHermiteSpline(time, u[:, 0], v[:, 0])(x)
         force = contacts.of(0).force_change(wave.at(x) - below)
-        return _Pieces(integrate(force * wave.at(x, 1)), unknown, integrate(force))
+        return pieces._replace(work=integrate(force * wave.at(x, 1)), top=integrate(force))
     if scene.excitation.driven:
         below = CubicHermiteSpline(time, u[:, 1], v[:, 1])(x)
         above = contacts.of(0).force_change(-wave.at(x))
         force = contacts.of(1).force_change(wave.at(x) - below) - above
-        return _Pieces(integrate(force * wave.at(x, 1)), integrate(force), integrate(above))
+        work = integrate(force * wave.at(x, 1))
+        return pieces._replace(work=work, push=integrate(force), top=integrate(above))
     mass = scene.chain.masses[scene.excitation.acts_on - 1]
     impulse = wave.integral(time)
     speed = push.speed - impulse / mass
@@ -650,7 +692,8 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     if scene.chain.damped:
         slope = CubicSpline(time, speed)(time, 1)
     others = integrate(wave.at(x) * CubicHermiteSpline(time, speed, slope)(x))
-    return _Pieces(np.diff(impulse**2) / (2 * mass) + others, np.diff(impulse), unknown)
+    work = np.diff(impulse**2) / (2 * mass) + others
+    return pieces._replace(work=work, push=np.diff(impulse))
 
 
 def _integral(
@@ -695,9 +738,14 @@ def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
     return np.asarray(curve.antiderivative()(time))
 
 
-def _motion_of_wall(scene: Scene, time: Array) -> tuple[Array | None, Array | None]:
-    """Return displacement and velocity of a driven top wall, (T,) m, m/s, or None."""
-    wall = scene.excitation.wall
-    if wall is None:
-        return None, None
-    return wall.at(time, 0), wall.at(time, 1)
+def _positions_of_walls(
+    scene: Scene, time: Array, order: int = 0
+) -> tuple[Array | None, Array | None]:
+    """Return the positions of the top wall and of the bottom wall, (T,) m; None of one at rest.
+
+    With an order of 1, return their velocities, m/s.
+    """
+    excitation = scene.excitation
+    top = excitation.wall
+    base = excitation.waveform if excitation.from_below and scene.chain.bottom == "wall" else None
+    return (top.at(time, order) if top else None, base.at(time, order) if base else None)

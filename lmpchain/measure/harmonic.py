@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from ..chain.chain import Chain
 from ..errors import InputError
 from ..scene.acting import Drive, Force
-from ..theory.steady import displacements, dynamic_stiffness
+from ..theory.steady import drive_stiffness, dynamic_stiffness
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
@@ -30,7 +30,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
-from .contact import contacts
+from .contact import force_above_rest
 from .motion import motion_of
 
 if TYPE_CHECKING:
@@ -299,7 +299,8 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     drive, window = _window(trajectory, periods)
     time = trajectory.time
     omega = 2 * np.pi * drive.frequency
-    moved = _amplitudes(time, motion(trajectory, np.array([drive.grain]))[0], omega, window)
+    body = drive.grain if isinstance(drive, Force) else drive.body(chain)
+    moved = _amplitudes(time, motion(trajectory, np.array([body]))[0], omega, window)
     known = motion_of(trajectory)
     part = known.known_error("displacement") / max(known.sampled[0], 1e-300)
     if isinstance(drive, Force):
@@ -307,9 +308,10 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
         force = [np.full(1, -1j * drive.amplitude)] * 3
         off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
     else:
-        pushed = _force_of_driver(trajectory, drive.grain)
+        pushed = force_above_rest(trajectory, body)
         force = _amplitudes(time, pushed[:, None], omega, window)
-        inertia = drive.grain * float(chain.masses[0]) * omega**2
+        mass = float(chain.masses[body - 1]) if 1 <= body <= chain.grains else 0.0
+        inertia = mass * omega**2
         force = [each - inertia * u for each, u in zip(force, moved, strict=True)]
         moved = [np.full(1, -1j * drive.amplitude)] * 3
         size = float(np.abs(pushed).max())
@@ -317,7 +319,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     whole, later, rough = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
     linear = complex(np.nan, np.nan)
     if chain.linearisable:
-        linear = _linear_stiffness(chain, drive)
+        linear = drive_stiffness(chain, drive)
     error = LEFT * abs(later - whole) + abs(rough - whole) + off * abs(whole)
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
@@ -457,23 +459,3 @@ def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
     half = whole.size // 2
     change = abs(whole.mean() - later.mean()) + abs(whole[:half].mean() - whole[half:].mean())
     return float(whole.mean()), float(change)
-
-
-def _force_of_driver(trajectory: Trajectory, grain: int) -> Array:
-    """Return the force of the driver on the chain, (T,) N above rest, without a grain's inertia."""
-    force = contacts(trajectory, [grain]).change[:, 0]
-    if grain and trajectory.scene.chain.contacts.exists[0]:
-        force = force - contacts(trajectory, [0]).change[:, 0]
-    return force
-
-
-def _linear_stiffness(chain: Chain, drive: Drive | Force) -> complex:
-    """Return the dynamic stiffness of the linearised chain at the driven body, N/m."""
-    u = displacements(chain, drive)
-    if isinstance(drive, Force):
-        return complex(drive.amplitude / u[drive.grain])
-    omega = 2 * np.pi * drive.frequency
-    force = dynamic_stiffness(chain, omega) * (u[:-1] - u[1:])
-    grain = drive.grain
-    above = force[grain - 1] + chain.masses[0] * omega**2 * u[1] if grain else 0.0
-    return complex((force[grain] - above) / drive.amplitude)

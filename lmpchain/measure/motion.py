@@ -23,6 +23,8 @@ __dir__ = listed(__name__)
 # accelerations computed from the samples; see analysis/calibration/between_samples.py.
 RESOLVED = 2.0
 RESOLVED_BY_DIFFERENCES = 0.7
+# What to use in place of the force on a held last grain that is driven.
+OF_DRIVER = "the last grain is driven: use measure.contact.drive_force, with its inertia"
 
 
 class Peaks(NamedTuple):
@@ -185,6 +187,8 @@ class Motion:
         chain = self.scene.chain
         if chain.bottom == "free":
             raise InputError.at("end", "there is no wall at the end 'bottom' of this chain")
+        if self.scene.excitation.from_below and chain.bottom == "fixed":
+            raise InputError.at("end", OF_DRIVER)
         if chain.damping.longest_time > 0:
             number = chain.movable
             cure = f'add "peak_force:{number}" to the quantities of the scene, or use wall_force'

@@ -20,7 +20,7 @@ from ..util.notebook import Shown
 from ..util.plotting import axes_in_units, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
-from .contact import contacts
+from .contact import contacts, force_above_rest
 from .motion import motion_of
 
 if TYPE_CHECKING:
@@ -226,20 +226,14 @@ def _input(
             _, v = motion(trajectory, np.array([drive.grain]))
             power = drive.waveform.at(time) * v[:, 0]
         else:
-            power = _power_of_driver(trajectory, drive.grain)
+            body = drive.body(trajectory.scene.chain)
+            _, v = motion(trajectory, np.array([body]))
+            # The power of inertia vanishes in the mean.
+            power = force_above_rest(trajectory, body) * v[:, 0]
     except InputError:
         return np.nan, np.nan
     mean, error = _mean(time, power, 1 / drive.frequency, count)
     return mean, error + 2 * part * float(np.abs(power).max())
-
-
-def _power_of_driver(trajectory: Trajectory, grain: int) -> Array:
-    """Return the power of the driver of grain 1 or the wall, (T,) W, less the power of inertia."""
-    _, v = motion(trajectory, np.array([grain]))
-    force = contacts(trajectory, [grain]).change[:, 0]
-    if grain and trajectory.scene.chain.contacts.exists[0]:
-        force = force - contacts(trajectory, [0]).change[:, 0]
-    return force * v[:, 0]
 
 
 def _linear(chain: Chain, drive: Drive | Force, number: int) -> tuple[float, float]:
@@ -254,7 +248,7 @@ def _linear(chain: Chain, drive: Drive | Force, number: int) -> tuple[float, flo
     if isinstance(drive, Force):
         given = drive.amplitude * v[drive.grain].real / 2
     else:
-        grain = drive.grain
-        above = force[grain - 1] if grain else 0.0
-        given = ((force[grain] - above) * v[grain].conj()).real / 2
+        body = drive.body(chain)
+        above, below = np.pad(force, 1)[body : body + 2]
+        given = ((below - above) * v[body].conj()).real / 2
     return float(passed), float(given)

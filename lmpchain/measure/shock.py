@@ -238,7 +238,7 @@ class Shock(Shown, Tabular):
         return self._source + (way if self._downward else -way)
 
 
-class _TravellingWave(NamedTuple):
+class TravellingWave(NamedTuple):
     """Motion of a wave towards larger numbers; the arrays of an upward wave are mirrored.
 
     Attributes
@@ -310,8 +310,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     if direction not in ("down", "up"):
         raise InputError.at("direction", 'must be "down" or "up"')
     chain = trajectory.scene.chain
-    gas = _medium(trajectory)
-    wave = _wave_of(trajectory, direction == "up", gas)
+    gas = medium_of(trajectory)
+    wave = wave_of(trajectory, direction == "up", gas)
     ahead = State(float(wave.velocity[0, -2]), float(wave.overlap[0, -1]))
     behind, behind_error = _plateau(wave, gas, ahead)
     steady = (State(np.nan, np.nan), np.nan)
@@ -356,8 +356,22 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     )
 
 
-def _medium(trajectory: Trajectory) -> Medium:
-    """Return the chain as a gas; raise `InputError` unless it is uniform and fully recorded."""
+def medium_of(trajectory: Trajectory) -> Medium:
+    """Return the chain as a gas.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+
+    Returns
+    -------
+    Medium
+
+    Raises
+    ------
+    InputError
+        Unless the chain is uniform, without gravity, and fully recorded.
+    """
     chain = trajectory.scene.chain
     exponent = chain.law.power_of("a shock")
     if chain.gravity or chain.loose_grains or exponent == 1:
@@ -373,8 +387,26 @@ def _medium(trajectory: Trajectory) -> Medium:
     return Medium(exponent, float(constants[0]), float(masses[0]))
 
 
-def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWave:
-    """Return the motion up to the time at which other waves disturb the wave of the source."""
+def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave:
+    """Return the motion up to the time at which other waves disturb the wave of the source.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    upward : bool
+        Whether the wave goes up; its arrays are then mirrored.
+    gas : Medium
+        The chain as `medium_of` returns it.
+
+    Returns
+    -------
+    TravellingWave
+
+    Raises
+    ------
+    InputError
+        If the wave is too short, or the push does not last.
+    """
     scene = trajectory.scene
     time = trajectory.time
     displacement = np.asarray(trajectory.displacement)
@@ -421,7 +453,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWa
     if reached - source < FEWEST:
         passed = f"the wave has passed {reached - source} contacts"
         raise InputError.at("duration", f"{passed}, fewer than {FEWEST}: {cure}")
-    return _TravellingWave(time[:last], velocity[:last], overlap[:last], source, start, reached)
+    return TravellingWave(time[:last], velocity[:last], overlap[:last], source, start, reached)
 
 
 def _source(scene: Scene, upward: bool) -> int:
@@ -433,8 +465,9 @@ def _source(scene: Scene, upward: bool) -> int:
     elif isinstance(excitation, Force):
         # The contact on the far side of the grain.
         first = excitation.grain - 1 - upward
-    elif upward and isinstance(excitation, Drive):
-        raise InputError.at("direction", 'must be "down": a drive acts at the top')
+    elif isinstance(excitation, Drive) and upward != excitation.from_below:
+        way, end = ("up", "bottom") if excitation.from_below else ("down", "top")
+        raise InputError.at("direction", f'must be "{way}": the drive acts at the {end}')
     else:
         return 0
     source = contacts - 1 - first if upward else first
@@ -493,7 +526,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
         raise InputError.at("excitation", f"does not push steadily in {used}: {cure}")
 
 
-def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
+def _plateau(wave: TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
     """Return mean velocity and overlap behind the wave, and twice their standard deviation."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
@@ -531,7 +564,7 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
     return np.array(crests)
 
 
-def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
+def _leading_crest(wave: TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
@@ -553,7 +586,7 @@ def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
     return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
 
 
-def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
+def _trailing_edge(wave: TravellingWave, ahead: State, behind: State) -> Edge:
     """Extrapolate the oscillation amplitudes at several contacts to the trailing edge.
 
     The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
@@ -601,7 +634,7 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
         return np.nan
 
 
-def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _rarefaction_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return both edges, extrapolated from places with known speed of sound between them."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
@@ -633,7 +666,7 @@ def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind:
     )
 
 
-def _dispersive_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
+def _dispersive_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
     """Return the leading crest, the trailing edge, and the theories of both."""
     leading = _leading_crest(wave, ahead, behind.overlap - ahead.overlap)
     trailing = _trailing_edge(wave, ahead, behind)
@@ -654,7 +687,7 @@ def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> fl
     return np.nan
 
 
-def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer:
+def _steady_front(wave: TravellingWave, ahead: State, behind: State) -> _Answer:
     """Return the edge at half the jump, and the thickness in grains."""
     jump = behind.overlap - ahead.overlap
     total = wave.reached - wave.source

@@ -241,6 +241,9 @@ def check_sine(drive: Any) -> None:
     """Raise `InputError` for all but a motion or force that is a sine and never ends."""
     if not isinstance(drive, Drive | Force):
         raise InputError.at("drive", f"must be a Drive or a Force (got {shown(drive)})")
+    if drive.from_below:
+        message = 'must act on the top: orbits of a chain with end = "bottom" are not computed'
+        raise InputError.at("drive", message)
     if drive.frequency is None or drive.cycles is not None:
         message = "must be a sine that never ends: give amplitude and frequency alone"
         raise InputError.at("drive", message)

@@ -1,11 +1,11 @@
-"""Excitations that act after t = 0: motion of grain 1 or of the top wall, force on a grain."""
+"""Excitations that act after t = 0: motion of an end of the chain, force on a grain."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field
@@ -123,7 +123,7 @@ class _Acting(Measured):
 
     def _faults(self) -> Iterator[tuple[str, str]]:
         values = self.strength[1]
-        others = {"grain", "start", "interpolation", "source"}
+        others = {"grain", "end", "start", "interpolation", "source"}
         fields = {key for key, value in self if value is not None} - others
         if fields not in self._ways(values):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
@@ -178,7 +178,9 @@ class _Acting(Measured):
 
 
 class Drive(_Acting):
-    """A prescribed motion of grain 1 or of the top wall; positive downward, from 0 at t = 0.
+    """A prescribed motion of an end of the chain; positive downward, from 0 at t = 0.
+
+    The end is grain 1, the top wall, or, from below, the bottom wall or the held last grain.
 
     Parameters
     ----------
@@ -205,6 +207,9 @@ class Drive(_Acting):
         position at t = 0.
     grain : 0 or 1
         0 moves the top wall, of a chain with ``top = "wall"``.
+    end : "top" or "bottom"
+        "bottom" moves the base of the column, as a shaker does: the wall of a chain with
+        ``bottom = "wall"``, or the last grain of one with ``bottom = "fixed"``. Leave `grain` out.
     start : Profile, optional
         Displacement and velocity at t = 0 of the other grains; at rest by default.
 
@@ -231,6 +236,7 @@ class Drive(_Acting):
     velocity: Real = NOT_GIVEN
     rise: Positive = NOT_GIVEN
     grain: Annotated[Whole, Field(ge=0, le=1)] = 1
+    end: Literal["top", "bottom"] = "top"
     start: Profile = NOT_GIVEN
     interpolation: Interpolation = "pchip"
     source: str = NOT_GIVEN
@@ -265,62 +271,110 @@ class Drive(_Acting):
         """Parameters of the waveform: as for every motion; for a piston, its velocity."""
         return super().numbers if self.shape is None else np.array([self.velocity])
 
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        yield from super()._faults()
+        if self.from_below and "grain" in self.model_fields_set:
+            yield "grain", 'is that of a drive from above: leave it out with end = "bottom"'
+
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._point_faults(key, values)
         if values[0] != 0:
-            body = "grain 1" if self.grain else "the wall"
+            top = "grain 1" if self.grain else "the wall"
+            body = "the base" if self.from_below else top
             yield key, f"must begin with 0, the position of {body} at rest"
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         """Yield the faults of the drive for this chain and duration, s."""
-        if self.grain == 0 and chain.top != "wall":
+        if self.from_below:
+            yield from self._faults_from_below(chain)
+        elif self.grain == 0 and chain.top != "wall":
             cure = 'use top = "wall", or drive grain 1'
             yield "grain", f"0 moves the top wall, but the chain has no top wall: {cure}"
-        if self.grain == 1 and chain.movable < 2:
+        elif self.grain == 1 and chain.movable < 2:
             yield "kind", "no other grain can move if grain 1 is driven: use more grains"
         yield from self._start_faults(chain, duration)
+
+    def _faults_from_below(self, chain: Chain) -> Iterator[tuple[str, str]]:
+        """Yield the faults of the drive of a base for this chain."""
+        if chain.bottom == "free":
+            cure = 'use bottom = "wall" or bottom = "fixed"'
+            yield "end", f"the chain has no base to be moved: {cure}"
+        if chain.ground is not None:
+            cure = "leave the ground out, or drive the top"
+            yield "end", f"a base cannot be driven beside a force from the ground: {cure}"
+        if chain.loose_grains:
+            yield "end", f"a base cannot be driven if {chain.loose}"
 
     def _start_faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
         faults = list(super()._start_faults(chain, duration))
         yield from faults
         # The arrays of a profile with a wrong length may be empty.
         for key, values in self.start.fields.items() if self.start and not faults else ():
-            if self.grain and values[0]:
+            if self.driven and values[0]:
                 yield f"start.{key}", "must be 0 for grain 1, because it is driven"
 
     @property
+    def from_below(self) -> bool:
+        """Whether the motion of the bottom wall or of the held last grain is prescribed."""
+        return self.end == "bottom"
+
+    @property
+    def acts_on(self) -> int:
+        """Number of the driven grain; 0 for a wall or a base."""
+        return self.driven
+
+    @property
     def driven(self) -> int:
-        """Number of driven grains; a driven wall is not counted."""
-        return self.grain
+        """Number of driven grains, from the top; a driven wall or base is not counted."""
+        return 0 if self.from_below else self.grain
 
     @property
     def wall(self) -> Waveform | None:
         """Motion of the top wall, m; None if the wall does not move."""
-        return None if self.grain else self.waveform
+        return None if self.grain or self.from_below else self.waveform
+
+    def body(self, chain: Chain) -> int:
+        """Return the number of the driven body: 0 of the top wall, N + 1 of the bottom wall."""
+        return chain.movable + 1 if self.from_below else self.grain
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
         """Return displacement and velocity of every grain at t = 0."""
         u, v = self._begin(chain)
-        if self.grain:
-            v[0] = self.motion(0.0)[1]
+        if 1 <= self.body(chain) <= chain.grains:
+            v[self.body(chain) - 1] = self.motion(0.0)[1]
         return u, v
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Return the largest displacement and velocity (N,) of the start and of the drive.
 
-        The values of grain 1 include the motion of the driven body, grain 1 or the wall above it.
+        The values of the first or last grain include the motion of the driven body.
         """
         fields = self._begin(chain)
+        place = -1 if self.from_below else 0
         for order, values in enumerate(fields):
-            values[0] = max(abs(values[0]), self.waveform.largest(order))
+            values[place] = max(abs(values[place]), self.waveform.largest(order))
         return fields
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return grain 1, and the last grain that is displaced or moves at t = 0."""
-        return 1, 1 if self.start is None else self.start.reach(chain)[1]
+        """Return the first and the last grain that is driven, displaced or moves at t = 0."""
+        first, last = self.start.reach(chain) if self.start else (chain.grains, 1)
+        if self.from_below:
+            return first, chain.grains
+        return 1, last
+
+    def upside_down(self, chain: Chain) -> Drive:
+        """Return the drive of the upper end that moves the chain upside down in the same way."""
+        turned = self.scaled(-1.0)
+        fields: dict[str, object] = {"end": "top", "grain": int(chain.bottom == "fixed")}
+        if turned.start is not None:
+            backwards: dict[str, Any] = {
+                key: values[::-1] for key, values in turned.start.fields.items()
+            }
+            fields["start"] = Profile(**backwards)
+        return turned.replace(**fields)
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the drive of grains first ... last, which must include grain 1."""
+        """Return the drive of grains first ... last, which must include the driven end."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
@@ -333,12 +387,17 @@ class Drive(_Acting):
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
         """Return an upper bound from the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
-        stiffness = chain.contacts.stiffness[self.grain]
+        stiffness = chain.contacts.stiffness[chain.movable if self.from_below else self.grain]
         return float(np.sqrt(stiffness) * self.waveform.path(duration))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:
         """Return the external force that maintains the prescribed motion."""
         motion = self.motion(time)[1], self.acceleration(time)
+        if self.from_below:
+            # The base transmits the force of the contact above it, and of no other one.
+            held = chain.bottom == "fixed"
+            inertia = held * float(chain.masses[-1])
+            return Push(-force[:, chain.movable], -rate[:, chain.movable], *motion, inertia, held)
         # A driven wall transmits the force of contact 0; contacts 0 and 1 act on a driven grain 1.
         if not self.grain:
             return Push(force[:, 0], rate[:, 0], *motion, 0.0, False)

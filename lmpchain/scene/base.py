@@ -71,13 +71,18 @@ class Excitation(Checked):
         return 0
 
     @property
+    def from_below(self) -> bool:
+        """Whether the motion of the bottom wall or of the held last grain is prescribed."""
+        return False
+
+    @property
     def acts_on(self) -> int:
         """Number of the grain that is driven or forced after t = 0, else 0."""
         return 0
 
     @property
     def waveform(self) -> Waveform | None:
-        """Motion of grain 1 or of the top wall, m, or a force, N, after t = 0; or None."""
+        """Motion of the driven grain or wall, m, or a force, N, after t = 0; or None."""
         return None
 
     @property

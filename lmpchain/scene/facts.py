@@ -18,6 +18,7 @@ from ..chain import ground
 from ..chain.chain import Chain
 from ..chain.contacts import FEW_GRAINS
 from ..chain.plausible import LIMITS
+from ..chain.upside_down import turn_upside_down
 from ..util.arrays import Array, as_slice, read_only
 from ..util.lazy import cached_property
 from ..util.validation import make_unchecked
@@ -115,6 +116,23 @@ class SceneFacts(Recording):
         """Least time between kinks of the applied force or motion, s; infinite without kinks."""
         return self.excitation.corner_spacing
 
+    @cached_property
+    def driven_from_above(self) -> Self:
+        """The scene itself, or one that is driven from below upside down, with all grains recorded.
+
+        Engines compute this scene, because they only drive the upper end of a chain.
+        """
+        drive = self.excitation
+        if not drive.from_below:
+            return self
+        return make_unchecked(
+            type(self),
+            chain=turn_upside_down(self.chain),
+            excitation=drive.upside_down(self.chain),  # type: ignore[attr-defined]
+            duration=self.duration,
+            samples=self.samples,
+        )
+
     # Strength of the excitation.
 
     @property
@@ -168,6 +186,8 @@ class SceneFacts(Recording):
 
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
+        if self.excitation.from_below:
+            return self.driven_from_above.strike_number
         _, near = self._surroundings
         chain = near.chain
         excitation = near.excitation
@@ -180,7 +200,8 @@ class SceneFacts(Recording):
                 return np.inf
             omega = (contacts.stiffness[n] / chain.masses[n - 1]) ** 0.5
             return float(abs(self.strike_velocity) / (contacts.length[n] * omega))
-        moving = slice(0, chain.movable)
+        # A last grain that hangs free, or only touches a wall, has no pressed contact below it.
+        moving = slice(0, chain.movable - (not chain.contacts.pressed[chain.movable]))
         displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
         # Contacts that carry nothing at rest are as in the sonic vacuum.
         free = slice(0, loose if chain.compressed else None)
@@ -191,7 +212,8 @@ class SceneFacts(Recording):
         overlap = contacts.length[1:][moving][loose:]
         omega = np.sqrt(contacts.stiffness[1:][moving][loose:] / chain.masses[moving][loose:])
         shift = displacement[loose:] / overlap
-        return float(max(shift.max(), (velocity[loose:] / (overlap * omega)).max()))
+        speed = velocity[loose:] / (overlap * omega)
+        return float(max(shift.max(initial=0.0), speed.max(initial=0.0)))
 
     # Overlaps and strains.
 
@@ -202,6 +224,8 @@ class SceneFacts(Recording):
         Two bodies that approach with the relative velocity v, and nothing around them, come closer
         than at rest by r with ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
         """
+        if self.excitation.from_below:
+            return read_only(self.driven_from_above.first_overlaps[::-1].copy())
         chain = self.chain
         excitation = self.excitation
         contacts = chain.contacts

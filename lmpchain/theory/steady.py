@@ -69,7 +69,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     stiffness = dynamic_stiffness(chain, omega)
     answer = np.zeros(chain.grains + 2, complex)
     if isinstance(drive, Drive):
-        answer[drive.grain] = drive.amplitude
+        answer[drive.body(chain)] = drive.amplitude
     free = np.arange(drive.driven, chain.movable)
     if not free.size:
         return answer
@@ -81,7 +81,46 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     pull = np.zeros(free.size, complex)
     if isinstance(drive, Force):
         pull[drive.grain - 1] = drive.amplitude
+    elif drive.from_below:
+        pull[-1] = stiffness[chain.movable] * drive.amplitude
     else:
         pull[0] = stiffness[free[0]] * drive.amplitude
     answer[free + 1] = solve_banded((1, 1), bands, pull)
     return answer
+
+
+def drive_stiffness(chain: Chain, drive: Drive | Force) -> complex:
+    """Return the dynamic stiffness of the linearised chain at the driven body, N/m.
+
+    It is the force of the driver over the displacement, with the inertia of a driven grain.
+    Divided by ``-w^2`` it is the apparent mass, and by ``i w`` the impedance.
+
+    Parameters
+    ----------
+    chain, drive
+        As for `displacements`.
+
+    Returns
+    -------
+    complex
+        N/m.
+
+    Examples
+    --------
+    >>> lossy = {"viscoelastic": 1e-6}
+    >>> chain = Chain(grains=4, diameter=1e-2, bottom="wall", damping=lossy)
+    >>> slow = drive_stiffness(chain, Drive(end="bottom", amplitude=1e-9, frequency=1.0))
+    >>> f"{-slow.real / (2 * np.pi) ** 2 / chain.masses.sum():.6f} of the mass"
+    '1.000000 of the mass'
+    """
+    u = displacements(chain, drive)
+    if isinstance(drive, Force):
+        return complex(drive.amplitude / u[drive.grain])
+    assert drive.frequency is not None
+    omega = 2 * np.pi * drive.frequency
+    # Contact n has the index n + 1. There is none above the top wall and below the bottom wall.
+    force = np.pad(dynamic_stiffness(chain, omega) * (u[:-1] - u[1:]), 1)
+    body = drive.body(chain)
+    mass = chain.masses[body - 1] if 1 <= body <= chain.grains else 0.0
+    pull = force[body + 1] - force[body] - mass * omega**2 * u[body]
+    return complex(pull / drive.amplitude)

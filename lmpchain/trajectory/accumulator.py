@@ -176,12 +176,15 @@ class Accumulator:
 
         The samples (B, C) begin with sample number `first`.
         """
-        above, below = self._column[[number, number + 1]].tolist()
-        if number == 0:
-            upper = imposed_on(self.scene, self.step, first, len(u)).wall[:2]
-        else:
-            upper = np.array([u[:, above], v[:, above]])
-        return upper - [u[:, below], v[:, below]] if below >= 0 else upper
+        imposed = imposed_on(self.scene, self.step, first, len(u))
+
+        def motion(body: int) -> Array:
+            column = self._column[body]
+            if body == imposed.wall_body:
+                return imposed.wall[:2]
+            return np.array([u[:, column], v[:, column]]) if column >= 0 else np.zeros((2, len(u)))
+
+        return motion(number) - motion(number + 1)
 
     def largest(self, field: str, error: float) -> tuple[Array, Array]:
         """Return the largest sizes of a field and their errors, (G,), given the samples' error."""

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
+from scipy.optimize import brentq, root
 
 from lmpchain import Chain, Drive, Force, InputError, Scene, Trajectory, patterns, simulate
 from lmpchain.measure import harmonic
@@ -123,6 +123,28 @@ def test_strong_waves_have_the_phase_of_exact_travelling_waves(
     assert abs(found.phase - exact) < error < 0.2 * shift
 
 
+def test_one_overlap_explains_three_phases_of_an_unknown_chain() -> None:
+    """Phases of 1.28700, 1.28677 and 1.28605 rad were found by hand at 0, 2e-7 and 4e-7 m."""
+    chain = Chain(grains=20, **LOADED)
+    rest = float(chain.equilibrium_overlap[0])
+    omega = 1.2 * float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
+
+    def phase(share: float, strain: float = 0.0) -> float:
+        return travelling_wave(chain, omega, share * rest, strain)
+
+    assert round(phase(1e-3), 5) == 1.28700
+    # The ratio of amplitude to overlap, from the second number and from the third.
+    second = brentq(lambda share: phase(share) - 1.28677, 0.01, 0.25)
+    third = brentq(lambda share: phase(share) - 1.28605, 0.01, 0.45)
+    assert 2e-7 / second == pytest.approx(2.124e-6, rel=1e-3)
+    assert 4e-7 / third == pytest.approx(2.091e-6, rel=1e-3)
+    assert phase(2 * second) == pytest.approx(1.28605, abs=3.1e-5)
+    assert phase(third / 2) == pytest.approx(1.28677, abs=1.1e-5)
+    # A mean strain of some 1e-4 is the rest.
+    slope = (phase(0.1, 1e-4) - phase(0.1)) / 1e-4
+    assert slope == pytest.approx(-np.tan(np.arcsin(0.6)) / 2, rel=0.02)
+
+
 def test_a_gap_is_measured_as_a_decay() -> None:
     """In the gap of a dimer and above the band the amplitude decays as in linear theory."""
     dimer = patterns.periodic(
@@ -147,6 +169,39 @@ def test_a_gap_is_measured_as_a_decay() -> None:
         assert abs(found.decay - abs(exact.imag)) < 2 * found.decay_error < 2e-3
         off = np.angle(np.exp(1j * (found.phase - exact.real)))
         assert abs(off) < 2 * found.phase_error < 2e-3
+
+
+@pytest.mark.parametrize("bottom", ["wall", "fixed"])
+@pytest.mark.parametrize("seed", range(5))
+def test_drive_point_of_a_base_under_gravity(bottom: str, seed: int) -> None:
+    """A column on a shaker, against a dense linear system of all bodies."""
+    rng = np.random.default_rng(seed)
+    grains = int(rng.integers(1 if bottom == "wall" else 2, 20))
+    chain = Chain(
+        grains=grains,
+        diameter=5e-3 * rng.uniform(0.8, 1.2, grains),
+        bottom=bottom,
+        damping={"viscoelastic": 2e-6, "drag": 200.0},
+    )
+    frequency = float(rng.uniform(0.02, 0.3) * chain.band_edge / np.pi)
+    shaker = Drive(end="bottom", amplitude=1e-15, frequency=frequency)
+    omega = 2 * np.pi * frequency
+    springs = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
+    matrix = np.zeros((grains + 2, grains + 2), complex)
+    for n, spring in enumerate(springs):
+        matrix[n : n + 2, n : n + 2] += spring * np.array([[1, -1], [-1, 1]])
+    inertia = chain.masses * (-(omega**2) + 1j * omega * chain.drag)
+    base = chain.movable + 1
+    # No drag acts on a driven grain.
+    inertia[base - 1 :] = -(omega**2) * chain.masses[base - 1 :]
+    matrix[1:-1, 1:-1] += np.diag(inertia)
+    free = np.arange(1, base)
+    moved = -np.linalg.solve(matrix[np.ix_(free, free)], matrix[free, base])
+    exact = matrix[base, base] + matrix[base, free] @ moved
+    found = harmonic.drive_point(driven(chain, shaker, 400, samples=16))
+    assert abs(found.linear / exact - 1) < 1e-12
+    assert abs(found.stiffness - exact) <= found.error < 1e-7 * abs(exact)
+    assert abs(found.stiffness / exact - 1) < 1e-9
 
 
 def test_drive_point_of_linear_chains() -> None:

@@ -173,6 +173,8 @@ class Lammps(TimeSteppingEngine):
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why LAMMPS cannot do this scene."""
+        if scene.excitation.from_below:
+            return [("end", "decks drive no base from below; use the engine native")]
         if scene.chain.damped and self.splitting(scene) != VERLET:
             fault = "kicks from outside know no velocities: use verlet, or leave it out"
             return [("integrator", fault)]

@@ -24,6 +24,7 @@ from ..cost_model import seconds
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution, sum_energies
 
+FROM_BELOW = ("end", "linear engines drive no base from below; use the engine native")
 BLOCK = 16  # Samples of a block, if they fit into the memory.
 # Largest number of values in memory, and number of values that takes nearly no time.
 BLOCK_VALUES = 2**22
@@ -44,7 +45,7 @@ class LinearEngine(Engine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return why there is no linear theory of this scene."""
         contacts = scene.chain.contacts
-        reasons = []
+        reasons = [FROM_BELOW] if scene.excitation.from_below else []
         if not scene.chain.compressed:
             why = "without gravity and load nothing can be linearised; use the engine native"
             reasons.append(("gravity", why))

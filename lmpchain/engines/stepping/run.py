@@ -33,7 +33,9 @@ class SteppingRun(Run):
     monitor : Monitor
     method : Method
     scenes : sequence of R scenes
-        One, or a batch of like ones.
+        The computed scenes: one, or a batch of like ones.
+    asked : Scene
+        The first requested scene. The computed one is upside down if it is driven from below.
     proposal : Proposal
     state : mapping, optional
         Arrays that `state` returned.
@@ -49,12 +51,14 @@ class SteppingRun(Run):
         monitor: Monitor,
         method: Method,
         scenes: Sequence[Scene],
+        asked: Scene,
         proposal: Proposal,
         state: Mapping[str, Array] | None,
         work_s: float,
         began: float,
     ):
         self.scene = scenes[0]
+        self.asked = asked
         self.method = method
         self.proposal = proposal
         self.monitor = monitor
@@ -107,8 +111,10 @@ class SteppingRun(Run):
                     yield Block(slice(first, first), nothing, nothing)
             self.monitor.compare(u, v, first, until)
             self._sample = until
-            if self.scene.grains != "all":
-                columns = as_slice(self.scene.recorded - 1)
+            if self.asked.excitation.from_below:
+                u, v = -u[:, :, ::-1], -v[:, :, ::-1]
+            if self.asked.grains != "all":
+                columns = as_slice(self.asked.recorded - 1)
                 u = np.array(u[:, :, columns])
                 v = np.array(v[:, :, columns])
             yield Block(slice(first, until + 1), u, v)

@@ -120,6 +120,7 @@ class TimeSteppingEngine(Engine):
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
         """Propose the given step, or the longest that should meet the tolerance."""
+        scene = scene.driven_from_above
         methods = self.methods(scene)
         way = choose_steps(scene, methods, tolerance, self.adaptive, self.step)
         return self.propose_steps(scene, tolerance, *way)
@@ -230,6 +231,8 @@ class TimeSteppingEngine(Engine):
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         began = clock()
         method = BY_NAME[proposal.integrator]
+        asked = scenes[0]
+        scenes = [scene.driven_from_above for scene in scenes]
         scene = scenes[0]
         # The time on the reference machine: bits must not depend on when a run is judged.
         evaluations = method.evaluations * proposal.steps.total(scene.intervals)
@@ -241,7 +244,8 @@ class TimeSteppingEngine(Engine):
             native = steppers["native"]
             assert isinstance(native, NativeStepper)
             monitor = self.monitor(native, auxiliary, method, scenes, proposal)
-            return SteppingRun(steppers, monitor, method, scenes, proposal, state, work_s, began)
+            run = steppers, monitor, method, scenes, asked, proposal, state, work_s, began
+            return SteppingRun(*run)
         except (LookupError, TypeError, ValueError) as error:
             # Only a stored state can be at fault.
             if state is None or isinstance(error, InputError):
@@ -337,5 +341,5 @@ def kind(scene: Scene) -> tuple:
     ends = chain.top, chain.bottom, chain.loose_grains
     built = chain.grains, *ends, chain.law.form, chain.compressed, chain.damped
     on_ground = chain.ground and kernel_of(chain.ground)
-    acted = excitation.driven, excitation.does_work
+    acted = excitation.driven, excitation.does_work, excitation.from_below
     return *built, on_ground, *acted, scene.samples, scene.duration, scene.grains

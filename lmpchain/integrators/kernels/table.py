@@ -89,7 +89,7 @@ def _fill_contacts(batch, real, at_rest):
             batch.inverse_length[real, PAD - 1 + n] = 1.0 / length
             batch.strength[real, PAD - 1 + n] = force[real, n] if pressed else constant[real, n]
         # The stiffness of a contact that only touches is 0.
-        if 0 < n < last and stiffness[real, n] == 0.0:
+        if n > 0 and stiffness[real, n] == 0.0 and constant[real, n] > 0.0:
             closed = False
     batch.uncompressed[real] = touching
     batch.least_strain[real] = 0.0 if closed else -1.0

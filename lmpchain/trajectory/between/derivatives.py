@@ -87,7 +87,7 @@ class ImposedSamples(NamedTuple):
     Attributes
     ----------
     wall : (4, R) array
-        Displacement, velocity, acceleration and jerk of the top wall.
+        Displacement, velocity, acceleration and jerk of the wall that moves.
     acceleration : (2, R) array
         Acceleration and jerk of the grain.
     doubt : (R,) array
@@ -96,6 +96,8 @@ class ImposedSamples(NamedTuple):
         Number of the grain, 0 for none.
     driven : bool
         Whether the grain has no other acceleration.
+    wall_body : int
+        Number of the wall that moves: N + 1 at the bottom; 0 at the top, or if none moves.
     """
 
     wall: Array
@@ -103,6 +105,7 @@ class ImposedSamples(NamedTuple):
     doubt: Array
     grain: int
     driven: bool
+    wall_body: int = 0
 
 
 class SampledBlock(NamedTuple):
@@ -187,18 +190,21 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
     doubt = np.zeros(count)
     wave = excitation.waveform
     if not wave:
-        return ImposedSamples(wall, acceleration, doubt, 0, False)
+        return ImposedSamples(wall, acceleration, doubt, 0, False, 0)
     time: Array = step * np.arange(first, first + count, dtype=float)
     grain = 0
     driven = False
+    wall_body = 0
     # The excitation imposes a displacement, of which the second derivative is the acceleration.
     order, share = 2, 1.0
-    if excitation.wall:
+    moves_base = excitation.from_below and scene.chain.bottom == "wall"
+    if excitation.wall or moves_base:
+        wall_body = scene.chain.grains + 1 if moves_base else 0
         wall[:] = [wave.at(time, n) for n in range(4)]
         jumps = wall[2:]
     else:
-        grain = excitation.acts_on
-        driven = bool(excitation.driven)
+        grain = scene.chain.grains if excitation.from_below else excitation.acts_on
+        driven = bool(excitation.driven) or excitation.from_below
         if not driven:
             # The excitation imposes a force.
             order, share = 0, 1 / scene.chain.masses[grain - 1]
@@ -218,7 +224,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
         off = np.abs(share * wave.at(inside, order) - between(inside))
         np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
     doubt[:-1] = np.where(corner, bound, 0.0)
-    return ImposedSamples(wall, acceleration, doubt, grain, driven)
+    return ImposedSamples(wall, acceleration, doubt, grain, driven, wall_body)
 
 
 def by_body(field: Array) -> Array:
@@ -336,7 +342,7 @@ def _inverse_mass(law, n):
 def _motion(block, n, rest):
     """Return displacement and velocity of a body, (R,) each."""
     column = block.column[n]
-    if n == 0:
+    if n == block.imposed.wall_body:
         return block.imposed.wall[0], block.imposed.wall[1]
     if column < 0:
         return rest, rest

@@ -396,8 +396,8 @@ def _add_row(row, sign, values):
 def _add_body(p, sign, block, derived, place, n):
     """Add the motion of a body to a path; its derivatives are in a row of `derived`, unless -1."""
     column = block.column[n]
-    if n == 0:
-        # Body 0 is the top wall, which has an imposed motion.
+    if n == block.imposed.wall_body:
+        # This wall has an imposed motion, which is 0 of a wall that rests.
         for k in range(4):
             _add_row(p[k], sign, block.imposed.wall[k])
         _add_row(p[DOUBT], 1.0, block.imposed.doubt)

@@ -1,0 +1,88 @@
+"""Waves of dispersive shocks beside orbits of a planar ODE, against exact solitary waves."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from lmpchain import Chain, Drive, InputError, Riemann, Scene, Trajectory, simulate
+from lmpchain.measure import planar
+from lmpchain.theory.shock import Medium
+from lmpchain.theory.soliton import solve
+
+
+@cache
+def shock_of(exponent: float, strength: float, grains: int = 300) -> Trajectory:
+    """Simulate the dispersive shock of a piston; its speed is in overlaps per unit of time."""
+    chain = Chain(
+        grains=grains, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", exponent=exponent
+    )
+    speed = strength * float(chain.equilibrium_overlap[0]) / chain.time_scale
+    piston = Drive(shape="piston", velocity=speed, rise=1e-6, grain=0)
+    duration = 0.9 * grains * chain.time_scale
+    scene = Scene(chain=chain, excitation=piston, duration=duration, samples=4 * grains + 1)
+    return simulate(scene, "native", 1e-6)
+
+
+@pytest.mark.parametrize("exponent", [1.3, 1.5, 2.0, 3.0])
+@pytest.mark.parametrize("strength", [0.1, 0.3, 0.6])
+def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength: float) -> None:
+    waves = planar.orbits(shock_of(exponent, strength))
+    assert len(waves.orbits) >= 4
+    off = np.abs(waves.orbit_spacing - waves.spacing)
+    assert (off <= waves.spacing_error + waves.orbit_spacing_error).mean() >= 0.9
+    off = np.abs(waves.orbit_mean - waves.mean)
+    assert (off <= waves.mean_error + waves.orbit_mean_error).mean() >= 0.9
+    # The errors are small enough to say something.
+    assert np.median(waves.orbit_spacing_error / waves.orbit_spacing) < 0.12
+    assert np.median(waves.spacing_error / waves.spacing) < 0.08
+    jump = waves.crest[0] - waves.trough[0]
+    assert np.median(waves.mean_error) < 0.06 * jump
+    assert (np.diff(waves.self_similar) < 0).all()
+    assert waves.plot().get_xlabel()
+
+
+@pytest.mark.parametrize("exponent", [1.5, 2.0])
+@pytest.mark.parametrize(("speed", "share"), [(1.01, 0.01), (1.03, 0.03), (1.1, 0.1)])
+def test_the_homoclinic_orbit_approaches_the_solitary_wave(
+    exponent: float, speed: float, share: float
+) -> None:
+    """The outermost orbit ends at the overlap ahead; exact waves have nearly its height."""
+    gas = Medium(exponent=exponent, constant=1.0, mass=exponent)
+    inertia = exponent * speed**2
+
+    def energy(top: float) -> float:
+        """Return the integral of the bend from the saddle at 1 to a crest."""
+        height = top - 1
+        power = (top ** (exponent + 1) - 1) / (exponent + 1) - height
+        return inertia * height**2 / 2 - power
+
+    crest = brentq(energy, 1 + 1e-3, 4.0)
+    exact = solve(exponent, speed=speed)
+    assert crest - 1 == pytest.approx(float(exact.overlap(0.0)), rel=2 * share)
+    orbit = planar._orbit(gas, speed, 1 + 1e-4 * (crest - 1), crest, planar._of_overlaps)
+    assert orbit is not None
+    wave = 1 + (crest - 1) * exact.overlap(orbit.place) / exact.overlap(0.0)
+    assert np.abs(orbit.overlap - wave).max() < 2 * share * (crest - 1)
+
+
+def test_weak_orbits_are_harmonic() -> None:
+    """Small orbits about r have 4 sin^2(k / 2) = k^2 (1 - k^2 / 12 ...) of the lattice."""
+    gas = Medium(exponent=1.5, constant=1.0, mass=1.5)
+    for speed in (0.99, 0.95):
+        orbit = planar._orbit(gas, speed, 1.0 - 1e-5, 1.0 + 1e-5, planar._of_overlaps)
+        assert orbit is not None
+        assert orbit.mean == pytest.approx(1.0, abs=1e-9)
+        assert orbit.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (speed**-2 - 1)), rel=1e-6)
+
+
+def test_only_dispersive_shocks_have_orbits() -> None:
+    chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="free")
+    less = -0.5 * float(chain.equilibrium_overlap[0]) / 1e-3
+    step = Riemann(velocity=(0, 0), strain=(less, 0), grain=150)
+    duration = 120 * chain.time_scale
+    scene = Scene(chain=chain, excitation=step, duration=duration, samples=401)
+    run = simulate(scene, "native")
+    with pytest.raises(InputError, match="not of a rarefaction"):
+        planar.orbits(run)
