@@ -557,6 +557,7 @@ def test_decks_that_cannot_be_written(
 # --- as a process
 
 
+@pytest.mark.slow
 def test_exit_codes_of_the_process(scene: Path):
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
@@ -637,7 +638,12 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    "words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]]
+    "words",
+    [
+        ["run", "scene.toml", "--engine", "modes"],
+        pytest.param(["plan", "scene.toml"], marks=pytest.mark.slow),
+        pytest.param(["--help"], marks=pytest.mark.slow),
+    ],
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
     """A closed reader, such as `| head`, gives the exit code of SIGPIPE."""

@@ -113,6 +113,7 @@ def test_errors_cover_the_change_in_a_longer_run() -> None:
     assert abs(short.shift[0] - long.shift[0]) < error < 0.005
 
 
+@pytest.mark.slow
 def test_overtaking_waves_shift_by_the_laws_as_amplitudes_fall() -> None:
     """The faster wave is advanced and the slower one delayed; both shifts tend to the laws."""
     strong = collision.find(overtaking(1.4, 1.1, 400, 17))

@@ -124,7 +124,7 @@ def agree(folder: Path) -> None:
         assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
 
 
-@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 3))
+@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 5))
 def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
     name: str, pattern: str, text: str, is_read: bool, tmp_path: Path
 ):

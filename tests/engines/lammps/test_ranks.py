@@ -96,6 +96,7 @@ SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
         for each in product(SCENES, INTEGRATORS)
     ],
 )
+@pytest.mark.slow
 def test_ranks_give_the_bytes_of_one(name, integrator):
     scene = SCENES[name]
     options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
