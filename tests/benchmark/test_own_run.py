@@ -181,7 +181,7 @@ def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
     [
         ("verlet", "granular"),
         ("verlet", "gran/hertz/history"),
-        ("lagged-verlet", "granular"),
+        pytest.param("lagged-verlet", "granular", marks=pytest.mark.slow),
         pytest.param("lagged-verlet", "gran/hertz/history", marks=pytest.mark.slow),
     ],
 )

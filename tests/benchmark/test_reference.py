@@ -1,5 +1,6 @@
 """The reference against exact solutions, conserved energy, and an integrator of another kind."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -77,7 +78,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, 3))
+@pytest.mark.parametrize("kind", thinned(KINDS, 5))
 def test_the_error_of_the_reference_is_what_it_says(kind: str):
     scene = KINDS[kind]
     truth = reference(scene)
@@ -135,8 +136,10 @@ def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
     assert np.diff(truth.velocity[-1]) == pytest.approx(restitution, rel=1e-12)
 
 
-@pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
-@pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)])
+@pytest.mark.parametrize(
+    ("exponent", "masses"),
+    thinned(product([1.0, 1.25, 1.5, 2.0, 3.0], [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)]), 4),
+)
 def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
     """A contact closes and opens once.
 

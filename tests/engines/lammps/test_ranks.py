@@ -116,6 +116,7 @@ def test_three_ranks_and_the_gauge_diameter():
     assert same(one, three)
 
 
+@pytest.mark.slow
 def test_more_ranks_than_grains_are_refused():
     scene = Scene(
         chain=Chain(grains=2, diameter=1e-3),
