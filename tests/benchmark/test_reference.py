@@ -239,7 +239,8 @@ def test_steps_end_at_the_first_root_of_an_overlap():
     assert _first_root(np.array([1, -0.5, 0, 0], dtype=wide), wide(1.5)) >= 1.5
 
 
-HERTZ = Law("k*max(o, 0)**1.5")
+# The second term begins at an overlap of 1 m, so that the law is no power but acts like one.
+HERTZ = Law("k*max(o, 0)**1.5 + k*max(o - 1, 0)**1.5")
 FORCED = {
     "strike": ({}, Impulse(velocity=0.05)),
     "drive": ({}, Drive(amplitude=2e-8, frequency=3e4)),
@@ -252,17 +253,20 @@ FORCED = {
 }
 
 
-@pytest.mark.parametrize("name", FORCED)
+@pytest.mark.parametrize("name", thinned(FORCED, 2))
 def test_the_reference_of_laws_by_formula_is_that_of_powers(name: str) -> None:
     options, excitation = FORCED[name]
     chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
-    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=9)
+    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=41)
     by_formula = scene.replace(chain=chain.replace(law=HERTZ))
     true, found = reference(scene), reference(by_formula)
+    assert "SciPy" in found.method
+    assert found.displacement.shape == true.displacement.shape
     off = max(
         np.abs(found.displacement - true.displacement).max() / true.scale[0],
         np.abs(found.velocity - true.velocity).max() / true.scale[1],
     )
     assert off <= found.error + true.error
-    assert found.error < 1e-10
+    # A tenth of the error is the change from a run at ten times the tolerance.
+    assert found.error < 1e-9
     assert found.scale == pytest.approx(true.scale, rel=0.02)
