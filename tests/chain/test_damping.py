@@ -65,6 +65,9 @@ def test_a_dashpot_is_remarked_on():
     damped = Chain(grains=5, diameter=1e-3, damping={"viscoelastic": 1e-4})
     with pytest.warns(UserWarning, match="A omega is 32, so that contacts act as rigid dashpots"):
         Scene(chain=damped, excitation=Impulse(velocity=1e-6), duration=1e-5)
+    softer = damped.replace(damping={"viscoelastic": 3.5e-5})
+    with pytest.warns(UserWarning, match="A omega is 11, so"):
+        Scene(chain=softer, excitation=Impulse(velocity=1e-6), duration=1e-5)
 
 
 def collision(viscosity: float, exponent: float) -> float:
