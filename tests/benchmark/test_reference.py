@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, random_scene, smooth
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.reference_scenes import path
 from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -33,12 +34,6 @@ def strong(samples: int, duration: float = 4e-5) -> Scene:
     """Return the upper 40 grains of the paper's strongest strike, which opens contacts."""
     fields = paper("fig1").given() | {"chain": Chain(grains=40, diameter=1e-3)}
     return Scene(**fields | {"duration": duration, "samples": samples})
-
-
-def path(size: float) -> Drive:
-    return Drive(
-        times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size
-    )
 
 
 KINDS = {

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import vacuum
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engines, simulate
 from lmpchain.measure.contact import ContactHistory, contacts, drive_force, sensor, wall_force
@@ -14,14 +15,6 @@ from lmpchain.measure.flight import arrival, time_of_flight
 from lmpchain.scene.excitation import Excitation
 
 REST = Impulse(velocity=0.0)
-
-
-def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
-    told.
-    """
-    units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
-    return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
 
 
 def record(
