@@ -321,6 +321,7 @@ def test_what_takes_longer_than_there_is_time_is_left_out():
     )
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     SCENE.to_toml(tmp_path / "scene.toml")
     chart = tmp_path / "chart.png"

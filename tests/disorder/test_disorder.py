@@ -235,6 +235,7 @@ def test_first_moments_of_a_motion_just_begun():
 PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 
 
+@pytest.mark.slow
 def test_largest_mean_velocity():
     """The true averages: disorder lowers them, and each is within 3 standard errors of the
     difference.

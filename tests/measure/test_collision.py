@@ -105,6 +105,7 @@ def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
     assert apart[0] / apart[1] == pytest.approx(1.7, abs=0.3)
 
 
+@pytest.mark.slow
 def test_errors_cover_the_change_in_a_longer_run() -> None:
     """A run of twice the length changes the shift by less than the sum of both errors."""
     short = collision.find(head_on(1.05, 500))

@@ -118,7 +118,7 @@ def test_superposition_and_resonant_packet(delta: float, place: tuple[float, flo
     assert continuum.resonant_packet(h, tau, delta) == pytest.approx(exact.real, rel=1e-13)
 
 
-@pytest.mark.parametrize("power", [1, 2])
+@pytest.mark.parametrize("power", thinned([2, 1], 2))
 def test_superposition_along_the_real_axis(power: int):
     """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the
     second allows only a small one.
