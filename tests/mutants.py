@@ -1,21 +1,20 @@
 """Mutation testing: change the code at random places and see whether the tests of the room notice.
 
     python tests/mutants.py theory measure --number 20 --seed 7
-    python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests
-    tests/theory/test_scattering.py
+    python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests tests/theory
 
-A mutant turns a comparison round, swaps an operator, changes a number by one or by a fifth, or
-drops
-a statement. Each is tried in a copy of the project by the default tests of its room, `tests/ROOM`
-and
-the doctests of `lmpchain/ROOM`, which must pass without it. Compiled kernels are compiled anew. The
-rate by room comes last. A survivor may be equivalent: it changes nothing that anybody can see.
+A mutant reverses a comparison, swaps an operator, changes a number by one or by a fifth, or drops a
+statement. Each mutant is tried in a copy of the project by the default tests of its room,
+`tests/ROOM` and the doctests of `lmpchain/ROOM`, which must pass without the mutant. The files that
+name the changed module run first, and the first failure ends the run. Compiled kernels are compiled
+anew. The rate by room is printed last. A survivor may be equivalent: no result depends on it.
 """
 
 import argparse
 import ast
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -198,9 +197,30 @@ def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
 
 
 def tests_of(room: str) -> list[str]:
-    """Return the default tests of a room: its folder of tests, and its doctests."""
-    names = f"tests/{room}", f"lmpchain/{room}", f"lmpchain/{room}.py"
-    return [name for name in names if (PROJECT / name).exists()]
+    """Return the default tests of a room: the files of its folder, and its doctests."""
+    files = sorted((PROJECT / "tests" / room).rglob("test_*.py"))
+    doctests = PROJECT / "lmpchain" / room, PROJECT / "lmpchain" / f"{room}.py"
+    return [str(p.relative_to(PROJECT)) for p in [*files, *filter(Path.exists, doctests)]]
+
+
+def relevance(test: str, module: str) -> tuple[bool, int]:
+    """Return whether a file of tests has the name of a module, and how often it names the module
+    or its contents.
+    """
+    if not (PROJECT / test).is_file():
+        return False, 0
+    program = ast.parse((PROJECT / module).read_text(encoding="utf-8"))
+    definitions = ast.FunctionDef | ast.ClassDef
+    names = {node.name for node in program.body if isinstance(node, definitions)}
+    names.add(Path(module).stem)
+    words = re.findall(r"\w+", (PROJECT / test).read_text(encoding="utf-8"))
+    same_name = Path(test).stem == f"test_{Path(module).stem}"
+    return same_name, sum(word in names for word in words)
+
+
+def nearest_first(tests: list[str], module: str) -> list[str]:
+    """Return the tests in the order of their relevance to a module."""
+    return sorted(tests, key=lambda test: relevance(test, module), reverse=True)
 
 
 def main() -> None:
@@ -239,7 +259,8 @@ def main() -> None:
             ):
                 if not passed:
                     sys.exit(f"the tests of {room} fail without a mutant: {line}")
-        results = executor.map(lambda mutant: run_tests(mutant, tests[mutant.room]), mutants)
+        ordered = [nearest_first(tests[mutant.room], mutant.path) for mutant in mutants]
+        results = executor.map(run_tests, mutants, ordered)
         for mutant, (passed, line) in zip(mutants, results, strict=True):
             noticed[mutant.room] += not passed
             print(

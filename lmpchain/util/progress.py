@@ -95,7 +95,7 @@ class ProgressBar:
     def describe(self, text: str) -> None:
         """Change the text in front of the bar."""
         if self._bar is not None:
-            self._bar.set_description(text)
+            self._bar.set_description_str(text)
 
     def remark(self, text: str) -> None:
         """Change the text behind the bar, from its next update on; only `RATE` shows one."""

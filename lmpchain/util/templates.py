@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -65,8 +66,14 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
 
 def render_pieces(name: str, closed: tuple[type, ...] = (), **values: Any) -> Iterator[str]:
     """Fill in a template of the package piece by piece, for long text; see `render`."""
-    environment = _Sandbox(closed, autoescape=name.endswith(".html"))
-    return environment.get_template(name).generate(version=version("lmpchain"), **values)
+    template = _environment(closed, name.endswith(".html")).get_template(name)
+    return template.generate(version=version("lmpchain"), **values)
+
+
+@cache
+def _environment(closed: tuple[type, ...], autoescape: bool) -> _Sandbox:
+    """Return the environment that stores the compiled templates of the package."""
+    return _Sandbox(closed, autoescape=autoescape)
 
 
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:

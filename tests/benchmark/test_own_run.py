@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers import taylor_series
 from helpers.standalone_lammps import lmp, read_dump, small
+from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
@@ -181,7 +182,7 @@ def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
     [
         ("verlet", "granular"),
         ("verlet", "gran/hertz/history"),
-        ("lagged-verlet", "granular"),
+        pytest.param("lagged-verlet", "granular", marks=pytest.mark.slow),
         pytest.param("lagged-verlet", "gran/hertz/history", marks=pytest.mark.slow),
     ],
 )
@@ -250,7 +251,10 @@ def test_a_deck_holds_its_scene(name: str, tmp_path: Path):
 
 @pytest.mark.parametrize(
     "options",
-    [{"diameter": "gauge"}, {"integrator": "kahan-li6"}, {"pair_style": "gran/hertz/history"}],
+    thinned(
+        [{"integrator": "kahan-li6"}, {"diameter": "gauge"}, {"pair_style": "gran/hertz/history"}],
+        2,
+    ),
 )
 def test_every_kind_of_deck_is_read(options: dict[str, str], tmp_path: Path):
     dump = run(small(), tmp_path, **options)

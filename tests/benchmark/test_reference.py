@@ -1,11 +1,13 @@
 """The reference against exact solutions, conserved energy, and an integrator of another kind."""
 
+from itertools import product
 from typing import Any
 
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, random_scene, smooth
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.reference_scenes import path
 from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -32,12 +34,6 @@ def strong(samples: int, duration: float = 4e-5) -> Scene:
     """Return the upper 40 grains of the paper's strongest strike, which opens contacts."""
     fields = paper("fig1").given() | {"chain": Chain(grains=40, diameter=1e-3)}
     return Scene(**fields | {"duration": duration, "samples": samples})
-
-
-def path(size: float) -> Drive:
-    return Drive(
-        times=np.arange(9) * 1.3e-5, displacement=np.array([0, 1, -1, 2, 0, -2, 1, 1, 0]) * size
-    )
 
 
 KINDS = {
@@ -77,7 +73,7 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, 3))
+@pytest.mark.parametrize("kind", thinned(KINDS, 5))
 def test_the_error_of_the_reference_is_what_it_says(kind: str):
     scene = KINDS[kind]
     truth = reference(scene)
@@ -135,8 +131,10 @@ def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
     assert np.diff(truth.velocity[-1]) == pytest.approx(restitution, rel=1e-12)
 
 
-@pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
-@pytest.mark.parametrize("masses", [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)])
+@pytest.mark.parametrize(
+    ("exponent", "masses"),
+    thinned(product([1.0, 1.25, 1.5, 2.0, 3.0], [(1.0, 1.0), (1.0, 3.0), (3.0, 1.0)]), 4),
+)
 def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, float]):
     """A contact closes and opens once.
 
@@ -236,7 +234,8 @@ def test_steps_end_at_the_first_root_of_an_overlap():
     assert _first_root(np.array([1, -0.5, 0, 0], dtype=wide), wide(1.5)) >= 1.5
 
 
-HERTZ = Law("k*max(o, 0)**1.5")
+# The second term begins at an overlap of 1 m, so that the law is no power but acts like one.
+HERTZ = Law("k*max(o, 0)**1.5 + k*max(o - 1, 0)**1.5")
 FORCED = {
     "strike": ({}, Impulse(velocity=0.05)),
     "drive": ({}, Drive(amplitude=2e-8, frequency=3e4)),
@@ -249,17 +248,20 @@ FORCED = {
 }
 
 
-@pytest.mark.parametrize("name", FORCED)
+@pytest.mark.parametrize("name", thinned(FORCED, 2))
 def test_the_reference_of_laws_by_formula_is_that_of_powers(name: str) -> None:
     options, excitation = FORCED[name]
     chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
-    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=9)
+    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=41)
     by_formula = scene.replace(chain=chain.replace(law=HERTZ))
     true, found = reference(scene), reference(by_formula)
+    assert "SciPy" in found.method
+    assert found.displacement.shape == true.displacement.shape
     off = max(
         np.abs(found.displacement - true.displacement).max() / true.scale[0],
         np.abs(found.velocity - true.velocity).max() / true.scale[1],
     )
     assert off <= found.error + true.error
-    assert found.error < 1e-10
+    # A tenth of the error is the change from a run at ten times the tolerance.
+    assert found.error < 1e-9
     assert found.scale == pytest.approx(true.scale, rel=0.02)

@@ -3,6 +3,8 @@
 What is measured, what is marked, the picture, the command and the script.
 """
 
+import contextlib
+import io
 import json
 import math
 import re
@@ -44,8 +46,24 @@ PEERS = [
 
 
 @pytest.fixture(scope="module")
-def found():
-    return work_precision(SCENE, 2.5)
+def chart():
+    """Return the chart, and what the runs said on stderr."""
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        return work_precision(SCENE, 2.5, progress=True), said.getvalue()
+
+
+@pytest.fixture(scope="module")
+def found(chart):
+    return chart[0]
+
+
+def test_the_bar_names_the_engine_and_its_integrator(chart):
+    shown = re.findall(r"((?:native|lammps) [\w-]+): (\d+) of (\d+) ", chart[1])
+    names, numbers, totals = zip(*shown, strict=True)
+    assert {"native verlet", "lammps verlet"} <= set(names)
+    assert max(map(int, numbers)) > len(set(names)) / 2
+    assert len(set(totals)) == 1
 
 
 def stepped(found):
@@ -303,6 +321,7 @@ def test_what_takes_longer_than_there_is_time_is_left_out():
     )
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     SCENE.to_toml(tmp_path / "scene.toml")
     chart = tmp_path / "chart.png"

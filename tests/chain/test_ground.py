@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Law, Scene, laws, simulate
@@ -77,8 +80,10 @@ GROUNDS = {
 }
 
 
-@pytest.mark.parametrize("name", GROUNDS)
-@pytest.mark.parametrize("damping", [None, {"drag": 1e4}, {"viscoelastic": 1e-8}])
+@pytest.mark.parametrize(
+    ("name", "damping"),
+    thinned(product(GROUNDS, [None, {"drag": 1e4}, {"viscoelastic": 1e-8}]), 4),
+)
 def test_a_run_meets_its_tolerance(name, damping):
     scene = struck(on(GROUNDS[name], damping=damping), velocity=3e-3)
     answer = simulate(scene, "native", tolerance=1e-8)

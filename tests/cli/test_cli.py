@@ -17,6 +17,7 @@ import pytest
 import tomli_w
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import SCENE, keys, names
+from helpers.thinned import thinned
 
 from lmpchain import (
     Chain,
@@ -557,6 +558,7 @@ def test_decks_that_cannot_be_written(
 # --- as a process
 
 
+@pytest.mark.slow
 def test_exit_codes_of_the_process(scene: Path):
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
@@ -637,7 +639,12 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 @pytest.mark.parametrize(
-    "words", [["--help"], ["plan", "scene.toml"], ["run", "scene.toml", "--engine", "modes"]]
+    "words",
+    [
+        ["run", "scene.toml", "--engine", "modes"],
+        pytest.param(["plan", "scene.toml"], marks=pytest.mark.slow),
+        pytest.param(["--help"], marks=pytest.mark.slow),
+    ],
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
     """A closed reader, such as `| head`, gives the exit code of SIGPIPE."""
@@ -675,7 +682,7 @@ def test_closed_streams_are_no_fault(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    "key", ["gravity", "grains", "material", "top", "diameter", "impurity", "g" * 10**5]
+    "key", thinned(["gravity", "top", "diameter", "g" * 10**5, "grains", "material", "impurity"], 3)
 )
 def test_error_lines_show_the_beginning_of_long_values(
     key: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -846,3 +846,10 @@ def test_a_slider_is_read_from_its_range_number_and_scale():
     key, values = read_axis("excitation.velocity=1e-6:1e-2:3:log")
     assert key == "excitation.velocity"
     assert values == pytest.approx([1e-6, 1e-4, 1e-2], rel=1e-12)
+
+
+def test_a_dump_has_no_sensitivities(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    dump = tmp_path / "column.lammpstrj"
+    dump.write_text("ITEM: TIMESTEP\n0\n")
+    assert main(["sensitivity", str(dump), "--of", "peak_force:2"]) == 2
+    assert "is a LAMMPS dump: give its scene" in capsys.readouterr().err

@@ -58,6 +58,7 @@ def submitted(here: Path, **variables: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_script_for_pbs_runs_and_resumes(here: Path):
     asked = {"scene": "scene.toml", "folder": "run", "options": "--tolerance 1e-7"}
     done = submitted(here, **asked)
@@ -85,6 +86,7 @@ def test_the_script_for_pbs_asks_for_qsub(here: Path):
     assert "submit with qsub" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_sweep_runs_on_a_cluster_of_dask(here: Path):
     (here / "dask_jobqueue.py").write_text(STAND_IN)
     (here / "sweep.toml").write_text(

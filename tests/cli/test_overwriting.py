@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 from helpers.command_output import SCENE
+from helpers.thinned import thinned
 
 from lmpchain import InputError, Scene, Trajectory, explore, report, simulate
 from lmpchain.cli.command_line import main
@@ -42,7 +43,9 @@ def answer() -> Trajectory:
     return simulate(Scene.from_text(SCENE), "native")
 
 
-@pytest.fixture(params=CASES, ids=[" ".join(case) for case in CASES])
+@pytest.fixture(
+    params=thinned([(case,) for case in CASES], 2), ids=[" ".join(case) for case in CASES]
+)
 def command(request, tmp_path: Path, answer: Trajectory) -> tuple[list[str], Path]:
     """A command, and a file of a user's own in its way."""
     verb, words = request.param

@@ -138,6 +138,7 @@ def toy(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_compiling_is_announced_once_for_a_machine(toy: Path):
     assert play(toy) == TOYS + OTHERS
     assert play(toy) == ""

@@ -3,7 +3,6 @@
 """
 
 import json
-import re
 import signal
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
+from helpers.command_output import keys
 from helpers.independent_integrators import relative_error
 
 from lmpchain import (
@@ -235,6 +235,7 @@ def test_first_moments_of_a_motion_just_begun():
 PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 
 
+@pytest.mark.slow
 def test_largest_mean_velocity():
     """The true averages: disorder lowers them, and each is within 3 standard errors of the
     difference.
@@ -495,14 +496,6 @@ def saved(tmp_path: Path) -> Path:
     path = tmp_path / "run.nc"
     simulate(column(grains=60, tau=15.0, samples=4), "modes").save(path)
     return path
-
-
-def keys(said: Any) -> list[str]:
-    """Return the keys of the faults on stderr, and make sure that there is nothing else."""
-    found = [re.fullmatch(r"error: (\S+): \S.*", line) for line in said.err.splitlines()]
-    assert found
-    assert all(found), said.err
-    return [match[1] for match in found if match]
 
 
 def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):

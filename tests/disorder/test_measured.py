@@ -17,6 +17,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=2e-4, sam
 SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
 
 
+@pytest.mark.slow
 def test_intervals_cover_mean_and_quantiles() -> None:
     """Of 2000 ensembles, 95 % or more of the intervals contain the truth."""
     rng = np.random.default_rng(2)

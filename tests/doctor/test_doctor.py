@@ -424,6 +424,7 @@ def test_it_works_where_hardly_anything_does():
 
 
 @pytest.mark.parametrize(("sent", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.slow
 def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     """The doctor does not wait for a hanging mpiexec."""
     (tmp_path / "mpiexec").write_text("#!/bin/sh\necho $$ > $0.pid\nexec sleep inf\n")

@@ -54,7 +54,7 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
 each_kind = pytest.mark.parametrize("kind", KINDS)
 
 
-@pytest.mark.parametrize("kind", thinned(KINDS, 2))
+@pytest.mark.parametrize("kind", thinned(KINDS, 4))
 def test_the_references_agree(kind):
     """Taylor series in extended precision agree with SciPy in double precision."""
     u, v, own = reference_motion(kind)

@@ -11,7 +11,7 @@ from data import make_bits
     "number",
     [
         pytest.param(
-            n, marks=() if n % 20 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
+            n, marks=() if n % 40 == 0 else pytest.mark.slow if n % 8 == 4 else pytest.mark.soak
         )
         for n in range(make_bits.SCENES)
     ],

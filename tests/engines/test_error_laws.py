@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
 from helpers.taylor_series import reference
+from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 from validation.random_trials import draw
 
@@ -504,7 +505,16 @@ def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_round
 
 @pytest.mark.parametrize(
     ("family", "seed"),
-    [("acted", 31887), ("acted", 30469), ("native", 40056), ("loose", 300634), ("loose", 301966)],
+    thinned(
+        [
+            ("acted", 31887),
+            ("acted", 30469),
+            ("native", 40056),
+            ("loose", 300634),
+            ("loose", 301966),
+        ],
+        2,
+    ),
 )
 def test_rounding_of_free_flights_is_measured_where_bounds_would_refuse(family: str, seed: int):
     """Bounds were 5 to 20 times the truth, and refused tolerances that were met."""

@@ -1,10 +1,12 @@
 """Errors are relative to the largest motion at any time of a run, not only at its samples."""
 
 from functools import cache
+from itertools import product
 
 import numpy as np
 import pytest
 from helpers.example_scenes import paper
+from helpers.thinned import thinned
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Scene, simulate
 from lmpchain.benchmark.comparison import error
@@ -46,7 +48,7 @@ def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
         assert error(t, reference(scene)) == pytest.approx(true, rel=2e-3, abs=1e-12)
 
 
-@pytest.mark.parametrize("frequency", [0.1, 0.31])
+@pytest.mark.parametrize("frequency", thinned([0.31, 0.1], 2))
 def test_a_drive_sampled_at_its_period(frequency):
     """A stroboscopic (Poincare) section of a driven chain is an answer like any other."""
     chain = Chain(grains=6, diameter=1e-3)
@@ -76,8 +78,7 @@ def largest(scene: str) -> np.ndarray:
     return reference(MOTIONS[scene]).largest
 
 
-@pytest.mark.parametrize("integrator", METHODS)
-@pytest.mark.parametrize("scene", MOTIONS)
+@pytest.mark.parametrize(("integrator", "scene"), thinned(product(METHODS, MOTIONS), 3))
 def test_the_largest_motion_is_found(integrator, scene):
     """Though no sample shows it: looked for after steps, 5 % or what these pass over are missed.
 

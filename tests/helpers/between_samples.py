@@ -9,6 +9,7 @@ from typing import Any
 import numba
 import numpy as np
 from numpy.polynomial import Polynomial
+from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
@@ -176,3 +177,16 @@ def block_of(
     fields = (np.ascontiguousarray(field.T) for field in (u, v))
     obeys = np.broadcast_to(np.asarray(known, bool), bodies).copy()
     return SampledBlock(*fields, np.array(columns), obeys, h, law, imposed or nothing)
+
+
+def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
+    """Return a curve from 0 with maxima of `ratio` and 1, and the time of the minimum between."""
+
+    def curve(dip: float) -> Polynomial:
+        shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
+        return shape / shape(second)
+
+    dip = brentq(
+        lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first)
+    )
+    return curve(dip), dip

@@ -1,5 +1,7 @@
 """Chains that many tests share."""
 
+from typing import Any
+
 import numpy as np
 
 from lmpchain import GLASS, PTFE, STEEL, Chain, Impurity, Material
@@ -68,3 +70,11 @@ WALLED = {
     ),
     "two grains": Chain(grains=2, diameter=1e-3, top_load=1e-4, **BETWEEN),
 }
+
+
+def vacuum(grains: int, **ends: Any) -> Chain:
+    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
+    told.
+    """
+    units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
+    return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from helpers import plain_methods as plain
 from helpers.plain_methods import WIDE, Motion
+from helpers.thinned import thinned
 
 from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
@@ -181,7 +182,7 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
     return steps, np.array(states), made
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", thinned(SCENES, 2))
 def test_steps_shorten_where_contacts_open_as_in_plain_numpy(name: str):
     scene = SCENES[name]
     method = RKN4 if name == "springs" else RKN6

@@ -171,6 +171,7 @@ def test_grains_that_hardly_move_are_put_to_rest():
     v[3] = 2.0
     v[5] = 3e-25
     u[6] = 0.9e-25
+    v[6] = 1.8e-25
     v[1] = 1.9e-25
     assert chebyshev.moving(u, v) == (2, 6)  # v[5] is above 1e-25 of the largest speed, 2
     assert u.tolist() == [0, 0, 1.0, 0, 0.5, 0, 0, 0]

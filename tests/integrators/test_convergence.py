@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
@@ -153,7 +154,7 @@ RESTARTED = [(*pair, excitation) for pair, excitation in product(PAIRS, EXCITATI
 RESTARTED = [(e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"]
 
 
-@pytest.mark.parametrize(("engine", "integrator", "excitation"), RESTARTED)
+@pytest.mark.parametrize(("engine", "integrator", "excitation"), thinned(RESTARTED, 2))
 def test_exact_restart(engine, integrator, excitation):
     """A run that goes on from a kept state ends with the same bytes."""
     ends, struck = EXCITATIONS[excitation]

@@ -85,7 +85,7 @@ def advance(
     stretch[-1:] = 1.0  # the last column is a relative change of the steps
     deviations = Deviations(dx, dw, stretch)
     nodes = np.zeros((2, STEPS + 1, GRAINS))
-    body = Body(inverse_mass, CHAIN.contact_viscosity, CHAIN.drag)
+    body = Body(inverse_mass, scene.chain.contact_viscosity, scene.chain.drag)
     course = ImposedStages(place, kind == "force", values)
     motion = BodyRow(x, rates)
     march(batch.arrays, body, motion, deviations, METHOD, steps * (1 + longer), course, nodes)
@@ -149,3 +149,16 @@ def test_the_tangent_is_the_derivative_of_the_map(kind: str):
             assert found[row, free, -1] == pytest.approx(
                 slope[row, free], rel=0, abs=1e-6 * largest
             )
+
+
+def test_a_chain_that_is_its_own_mirror_image_has_such_a_tangent():
+    """The first and the last grain of a chain between two walls obey the same equation."""
+    chain = CHAIN.replace(diameter=2e-3, gravity=0.0, bottom="wall", damping={"viscoelastic": 2e-7})
+    rest = np.zeros(GRAINS)
+    excitation = Profile(displacement=rest, velocity=rest + 1e-9)
+    scene = Scene(chain=chain, excitation=excitation, duration=4 * PERIOD, samples=2)
+    _, deviations = advance(scene, rest, rest, columns=2 * GRAINS + 1)
+    for field in (deviations.x, deviations.v):
+        for columns in (field[:, :GRAINS], field[:, GRAINS:-1]):
+            largest = np.abs(columns).max()
+            assert columns == pytest.approx(columns[::-1, ::-1], rel=0, abs=1e-13 * largest)

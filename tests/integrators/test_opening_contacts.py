@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper
 from helpers.independent_integrators import extended_reference, relative_error
+from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
@@ -163,7 +164,7 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
     assert 2 * error < run.errors()[0].total < 100 * error
 
 
-@pytest.mark.parametrize("name", ["fig5 g", "fig1"])
+@pytest.mark.parametrize("name", thinned(["fig5 g", "fig1"], 2))
 def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):

@@ -105,6 +105,7 @@ def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
     assert apart[0] / apart[1] == pytest.approx(1.7, abs=0.3)
 
 
+@pytest.mark.slow
 def test_errors_cover_the_change_in_a_longer_run() -> None:
     """A run of twice the length changes the shift by less than the sum of both errors."""
     short = collision.find(head_on(1.05, 500))
@@ -113,6 +114,7 @@ def test_errors_cover_the_change_in_a_longer_run() -> None:
     assert abs(short.shift[0] - long.shift[0]) < error < 0.005
 
 
+@pytest.mark.slow
 def test_overtaking_waves_shift_by_the_laws_as_amplitudes_fall() -> None:
     """The faster wave is advanced and the slower one delayed; both shifts tend to the laws."""
     strong = collision.find(overtaking(1.4, 1.1, 400, 17))

@@ -32,10 +32,14 @@ def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> t
     contacts = chain.contacts
     constants = contacts.constant
     rest = contacts.force
+    at_rest = contacts.overlap
+    exists = contacts.exists
 
     def change(u: np.ndarray) -> np.ndarray:
-        overlap = contacts.overlap + np.pad(u, (1, 0)) - np.pad(u, (0, 1))
-        return np.where(contacts.exists, constants * np.maximum(overlap, 0.0) ** 1.5 - rest, 0.0)
+        overlap = at_rest.copy()
+        overlap[1:] += u
+        overlap[:-1] -= u
+        return np.where(exists, constants * np.maximum(overlap, 0.0) ** 1.5 - rest, 0.0)
 
     def rate(_: float, state: np.ndarray) -> np.ndarray:
         u, v = state.reshape(2, -1)
@@ -55,7 +59,7 @@ def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> t
         force = change(u)
         return float((force[grain - 1] + force[grain]) / 2 * v[grain - 1])
 
-    times = np.linspace(0, duration, 4000)
+    times = np.linspace(0, duration, 1000)
     values = np.array([power(t) for t in times])
     found = []
     for sign in (1, -1):

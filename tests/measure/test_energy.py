@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import vacuum
 from scipy.special import jv
 
 from lmpchain import (
@@ -26,14 +27,6 @@ from lmpchain.measure.energy import ledger
 from lmpchain.measure.flight import arrival
 from lmpchain.scene.excitation import Excitation
 from lmpchain.trajectory.record import ErrorEstimate
-
-
-def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
-    told.
-    """
-    units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
-    return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
 
 
 def record(

@@ -99,8 +99,11 @@ def integrate(scene: Scene) -> tuple[Array, Array]:
                 u[0], v[0] = moved
             else:
                 top[:] = moved
-        overlap = contacts.overlap - np.diff(u, prepend=top[0], append=0.0)
-        closing = -np.diff(v, prepend=top[1], append=0.0)
+        x = np.zeros((2, size + 2))
+        x[:, 0] = top
+        x[:, 1:-1] = u, v
+        closer, closing = x[:, :-1] - x[:, 1:]
+        overlap = contacts.overlap + closer
         pressed = np.maximum(overlap, 0.0)
         viscous = contacts.constant * chain.exponent * pressed ** (chain.exponent - 1)
         viscous = np.where(overlap > 0, chain.contact_viscosity * viscous * closing, 0.0)
@@ -175,7 +178,7 @@ def largest(values: Array) -> float:
 
 
 @pytest.mark.parametrize("samples", [3, 41])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", thinned(CASES, 2))
 def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, samples: int):
     t = simulate(scene_of(name, samples), "native", 1e-10)
     balance = energy.ledger(t)
@@ -207,7 +210,7 @@ LINEAR_CASES = [
 
 
 @pytest.mark.parametrize("samples", [3, 41])
-@pytest.mark.parametrize(("engine", "damping", "act"), thinned(LINEAR_CASES, 2))
+@pytest.mark.parametrize(("engine", "damping", "act"), thinned(LINEAR_CASES, 4))
 def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, damping, act, samples):
     """Springs that stay closed are linear: linear engines solve Eq. (1) itself."""
     scene, *true = exact_linear(damping, act)

@@ -235,8 +235,9 @@ def test_local_speed(velocity: Front, weak: Trajectory):
     )
 
 
-@pytest.mark.parametrize("window", [5, 11, 21])
-@pytest.mark.parametrize(("grain", "slope"), [(100, -0.2381), (200, -0.2441), (489, -0.2502)])
+@pytest.mark.parametrize(
+    ("window", "grain", "slope"), [(5, 100, -0.2381), (11, 200, -0.2441), (21, 489, -0.2502)]
+)
 def test_local_exponents(velocity: Front, window: int, grain: int, slope: float):
     """The exponent d ln v / d ln n of the linear column is smaller in terms of h = n - 1/2."""
     found = exponent(velocity, window=window)

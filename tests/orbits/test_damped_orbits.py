@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -237,7 +238,7 @@ def misses(orbit: Orbit) -> float:
     return float(np.abs(run.y[:, -1] - run.y[:, 0]).max())
 
 
-@pytest.mark.parametrize("amplitude", [7.5e-7, 1e-5])
+@pytest.mark.parametrize("amplitude", thinned([7.5e-7, 1e-5], 2))
 def test_a_strong_drive_is_come_to_by_way_of_weaker_ones(amplitude: float):
     """Of a chain whose contacts open, where the linear answer is no guess."""
     drive = Drive(amplitude=amplitude, frequency=9e3, grain=0)
@@ -250,11 +251,11 @@ def test_a_strong_drive_is_come_to_by_way_of_weaker_ones(amplitude: float):
 
 
 def test_the_branch_is_what_long_runs_settle_to():
-    """A native run that begins 1 % off converges to each of four stable orbits."""
+    """A native run that begins 1 % off converges to each of two stable orbits."""
     family = resonance()
     assert family.reached
     stable = np.flatnonzero(family.stable)
-    for number in stable[np.linspace(0, stable.size - 1, 4).astype(int)]:
+    for number in stable[np.linspace(0, stable.size - 1, 2).astype(int)]:
         orbit = family[int(number)]
         # the slowest multiplier bounds how long a deviation lasts
         periods = int(np.ceil(np.log(1e-12) / np.log(abs(orbit.multipliers[0]))))

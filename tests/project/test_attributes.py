@@ -32,6 +32,7 @@ def run(program: str) -> str:
     ).stdout
 
 
+@pytest.mark.slow
 def test_one_import_offers_every_name_of_the_reference():
     """`dir` must list a name, because an attribute may also be a module loaded by another name."""
     names = listed_names()

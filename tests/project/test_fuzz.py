@@ -338,7 +338,7 @@ def run(scene: bytes, *options: str) -> None:
         nothing_injected(folder)
 
 
-@fuzzed(10, 2900)
+@fuzzed(4, 2900)
 def test_decks_of_hostile_scenes(count: int):
     examine(lambda tables: deck(toml(tables)), spoilt(scenes()), count)
 

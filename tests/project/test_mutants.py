@@ -51,3 +51,11 @@ def test_nothing_else_is_changed(statement: str):
     assert not [
         node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None
     ]
+
+
+def test_the_tests_that_name_a_module_run_first():
+    tests = mutants.tests_of("theory")
+    ordered = mutants.nearest_first(tests, "lmpchain/theory/scattering.py")
+    assert ordered[0] == "tests/theory/test_scattering.py"
+    assert sorted(ordered) == sorted(tests)
+    assert tests[-1] == "lmpchain/theory"

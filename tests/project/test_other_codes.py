@@ -48,6 +48,7 @@ def truth(scene: lmpchain.Scene) -> Reference:
 @pytest.mark.parametrize(
     ("velocity", "within"), thinned([(8.57e-3, 1e-9), (1e-9, 1e-11), (8.57e-4, 1e-11)], 3)
 )
+@pytest.mark.slow
 def test_scipy_finds_the_truth_of_weak_and_of_opening_contacts(peer, velocity, within):
     problem = peer("problem").Problem(short(velocity))
     known = truth(problem.scene)

@@ -236,3 +236,10 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
             )
             assert not shown.run(small)
             assert shown.remarks == []
+
+
+def test_a_file_of_a_user_is_kept_before_any_run(tmp_path: Path):
+    (tmp_path / "page.html").write_text("my own")
+    with pytest.raises(InputError, match="lmpchain did not write"):
+        lmpchain.explore(tmp_path / "no such plan.toml", tmp_path / "page.html")
+    assert (tmp_path / "page.html").read_text() == "my own"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from data.make_traces import EXAMPLE, hammer, vibrometer
+from helpers.instrument_files import push
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Force, InputError, Profile, Scene, simulate
@@ -20,12 +21,6 @@ from lmpchain.design import Traces
 DATA = Path(__file__).parents[1] / "data"
 # a smooth push that has a beginning before t = 0, by which a trigger is tested
 TIME = np.arange(-20, 61) * 1e-6
-
-
-def push(time: np.ndarray) -> np.ndarray:
-    """A push of 3 N over 50 us, and nothing before and after it."""
-    inside = (time > 0) & (time < 50e-6)
-    return np.where(inside, 3.0 * np.sin(np.pi * time / 50e-6) ** 2, 0.0)
 
 
 def rows(*columns: np.ndarray, form: str = "{:.9e}", between: str = ",") -> str:

@@ -32,6 +32,7 @@ def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: in
 @pytest.mark.parametrize(
     ("memory", "copies"), thinned([(0.5, 1), (0.0, 1), (0.9, 4), (0.8, 4), (-0.5, 1), (0.9, 1)], 2)
 )
+@pytest.mark.slow
 def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
     """A thousand of them scatter by 0.7 % themselves, hence 2 in place of 1 %."""
     least, most = (0.93, 0.97) if memory >= 0 else (0.93, 1.0)

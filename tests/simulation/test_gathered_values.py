@@ -1,7 +1,10 @@
 """Gathered peaks, arrivals and forces of chains of springs, whose motion is exact."""
 
+from itertools import product
+
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from scipy.optimize import brentq, minimize_scalar
 
 from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
@@ -70,8 +73,7 @@ def forces(scene: Scene, contact: int, times: np.ndarray) -> np.ndarray:
     return rest + stiffness * (u[:, contact] - u[:, contact + 1])
 
 
-@pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize("engine", ["native", "modes"])
+@pytest.mark.parametrize(("engine", "seed"), thinned(product(["native", "modes"], range(6)), 2))
 def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
     scene = springs(seed)
     gathered = simulate(scene, engine, 1e-9).gathered

@@ -132,6 +132,7 @@ EVERY = [
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize(("case", "most"), EVERY)
+@pytest.mark.slow
 def test_a_kill_at_any_change_of_the_disk(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):

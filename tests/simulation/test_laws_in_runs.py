@@ -1,11 +1,13 @@
 """Native runs of laws by formula: resumed, on threads, in batches, sweeps, and files."""
 
 import itertools
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
@@ -42,8 +44,7 @@ def same(one: lmpchain.Trajectory, two: lmpchain.Trajectory) -> bool:
     )
 
 
-@pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])
-@pytest.mark.parametrize("damped", [False, True])
+@pytest.mark.parametrize(("law", "damped"), thinned(product([HARDER, KINKED], [False, True]), 3))
 def test_a_run_that_was_stopped_ends_with_the_same_bits(
     law: Law, damped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -98,7 +99,7 @@ BATCHES = {
 }
 
 
-@pytest.mark.parametrize("name", BATCHES)
+@pytest.mark.parametrize("name", thinned(BATCHES, 2))
 def test_a_batch_has_parameters_of_its_own_for_every_scene(name: str) -> None:
     scenes = BATCHES[name]
     answers = simulate_many(scenes, tolerance=1e-9)

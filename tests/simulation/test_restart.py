@@ -87,6 +87,8 @@ STOPPED = {
 }
 
 LONGEST = (
+    "native",
+    "driven",
     "wall moved",
     "several attempts",
     "verlet",

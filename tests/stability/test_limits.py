@@ -8,6 +8,7 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from laws import limits
 
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
@@ -104,7 +105,7 @@ def test_three_free_grains_part_in_closed_form():
     assert end.velocity[-1] == pytest.approx([-v, 0, v], rel=1e-9, abs=1e-12)
 
 
-@pytest.mark.parametrize("strain", [1e-5, 0.0999])
+@pytest.mark.parametrize("strain", thinned([0.0999, 1e-5], 2))
 def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
     scene = limits.squeezing(strain)
     found, apart = limits.squeezed(scene)

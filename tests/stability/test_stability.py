@@ -1,7 +1,10 @@
 """All boundaries of one scene: the command, its table and picture, and what `run` warns of."""
 
+import contextlib
+import io
 import json
 import math
+import re
 import warnings
 from pathlib import Path
 
@@ -24,14 +27,29 @@ BOUNCING = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=0.02, sa
 
 
 @pytest.fixture(scope="module")
-def found() -> Stability:
-    """Return the boundaries of a strong strike on a few grains.
+def search() -> tuple[Stability, str]:
+    """Return the boundaries of a strong strike on a few grains, and what the search said.
 
-    Without a warning of the runs that show them, which are not what was asked for.
+    The runs that show the boundaries give no warnings, because the user did not ask for them.
     """
-    with warnings.catch_warnings():
+    said = io.StringIO()
+    with warnings.catch_warnings(), contextlib.redirect_stderr(said):
         warnings.simplefilter("error")
-        return stability(STRUCK)
+        return stability(STRUCK, progress=True), said.getvalue()
+
+
+@pytest.fixture(scope="module")
+def found(search: tuple[Stability, str]) -> Stability:
+    """Return the boundaries alone."""
+    return search[0]
+
+
+def test_the_search_says_how_far_it_is(search: tuple[Stability, str]):
+    shown = re.findall(r"(longest step, \w+|energy, \w+): (\d+) of (\d+) ", search[1])
+    names, numbers, totals = zip(*shown, strict=True)
+    assert {"longest step, verlet", "longest step, rkn4", "energy, verlet"} <= set(names)
+    assert int(numbers[-1]) > len(set(names)) / 2
+    assert len(set(totals)) == 1
 
 
 def by_method(found: Stability, what: str) -> dict:

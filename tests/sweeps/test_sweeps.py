@@ -540,6 +540,7 @@ def test_other_engines(tmp_path, engine, workers):
             {"engine", "tolerance", "keep", "colour", "grid.chain.gravity"},
         ),
         ({"engine": ["native"], "keep": "velocity", "grid": []}, {"engine", "keep", "grid"}),
+        ({"keep": [], "grid": {"chain.gravity": [1.0]}}, {"keep"}),
         (
             {"grid": {"chain.gravty": [1.0], "chain.gravity": [1.0, -1.0, "g"]}},
             {"chain.gravty", "chain.gravity"},

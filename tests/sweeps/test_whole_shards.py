@@ -90,7 +90,7 @@ STORED = [
 ]
 
 
-@pytest.mark.parametrize(("damage", "name"), thinned(product(DAMAGE, STORED), 7))
+@pytest.mark.parametrize(("damage", "name"), thinned(product(DAMAGE, STORED), 13))
 def test_what_is_not_whole_is_computed_again(
     name: str, damage: Callable[[Path], None], folder: Path, right: Any
 ):

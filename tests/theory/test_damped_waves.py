@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 
 from lmpchain import Chain, InputError
 from lmpchain.theory.bands import Cell, branches, gap_modes, gaps, waves
@@ -42,7 +43,7 @@ def ratio(cell: Cell, w: float, cells: int = 300) -> complex:
     return complex(motion[3] / motion[2])
 
 
-@pytest.mark.parametrize("name", CELLS)
+@pytest.mark.parametrize("name", thinned(CELLS, 2))
 def test_the_wavenumber_is_that_of_a_driven_chain(name):
     cell = CELLS[name]
     w = np.array([0.35, 0.8, 1.4, 2.2, 4.0])

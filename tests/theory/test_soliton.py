@@ -172,7 +172,7 @@ def test_on_a_chain(load: float, downward: bool):
     assert u[:2] == pytest.approx(u[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("wave", VACUUM + LOADED[:2], ids=lambda w: f"{w.delta}, {w.speed:.3g}")
+@pytest.mark.parametrize("wave", VACUUM[:1] + LOADED[:1], ids=lambda w: f"{w.delta}, {w.speed:.3g}")
 def test_picture(wave: Soliton):
     (axes,) = wave.plot().figure.axes
     x = axes.lines[0].get_xdata()

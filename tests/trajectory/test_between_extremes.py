@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from helpers.between_samples import direct, followed, front_among, peak_of
+from helpers.between_samples import direct, followed, front_among, peak_of, two
 from numpy.polynomial import Polynomial
 from scipy.optimize import brentq
 
@@ -212,19 +212,6 @@ def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, freque
     slopes = frequency * known / bend if bend > 0 else math.inf
     lasts = np.abs(around - 0.4).max()
     assert late == pytest.approx(min(slopes, lasts), rel=1e-5)
-
-
-def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve from 0 with maxima of `ratio` and 1, and the time of the minimum between."""
-
-    def curve(dip: float) -> Polynomial:
-        shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
-        return shape / shape(second)
-
-    dip = brentq(
-        lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first)
-    )
-    return curve(dip), dip
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)

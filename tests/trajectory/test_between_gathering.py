@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from helpers.between_samples import two
 from numpy.polynomial import Polynomial
-from scipy.optimize import brentq
 
 from lmpchain.trajectory.between import hermite, maxima
 from lmpchain.trajectory.between.derivatives import (
@@ -163,19 +163,6 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
     ]
     top = Polynomial(powers)(np.linspace(0, 1, 10_001)).max()
     assert kept.fast[maxima.VALUE, 0] == pytest.approx(top, rel=1e-6)
-
-
-def two(first: float, second: float, ratio: float) -> tuple[Polynomial, float]:
-    """Return a curve from 0 with maxima of `ratio` and 1, and the time of the minimum between."""
-
-    def curve(dip: float) -> Polynomial:
-        shape = (Polynomial.fromroots([first, dip, second]) * Polynomial([-1.0, -1.0])).integ()
-        return shape / shape(second)
-
-    dip = brentq(
-        lambda place: curve(place)(first) - ratio, first + 0.01, first + 0.6 * (second - first)
-    )
-    return curve(dip), dip
 
 
 @pytest.mark.parametrize("sign", [1, -1])

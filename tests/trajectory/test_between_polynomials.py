@@ -1,6 +1,7 @@
 """Polynomials between samples, compared with their origin, with SciPy and with sums of forces."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from helpers.between_samples import (
     slope,
     value,
 )
+from helpers.thinned import thinned
 from numpy.polynomial import Polynomial
 from scipy.interpolate import KroghInterpolator
 
@@ -386,9 +388,10 @@ def test_samples_body_by_body():
 # --- with what is imposed
 
 
-@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
-@pytest.mark.parametrize("linear", [False, True])
-@pytest.mark.parametrize("kind", ["plain", "pushed", "driven", "wall"])
+@pytest.mark.parametrize(
+    ("kind", "linear", "exponent"),
+    thinned(product(["plain", "pushed", "driven", "wall"], [False, True], [1.0, 1.5, 2.3]), 2),
+)
 def test_the_motion_around_an_interval_is_that_of_the_forces(
     exponent: float, linear: bool, kind: str
 ):

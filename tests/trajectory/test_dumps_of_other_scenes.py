@@ -256,8 +256,7 @@ STYLES = {
 }
 
 
-@pytest.mark.parametrize("said", [True, False])
-@pytest.mark.parametrize("style", STYLES)
+@pytest.mark.parametrize(("style", "said"), thinned(product(STYLES, [True, False]), 3))
 def test_dumps_in_other_units_are_converted(original: Path, style: str, said: bool, tmp_path: Path):
     length, time, mass, velocity = STYLES[style]
     frames = frames_of(original)
@@ -433,7 +432,7 @@ OTHER_VARIABLES = {
 
 
 @pytest.mark.parametrize(
-    ("diameter", "options"), thinned(product(["physical", "gauge"], OTHER_VARIABLES), 2)
+    ("diameter", "options"), thinned(product(["physical", "gauge"], OTHER_VARIABLES), 4)
 )
 def test_a_deck_that_is_run_with_other_variables(tmp_path: Path, diameter: str, options: str):
     says = OTHER_VARIABLES[options]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.command_output import names
 
 from lmpchain import InputError
 from lmpchain.util import files
@@ -28,10 +29,6 @@ from lmpchain.util.files import (
 )
 
 NO_PROCESS = 2**22 + 1  # above the largest number of a process, PID_MAX_LIMIT of Linux
-
-
-def names(folder: Path) -> list[str]:
-    return sorted(path.name for path in folder.iterdir())
 
 
 def in_a_fork(work: Any) -> None:

@@ -76,6 +76,7 @@ def test_damaged_files_are_compiled_anew(suffix: str, damage: str, folder: Path)
     assert run(folder) == ("42 1", "")
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_nothing_and_says_so(folder: Path):
     said, complaints = run(folder, "ulimit -f 0")
     assert said == "42 0"

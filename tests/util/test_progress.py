@@ -43,7 +43,7 @@ class Tqdm:
     def close(self) -> None:
         self.calls.append("closed")
 
-    def set_description(self, text: str) -> None:
+    def set_description_str(self, text: str) -> None:
         self.calls.append(text)
 
     def set_postfix_str(self, text: str, refresh: bool) -> None:

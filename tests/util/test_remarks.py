@@ -40,6 +40,7 @@ def in_threads(work: Callable[[int], Any], count: int = 8) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
+@pytest.mark.slow
 def test_runs_in_folders_in_threads_leave_the_filters_of_python(tmp_path: Path):
     """Python's own suppression of warnings left the filter "ignore" behind."""
     # Libraries add their own filters when they are first used.

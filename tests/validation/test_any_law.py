@@ -65,22 +65,28 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     loaded = chain.load_grain if chain.load_grain > 1 or chain.top == "free" else 0
     carried[loaded:] += chain.top_load
     rest = np.array([at_rest(*pair) for pair in zip(constant, carried, strict=True)])
+    carried_force = force(rest, constant, (C,))
+    masses, drag, viscosity = chain.masses, chain.drag, chain.contact_viscosity
     drive = scene.drive
     omega = 2 * np.pi * drive.frequency if drive else 0.0
 
     def place(t: float, u: np.ndarray) -> np.ndarray:
         return np.append(drive.amplitude * np.sin(omega * t), u[1:]) if drive else u
 
+    def closer(x: np.ndarray) -> np.ndarray:
+        between = np.zeros(chain.grains + 2)
+        between[1:-1] = x
+        return between[:-1] - between[1:]
+
     def overlap(t: float, state: np.ndarray) -> np.ndarray:
-        return rest - np.diff(place(t, state[: chain.grains]), prepend=0.0, append=0.0)
+        return rest + closer(place(t, state[: chain.grains]))
 
     def rates(t: float, state: np.ndarray) -> np.ndarray:
         v = state[chain.grains :]
         o = overlap(t, state)
-        closing = -np.diff(v, prepend=0.0, append=0.0)
-        viscous = chain.contact_viscosity * stiffness(o, constant, (C,)) * closing
-        change = force(o, constant, (C,)) - force(rest, constant, (C,)) + viscous
-        return np.concatenate((v, -np.diff(change) / chain.masses - chain.drag * v))
+        viscous = viscosity * stiffness(o, constant, (C,)) * closer(v)
+        change = force(o, constant, (C,)) - carried_force + viscous
+        return np.concatenate((v, (change[:-1] - change[1:]) / masses - drag * v))
 
     def crossing(contact: int) -> Any:
         def event(t: float, state: np.ndarray) -> float:

@@ -36,6 +36,7 @@ def flaschka(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return np.array(traces)
 
 
+@pytest.mark.slow
 def test_flaschkas_integrals_are_conserved_for_100_periods() -> None:
     grains = 8
     chain = Chain(grains=grains, **WALLS, law=laws.toda(B, k=K))

@@ -223,7 +223,7 @@ def excess(seed: int) -> float:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seeds", [range(0, 3), pytest.param(range(3, 60), marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seeds", [range(0, 1), pytest.param(range(1, 40), marks=pytest.mark.slow)])
 def test_random_scenes_on_a_ground(seeds):
     """No error is above the tolerance and above what the run says."""
     assert {seed: ratio for seed in seeds if (ratio := excess(seed)) > 1} == {}

@@ -73,10 +73,13 @@ def reference(scene: Scene, force: Callable[[Any], Any]) -> tuple[np.ndarray, np
 
     def rates(t: float, state: np.ndarray) -> np.ndarray:
         f = force(rest + state[: N - 1] - state[1:N]) - carried
-        pull = np.append(np.append(0.0, f) - np.append(f, 0.0), 0.0)[:N] / chain.masses
+        slopes = np.zeros(2 * N)
+        slopes[:N] = state[N:]
         # The last grain is held.
-        pull[-1] = 0.0
-        return np.concatenate((state[N:], pull))
+        slopes[N:-1] -= f
+        slopes[N + 1 : -1] += f[:-1]
+        slopes[N:] /= chain.masses
+        return slopes
 
     start = np.concatenate(scene.initial())
     size = np.abs(start).max() * np.repeat([1e-20, 1e-14], N)

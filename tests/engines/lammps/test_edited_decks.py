@@ -124,7 +124,7 @@ def agree(folder: Path) -> None:
         assert np.abs(dumped[:, : expected.shape[1]] - expected).max() <= close
 
 
-@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 3))
+@pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 5))
 def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
     name: str, pattern: str, text: str, is_read: bool, tmp_path: Path
 ):
@@ -144,6 +144,7 @@ def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
     ("count", "is_run"),
     [(20, False), *(pytest.param(2000, run, marks=pytest.mark.soak) for run in (False, True))],
 )
+@pytest.mark.slow
 def test_decks_spoilt_at_random_are_read_right_or_refused(count: int, is_run: bool, tmp_path: Path):
     """In a soak of its own, `lmp` runs every deck that is read."""
     turn = random.Random(count)

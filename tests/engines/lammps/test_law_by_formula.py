@@ -99,7 +99,7 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         2e-4,
     ),
 }
-DEFAULT = ("drag", "toda under gravity", "one exponent a contact", "adhesion", "walls")
+DEFAULT = ("drag", "toda under gravity", "adhesion")
 
 
 def case(name: str) -> tuple[Scene, float]:
@@ -157,7 +157,7 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
     assert 1e-7 < error <= 1.1 * t.error_estimate.solver
 
 
-@pytest.mark.parametrize("name", some(("toda under gravity", "walls")))
+@pytest.mark.parametrize("name", some(("toda under gravity",)))
 def test_a_deck_alone_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     scene, step = case(name)
     write_deck(scene, tmp_path / "deck", step=step)

@@ -96,6 +96,7 @@ SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
         for each in product(SCENES, INTEGRATORS)
     ],
 )
+@pytest.mark.slow
 def test_ranks_give_the_bytes_of_one(name, integrator):
     scene = SCENES[name]
     options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
@@ -115,6 +116,7 @@ def test_three_ranks_and_the_gauge_diameter():
     assert same(one, three)
 
 
+@pytest.mark.slow
 def test_more_ranks_than_grains_are_refused():
     scene = Scene(
         chain=Chain(grains=2, diameter=1e-3),

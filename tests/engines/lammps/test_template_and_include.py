@@ -59,7 +59,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 # --- includes
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
+@pytest.mark.parametrize("ranks", thinned([1, 2], 2))
 def test_an_include_works_in_the_library(ranks: int):
     plain = simulate(small(), engine=Lammps(**VERLET))
     t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
@@ -340,7 +340,7 @@ def scenes(text: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("text", thinned(HOSTILE, 5))
+@pytest.mark.parametrize("text", thinned(HOSTILE, 8))
 def test_text_in_a_scene_stays_out_of_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -369,7 +369,7 @@ def test_text_in_a_scene_stays_out_of_decks(
         assert names(here) == before
 
 
-@pytest.mark.parametrize("name", thinned(HOSTILE, 3))
+@pytest.mark.parametrize("name", thinned(HOSTILE, 6))
 def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.CaptureFixture[str]):
     """What is written to a shell is quoted, and what LAMMPS could take for a command is refused."""
     name = name.replace("/", "_")
