@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -16,12 +16,9 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
+from ..util.plotting import Axes, chart, colour_bar, edges, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -114,10 +111,9 @@ class ContactHistory(Shown, Tabular):
 
         from ..util.ticks import UnitFormatter
 
-        ax = axes_in_units(ax, "s", "N")
         label = "contact force above rest" if above_rest else "contact force"
+        ax = chart(ax, "time [s]", f"{label} [N]")
         values = self.change if above_rest else self.force
-        ax.set(xlabel="time", ylabel=label)
         if len(self.contact) <= LINES:
             for number, force in zip(self.contact, values.T, strict=True):
                 ax.plot(self.time, force, label=f"contact {number}")
@@ -166,9 +162,9 @@ class Signal(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the force over time; return the axes."""
-        ax = axes_in_units(ax, "s", "N")
+        ax = chart(ax, "time [s]", "force on the sensor [N]")
         ax.plot(self.time, self.force, label=f"grain {self.grain}")
-        return finish(ax, "time", "force on the sensor")
+        return finish(ax)
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,15 +19,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import sensor
 from .flight import arrival
 from .motion import motion_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -95,14 +92,14 @@ class Echo(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the power through the grain over time, and mark the pulses; return the axes."""
-        ax = axes_in_units(ax, "s", "W")
+        ax = chart(ax, "time [s]", "power through the grain [W]")
         ax.plot(self.time, self.power, color="0.3", lw=1)
         for downward, mark, colour in ((True, "v", "#0072B2"), (False, "^", "#D55E00")):
             times = [pulse.time for pulse in self.pulses if pulse.downward == downward]
             label = "pulse that goes down" if downward else "pulse that goes up"
             ax.plot(times, np.interp(times, self.time, self.power), mark, color=colour, label=label)
         title = f"Grain {self.grain}: echo after {prefixed(self.seconds, 's', 6)}"
-        return finish(ax, "time", "power through the grain", title)
+        return finish(ax, title)
 
 
 def find(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -17,14 +17,11 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts
 from .motion import motion_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -88,7 +85,7 @@ class Power(Shown, Tabular):
 
         The power of linear theory is dashed.
         """
-        ax = axes_in_units(ax, "s", "W")
+        ax = chart(ax, "time [s]", "power [W]")
         time, *envelope = np.transpose(
             [
                 (self.time[piece[0]], self.power[piece].min(), self.power[piece].max())
@@ -106,7 +103,7 @@ class Power(Shown, Tabular):
             f", {100 * self.share:.5g} % of that of the drive" if np.isfinite(self.input) else ""
         )
         title = f"Contact {self.contact}: ± {prefixed(self.error, 'W', 1)}{share}"
-        return finish(ax, "time", "power", title)
+        return finish(ax, title)
 
 
 def through(trajectory: Trajectory, contact: int, periods: int | None = None) -> Power:

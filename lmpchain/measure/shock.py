@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -23,19 +23,16 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import (
-    axes_in_units,
+    Axes,
+    chart,
     choose_few,
     colour_bar,
     finish,
     prefixed,
-    set_title,
 )
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
 from .crests import local_maxima, summit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -170,7 +167,7 @@ class Shock(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the final overlaps, edges and plateaus, predicted edges dashed; return axes."""
-        ax = axes_in_units(ax, "", "m")
+        ax = chart(ax, "contact, from the top", "overlap [m]")
         ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
             ax.axhline(state.overlap, color="#009E73", lw=1, ls=style, label=f"plateau {name}")
@@ -184,12 +181,11 @@ class Shock(Shown, Tabular):
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         title = f"{self.kind} after {prefixed(self.time, 's', 3)}"
         # A legend within the axes would cover the lines of the edges.
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18)}
-        return finish(ax, "contact, from the top", "overlap", title, **below)
+        return finish(ax, title, below=0.18)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw overlaps over place and time, with plateaus and edges, predicted edges dashed."""
-        ax = axes_in_units(ax, "", "s")
+        ax = chart(ax, "contact, from the top", "time [s]")
         order = np.argsort(self.contact)
         cells = cell_edges(self.contact[order].astype(float)), cell_edges(self.moment)
         shown = ax.pcolormesh(*cells, self.overlap_then[:, order], cmap="cividis", rasterized=True)
@@ -218,12 +214,9 @@ class Shock(Shown, Tabular):
                 fontsize="small",
                 bbox={"facecolor": "w", "alpha": 0.7, "lw": 0},
             )
-        ax.set(xlabel="contact, from the top", ylabel="time", ylim=(0.0, self.time))
-        ax.set_xlim(cells[0][0], cells[0][-1])
-        set_title(ax, f"{self.kind}: overlaps over place and time")
-        shade = {"facecolor": "0.35", "labelcolor": "w", "fontsize": "small"}
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **shade)
-        return ax
+        ax.set(xlim=cells[0][[0, -1]], ylim=(0.0, self.time))
+        shade = {"frameon": True, "facecolor": "0.35", "labelcolor": "w"}
+        return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
     def _predicted(self, name: str) -> list[tuple[str, float]]:
         """Return name and speed of the best prediction of an edge; None if there is no theory."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import LogLocator
@@ -16,6 +16,7 @@ from ..util.notebook import Shown
 from ..util.plotting import (
     COLOURS,
     LEAST_ERROR,
+    Axes,
     look_of,
     panels,
     set_title,
@@ -25,9 +26,6 @@ from ..util.plotting import (
 from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from ..util.ticks import UnitFormatter
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 TOLERANCE = 1e-6  # tolerance that defines the predictability horizon
 
