@@ -19,6 +19,7 @@ from ..chain.chain import Chain
 from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene, check_scene
+from ..simulation.batch_means import LEVEL
 from ..simulation.many import simulate_many
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
@@ -42,7 +43,6 @@ from .draws import (
 Measure = Callable[[Trajectory], Any]
 Distribution = Literal["normal", "uniform"]
 BATCH = 16  # chains that are in memory at a time
-LEVEL = 0.95  # of intervals
 BAND = (0.05, 0.95)  # quantiles between which a picture is shaded
 OF_GRAINS: dict[str, Of] = {
     "diameter": "diameter",

@@ -189,7 +189,7 @@ def _pulses(time: Array, power: Array, change: Array, least: float, part: float)
     begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
     ends = np.append(begins[1:], strong.size) - 1
     force = CubicSpline(time, change)
-    passed, rough = (_passed(time, power, stride) for stride in (1, 2))
+    passed, rough = (_energy_up_to(time, power, stride) for stride in (1, 2))
     pulses = []
     start = 0
     # The energy is stationary between two samples, up to which the power at the nearer one passes.
@@ -214,7 +214,7 @@ def _pulses(time: Array, power: Array, change: Array, least: float, part: float)
     return pulses
 
 
-def _passed(time: Array, power: Array, stride: int) -> Array:
+def _energy_up_to(time: Array, power: Array, stride: int) -> Array:
     """Return the energy that has passed up to each sample, (T,) J, from every n-th sample."""
     samples = np.append(np.arange(0, len(time) - 1, stride), len(time) - 1)
     energy = CubicSpline(time[samples], power[samples]).antiderivative()

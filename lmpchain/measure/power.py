@@ -27,7 +27,7 @@ __dir__ = listed(__name__)
 
 SAMPLES = 8  # in a period, at least
 POINTS = 32  # in a period, at which the power is averaged
-PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
+DRAWN_PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -89,7 +89,9 @@ class Power(Shown, Tabular):
         time, *envelope = np.transpose(
             [
                 (self.time[piece[0]], self.power[piece].min(), self.power[piece].max())
-                for piece in np.array_split(np.arange(len(self.time)), min(PIECES, len(self.time)))
+                for piece in np.array_split(
+                    np.arange(len(self.time)), min(DRAWN_PIECES, len(self.time))
+                )
             ]
         )
         ax.fill_between(time, *envelope, color="0.8", lw=0, label="least to largest")

@@ -9,7 +9,6 @@ from typing import ClassVar, Literal, NamedTuple
 import numpy as np
 from scipy import stats
 from scipy.interpolate import CubicSpline
-from scipy.optimize import brentq
 
 from ..errors import InputError
 from ..scene.acting import Drive, Force
@@ -32,7 +31,7 @@ from ..util.plotting import (
 )
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
-from .crests import local_maxima, summit
+from .crests import first_crests, first_passages
 
 __dir__ = listed(__name__)
 
@@ -41,7 +40,7 @@ END_CONTACTS = 5  # at an end a wave meets its reflection
 FEWEST = 24  # contacts that the leading edge passes
 OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
-MOMENTS = 400  # that are kept for a picture
+DRAWN_MOMENTS = 400  # that are kept for a picture
 COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
 # Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
@@ -176,7 +175,7 @@ class Shock(Shown, Tabular):
             if np.isfinite(edge.speed):
                 label = f"{name} edge, {edge.speed:.5g} ± {float(f'{edge.error:.1g}'):g} grains/s"
                 ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
-            for theory, speed in self._predicted(name):
+            for theory, speed in self._best_prediction(name):
                 label = f"{name} edge, {theory}: {speed:.5g} grains/s"
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         title = f"{self.kind} after {prefixed(self.time, 's', 3)}"
@@ -192,7 +191,9 @@ class Shock(Shown, Tabular):
         colour_bar(ax, shown, "overlap (m)")
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
             lines = [(f"{name} edge", edge.speed)]
-            lines += [(f"{name} edge, {theory}", speed) for theory, speed in self._predicted(name)]
+            lines += [
+                (f"{name} edge, {theory}", speed) for theory, speed in self._best_prediction(name)
+            ]
             for number, (label, speed) in enumerate(lines):
                 if np.isfinite(speed):
                     way = self._source, self._place(speed)
@@ -218,7 +219,7 @@ class Shock(Shown, Tabular):
         shade = {"frameon": True, "facecolor": "0.35", "labelcolor": "w"}
         return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
-    def _predicted(self, name: str) -> list[tuple[str, float]]:
+    def _best_prediction(self, name: str) -> list[tuple[str, float]]:
         """Return name and speed of the best prediction of an edge; None if there is no theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
@@ -322,7 +323,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     dispersive = answer.kind == "dispersive shock"
     jump = behind.velocity - ahead.velocity
     rise = gas.force(behind.overlap) - gas.force(ahead.overlap)
-    rows = choose_few(wave.time.size, MOMENTS)
+    rows = choose_few(wave.time.size, DRAWN_MOMENTS)
     contact = np.arange(1, wave.overlap.shape[1] + 1)[:: 1 if direction == "down" else -1]
     return Shock(
         kind=answer.kind,
@@ -387,7 +388,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWa
     still = scene.chain.bottom != "free" and not upward
     still |= overlap[0, -1] == rest[0]
     still &= velocity[0, -2] == 0
-    start, until = _undisturbed(scene.excitation, time, overlap, source, bool(still), gas)
+    start, until = _span_before_echoes(scene.excitation, time, overlap, source, bool(still), gas)
     last = int(np.searchsorted(time, until))
     change = (overlap - overlap[0, -1])[:last]
     near = change[:, source + 1 : source + 3].mean(1)
@@ -436,7 +437,7 @@ def _source(scene: Scene, upward: bool) -> int:
     return source
 
 
-def _undisturbed(
+def _span_before_echoes(
     excitation: Excitation, time: Array, overlap: Array, source: int, still: bool, gas: Medium
 ) -> tuple[float, float]:
     """Return the start of the wave, and the time up to which no wave from an end reaches it, s.
@@ -513,37 +514,25 @@ def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
     return float(late.slope), float(2 * late.stderr + abs(late.slope - early.slope))
 
 
-def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
-    """Return time and height of the first maximum of each signal above half its largest, (C, 2)."""
-    crests = []
-    for n in contacts:
-        signal = signals[:, n]
-        tops = local_maxima(signal)
-        high = tops[signal[tops] > signal.max() / 2]
-        crests.append(summit(time, signal, int(high[0]), 1) if high.size else (np.nan,) * 2)
-    return np.array(crests)
-
-
 def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
-    crests = _crests(wave.time, wave.overlap - ahead.overlap, contacts)
-    seen = np.isfinite(crests[:, 0])
-    heights = crests[seen, 1]
+    passage, height = first_crests(wave.time, wave.overlap[:, contacts] - ahead.overlap)
+    seen = np.isfinite(passage)
+    heights = height[seen]
     half = len(heights) // 2
     # A slow push makes a ramp, which steepens into a shock only after a while.
     if half < len(contacts) // 4 or heights[half:].mean() < CREST * jump:
         cure = "let the push rise faster, or use a longer chain and record longer"
         raise InputError.at("excitation", f"the wave has no leading crest yet: {cure}")
-    speed, error = _edge_speed(crests[seen, 0], contacts[seen].astype(float))
-    height = float(heights[half:].mean())
-    drift = abs(height - float(heights[:half].mean()))
-    velocities = _crests(
-        wave.time, wave.velocity - ahead.velocity, contacts[-(len(contacts) // 3) :]
-    )
-    return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
+    speed, error = _edge_speed(passage[seen], contacts[seen].astype(float))
+    late = float(heights[half:].mean())
+    drift = abs(late - float(heights[:half].mean()))
+    last = contacts[-(len(contacts) // 3) :]
+    _, velocities = first_crests(wave.time, wave.velocity[:, last] - ahead.velocity)
+    return Edge(speed, error, late, drift, float(np.nanmean(velocities)))
 
 
 def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
@@ -660,16 +649,14 @@ def _steady_front(wave: _TravellingWave, ahead: State, behind: State) -> _Answer
         few = f"{contacts.size} contacts show the whole front, fewer than {FEWEST}"
         raise InputError.at("duration", f"{few}: {cure}")
     half = ahead.overlap + jump / 2
+    # The signals are 0 at half the jump.
+    signals = (wave.overlap[:, contacts] - half) / jump
+    speed, error = _edge_speed(first_passages(wave.time, signals), contacts.astype(float))
+    height = float(wave.overlap[:, contacts[-1]].max()) - ahead.overlap
+    # The spline is a function of the sample number, for which it is well conditioned.
     samples = np.arange(wave.time.size)
     interval = wave.time[1] - wave.time[0]
-    crossings = []
-    for n in contacts:
-        # The spline is a function of the sample number, for which it is well conditioned.
-        curve = CubicSpline(samples, (wave.overlap[:, n] - half) / jump)
-        k = int((wave.overlap[:, n] > half).argmax())
-        crossings.append(brentq(curve, k - 1, k) * interval)
-    speed, error = _edge_speed(np.array(crossings), contacts.astype(float))
-    height = float(wave.overlap[:, contacts[-1]].max()) - ahead.overlap
+    curve = CubicSpline(samples, signals[:, -1])
     steepest = float(curve.derivative()(np.linspace(0, samples[-1], 8 * samples.size)).max())
     velocity = float((wave.velocity[:, contacts[-1]] - ahead.velocity).max())
     edge = Edge(speed, error, height, 0.0, velocity)
