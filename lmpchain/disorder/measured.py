@@ -24,7 +24,7 @@ from ..simulation.many import simulate_many
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
 from ..util.suggestions import not_among
@@ -146,11 +146,15 @@ class MeasuredEnsemble(Shown, Tabular):
             ax = chart(ax, label, "number of chains")
             ax.hist(self.values, bins="auto", color="0.75")
             low, high = self.interval
-            ax.axvline(float(self.mean), color="#0072B2", label="mean")
-            ax.axvspan(float(low), float(high), color="#0072B2", alpha=0.3, lw=0, label="95 %")
+            ax.axvline(float(self.mean), color=COLOURS["blue"], label="mean")
+            ax.axvspan(
+                float(low), float(high), color=COLOURS["blue"], alpha=0.3, lw=0, label="95 %"
+            )
             for share in BAND:
                 quantile = float(self.quantile(share))
-                ax.axvline(quantile, color="#D55E00", ls="--", label=f"{100 * share:g} % below")
+                ax.axvline(
+                    quantile, color=COLOURS["vermilion"], ls="--", label=f"{100 * share:g} % below"
+                )
             return finish(ax, title)
         if self.values.ndim > 2:
             shape = self.values.shape[1:]
@@ -161,8 +165,8 @@ class MeasuredEnsemble(Shown, Tabular):
         span = f"{100 * BAND[0]:g} to {100 * BAND[1]:g} % of the chains"
         ax.fill_between(x, lowest, highest, color="0.8", lw=0, label=span)
         low, high = self.interval
-        ax.fill_between(x, low, high, color="#0072B2", alpha=0.4, lw=0, label="mean, 95 %")
-        ax.plot(x, self.mean, color="#0072B2", lw=1)
+        ax.fill_between(x, low, high, color=COLOURS["blue"], alpha=0.4, lw=0, label="mean, 95 %")
+        ax.plot(x, self.mean, color=COLOURS["blue"], lw=1)
         return finish(ax, title)
 
 

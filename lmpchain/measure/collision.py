@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.tabular import Tabular
 from . import crests
 from .fit.column import is_uniform
@@ -90,7 +90,7 @@ class Collision(Shown, Tabular):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw how far each wave is ahead of its undisturbed position; return the axes."""
         ax = chart(ax, "time [s]", "grains ahead of where it would be")
-        for k, colour in enumerate(("#0072B2", "#D55E00")):
+        for k, colour in enumerate((COLOURS["blue"], COLOURS["vermilion"])):
             line = self._before[k]
             for piece in (line, self._after[k]):
                 ahead = self.way[k] * (piece.grain - line.at(piece.time))

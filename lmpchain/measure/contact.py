@@ -16,7 +16,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, colour_bar, edges, finish, legend, thin_rows
+from ..util.plotting import Axes, chart, draw_map, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 
@@ -109,8 +109,6 @@ class ContactHistory(Shown, Tabular):
         """
         from matplotlib.ticker import MaxNLocator
 
-        from ..util.ticks import UnitFormatter
-
         label = "contact force above rest" if above_rest else "contact force"
         ax = chart(ax, "time [s]", f"{label} [N]")
         values = self.change if above_rest else self.force
@@ -122,14 +120,11 @@ class ContactHistory(Shown, Tabular):
             rows = np.argsort(self.contact)
             numbers, force = thin_rows(self.contact[rows], values.T[rows])
             colours: dict[str, Any] = {"cmap": "cividis"}
-            extend = "neither"
             if above_rest:
                 # A change has two signs. The colours saturate so that a weak wave remains visible.
                 limit = scale(values)
-                colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
-                extend = "both"
-            mesh = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
-            colour_bar(ax, mesh, label, format=UnitFormatter("N"), extend=extend)
+                colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "extend": "both"}
+            draw_map(ax, self.time, numbers, force, f"{label} [N]", **colours)
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])

@@ -19,7 +19,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, finish, prefixed
+from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import sensor
@@ -94,7 +94,10 @@ class Echo(Shown, Tabular):
         """Draw the power through the grain over time, and mark the pulses; return the axes."""
         ax = chart(ax, "time [s]", "power through the grain [W]")
         ax.plot(self.time, self.power, color="0.3", lw=1)
-        for downward, mark, colour in ((True, "v", "#0072B2"), (False, "^", "#D55E00")):
+        for downward, mark, colour in (
+            (True, "v", COLOURS["blue"]),
+            (False, "^", COLOURS["vermilion"]),
+        ):
             times = [pulse.time for pulse in self.pulses if pulse.downward == downward]
             label = "pulse that goes down" if downward else "pulse that goes up"
             ax.plot(times, np.interp(times, self.time, self.power), mark, color=colour, label=label)

@@ -17,7 +17,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, finish, prefixed
+from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts
@@ -96,7 +96,12 @@ class Power(Shown, Tabular):
         )
         ax.fill_between(time, *envelope, color="0.8", lw=0, label="least to largest")
         window = [self._begin, self.time[-1]]
-        ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {prefixed(self.mean, 'W')}")
+        ax.plot(
+            window,
+            [self.mean] * 2,
+            color=COLOURS["vermilion"],
+            label=f"mean, {prefixed(self.mean, 'W')}",
+        )
         if np.isfinite(self.linear):
             ax.axhline(
                 self.linear, color="k", ls="--", lw=1, label=f"linear, {prefixed(self.linear, 'W')}"

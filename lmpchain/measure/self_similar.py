@@ -14,7 +14,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
-from .shock import COLOURS, Shock, find
+from .shock import EDGE_COLOURS, Shock, find
 
 __dir__ = listed(__name__)
 
@@ -70,7 +70,7 @@ class SelfSimilar(Shown, Tabular):
             speed = getattr(self.shock, name).speed
             if np.isfinite(speed):
                 label = f"{name} edge, {speed:.5g} grains/s"
-                ax.axvline(speed, color=COLOURS[name], lw=1.2, label=label)
+                ax.axvline(speed, color=EDGE_COLOURS[name], lw=1.2, label=label)
         title = f"{self.shock.kind} over distance and time"
         return finish(ax, title, below=0.18, ncols=2)
 

@@ -41,7 +41,7 @@ FEWEST = 24  # contacts that the leading edge passes
 OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
 DRAWN_MOMENTS = 400  # that are kept for a picture
-COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
+EDGE_COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
 # Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
     "whitham": "Whitham",
@@ -171,7 +171,7 @@ class Shock(Shown, Tabular):
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
             ax.axhline(state.overlap, color="#009E73", lw=1, ls=style, label=f"plateau {name}")
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
-            colour = COLOURS[name]
+            colour = EDGE_COLOURS[name]
             if np.isfinite(edge.speed):
                 label = f"{name} edge, {edge.speed:.5g} ± {float(f'{edge.error:.1g}'):g} grains/s"
                 ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
@@ -188,7 +188,7 @@ class Shock(Shown, Tabular):
         order = np.argsort(self.contact)
         cells = cell_edges(self.contact[order].astype(float)), cell_edges(self.moment)
         shown = ax.pcolormesh(*cells, self.overlap_then[:, order], cmap="cividis", rasterized=True)
-        colour_bar(ax, shown, "overlap (m)")
+        colour_bar(ax, shown, "overlap [m]")
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
             lines = [(f"{name} edge", edge.speed)]
             lines += [
@@ -198,7 +198,7 @@ class Shock(Shown, Tabular):
                 if np.isfinite(speed):
                     way = self._source, self._place(speed)
                     text = f"{label}: {speed:.5g} grains/s"
-                    colour = "w" if number else COLOURS[name]
+                    colour = "w" if number else EDGE_COLOURS[name]
                     style = "--" if number else "-"
                     width = 1.2 if number else 3.0
                     ax.plot(way, (self._start, self.time), style, c=colour, lw=width, label=text)

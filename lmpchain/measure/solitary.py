@@ -16,7 +16,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
@@ -104,7 +104,7 @@ class Train(Shown, Tabular):
         for number, (grain, share) in enumerate(zip(self.grain, self.share, strict=True)):
             label = "solitary waves" if number == 0 else None
             height = float(np.interp(grain, self.place, self.density))
-            ax.plot(grain, height, "v", color="#D55E00", ms=5, label=label)
+            ax.plot(grain, height, "v", color=COLOURS["vermilion"], ms=5, label=label)
             if number < 6:
                 ax.text(
                     grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"

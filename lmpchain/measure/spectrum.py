@@ -15,7 +15,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import Axes, chart, colour_bar, edges, legend
+from ..util.plotting import Axes, chart, draw_map, legend
 from ..util.tabular import Tabular
 from .recorded import Field, check
 
@@ -351,5 +351,5 @@ def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, field: Field)
     smallest = largest / 1e3
     scale = LogNorm(smallest, largest)
     values = np.maximum(values, smallest)
-    mesh = ax.pcolorfast(edges(x), edges(y), values, norm=scale, cmap="cividis")
-    colour_bar(ax, mesh, f"{field} ({UNITS_OF_FIELDS[field]} per Hz)", extend="min")
+    label = f"{field} ({UNITS_OF_FIELDS[field]} per Hz)"
+    draw_map(ax, x, y, values, label, extend="min", norm=scale, cmap="cividis")

@@ -342,11 +342,26 @@ def mark_decades(ax: Axes) -> None:
     )
 
 
-def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
-    """Explain the colours of axes beside them, in letters of the same size."""
+def draw_map(
+    ax: Axes, x: Array, y: Array, values: Array, label: str, extend: str = "neither", **colours: Any
+) -> None:
+    """Draw values (Y, X) as the colours of cells with centres x and y, beside a bar of colours."""
+    mesh = ax.pcolorfast(edges(x), edges(y), values, **colours)
+    colour_bar(ax, mesh, label, extend=extend)
+
+
+def colour_bar(ax: Axes, shown: ScalarMappable, label: str, extend: str = "neither") -> None:
+    """Explain the colours of axes beside them, in letters of the same size.
+
+    The unit of a label in brackets, as in "force [N]", is written with an SI prefix.
+    """
+    from .ticks import UnitFormatter
+
     # Measure the width before the bar reduces it.
     narrow = _inches(ax) < NARROW
-    bar = ax.figure.figure.colorbar(shown, ax=ax, label=label, **keys)
+    name, unit = split_label(label)
+    ticks = UnitFormatter(unit) if unit else None
+    bar = ax.figure.figure.colorbar(shown, ax=ax, label=name, format=ticks, extend=extend)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
     if narrow:
         bar.ax.tick_params(labelsize=8.0)
