@@ -350,7 +350,7 @@ def draw_map(
     colour_bar(ax, mesh, label, extend=extend)
 
 
-def colour_bar(ax: Axes, shown: ScalarMappable, label: str, extend: str = "neither") -> None:
+def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
     """Explain the colours of axes beside them, in letters of the same size.
 
     The unit of a label in brackets, as in "force [N]", is written with an SI prefix.
@@ -361,7 +361,7 @@ def colour_bar(ax: Axes, shown: ScalarMappable, label: str, extend: str = "neith
     narrow = _inches(ax) < NARROW
     name, unit = split_label(label)
     ticks = UnitFormatter(unit) if unit else None
-    bar = ax.figure.figure.colorbar(shown, ax=ax, label=name, format=ticks, extend=extend)
+    bar = ax.figure.figure.colorbar(shown, ax=ax, label=name, format=ticks, **keys)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
     if narrow:
         bar.ax.tick_params(labelsize=8.0)
