@@ -7,15 +7,19 @@ import re
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain, groupby
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..engines import class_of
 from ..scene.scene import Scene
-from ..util.plotting import COLOURS, LEAST_ERROR, legend, look_of, panels, window
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+from ..util.plotting import (
+    COLOURS,
+    LEAST_ERROR,
+    Axes,
+    legend,
+    look_of,
+    panels,
+    window,
+)
 
 # Errors below this multiple of the error of the reference are not accurate enough.
 KNOWN = 10.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import (
     LEAST_ERROR,
+    Axes,
     label_ends,
     legend,
     panels,
@@ -26,9 +27,6 @@ from ..util.plotting import (
 from ..util.tables import align, finite, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 

@@ -6,10 +6,11 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from ..scene.scene import Scene
 from ..util.notebook import Shown
+from ..util.plotting import Axes
 from ..util.provenance import processor
 from ..util.tables import align, duration, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
@@ -19,9 +20,6 @@ from .chart import front as front
 from .chart import time_to as time_to
 from .comparison import ComparisonRow
 from .reference import Reference
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 def machine() -> str:

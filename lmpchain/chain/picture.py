@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, prefixed
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from ..util.plotting import Axes, chart, finish, prefixed
 
 # Longest chain whose arrays are computed only for display in a notebook.
 DETAILED_GRAINS = 1_000_000
@@ -37,7 +34,7 @@ class ChainPicture(Shown):
 
     def plot(self: Any, ax: Axes | None = None) -> Axes:
         """Draw masses and overlaps at rest, relative to their largest values; return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain, from the top", "over the largest")
         number = np.arange(1, self.grains + 1)
         every = -(-self.grains // DRAWN_POINTS)
         curves = [
@@ -55,6 +52,5 @@ class ChainPicture(Shown):
                     lw=1,
                     label=f"{name} / {prefixed(values.max(), unit, 3)}",
                 )
-        ax.set(xlabel="grain, from the top", ylabel="over the largest", ylim=(0, 1.3))
-        legend(ax, loc="upper left")
-        return ax
+        ax.set(ylim=(0, 1.3))
+        return finish(ax, loc="upper left")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,14 +14,12 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.plotting import SHADES, Axes, chart, finish, panels, window
 from ..util.tabular import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
 from .changes import changed
 from .traces import Traces
 from .unknowns import Problem
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 NAMES_OF_TRACES = {
     "velocity": "velocity, downward",
@@ -148,8 +146,6 @@ class Fit(Fitted, Tabular):
         One axes for every unit of the traces: a list of them, of which so many may be given, where
         there are several.
         """
-        from ..util.plotting import SHADES, axes_in_units, legend, panels, window
-
         problem = self._problem
         units = list(dict.fromkeys(FIELD_UNITS[trace.field] for trace in problem.traces))
         given = window().subplots(len(units), sharex=True) if ax is None else ax
@@ -158,12 +154,13 @@ class Fit(Fitted, Tabular):
             raise InputError.at("ax", f"give {len(units)} axes, one for each of {units}")
         fitted = problem.predict(problem.free(self.estimate))
         for single, unit in zip(axes, units, strict=True):
-            axes_in_units(single, "s", unit)
             traces = [
                 (trace, prediction)
                 for trace, prediction in zip(problem.traces, fitted, strict=True)
                 if FIELD_UNITS[trace.field] == unit
             ]
+            fields = dict.fromkeys(NAMES_OF_TRACES[trace.field] for trace, _ in traces)
+            chart(single, "time [s]", f"{' or '.join(fields)} [{unit}]")
             colours = cycle(SHADES)
             for trace, prediction in traces:
                 for column, place in enumerate(trace.places):
@@ -173,9 +170,7 @@ class Fit(Fitted, Tabular):
                     kind = "contact" if trace.field == "contact" else f"{trace.field} of grain"
                     label = f"{kind} {place}"
                     single.plot(trace.time, prediction[:, column], color=colour, label=label)
-            fields = dict.fromkeys(NAMES_OF_TRACES[trace.field] for trace, _ in traces)
-            single.set(xlabel="time", ylabel=" or ".join(fields))
-            legend(single)
+            finish(single)
         return axes if len(axes) > 1 else axes[0]
 
     def _columns(self) -> Iterator[NamedColumn]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from os import PathLike
 from types import CodeType, FunctionType, MethodType, ModuleType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,15 +20,13 @@ from ..integrators.halving import SAFETY
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import RUNS, Answer, at_step, refine
 from .objectives import Objective
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 def fingerprint(*values: Any) -> str:
@@ -141,9 +139,7 @@ class Optimum(Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the best value so far over the runs, a line a start, and return the axes."""
-        from ..util.plotting import COLOURS, axes_in_units, legend
-
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "runs", "best value")
         # the value is the least or the largest of all runs, but for its error
         lowest = min(values.min() for values in self.history)
         highest = max(values.max() for values in self.history)
@@ -151,11 +147,7 @@ class Optimum(Tabular):
         for number, values in enumerate(self.history, 1):
             best = (np.minimum if minimised else np.maximum).accumulate(values)
             ax.plot(np.arange(1, best.size + 1), best, lw=1, label=f"start {number}")
-        ax.set_xlabel("runs")
-        ax.set_ylabel("best value")
-        if len(self.history) <= len(COLOURS):
-            legend(ax)
-        return ax
+        return finish(ax) if len(self.history) <= len(COLOURS) else ax
 
     def _columns(self) -> Iterator[NamedColumn]:
         runs = [np.arange(1, len(values) + 1) for values in self.history]

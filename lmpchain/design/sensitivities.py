@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +12,13 @@ from ..errors import InputError, RunFailed, shown
 from ..integrators.differentiation import DIFFERENTIABLE
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.suggestions import not_among
 from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import Gradient, at_step, gradient, shortens
 from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 ROWS = 12  # of a table
 # Pairs of drawn chains: the scatter is some 5 % off if an answer is far from linear.
@@ -165,9 +163,7 @@ class Sensitivity(Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the change for 1 % of every entry along the chain, and return the axes."""
-        from ..util.plotting import COLOURS, axes_in_units, legend, prefixed, set_title
-
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain", "change for 1 % more, %")
         size = abs(self.value) or 1.0
         last = 0
         colours = iter(COLOURS.values())
@@ -182,15 +178,11 @@ class Sensitivity(Tabular):
             # nothing is seen of smaller changes
             last = max(last, *np.flatnonzero(abs(change) > 1e-3 * abs(change).max()), 0)
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
-        ax.set_xlabel("grain")
-        ax.set_ylabel("change for 1 % more, %")
         ax.set_xlim(0.5, last + 2.5)
         kind, _, place = self.of.replace("_", " ").partition(":")
         where = "contact" if kind == "peak force" else "grain"
         name = f"{kind}, {where} {place}" if place else kind
-        set_title(ax, f"{name}: {prefixed(self.value, self.unit)}")
-        legend(ax)
-        return ax
+        return finish(ax, f"{name}: {prefixed(self.value, self.unit)}")
 
     def _columns(self) -> Iterator[NamedColumn]:
         names, changes = zip(*self.ranked(), strict=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,13 +12,11 @@ from ..engines.base import Engine
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.remarks import warnings_aside
 from ..util.tabular import Tabular
 from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
 from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __all__ = ["Ensemble", "at_the_end", "disordered", "ensemble", "factors", "realisation"]
 
@@ -78,16 +76,11 @@ class Ensemble(StreamedAverages, Tabular):
 
         A band around the mean shows two standard errors.
         """
-        from ..util.plotting import axes_in_units, legend, prefixed, set_title
-
-        ax = axes_in_units(ax, "", "m/s")
+        ax = chart(ax, "grain number, from the top", "mean velocity, downward [m/s]")
         label = f"m = {self.m:g}: mean of {self.realisations} chains"
         mean = self.velocity[sample]
         draw_mean(ax, self.grains, mean, self.velocity_error[sample], label, "± 2 st. errors")
-        ax.set(xlabel="grain number, from the top", ylabel="mean velocity, downward")
-        set_title(ax, f"t = {prefixed(self.time[sample], 's')}")
-        legend(ax)
-        return ax
+        return finish(ax, f"t = {prefixed(self.time[sample], 's')}")
 
 
 def ensemble(

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,11 +19,12 @@ from ..chain.chain import Chain
 from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene, check_scene
+from ..simulation.batch_means import LEVEL
 from ..simulation.many import simulate_many
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
 from ..util.suggestions import not_among
@@ -39,13 +40,9 @@ from .draws import (
     realisation,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 Measure = Callable[[Trajectory], Any]
 Distribution = Literal["normal", "uniform"]
 BATCH = 16  # chains that are in memory at a time
-LEVEL = 0.95  # of intervals
 BAND = (0.05, 0.95)  # quantiles between which a picture is shaded
 OF_GRAINS: dict[str, Of] = {
     "diameter": "diameter",
@@ -161,28 +158,33 @@ class MeasuredEnsemble(Shown, Tabular):
         InputError
             If the quantity has more than one dimension.
         """
-        ax = axes_in_units(ax, "", "")
         title = f"{self.realisations} chains"
         if self.values.ndim == 1:
+            ax = chart(ax, label, "number of chains")
             ax.hist(self.values, bins="auto", color="0.75")
             low, high = self.interval
-            ax.axvline(float(self.mean), color="#0072B2", label="mean")
-            ax.axvspan(float(low), float(high), color="#0072B2", alpha=0.3, lw=0, label="95 %")
+            ax.axvline(float(self.mean), color=COLOURS["blue"], label="mean")
+            ax.axvspan(
+                float(low), float(high), color=COLOURS["blue"], alpha=0.3, lw=0, label="95 %"
+            )
             for share in BAND:
                 quantile = float(self.quantile(share))
-                ax.axvline(quantile, color="#D55E00", ls="--", label=f"{100 * share:g} % below")
-            return finish(ax, label, "number of chains", title)
+                ax.axvline(
+                    quantile, color=COLOURS["vermilion"], ls="--", label=f"{100 * share:g} % below"
+                )
+            return finish(ax, title)
         if self.values.ndim > 2:
             shape = self.values.shape[1:]
             raise InputError.at("measure", f"returns an array {shape}: draw a curve of it")
+        ax = chart(ax, x_label, label)
         x = np.arange(self.values.shape[1]) if self.x is None else self.x
         lowest, highest = (self.quantile(share) for share in BAND)
         span = f"{100 * BAND[0]:g} to {100 * BAND[1]:g} % of the chains"
         ax.fill_between(x, lowest, highest, color="0.8", lw=0, label=span)
         low, high = self.interval
-        ax.fill_between(x, low, high, color="#0072B2", alpha=0.4, lw=0, label="mean, 95 %")
-        ax.plot(x, self.mean, color="#0072B2", lw=1)
-        return finish(ax, x_label, label, title)
+        ax.fill_between(x, low, high, color=COLOURS["blue"], alpha=0.4, lw=0, label="mean, 95 %")
+        ax.plot(x, self.mean, color=COLOURS["blue"], lw=1)
+        return finish(ax, title)
 
 
 def _invert_hall(value: float, skewness: Array) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -12,12 +12,10 @@ from ..engines.base import Engine
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
+from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
 from .draws import Law, Of, check, fault_of_count
 from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -103,9 +101,8 @@ class Spreading(StreamedAverages, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw second moment and participation with two standard errors, and return the axes."""
-        from ..util.plotting import axes_in_units, legend
 
-        ax = axes_in_units(ax, "s", "", "xy")
+        ax = chart(ax, "time [s]", f"mean of {self.realisations} chains, m = {self.m:g}", "xy")
         for name, label in (
             ("second_moment", "second moment (grains²)"),
             ("participation", "participation (grains)"),
@@ -113,9 +110,7 @@ class Spreading(StreamedAverages, Tabular):
             # The first sample, at t = 0, is omitted on a logarithmic axis.
             error = getattr(self, f"{name}_error")[1:]
             draw_mean(ax, self.time[1:], getattr(self, name)[1:], error, label)
-        ax.set(xlabel="time", ylabel=f"mean of {self.realisations} chains, m = {self.m:g}")
-        legend(ax)
-        return ax
+        return finish(ax)
 
     @property
     def _depths(self) -> range:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -18,11 +18,9 @@ from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.notebook import Shown
+from ..util.plotting import Axes
 from ..util.progress import ProgressBar
 from .draws import Law, Of, check, fault_of_count, realisation
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 BATCH = 16  # number of chains in a batch
 

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -32,12 +32,10 @@ from ..errors import InputError
 from ..util.arrays import EPSILON, Array, numbers
 from ..util.compilation import compiled_once
 from ..util.notebook import Shown
+from ..util.plotting import ERROR_BARS, Axes, chart
 from ..util.progress import ProgressBar
 from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 PIECE = 2**16  # number of grains drawn at a time
 # Initial fraction of each chain that is not counted, because the ratios still depend on its top
@@ -81,8 +79,8 @@ class Localisation(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the Lyapunov exponent with bars of two standard errors, and return the axes."""
-        ax = _errorbars(ax, self.frequency, self.exponent, self.error)
-        ax.set(xscale="log", yscale="log", ylabel="Lyapunov exponent per grain")
+        ax = chart(ax, "frequency (rad/s)", "Lyapunov exponent per grain", "xy")
+        ax.errorbar(self.frequency, self.exponent, 2 * self.error, **ERROR_BARS)
         return ax
 
 
@@ -111,8 +109,8 @@ class DensityOfStates(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the integrated density of states with two standard errors, and return the axes."""
-        ax = _errorbars(ax, self.frequency, self.integrated, self.error)
-        ax.set(ylabel="share of the modes below")
+        ax = chart(ax, "frequency (rad/s)", "share of the modes below")
+        ax.errorbar(self.frequency, self.integrated, 2 * self.error, **ERROR_BARS)
         return ax
 
 
@@ -358,12 +356,3 @@ def _pass(a: Array, b: Array, omega2: Array, z: Array, growth: Array, nodes: Arr
 def _mean(values: Array) -> tuple[Array, Array]:
     """Return the mean over chains and its standard error, (F,)."""
     return values.mean(0), values.std(0, ddof=1) / math.sqrt(len(values))
-
-
-def _errorbars(ax: Axes | None, frequency: Array, values: Array, errors: Array) -> Axes:
-    from ..util.plotting import axes_in_units
-
-    ax = axes_in_units(ax, "", "")
-    ax.errorbar(frequency, values, 2 * errors, fmt="o-", ms=3, capsize=2)
-    ax.set_xlabel("frequency (rad/s)")
-    return ax

@@ -61,7 +61,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     InputError
         If a body was not recorded and is not held.
     """
-    column = _recorded_columns(trajectory, bodies)
+    column = _columns_of(trajectory, bodies)
     u = trajectory.displacement[:, column]
     v = trajectory.velocity[:, column]
     # The mark of a body that stands still is also a valid index: the last column.
@@ -98,7 +98,7 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     scene = trajectory.scene
     u = np.asarray(trajectory.displacement)
     v = np.asarray(trajectory.velocity)
-    _recorded_columns(trajectory, np.arange(1, scene.chain.grains + 1))
+    _columns_of(trajectory, np.arange(1, scene.chain.grains + 1))
     # A force may act on a grain that has not moved yet.
     last = 2 + max(
         scene.excitation.reach(scene.chain)[1],
@@ -108,7 +108,7 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     return scene, *motion(trajectory, np.arange(1, scene.chain.grains + 1))
 
 
-def _recorded_columns(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
+def _columns_of(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
     """Return the columns of bodies, or their marks; raise `InputError` if a body is unknown."""
     chain = trajectory.scene.chain
     column = columns(chain.grains, chain.movable, trajectory.grains)[bodies]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
@@ -17,14 +17,11 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.tabular import Tabular
 from . import crests
 from .fit.column import is_uniform
 from .fit.solitary import END_GRAINS, check_chain, exact_wave
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -92,8 +89,8 @@ class Collision(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw how far each wave is ahead of its undisturbed position; return the axes."""
-        ax = axes_in_units(ax, "s", "")
-        for k, colour in enumerate(("#0072B2", "#D55E00")):
+        ax = chart(ax, "time [s]", "grains ahead of where it would be")
+        for k, colour in enumerate((COLOURS["blue"], COLOURS["vermilion"])):
             line = self._before[k]
             for piece in (line, self._after[k]):
                 ahead = self.way[k] * (piece.grain - line.at(piece.time))
@@ -105,7 +102,7 @@ class Collision(Shown, Tabular):
                 ax.axhline(self.toda[k], color=colour, lw=1, ls="--", label=law)
         ax.axvline(self.time, color="0.6", lw=1)
         title = "head-on" if self.head_on else "overtaking"
-        return finish(ax, "time", "grains ahead of where it would be", title)
+        return finish(ax, title)
 
 
 class _CrestLine(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -16,13 +16,10 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, colour_bar, edges, finish, legend, thin_rows
+from ..util.plotting import Axes, chart, draw_map, finish, legend, thin_rows
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 from .motion import OF_DRIVER
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -113,12 +110,9 @@ class ContactHistory(Shown, Tabular):
         """
         from matplotlib.ticker import MaxNLocator
 
-        from ..util.ticks import UnitFormatter
-
-        ax = axes_in_units(ax, "s", "N")
         label = "contact force above rest" if above_rest else "contact force"
+        ax = chart(ax, "time [s]", f"{label} [N]")
         values = self.change if above_rest else self.force
-        ax.set(xlabel="time", ylabel=label)
         if len(self.contact) <= LINES:
             for number, force in zip(self.contact, values.T, strict=True):
                 ax.plot(self.time, force, label=f"contact {number}")
@@ -127,14 +121,11 @@ class ContactHistory(Shown, Tabular):
             rows = np.argsort(self.contact)
             numbers, force = thin_rows(self.contact[rows], values.T[rows])
             colours: dict[str, Any] = {"cmap": "cividis"}
-            extend = "neither"
             if above_rest:
                 # A change has two signs. The colours saturate so that a weak wave remains visible.
                 limit = scale(values)
-                colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
-                extend = "both"
-            mesh = ax.pcolorfast(edges(self.time), edges(numbers), force, **colours)
-            colour_bar(ax, mesh, label, format=UnitFormatter("N"), extend=extend)
+                colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "extend": "both"}
+            draw_map(ax, self.time, numbers, force, f"{label} [N]", **colours)
             ax.yaxis.set_major_formatter("{x:g}")
             ax.yaxis.set_major_locator(MaxNLocator(integer=True))
             ax.set(ylabel="contact, from the top", ylim=ax.get_ylim()[::-1])
@@ -167,9 +158,9 @@ class Signal(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the force over time; return the axes."""
-        ax = axes_in_units(ax, "s", "N")
+        ax = chart(ax, "time [s]", "force on the sensor [N]")
         ax.plot(self.time, self.force, label=f"grain {self.grain}")
-        return finish(ax, "time", "force on the sensor")
+        return finish(ax)
 
     def _columns(self) -> Iterator[NamedColumn]:
         yield NamedColumn("time", "s", self.time)

@@ -1,4 +1,9 @@
-"""Crests of a wave as it passes each grain, interpolated between the samples."""
+"""Crests and passages of a wave, interpolated between the samples of any signals.
+
+Signals are the velocities of grains, overlaps, forces, powers or correlations. The largest motion
+of grains and their fronts, with bounds from the equation of motion, are computed by
+`measure.motion` and, during a run, by `trajectory.accumulator`.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PPoly, make_interp_spline
+from scipy.interpolate import CubicSpline, PPoly, make_interp_spline
+from scipy.optimize import brentq
 
 from ..util.arrays import Array
 from ..util.lazy import listed
@@ -14,7 +20,7 @@ from ..util.lazy import listed
 __dir__ = listed(__name__)
 
 HALF = 4  # samples on either side of a crest through which a polynomial runs
-REACH = 6  # samples on either side of a maximum through which a spline runs
+SPLINE_SAMPLES = 6  # samples on either side of a maximum through which a spline runs
 NEAR = 0.25  # of the time from grain to grain, and of the height: by how much the next may be off
 
 
@@ -133,6 +139,46 @@ def local_maxima(values: Array) -> NDArray[np.intp]:
     return 1 + np.flatnonzero((inner >= values[:-2]) & (inner > values[2:]))
 
 
+def first_crests(time: Array, signals: Array) -> tuple[Array, Array]:
+    """Return time and height of the first maximum of each signal above half of its largest value.
+
+    Parameters
+    ----------
+    time, signals : (T,) and (T, C) arrays
+        s; in any unit.
+
+    Returns
+    -------
+    two (C,) arrays
+        s, and in the unit of the signals; NaN for a signal without a maximum.
+    """
+    crests = np.full((2, signals.shape[1]), np.nan)
+    for n, signal in enumerate(signals.T):
+        tops = local_maxima(signal)
+        high = tops[signal[tops] > signal.max() / 2]
+        if high.size:
+            crests[:, n] = summit(time, signal, int(high[0]), 1)
+    return crests[0], crests[1]
+
+
+def first_passages(time: Array, signals: Array) -> Array:
+    """Return the times at which signals first become positive, by cubic splines, (C,) s.
+
+    Parameters
+    ----------
+    time, signals : (T,) and (T, C) arrays
+        s; in any unit, negative in the first sample and positive later.
+    """
+    # The spline is a function of the sample number, for which it is well conditioned.
+    samples = np.arange(time.size)
+    after = (signals > 0).argmax(0)
+    places = [
+        brentq(CubicSpline(samples, signal), k - 1, k)
+        for signal, k in zip(signals.T, after, strict=True)
+    ]
+    return np.array(places) * (time[1] - time[0])
+
+
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
     """Return time and height of the maximum near a sample by a quintic spline.
 
@@ -151,7 +197,7 @@ def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, fl
     (float, float)
         Time, s, and height.
     """
-    near = np.arange(top - REACH * stride, top + REACH * stride + 1, stride)
+    near = np.arange(top - SPLINE_SAMPLES * stride, top + SPLINE_SAMPLES * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]
     # Time is in sampling intervals from the sample, so that the spline is well conditioned.
     unit = time[top + 1] - time[top]

@@ -16,13 +16,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
+from ..util.plotting import COLOURS, Axes, legend, panels, set_title, window
 from ..util.tables import align, counted, number, wrap
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from ..disorder.averages import Ensemble
 
 __dir__ = listed(__name__)
@@ -177,8 +176,6 @@ class DysonSums(Shown, Tabular):
         Axes
             Those of the means.
         """
-        from ..util.plotting import COLOURS, legend, panels, set_title, window
-
         means, *terms_axes = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
         colours = list(COLOURS.values())
         grains = np.arange(1, ordered.size + 1)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -19,15 +19,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import sensor
 from .flight import arrival
 from .motion import motion_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -95,14 +92,17 @@ class Echo(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the power through the grain over time, and mark the pulses; return the axes."""
-        ax = axes_in_units(ax, "s", "W")
+        ax = chart(ax, "time [s]", "power through the grain [W]")
         ax.plot(self.time, self.power, color="0.3", lw=1)
-        for downward, mark, colour in ((True, "v", "#0072B2"), (False, "^", "#D55E00")):
+        for downward, mark, colour in (
+            (True, "v", COLOURS["blue"]),
+            (False, "^", COLOURS["vermilion"]),
+        ):
             times = [pulse.time for pulse in self.pulses if pulse.downward == downward]
             label = "pulse that goes down" if downward else "pulse that goes up"
             ax.plot(times, np.interp(times, self.time, self.power), mark, color=colour, label=label)
         title = f"Grain {self.grain}: echo after {prefixed(self.seconds, 's', 6)}"
-        return finish(ax, "time", "power through the grain", title)
+        return finish(ax, title)
 
 
 def find(
@@ -192,7 +192,7 @@ def _pulses(time: Array, power: Array, change: Array, least: float, part: float)
     begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
     ends = np.append(begins[1:], strong.size) - 1
     force = CubicSpline(time, change)
-    passed, rough = (_passed(time, power, stride) for stride in (1, 2))
+    passed, rough = (_energy_up_to(time, power, stride) for stride in (1, 2))
     pulses = []
     start = 0
     # The energy is stationary between two samples, up to which the power at the nearer one passes.
@@ -217,7 +217,7 @@ def _pulses(time: Array, power: Array, change: Array, least: float, part: float)
     return pulses
 
 
-def _passed(time: Array, power: Array, stride: int) -> Array:
+def _energy_up_to(time: Array, power: Array, stride: int) -> Array:
     """Return the energy that has passed up to each sample, (T,) J, from every n-th sample."""
     samples = np.append(np.arange(0, len(time) - 1, stride), len(time) - 1)
     energy = CubicSpline(time[samples], power[samples]).antiderivative()

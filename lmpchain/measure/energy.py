@@ -19,14 +19,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import Axes, chart, finish
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
     from ..chain.chain import Chain
     from ..scene.base import Push
     from ..scene.scene import Scene
@@ -142,7 +140,7 @@ class EnergyLedger(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw total, kinetic and potential energy and the work of a driver; return the axes."""
-        ax = axes_in_units(ax, "s", "J")
+        ax = chart(ax, "time [s]", "energy above rest [J]")
         ax.plot(self.time, self.total, label="total")
         ax.plot(self.time, self.kinetic, label="kinetic")
         ax.plot(self.time, self.total - self.kinetic, label="potential")
@@ -153,8 +151,7 @@ class EnergyLedger(Shown, Tabular):
             ax.plot(self.time, work, "k--", lw=1, label="given by strike and driver")
         largest = np.abs(self.total).max() or 1.0
         title = f"Drift: at most {np.abs(self.drift).max() / largest:.1e} of the largest total"
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2), "ncols": 2}
-        return finish(ax, "time", "energy above rest", title, **below)
+        return finish(ax, title, below=0.2, ncols=2)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, get_args
+from typing import ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 from scipy import optimize, stats
@@ -14,13 +14,10 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, mark_decades
+from ..util.plotting import Axes, chart, finish, mark_decades
 from ..util.tabular import Tabular
 from .motion import motion_of
 from .recorded import Field, check
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -201,8 +198,7 @@ class PowerLaw(Shown, Tabular):
         law = f"exponent {self.exponent:.4f} ± {self.error[0]:.4f}, corrected for finite depth"
         ax = _draw(ax, self.depth, self.values, self.label, unit=self.unit)
         ax.plot(self.depth, self(self.depth), label=law)
-        legend(ax)
-        return ax
+        return finish(ax)
 
 
 def _unit_of(quantity: Quantity, field: Field) -> str:
@@ -454,9 +450,10 @@ def _draw(
     """Draw values against depth, logarithmic unless they have errors."""
     from matplotlib.ticker import LogLocator, MaxNLocator
 
-    ax = axes_in_units(ax, "", unit, "xy" if error is None else "x")
+    ax = chart(
+        ax, "depth h = n − 1/2 (grains)", f"{label} [{unit}]", "xy" if error is None else "x"
+    )
     ax.errorbar(h, y, yerr=error, fmt=".", markersize=4, elinewidth=1)
-    ax.set(xlabel="depth h = n − 1/2 (grains)", ylabel=label)
     mark_decades(ax)
     if error is None:
         decades = y.size > 0 and y.max() > DECADE * y.min()

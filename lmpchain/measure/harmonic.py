@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,14 +27,11 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import force_above_rest
 from .motion import motion_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -98,7 +95,7 @@ class HarmonicWave(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the phase lag of the grains less that of linear waves; return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain, from the top", "phase lag less that of linear waves (rad)")
         lag = -np.unwrap(np.angle(self.amplitude))
         cells = (self.grain - self.grain[0]) / self.cell
         ax.plot(self.grain, lag - lag[0] - self.linear_phase * cells, ".", label="grains")
@@ -107,8 +104,7 @@ class HarmonicWave(Shown, Tabular):
         ax.plot(self.grain, slope * cells, label=f"measured, {error}")
         ax.axhline(0.0, color="k", ls="--", lw=1, label=f"linear, {self.linear_phase:.7g}")
         title = f"{prefixed(self.frequency, 'Hz')}, {prefixed(float(abs(self.amplitude[0])), 'm')}"
-        label = "phase lag less that of linear waves (rad)"
-        return finish(ax, "grain, from the top", label, title)
+        return finish(ax, title)
 
 
 @dataclass(frozen=True)

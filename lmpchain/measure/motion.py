@@ -157,7 +157,7 @@ class Motion:
         accumulator.take_all(self.displacement[:, part], self.velocity[:, part], levels)
         return accumulator
 
-    def _followed(self, field: Field, fraction: float) -> Accumulator:
+    def _accumulator_of(self, field: Field, fraction: float) -> Accumulator:
         """Return largest sizes and maxima of the moving grains, once for each field."""
         known = self._accumulators.get(field)
         if known is None or known[0] != fraction:
@@ -171,7 +171,7 @@ class Motion:
         value = self._sizes[KINDS[field]].copy()
         # A grain that moves by less than the error has this bound only.
         error = value + trajectory_error
-        largest = self._followed(field, FRACTION).largest(field, trajectory_error)
+        largest = self._accumulator_of(field, FRACTION).largest(field, trajectory_error)
         value[self._moves], error[self._moves] = largest
         return Peaks(self.grains, value, error)
 
@@ -228,7 +228,9 @@ class Motion:
         error = self.known_error(field)
         rows = np.full((self.grains.size, 6), np.nan)
         least = error if fall is None else fall
-        rows[self._moves] = self._followed(field, fraction).fronts(fraction, error, least, width)
+        rows[self._moves] = self._accumulator_of(field, fraction).fronts(
+            fraction, error, least, width
+        )
         return rows
 
     def rows(self, grains: np.ndarray) -> NDArray[np.intp]:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -35,12 +35,9 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import Axes, chart, finish
 from ..util.tabular import Tabular
 from .shock import find, medium_of, wave_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -144,7 +141,7 @@ class PlanarOrbits(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw measured waves as dots and orbits as lines, in the plane of overlap and slope."""
-        ax = axes_in_units(ax, "m", "m")
+        ax = chart(ax, "overlap [m]", "change of overlap a grain [m]")
         drawn = np.unique(np.linspace(0, len(self.orbits) - 1, DRAWN).astype(int))
         for number, color in zip(drawn, (f"C{k}" for k in range(DRAWN)), strict=False):
             orbit = self.orbits[number]
@@ -154,8 +151,7 @@ class PlanarOrbits(Shown, Tabular):
             ax.plot(overlap, slope, color=color, lw=1, label=label)
             ax.plot(*self._measured[number], ".", color=color, ms=4)
         title = f"waves at contact {self.contact}, and orbits of the planar ODE"
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18), "ncols": 2}
-        return finish(ax, "overlap", "change of overlap a grain", title, **below)
+        return finish(ax, title, below=0.18, ncols=2)
 
 
 def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> PlanarOrbits:

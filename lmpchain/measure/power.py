@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
@@ -17,20 +17,17 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts, force_above_rest
 from .motion import motion_of
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 __dir__ = listed(__name__)
 
 SAMPLES = 8  # in a period, at least
 POINTS = 32  # in a period, at which the power is averaged
-PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
+DRAWN_PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -88,16 +85,23 @@ class Power(Shown, Tabular):
 
         The power of linear theory is dashed.
         """
-        ax = axes_in_units(ax, "s", "W")
+        ax = chart(ax, "time [s]", "power [W]")
         time, *envelope = np.transpose(
             [
                 (self.time[piece[0]], self.power[piece].min(), self.power[piece].max())
-                for piece in np.array_split(np.arange(len(self.time)), min(PIECES, len(self.time)))
+                for piece in np.array_split(
+                    np.arange(len(self.time)), min(DRAWN_PIECES, len(self.time))
+                )
             ]
         )
         ax.fill_between(time, *envelope, color="0.8", lw=0, label="least to largest")
         window = [self._begin, self.time[-1]]
-        ax.plot(window, [self.mean] * 2, color="#D55E00", label=f"mean, {prefixed(self.mean, 'W')}")
+        ax.plot(
+            window,
+            [self.mean] * 2,
+            color=COLOURS["vermilion"],
+            label=f"mean, {prefixed(self.mean, 'W')}",
+        )
         if np.isfinite(self.linear):
             ax.axhline(
                 self.linear, color="k", ls="--", lw=1, label=f"linear, {prefixed(self.linear, 'W')}"
@@ -106,7 +110,7 @@ class Power(Shown, Tabular):
             f", {100 * self.share:.5g} % of that of the drive" if np.isfinite(self.input) else ""
         )
         title = f"Contact {self.contact}: ± {prefixed(self.error, 'W', 1)}{share}"
-        return finish(ax, "time", "power", title)
+        return finish(ax, title)
 
 
 def through(trajectory: Trajectory, contact: int, periods: int | None = None) -> Power:

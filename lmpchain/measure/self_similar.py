@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -12,12 +12,9 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
-from .shock import COLOURS, Shock, find
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .shock import EDGE_COLOURS, Shock, find
 
 __dir__ = listed(__name__)
 
@@ -62,7 +59,7 @@ class SelfSimilar(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the profiles at all moments, the limit and the edges; return the axes."""
-        ax = axes_in_units(ax, "", "m")
+        ax = chart(ax, "distance over time (grains/s)", "overlap [m]")
         shades = np.linspace(0.75, 0.0, len(self.moment))
         for moment, overlap, shade in zip(self.moment, self.overlap, shades, strict=True):
             label = f"at {prefixed(moment, 's', 3)}"
@@ -73,10 +70,9 @@ class SelfSimilar(Shown, Tabular):
             speed = getattr(self.shock, name).speed
             if np.isfinite(speed):
                 label = f"{name} edge, {speed:.5g} grains/s"
-                ax.axvline(speed, color=COLOURS[name], lw=1.2, label=label)
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18), "ncols": 2}
+                ax.axvline(speed, color=EDGE_COLOURS[name], lw=1.2, label=label)
         title = f"{self.shock.kind} over distance and time"
-        return finish(ax, "distance over time (grains/s)", "overlap", title, **below)
+        return finish(ax, title, below=0.18, ncols=2)
 
 
 def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> SelfSimilar:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy import stats
 from scipy.interpolate import CubicSpline
-from scipy.optimize import brentq
 
 from ..errors import InputError
 from ..scene.acting import Drive, Force
@@ -23,19 +22,16 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import (
-    axes_in_units,
+    Axes,
+    chart,
     choose_few,
     colour_bar,
     finish,
     prefixed,
-    set_title,
 )
 from ..util.plotting import edges as cell_edges
 from ..util.tabular import Tabular
-from .crests import local_maxima, summit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from .crests import first_crests, first_passages
 
 __dir__ = listed(__name__)
 
@@ -44,8 +40,8 @@ END_CONTACTS = 5  # at an end a wave meets its reflection
 FEWEST = 24  # contacts that the leading edge passes
 OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
 FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
-MOMENTS = 400  # that are kept for a picture
-COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
+DRAWN_MOMENTS = 400  # that are kept for a picture
+EDGE_COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
 # Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
     "whitham": "Whitham",
@@ -170,38 +166,39 @@ class Shock(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the final overlaps, edges and plateaus, predicted edges dashed; return axes."""
-        ax = axes_in_units(ax, "", "m")
+        ax = chart(ax, "contact, from the top", "overlap [m]")
         ax.plot(self.contact, self.overlap, lw=1, color="0.3", label="overlap")
         for name, state, style in (("ahead", self.ahead, ":"), ("behind", self.behind, "-.")):
             ax.axhline(state.overlap, color="#009E73", lw=1, ls=style, label=f"plateau {name}")
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
-            colour = COLOURS[name]
+            colour = EDGE_COLOURS[name]
             if np.isfinite(edge.speed):
                 label = f"{name} edge, {edge.speed:.5g} ± {float(f'{edge.error:.1g}'):g} grains/s"
                 ax.axvline(self._place(edge.speed), color=colour, lw=1.2, label=label)
-            for theory, speed in self._predicted(name):
+            for theory, speed in self._best_prediction(name):
                 label = f"{name} edge, {theory}: {speed:.5g} grains/s"
                 ax.axvline(self._place(speed), color=colour, lw=1.2, ls="--", label=label)
         title = f"{self.kind} after {prefixed(self.time, 's', 3)}"
         # A legend within the axes would cover the lines of the edges.
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18)}
-        return finish(ax, "contact, from the top", "overlap", title, **below)
+        return finish(ax, title, below=0.18)
 
     def plot_map(self, ax: Axes | None = None) -> Axes:
         """Draw overlaps over place and time, with plateaus and edges, predicted edges dashed."""
-        ax = axes_in_units(ax, "", "s")
+        ax = chart(ax, "contact, from the top", "time [s]")
         order = np.argsort(self.contact)
         cells = cell_edges(self.contact[order].astype(float)), cell_edges(self.moment)
         shown = ax.pcolormesh(*cells, self.overlap_then[:, order], cmap="cividis", rasterized=True)
-        colour_bar(ax, shown, "overlap (m)")
+        colour_bar(ax, shown, "overlap [m]")
         for name, edge in (("leading", self.leading), ("trailing", self.trailing)):
             lines = [(f"{name} edge", edge.speed)]
-            lines += [(f"{name} edge, {theory}", speed) for theory, speed in self._predicted(name)]
+            lines += [
+                (f"{name} edge, {theory}", speed) for theory, speed in self._best_prediction(name)
+            ]
             for number, (label, speed) in enumerate(lines):
                 if np.isfinite(speed):
                     way = self._source, self._place(speed)
                     text = f"{label}: {speed:.5g} grains/s"
-                    colour = "w" if number else COLOURS[name]
+                    colour = "w" if number else EDGE_COLOURS[name]
                     style = "--" if number else "-"
                     width = 1.2 if number else 3.0
                     ax.plot(way, (self._start, self.time), style, c=colour, lw=width, label=text)
@@ -218,14 +215,11 @@ class Shock(Shown, Tabular):
                 fontsize="small",
                 bbox={"facecolor": "w", "alpha": 0.7, "lw": 0},
             )
-        ax.set(xlabel="contact, from the top", ylabel="time", ylim=(0.0, self.time))
-        ax.set_xlim(cells[0][0], cells[0][-1])
-        set_title(ax, f"{self.kind}: overlaps over place and time")
-        shade = {"facecolor": "0.35", "labelcolor": "w", "fontsize": "small"}
-        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.16), **shade)
-        return ax
+        ax.set(xlim=cells[0][[0, -1]], ylim=(0.0, self.time))
+        shade = {"frameon": True, "facecolor": "0.35", "labelcolor": "w"}
+        return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
-    def _predicted(self, name: str) -> list[tuple[str, float]]:
+    def _best_prediction(self, name: str) -> list[tuple[str, float]]:
         """Return name and speed of the best prediction of an edge; None if there is no theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
@@ -329,7 +323,7 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     dispersive = answer.kind == "dispersive shock"
     jump = behind.velocity - ahead.velocity
     rise = gas.force(behind.overlap) - gas.force(ahead.overlap)
-    rows = choose_few(wave.time.size, MOMENTS)
+    rows = choose_few(wave.time.size, DRAWN_MOMENTS)
     contact = np.arange(1, wave.overlap.shape[1] + 1)[:: 1 if direction == "down" else -1]
     return Shock(
         kind=answer.kind,
@@ -426,7 +420,7 @@ def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave
     still = scene.chain.bottom != "free" and not upward
     still |= overlap[0, -1] == rest[0]
     still &= velocity[0, -2] == 0
-    start, until = _undisturbed(scene.excitation, time, overlap, source, bool(still), gas)
+    start, until = _span_before_echoes(scene.excitation, time, overlap, source, bool(still), gas)
     last = int(np.searchsorted(time, until))
     change = (overlap - overlap[0, -1])[:last]
     near = change[:, source + 1 : source + 3].mean(1)
@@ -476,7 +470,7 @@ def _source(scene: Scene, upward: bool) -> int:
     return source
 
 
-def _undisturbed(
+def _span_before_echoes(
     excitation: Excitation, time: Array, overlap: Array, source: int, still: bool, gas: Medium
 ) -> tuple[float, float]:
     """Return the start of the wave, and the time up to which no wave from an end reaches it, s.
@@ -553,37 +547,25 @@ def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
     return float(late.slope), float(2 * late.stderr + abs(late.slope - early.slope))
 
 
-def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
-    """Return time and height of the first maximum of each signal above half its largest, (C, 2)."""
-    crests = []
-    for n in contacts:
-        signal = signals[:, n]
-        tops = local_maxima(signal)
-        high = tops[signal[tops] > signal.max() / 2]
-        crests.append(summit(time, signal, int(high[0]), 1) if high.size else (np.nan,) * 2)
-    return np.array(crests)
-
-
 def _leading_crest(wave: TravellingWave, ahead: State, jump: float) -> Edge:
     """Return the leading solitary wave, followed through the later two thirds of the way."""
     # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
-    crests = _crests(wave.time, wave.overlap - ahead.overlap, contacts)
-    seen = np.isfinite(crests[:, 0])
-    heights = crests[seen, 1]
+    passage, height = first_crests(wave.time, wave.overlap[:, contacts] - ahead.overlap)
+    seen = np.isfinite(passage)
+    heights = height[seen]
     half = len(heights) // 2
     # A slow push makes a ramp, which steepens into a shock only after a while.
     if half < len(contacts) // 4 or heights[half:].mean() < CREST * jump:
         cure = "let the push rise faster, or use a longer chain and record longer"
         raise InputError.at("excitation", f"the wave has no leading crest yet: {cure}")
-    speed, error = _edge_speed(crests[seen, 0], contacts[seen].astype(float))
-    height = float(heights[half:].mean())
-    drift = abs(height - float(heights[:half].mean()))
-    velocities = _crests(
-        wave.time, wave.velocity - ahead.velocity, contacts[-(len(contacts) // 3) :]
-    )
-    return Edge(speed, error, height, drift, float(np.nanmean(velocities[:, 1])))
+    speed, error = _edge_speed(passage[seen], contacts[seen].astype(float))
+    late = float(heights[half:].mean())
+    drift = abs(late - float(heights[:half].mean()))
+    last = contacts[-(len(contacts) // 3) :]
+    _, velocities = first_crests(wave.time, wave.velocity[:, last] - ahead.velocity)
+    return Edge(speed, error, late, drift, float(np.nanmean(velocities)))
 
 
 def _trailing_edge(wave: TravellingWave, ahead: State, behind: State) -> Edge:
@@ -700,16 +682,14 @@ def _steady_front(wave: TravellingWave, ahead: State, behind: State) -> _Answer:
         few = f"{contacts.size} contacts show the whole front, fewer than {FEWEST}"
         raise InputError.at("duration", f"{few}: {cure}")
     half = ahead.overlap + jump / 2
+    # The signals are 0 at half the jump.
+    signals = (wave.overlap[:, contacts] - half) / jump
+    speed, error = _edge_speed(first_passages(wave.time, signals), contacts.astype(float))
+    height = float(wave.overlap[:, contacts[-1]].max()) - ahead.overlap
+    # The spline is a function of the sample number, for which it is well conditioned.
     samples = np.arange(wave.time.size)
     interval = wave.time[1] - wave.time[0]
-    crossings = []
-    for n in contacts:
-        # The spline is a function of the sample number, for which it is well conditioned.
-        curve = CubicSpline(samples, (wave.overlap[:, n] - half) / jump)
-        k = int((wave.overlap[:, n] > half).argmax())
-        crossings.append(brentq(curve, k - 1, k) * interval)
-    speed, error = _edge_speed(np.array(crossings), contacts.astype(float))
-    height = float(wave.overlap[:, contacts[-1]].max()) - ahead.overlap
+    curve = CubicSpline(samples, signals[:, -1])
     steepest = float(curve.derivative()(np.linspace(0, samples[-1], 8 * samples.size)).max())
     velocity = float((wave.velocity[:, contacts[-1]] - ahead.velocity).max())
     edge = Edge(speed, error, height, 0.0, velocity)

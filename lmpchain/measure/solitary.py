@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +16,12 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
 from .fit.column import is_uniform
 from .fit.solitary import END_GRAINS, SOLITARY, check_chain, exact_wave
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -102,12 +99,12 @@ class Train(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the energy of each grain at the end, and mark each wave with its share."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain, from the top", "energy of a grain (J)")
         ax.semilogy(self.place, np.maximum(self.density, 1e-12 * self.total), color="0.3", lw=1)
         for number, (grain, share) in enumerate(zip(self.grain, self.share, strict=True)):
             label = "solitary waves" if number == 0 else None
             height = float(np.interp(grain, self.place, self.density))
-            ax.plot(grain, height, "v", color="#D55E00", ms=5, label=label)
+            ax.plot(grain, height, "v", color=COLOURS["vermilion"], ms=5, label=label)
             if number < 6:
                 ax.text(
                     grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"
@@ -118,7 +115,7 @@ class Train(Shown, Tabular):
         count = self.grain.size
         waves = "1 solitary wave has" if count == 1 else f"{count} solitary waves have"
         title = f"{waves} {100 * whole:.6g} ± {100 * error:.1g} % of the energy"
-        return finish(ax, "grain, from the top", "energy of a grain (J)", title, loc="upper left")
+        return finish(ax, title, loc="upper left")
 
 
 class _FollowedWave(NamedTuple):

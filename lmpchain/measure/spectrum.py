@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,12 +15,9 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, colour_bar, edges, legend
+from ..util.plotting import Axes, chart, draw_map, legend
 from ..util.tabular import Tabular
 from .recorded import Field, check
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -65,7 +62,7 @@ class Spectrum(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over frequency and depth, with the local bands; return the axes."""
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency [Hz]", "grain, from the top")
         _draw_logarithmic(ax, self.frequency, self.grain, self.amplitude.T, self.field)
         if self.cut_off.any():
             ax.plot(self.cut_off, self.grain, color=LINE, label="local cut-off")
@@ -74,7 +71,7 @@ class Spectrum(Shown, Tabular):
                 ax.plot(edge, self.grain, "--", color=LINE, label=label)
                 ax.plot(self.bands[:, number + 1, 0], self.grain, "--", color=LINE)
             legend(ax, loc="lower left", frameon=True)
-        ax.set(xlabel="frequency", ylabel="grain, from the top", ylim=ax.get_ylim()[::-1])
+        ax.set(ylim=ax.get_ylim()[::-1])
         ax.set_xlim(0, min(self.frequency[-1], 1.5 * self.cut_off.max() or np.inf))
         ax.locator_params(axis="x", nbins=6)
         ax.locator_params(axis="y", integer=True, min_n_ticks=1)
@@ -119,7 +116,7 @@ class Dispersion(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the amplitude over wavenumber and frequency with the relation; return the axes."""
-        ax = axes_in_units(ax, "", "Hz")
+        ax = chart(ax, "wavenumber, downward (radians a grain)", "frequency [Hz]")
         _draw_logarithmic(ax, self.wavenumber, self.frequency, self.amplitude, self.field)
         styles = (":", "-", "--")
         for number, relation, style in zip(self.grain, self.relation, styles, strict=True):
@@ -127,7 +124,6 @@ class Dispersion(Shown, Tabular):
                 ax.plot(self.wavenumber, relation[0], style, color=LINE, label=f"grain {number}")
                 ax.plot(self.wavenumber, relation[1:].T, style, color=LINE)
                 legend(ax, title="local relation", loc="upper center", ncols=3, frameon=True)
-        ax.set(xlabel="wavenumber, downward (radians a grain)", ylabel="frequency")
         ax.set_ylim(0, min(self.frequency[-1], 1.5 * self.relation.max() or np.inf))
         return ax
 
@@ -355,5 +351,5 @@ def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, field: Field)
     smallest = largest / 1e3
     scale = LogNorm(smallest, largest)
     values = np.maximum(values, smallest)
-    mesh = ax.pcolorfast(edges(x), edges(y), values, norm=scale, cmap="cividis")
-    colour_bar(ax, mesh, f"{field} ({UNITS_OF_FIELDS[field]} per Hz)", extend="min")
+    label = f"{field} ({UNITS_OF_FIELDS[field]} per Hz)"
+    draw_map(ax, x, y, values, label, extend="min", norm=scale, cmap="cividis")

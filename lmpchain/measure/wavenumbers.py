@@ -13,7 +13,6 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -23,13 +22,10 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular
 from .bodies import motion
 from .energy import shares
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -87,14 +83,14 @@ class EnergyBands(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None, sample: int = -1) -> Axes:
         """Draw the energy per grain of each band against distance at a sample; return the axes."""
-        ax = axes_in_units(ax, "", "J")
+        ax = chart(ax, "grain, from the top", "energy per grain [J]")
         spacing = self.width / 2
         labels = [f"{low:.2g} to {high:.2g}" for low, high in itertools.pairwise(self.edges)]
         values = self.energy[sample].T / spacing
         ax.stackplot(self.place, values, labels=labels, lw=0)
         after = prefixed(self.time[sample], "s", 3)
         title = f"after {after}, by wavenumber (radians per grain)"
-        return finish(ax, "grain, from the top", "energy per grain", title)
+        return finish(ax, title)
 
 
 def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 48) -> EnergyBands:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -23,12 +23,9 @@ from ..simulation.batch_means import BATCHING, estimate
 from ..util.arrays import Array, whole_numbers
 from ..util.linear_algebra import in_one_thread
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import Axes, chart, finish
 from ..util.tabular import NamedColumn, Tabular
 from .flow import Flow
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 REACH = 0.1  # step times the highest frequency, rad
 TURN = 128  # most steps between two orthonormalisations
@@ -94,7 +91,7 @@ class Chaos(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the exponents over the time from 0, with the final intervals; return the axes."""
-        ax = axes_in_units(ax, "s", "")
+        ax = chart(ax, "time [s]", "Lyapunov exponents (1/s)")
         for number, exponent in enumerate(self.exponent):
             (line,) = ax.plot(self.time, self.running[:, number], lw=1)
             half = self.half_width[number]
@@ -106,17 +103,16 @@ class Chaos(Shown, Tabular):
         later = self.running[SETTLING:]
         ax.set_ylim(1.3 * float(later.min()), 1.3 * float(later.max()))
         title = f"largest {self.exponent[0]:.4g} ± {self.half_width[0]:.1g} per second"
-        return finish(ax, "time", "Lyapunov exponents (1/s)", title)
+        return finish(ax, title)
 
     def plot_gali(self, ax: Axes | None = None) -> Axes:
         """Draw the alignment indices over time on logarithmic axes; return the axes."""
-        ax = axes_in_units(ax, "s", "", "xy")
+        ax = chart(ax, "time [s]", "generalised alignment index", "xy")
         for count in range(2, self.exponent.size + 1):
             index = self.gali(count)
             positive = index > 0
             ax.plot(self.time[positive], index[positive], lw=1, label=f"{count} deviations")
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.18), "ncols": 3}
-        return finish(ax, "time", "generalised alignment index", **below)
+        return finish(ax, below=0.18, ncols=3)
 
 
 @in_one_thread

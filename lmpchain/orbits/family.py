@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -16,13 +16,10 @@ from ..theory.bands import Cell, branches, repeating
 from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, axes_in_units, legend, set_title
+from ..util.plotting import COLOURS, Axes, axes_in_units, legend, set_title
 from ..util.tabular import NamedColumn, Tabular
 from .floquet import Complex
 from .orbit import Orbit
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SAME = 1e-6  # relative: orbits nearer than this in value, period and energy are one
 DECADES = 50.0  # ratio of sizes from which on an axis is logarithmic

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.linalg import svd
@@ -17,14 +17,11 @@ from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
 from ..util.lazy import cached_property
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import Axes, chart, finish
 from ..util.tabular import NamedColumn, Tabular
 from . import floquet
 from .flow import Flow, Passage
 from .shooting import Equations, OrbitPoint, Solution
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # |multiplier| - 1 that round-off may make of a pair on the unit circle
 STABLE = 1e-6
@@ -258,16 +255,14 @@ class Orbit(Shown, Tabular):
         from matplotlib import colormaps
         from matplotlib.ticker import MaxNLocator
 
-        ax = axes_in_units(ax, "", "m")
+        ax = chart(ax, "grain", "displacement [m]")
         time, u, _ = self.motion()
         for number, label in enumerate(("at t = 0", "T/8", "T/4", "3T/8", "T/2")):
             row = u[np.abs(time - number / 8 * self.period).argmin()]
             colour = colormaps["viridis"](number / 4.5)
             ax.plot(np.arange(1, row.size + 1), row, ".-", lw=1, color=colour, label=label)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        ax.set(xlabel="grain", ylabel="displacement")
-        legend(ax, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        return ax
+        return finish(ax, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
     def to_json(self) -> dict[str, Any]:
         """Return the numbers of the orbit."""

@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..simulation.many import simulate_many
 from ..sweeps.file import Sweep, read_sweep
-from ..sweeps.tasks import announced_work
+from ..sweeps.tasks import announce_work
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import plain
 from ..util.files import check_not_foreign, expanded, write_aside
@@ -118,7 +118,7 @@ def explore(
     plan, axes = _read_plan(source)
     grid = _make_grid(plan)
     views: list[View | str] = []
-    work = announced_work(plan, grid.scenes, plan.count)
+    work = announce_work(plan, grid.scenes, plan.count)
     with work, ProgressBar(plan.count, "explore", " runs", shown=progress) as bar:
         for first in range(0, plan.count, grid.batch):
             for run in _run_scenes(plan, grid.scenes[first : first + grid.batch]):

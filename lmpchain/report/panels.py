@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,12 +13,9 @@ from ..measure import contact, energy, spectrum
 from ..measure.fit.column import is_uniform
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
-from ..util.plotting import COLOURS, axes_in_units, figure, legend, si
+from ..util.plotting import COLOURS, Axes, axes_in_units, figure, legend, si
 from .live import crop, extent
 from .verdicts import departure, front_below, linear_theory
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Fractions of the duration at which waveforms are drawn, and their colours.
 MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}

@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Iterator, Sequence
 from os import PathLike
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..errors import InputError, shown
 from ..util.arrays import Array
 from ..util.files import expanded, write_aside
 from ..util.lazy import cached_property
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import Axes, chart, finish
 from ..util.tables import counted
 from ..util.validation import make_unchecked
 from . import toml_file
@@ -26,9 +26,6 @@ from .facts import SceneFacts
 from .lammps_column import RunOptions, infer_scene
 from .lammps_input import LammpsInput
 from .lammps_object import grains_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 LONGEST_DURATION = 3600.0  # s: longer runs are probably given in other units
 # Longest plausible duration, s, for grains narrower than NARROW, m, in which a wave takes
@@ -146,30 +143,28 @@ class Scene(SceneFacts):
         waveform = getattr(self.excitation, "waveform", None)
         if waveform:
             name = self.excitation.strength[1]
-            ax = axes_in_units(ax, "s", "m" if name == "displacement" else "N")
+            unit = "m" if name == "displacement" else "N"
+            ax = chart(ax, "time [s]", f"{name}, downward [{unit}]")
             time = np.linspace(0.0, self.duration, DRAWN_POINTS)
             ax.plot(time, waveform.at(time))
-            ax.set(xlabel="time", ylabel=f"{name}, downward")
             return ax
-        return self._plot_start(axes_in_units(ax, "", ""))
+        return self._plot_start(ax)
 
-    def _plot_start(self, ax: Axes) -> Axes:
+    def _plot_start(self, ax: Axes | None) -> Axes:
         """Draw initial displacements and velocities of the excited grains and their neighbours."""
         first, last = self.excitation.reach(self.chain)
         top = max(1, first - DRAWN_AROUND)
         near = np.arange(top, min(self.chain.grains, last + DRAWN_AROUND) + 1)
         fields = zip(("displacement", "velocity"), ("m", "m/s"), self.initial(), strict=True)
         excited = [(name, unit, values) for name, unit, values in fields if values.any()]
+        # A single quantity is named on the axis, several in the legend.
+        alone = len(excited) == 1
+        name = "{} at t = 0, downward [{}]".format(*excited[0]) if alone else "at t = 0, downward"
+        ax = chart(ax, "grain, from the top", name)
         for name, unit, values in excited:
-            ax.plot(near, values[near - 1], ".-", lw=1, label=f"{name} ({unit})")
-        ax.set(xlabel="grain, from the top", ylabel="at t = 0, downward")
-        if len(excited) == 1:
-            # A single quantity is named on the axis.
-            name, unit, _ = excited[0]
-            ax.set_ylabel(f"{name} at t = 0, downward")
-            return axes_in_units(ax, "", unit)
-        legend(ax)
-        return ax
+            label = "" if alone else f"{name} ({unit})"
+            ax.plot(near, values[near - 1], ".-", lw=1, label=label)
+        return finish(ax)
 
     @cached_property
     def finer(self) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,13 +15,10 @@ from ..errors import check_tolerance
 from ..integrators.methods import methods_of
 from ..scene.scene import Scene, check_scene
 from ..util.notebook import Shown
-from ..util.plotting import LEAST_ERROR, axes_in_units, legend
+from ..util.plotting import LEAST_ERROR, Axes, chart, finish
 from ..util.tables import align, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .choice import REFUSED, ask, cheapest, propose, reason
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
 
@@ -96,7 +93,7 @@ class Plan(Shown, Tabular):
         Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
         one taken.
         """
-        ax = axes_in_units(ax, "s", "", "xy")
+        ax = chart(ax, "expected cost [s]", "expected error, at most", "xy")
         ax.axhline(
             self.tolerance, color="0.4", lw=1, ls="--", label=f"tolerance {self.tolerance:g}"
         )
@@ -118,10 +115,8 @@ class Plan(Shown, Tabular):
             mec="k",
             label="taken",
         )
-        ax.set(xlabel="expected cost", ylabel="expected error, at most")
         ax.margins(0.2)
-        legend(ax)
-        return ax
+        return finish(ax)
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan for a JSON file; unknown numbers are null."""

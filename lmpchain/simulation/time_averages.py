@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import islice
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ..integrators.steps import Steps
 from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array, check_flags
 from ..util.notebook import Shown
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
 from ..util.tables import align, number
@@ -31,9 +32,6 @@ from ..util.tabular import NamedColumn, Tabular
 from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
 A_TIME = "a time above 0 s"
@@ -250,12 +248,12 @@ class Averages(Shown, Tabular):
         of : str, optional
             Name of the quantity; by default the first one.
         """
-        from ..util.plotting import axes_in_units, legend, prefixed, set_title
-
         name = next(iter(self.mean)) if of is None else of
         if name not in self.mean:
             raise InputError.at("of", f"must be one of {', '.join(self.mean)} (got {shown(of)})")
-        ax = axes_in_units(ax, "s", self.unit[name])
+        words = name.replace("_", " ")
+        unit = self.unit[name]
+        ax = chart(ax, "time [s]", f"{words} [{unit}]")
         means = self.stretch_mean[name]
         grouped = self.middle.reshape(-1, BATCHING.finer).mean(1)
         for row, copy in enumerate(means):
@@ -270,12 +268,9 @@ class Averages(Shown, Tabular):
             ax.axhspan(low, high, color="C1", alpha=0.25, lw=0, label=label)
         if self.warm_up:
             ax.axvspan(0.0, self.warm_up, color="0.92", lw=0, label="warm-up, left out")
-        ax.set(xlabel="time", ylabel=name.replace("_", " "), xlim=(0.0, self.time))
-        unit = self.unit[name]
+        ax.set_xlim(0.0, self.time)
         mean = prefixed(self.mean[name], unit, 5) if unit else f"{self.mean[name]:.5g}"
-        set_title(ax, f"{name.replace('_', ' ')}: {mean}")
-        legend(ax)
-        return ax
+        return finish(ax, f"{words}: {mean}")
 
 
 class _Course(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.ticker import LogLocator
@@ -16,19 +16,19 @@ from ..util.notebook import Shown
 from ..util.plotting import (
     COLOURS,
     LEAST_ERROR,
+    Axes,
+    chart,
+    finish,
     look_of,
     panels,
-    set_title,
     typeset,
     window,
 )
 from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
-from ..util.ticks import UnitFormatter
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
+# Place of the legend, beside the axes.
+LEGEND_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1, 0.5)}
 TOLERANCE = 1e-6  # tolerance that defines the predictability horizon
 
 
@@ -157,35 +157,30 @@ STRENGTHS = {
 
 
 def _draw_steps(axes: Axes, result: Stability) -> None:
+    chart(axes, "longest step before a run of this duration breaks down [s]", "", "x")
     rows = [row for row in result.boundaries if row.what == "longest step"][::-1]
     heights = range(len(rows))
     predicted = [row.predicted for row in rows]
     measured = [row.measured for row in rows]
     axes.plot(predicted, heights, "|", ms=16, mew=2, color="0.3", label="predicted")
     axes.plot(measured, heights, "o", ms=6, color=COLOURS["vermilion"], label="measured")
-    label = "longest step before a run of this duration breaks down"
-    axes.set(xscale="log", xlabel=label)
-    set_title(axes, "Time step")
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
-    axes.xaxis.set_major_formatter(UnitFormatter("s"))
-    axes.xaxis.set_minor_formatter("")
     axes.set_yticks(heights, [row.method for row in rows])
     axes.grid(axis="x", color="0.92", lw=0.6)
-    _legend(axes)
+    finish(axes, "Time step", **LEGEND_BESIDE)
 
 
 def _draw_energy(axes: Axes, result: Stability) -> None:
+    chart(axes, "time [s]", "relative error of the energy", "xy")
     for curve in (curve for curve in result.curves if curve.panel == "energy"):
         colour = look_of(curve.name)["color"]
         error = np.maximum(curve.y[1:], LEAST_ERROR)
         axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
-    axes.set(xscale="log", yscale="log", xlabel="time", ylabel="relative error of the energy")
-    axes.xaxis.set_major_formatter(UnitFormatter("s"))
-    set_title(axes, "Energy, with forty steps a period of the fastest oscillation")
-    _legend(axes)
+    finish(axes, "Energy, with forty steps a period of the fastest oscillation", **LEGEND_BESIDE)
 
 
 def _draw_growth(axes: Axes, result: Stability) -> None:
+    chart(axes, "time [s]", "distance of two runs, over the largest value", "y")
     for curve in result.curves:
         if curve.panel == "growth":
             axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["blue"], lw=1.3)
@@ -203,14 +198,12 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
                 if np.isfinite(value) and value <= 1.2 * end:
                     name = typeset(f"predictable to {TOLERANCE:g}, {label}")
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=name)
-    axes.set(yscale="log", xlabel="time", ylabel="distance of two runs, over the largest value")
-    axes.xaxis.set_major_formatter(UnitFormatter("s"))
     axes.locator_params(axis="x", nbins=5)
-    set_title(axes, "Divergence of two runs, 1e-13 apart at the start")
-    _legend(axes)
+    finish(axes, "Divergence of two runs, 1e-13 apart at the start", **LEGEND_BESIDE)
 
 
 def _draw_strength(axes: Axes, result: Stability) -> None:
+    chart(axes, "strength of the strike, over that of the scene", "relative error", "xy")
     styles = iter(("--", ":"))
     for curve in result.curves:
         if curve.panel == "strength":
@@ -220,12 +213,4 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
             axes.plot(curve.x, error, color=colour, ls=style, lw=1.4, label=curve.name)
     axes.axvline(1.0, color="0.3", lw=1)
     axes.annotate("this scene", (1.0, 0.6), (4, 0), ("data", "axes fraction"), "offset points")
-    axes.set(xscale="log", yscale="log", ylabel="relative error")
-    axes.set_xlabel("strength of the strike, over that of the scene")
-    set_title(axes, "Model error and round-off")
-    _legend(axes)
-
-
-def _legend(axes: Axes) -> None:
-    if axes.get_legend_handles_labels()[0]:
-        axes.legend(frameon=False, fontsize="small", loc="center left", bbox_to_anchor=(1, 0.5))
+    finish(axes, "Model error and round-off", **LEGEND_BESIDE)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,11 +16,8 @@ from ..scene.scene import Scene, check_scene
 from ..simulation.many import simulate_many
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish, prefixed
+from ..util.plotting import ERROR_BARS, Axes, chart, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 SAMPLES_A_PERIOD = 24  # in a period
 NUMBERS_OF_A_WAVE = {
@@ -76,15 +73,14 @@ class AmplitudeDispersion(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the phase less that of linear waves over frequency, by amplitude; return axes."""
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency [Hz]", "phase per cell less that of linear waves (rad)")
         for number, amplitude in enumerate(self.amplitude):
             shift = self.phase[:, number] - self.linear_phase
             error = self.phase_error[:, number]
             label = prefixed(amplitude, self._unit)
-            ax.errorbar(self.frequency, shift, error, fmt="o-", ms=3, capsize=2, label=label)
+            ax.errorbar(self.frequency, shift, error, label=label, **ERROR_BARS)
         ax.axhline(0.0, color="k", ls="--", lw=1, label="linear")
-        label = "phase per cell less that of linear waves (rad)"
-        return finish(ax, "frequency", label, "Dispersion by amplitude of the drive")
+        return finish(ax, "Dispersion by amplitude of the drive")
 
 
 def dispersion(

@@ -176,7 +176,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     # With viscous contacts the largest force need not occur at the closest approach.
     viscous = scene.chain.damping.longest_time > 0
     gathered_names = {
-        _gathered_name(scene, name)
+        _name_in_run(scene, name)
         for name in keep
         if of_contact(name)
         or (moves_grains and is_extreme(name) and (swift or (viscous and name == "wall_force")))
@@ -185,7 +185,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     return scene.replace(quantities=(*scene.quantities, *missing)) if missing else scene
 
 
-def _gathered_name(scene: Scene, name: str) -> str:
+def _name_in_run(scene: Scene, name: str) -> str:
     """Return the name under which a run accumulates a quantity; empty if there is no such wall."""
     if name != "wall_force":
         return name
@@ -193,7 +193,7 @@ def _gathered_name(scene: Scene, name: str) -> str:
     return "" if scene.chain.bottom == "free" else f"{PEAK}:{scene.chain.movable}"
 
 
-def measured(
+def measure_quantities(
     motion: Motion,
     keep: Iterable[str],
     grains: NDArray[np.intp],
@@ -218,7 +218,7 @@ def _read(
     motion: Motion, name: str, grains: NDArray[np.intp], gathered_arrays: Mapping[str, Array]
 ) -> Iterable[Array]:
     """Return a quantity and its error, accumulated by the run or computed from its samples."""
-    along = _gathered_name(motion.scene, name)
+    along = _name_in_run(motion.scene, name)
     if along not in gathered_arrays:
         return quantity(name).measure(motion, grains)
     value = gathered_arrays[along]
@@ -230,7 +230,7 @@ def _read(
 
 def is_gathered(scene: Scene, name: str) -> bool:
     """Return whether the run of a scene accumulates a quantity."""
-    return _gathered_name(scene, name) in scene.quantities
+    return _name_in_run(scene, name) in scene.quantities
 
 
 def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:

@@ -46,7 +46,7 @@ from .store import (
     whole_parts,
 )
 from .take_over import drop, list_earlier, take_over
-from .tasks import TASKS, SweepTask, announced_work, answer, count_scenes
+from .tasks import TASKS, SweepTask, announce_work, answer, count_scenes
 
 if TYPE_CHECKING:
     import xarray
@@ -116,7 +116,7 @@ def sweep(
         with warnings_aside():
             tried = list(islice(plan.trials(), TASKS.priced))
         with (
-            announced_work(plan, tried, layout.count - work.scenes, workers),
+            announce_work(plan, tried, layout.count - work.scenes, workers),
             _executor(workers, scheduler, executor) as chosen,
             ProgressBar(layout.count, unit=" scenes", done=work.scenes, shown=progress) as bar,
         ):

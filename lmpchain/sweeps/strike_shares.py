@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,11 +18,8 @@ from ..simulation.api import simulate
 from ..theory.soliton import solve
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, finish
+from ..util.plotting import ERROR_BARS, Axes, chart, finish
 from ..util.tabular import Tabular
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Grains of the first chain and of the longest one: waves part slowly if the exponent is near 1.
 SHORTEST_CHAIN = 100
@@ -71,10 +68,10 @@ class StrikeShares(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the share of the energy that is in no solitary wave over the exponent."""
-        ax = axes_in_units(ax, "", "", "y")
-        ax.errorbar(self.exponent, 1 - self.share, self.share_error, fmt="o-", ms=3, capsize=2)
+        ax = chart(ax, "exponent of the contact force", "1 - share", "y")
+        ax.errorbar(self.exponent, 1 - self.share, self.share_error, **ERROR_BARS)
         title = "Share of a strike that no solitary wave has"
-        return finish(ax, "exponent of the contact force", "1 - share", title)
+        return finish(ax, title)
 
 
 def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:

@@ -23,7 +23,14 @@ from ..simulation.many import in_batches
 from ..trajectory.trajectory import Trajectory
 from ..util.remarks import warnings_aside
 from .file import Sweep, read_text
-from .quantities import add_rest, is_extreme, is_gathered, leave_out_unsure, measured, with_gathered
+from .quantities import (
+    add_rest,
+    is_extreme,
+    is_gathered,
+    leave_out_unsure,
+    measure_quantities,
+    with_gathered,
+)
 from .realisations import scenes
 from .results import find_recorded
 from .store import NAME, NOT_DONE, StoreLayout, complete, part_of, read_part, write_part
@@ -112,7 +119,7 @@ def count_scenes(engine: str, scene: Scene) -> int:
     return max(1, min(TASKS.scenes, TASKS.numbers // numbers))
 
 
-def announced_work(
+def announce_work(
     plan: Sweep, scenes: Sequence[Scene], total: int, workers: int = 1
 ) -> AbstractContextManager[None]:
     """Announce the cost of all scenes of a plan, extrapolated from these scenes."""
@@ -214,9 +221,9 @@ def _put(
         "time": slice(scene.samples),
         "grain": order[np.searchsorted(task.grains, grains, sorter=order)],
     }
-    arrays = measured(motion_of(result), keep, grains, result.gathered)
+    arrays = measure_quantities(motion_of(result), keep, grains, result.gathered)
     if reason:
-        add_rest(arrays, measured(motion_of(whole), keep, grains, whole.gathered))
+        add_rest(arrays, measure_quantities(motion_of(whole), keep, grains, whole.gathered))
         leave_out_unsure(arrays, keep)
     else:
         read = [name for name in keep if is_extreme(name) and not is_gathered(scene, name)]

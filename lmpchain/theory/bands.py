@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,13 +24,10 @@ from ..chain.contacts import Contacts, pair_value
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, prefixed
+from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .domain import real, require
 from .modes import eigenmodes, ground_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 __all__ = [
@@ -159,15 +156,14 @@ class Bands(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the branches over wavenumber, the gaps between them shaded, and return the axes."""
-        ax = axes_in_units(ax, "", "Hz")
+        ax = chart(ax, "wavenumber (radians a cell)", "frequency [Hz]")
         order = np.argsort(self.wavenumber)
         for number, branch in enumerate(self.frequency, 1):
             ax.plot(self.wavenumber[order], branch[order] / (2 * np.pi), label=f"branch {number}")
         for low, high in self.gaps / (2 * np.pi):
             ax.axhspan(low, high, color="0.9", lw=0)
-        ax.set(xlabel="wavenumber (radians a cell)", ylabel="frequency", ylim=(0, None))
-        legend(ax)
-        return ax
+        ax.set(ylim=(0, None))
+        return finish(ax)
 
     def _columns(self) -> Iterator[NamedColumn]:
         branches = range(1, len(self.frequency) + 1)
@@ -202,14 +198,12 @@ class GapModes(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the displacements of the grains in each mode, over its largest; return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain", "displacement over the largest")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{prefixed(w / (2 * np.pi), 'Hz')}, {number:.1f} grains"
             grain = np.arange(1, shape.size + 1)
             ax.plot(grain, shape / np.abs(shape).max(), ".-", lw=1, label=label)
-        ax.set(xlabel="grain", ylabel="displacement over the largest")
-        legend(ax)
-        return ax
+        return finish(ax)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -238,9 +232,9 @@ class Waves(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the attenuation over frequency, and return the axes."""
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency [Hz]", "attenuation a grain")
         ax.plot(self.frequency / (2 * np.pi), self.attenuation)
-        ax.set(xlabel="frequency", ylabel="attenuation a grain", ylim=(0, None))
+        ax.set(ylim=(0, None))
         return ax
 
 

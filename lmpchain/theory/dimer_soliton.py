@@ -14,7 +14,7 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,13 +27,10 @@ from ..scene.excitation import Profile
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.tabular import Tabular
 from .domain import real, require
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -137,16 +134,13 @@ class DimerSoliton(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the velocities of heavy and light grains and the overlaps, and return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "x − ct (grains)", "units of heavy mass and contact")
         x = np.linspace(-GRID.period / 3, GRID.period / 3, 401)
         for name, light in (("heavy", False), ("light", True)):
             ax.plot(x, self.velocity(x, light), label=f"velocity of {name} grains")
             ax.plot(x, self.overlap(x, light), "--", lw=1, label=f"overlap ahead of {name} grains")
-        ax.set(xlabel="x − ct (grains)", ylabel="units of heavy mass and contact")
         ratio = f"mass ratio {self.mass_ratio:.8g}"
-        set_title(ax, f"δ = {self.delta:g}, {ratio}, speed {self.speed:.7g}")
-        legend(ax)
-        return ax
+        return finish(ax, f"δ = {self.delta:g}, {ratio}, speed {self.speed:.7g}")
 
     def _series(self, x: Array, derivative: int) -> Array:
         """Return A or A' by its Fourier series, 0 beyond."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,13 +27,10 @@ from ..errors import shown
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend
+from ..util.plotting import Axes, chart, finish
 from ..util.suggestions import not_among
 from ..util.tabular import Tabular
 from .domain import real, require
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -80,15 +77,14 @@ class Transmission(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the shares of the energy over frequency, and return the axes."""
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency [Hz]", "share of the energy")
         names = ["transmitted", "reflected"]
         if self.absorbed.any():
             names.append("absorbed")
         for name in names:
             ax.plot(self.frequency / (2 * np.pi), getattr(self, name), label=name)
-        ax.set(xlabel="frequency", ylabel="share of the energy", ylim=(-0.02, 1.02))
-        legend(ax)
-        return ax
+        ax.set(ylim=(-0.02, 1.02))
+        return finish(ax)
 
 
 def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
@@ -155,11 +151,10 @@ class Reflection(Shown, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the share of the energy over frequency, and return the axes."""
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency [Hz]", "share of the energy that comes back")
         for low, high in self.bands:
             inside = (self.frequency >= low) & (self.frequency <= high)
             ax.semilogy(self.frequency[inside] / (2 * np.pi), self.reflected[inside], "C0")
-        ax.set(xlabel="frequency", ylabel="share of the energy that comes back")
         return ax
 
 

@@ -15,7 +15,6 @@ the unit of velocity open.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +26,7 @@ from ..scene.excitation import Profile
 from ..util.arrays import Array, check_flags
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import axes_in_units, legend, set_title
+from ..util.plotting import Axes, chart, finish
 from .domain import real, require
 from .soliton_limits import (
     coste_speed,
@@ -48,9 +47,6 @@ __all__ = [
     "solve",
     "struck",
 ]
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 __dir__ = listed(__name__)
 
@@ -222,7 +218,7 @@ class Soliton(Shown):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw overlap, velocity and displacement against x over their largest; return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "x − ct (grains)", "over the largest value")
         half = min(self.reach, 3.2 * self.width)
         x = np.linspace(-half, half, 401)
         for name in ("overlap", "velocity", "displacement"):
@@ -232,11 +228,8 @@ class Soliton(Shown):
         name = "Korteweg-de Vries" if self.loaded else "Nesterenko"
         limit = formula(x, self.speed, self.delta) / self.overlap(0.0)
         ax.plot(x, limit, color="0.4", lw=1, ls="--", label=f"overlap, {name}")
-        ax.set(xlabel="x − ct (grains)", ylabel="over the largest value")
         unit = " times sound" if self.loaded else ""
-        set_title(ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{unit}")
-        legend(ax)
-        return ax
+        return finish(ax, f"δ = {self.delta:g}, speed {self.speed:.7g}{unit}")
 
 
 def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None = None) -> Soliton:

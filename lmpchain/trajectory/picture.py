@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from ..util.arrays import Array, as_slice
-from ..util.plotting import axes_in_units, colour_bar, edges, thin_rows
+from ..util.plotting import Axes, chart, draw_map, thin_rows
 from .record import Record
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
 MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
@@ -23,9 +20,7 @@ def draw_motion(
     """Draw the motion over time and depth; see `Trajectory.plot`."""
     from matplotlib.ticker import MaxNLocator
 
-    from ..util.ticks import UnitFormatter
-
-    ax = axes_in_units(ax, "s", "")
+    ax = chart(ax, "time [s]", "grain, from the top")
     order = as_slice(np.argsort(trajectory.grains))
     # A picture has fewer columns than the trajectory has samples.
     stride = -(-trajectory.time.size // 4000)
@@ -33,13 +28,10 @@ def draw_motion(
     motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
     rows, drawn = thin_rows(trajectory.grains[order], motion.T)
     limit = scale(motion)
-    mesh = ax.pcolorfast(edges(time), edges(rows), drawn, cmap="RdBu_r", vmin=-limit, vmax=limit)
-    colour_bar(
-        ax, mesh, f"{field}, downward", format=UnitFormatter(UNITS_OF_FIELDS[field]), extend="both"
-    )
-    ax.set(
-        xlabel="time", ylabel="grain, from the top", xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1]
-    )
+    label = f"{field}, downward [{UNITS_OF_FIELDS[field]}]"
+    colours: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    draw_map(ax, time, rows, drawn, label, extend="both", **colours)
+    ax.set(xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1])
     ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
     return ax
 

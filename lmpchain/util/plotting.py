@@ -15,9 +15,12 @@ from .arrays import Array
 from .files import write_aside
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+    from matplotlib.axes import Axes as Axes
     from matplotlib.cm import ScalarMappable
     from matplotlib.figure import Figure
+else:
+    # Matplotlib is imported only if something is drawn, so annotations use this name.
+    Axes = Any
 
 
 # Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision.
@@ -29,6 +32,8 @@ COLOURS = {
     "sky blue": "#56B4E9",
     "orange": "#E69F00",
 }
+# Means with their errors, joined by a line.
+ERROR_BARS: dict[str, Any] = {"fmt": "o-", "ms": 3, "capsize": 2}
 NARROW = 3.5  # inches: axes that share a page with others
 LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
 # Colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness.
@@ -263,8 +268,13 @@ def set_title(ax: Axes, text: str) -> None:
     ax.set_title(typeset(_fold(ax, text, wide)), loc="left", fontsize=10.0)
 
 
-def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
-    """Add a legend of lines and markers, if there are any, with a font that fits the axes."""
+def legend(ax: Axes, *handles: Any, below: float | None = None, **keys: Any) -> None:
+    """Add a legend of lines and markers, if there are any, with a font that fits the axes.
+
+    It stands under the axes, by this share of their height, if `below` is given.
+    """
+    if below is not None:
+        keys |= {"loc": "upper center", "bbox_to_anchor": (0.5, -below)}
     handles = handles or ax.get_legend_handles_labels()
     if handles[0]:
         size = 7.0 if _inches(ax) < NARROW else 9.0
@@ -274,25 +284,49 @@ def legend(ax: Axes, *handles: Any, **keys: Any) -> None:
         )
 
 
-def finish(ax: Axes, x: str, y: str, title: str = "", **keys: Any) -> Axes:
-    """Label finished axes, add a title and a legend, and return the axes.
+def split_label(text: str) -> tuple[str, str]:
+    """Return the name and the unit of a label, "" if it has none.
+
+    Examples
+    --------
+    >>> split_label("time [s]"), split_label("share"), split_label("force []")
+    (('time', 's'), ('share', ''), ('force', ''))
+    """
+    name, _, unit = text.partition(" [")
+    return name, unit.removesuffix("]")
+
+
+def chart(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
+    """Return axes, given or new, in our colours, with these labels.
+
+    Parameters
+    ----------
+    ax : Axes, optional
+        A new figure by default.
+    x, y : str
+        Labels. A unit in brackets, as in "time [s]", is written with the SI prefix that suits the
+        axis.
+    logarithmic : str
+        Logarithmic axes: "x", "y" or "xy".
+    """
+    (x_name, x_unit), (y_name, y_unit) = (split_label(text) for text in (x, y))
+    ax = axes_in_units(ax, x_unit, y_unit, logarithmic)
+    ax.set(xlabel=x_name, ylabel=y_name)
+    return ax
+
+
+def finish(ax: Axes, title: str = "", **keys: Any) -> Axes:
+    """Add a title, if any, and a legend of the lines with labels, and return the axes.
 
     Parameters
     ----------
     ax : Axes
-        Axes with their units, see `axes_in_units`.
-    x, y : str
-        Labels.
+        Axes of `chart`.
     title : str
-        Text above the axes, none by default.
+        Text above the axes.
     **keys
-        Options of the legend, which appears if any line or marker has a label.
-
-    Returns
-    -------
-    Axes
+        Options of the legend; see `legend`.
     """
-    ax.set(xlabel=x, ylabel=y)
     if title:
         set_title(ax, title)
     legend(ax, **keys)
@@ -308,11 +342,26 @@ def mark_decades(ax: Axes) -> None:
     )
 
 
+def draw_map(
+    ax: Axes, x: Array, y: Array, values: Array, label: str, extend: str = "neither", **colours: Any
+) -> None:
+    """Draw values (Y, X) as the colours of cells with centres x and y, beside a bar of colours."""
+    mesh = ax.pcolorfast(edges(x), edges(y), values, **colours)
+    colour_bar(ax, mesh, label, extend=extend)
+
+
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
-    """Explain the colours of axes beside them, in letters of the same size."""
+    """Explain the colours of axes beside them, in letters of the same size.
+
+    The unit of a label in brackets, as in "force [N]", is written with an SI prefix.
+    """
+    from .ticks import UnitFormatter
+
     # Measure the width before the bar reduces it.
     narrow = _inches(ax) < NARROW
-    bar = ax.figure.figure.colorbar(shown, ax=ax, label=label, **keys)
+    name, unit = split_label(label)
+    ticks = UnitFormatter(unit) if unit else None
+    bar = ax.figure.figure.colorbar(shown, ax=ax, label=name, format=ticks, **keys)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
     if narrow:
         bar.ax.tick_params(labelsize=8.0)

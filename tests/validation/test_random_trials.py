@@ -202,7 +202,7 @@ def test_no_error_exceeds_its_tolerance_without_a_warning(family):
 
 # 32: a kink of odd forces; 92: a forced motion without a bound of its energy; 13016: a force that
 # no contact can hold.
-@pytest.mark.parametrize("seed", thinned([1, 6, 12, 32, 92, 13016], 2))
+@pytest.mark.parametrize("seed", thinned([13016, 1, 6, 32, 92, 12], 2))
 def test_a_trial_of_a_law_by_formula(seed: int) -> None:
     row = trial("law", seed, LONGEST)
     assert row["ending"] == "right"

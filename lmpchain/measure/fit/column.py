@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -17,15 +17,11 @@ from ...theory.continuum import impulse_amplitude, peaked
 from ...theory.domain import chi, exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import SHADES, axes_in_units, finish, mark_decades
+from ...util.plotting import SHADES, Axes, chart, finish, mark_decades
 from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, Front, PowerLaw, asymptotic, exponent, fit_power, track
 from ..recorded import Field
 from .table import Fitted, FittedNumber
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 
 # Least drop behind a front, relative to the largest motion, if the trajectory error is unknown.
 QUIET = 1e-6
@@ -159,7 +155,7 @@ class FrontLaw(Fitted, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the times against depth, with the law, both logarithmic; return the axes."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "depth h = n − 1/2 (grains)", "arrival (units of tau)")
         ax.plot(self.depth, self.time, ".", markersize=4, label="largest velocity")
         less = self.time - self.shift
         ax.plot(self.depth, less, ".", markersize=4, label="less the lag of the grains")
@@ -168,7 +164,7 @@ class FrontLaw(Fitted, Tabular):
         law = f"{self.factor:.4f} $h^{{{self.exponent:.4f}}}$, {expected}"
         ax.plot(self.depth, self.law, lw=1, label=law)
         ax.loglog()
-        return finish(ax, "depth h = n − 1/2 (grains)", "arrival (units of tau)")
+        return finish(ax)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -225,7 +221,11 @@ class ContinuumFit(Fitted, Tabular):
         """Draw C over its theoretical value at each sample, and the fit; return the axes."""
         from matplotlib.ticker import LogLocator
 
-        ax = axes_in_units(ax, "", "")
+        ax = chart(
+            ax,
+            r"$\tau^2 - \chi^2$ (time in units of $\sqrt{m_1/k_1}$)",
+            "C over that of Eq. (35), less 1",
+        )
         amplitudes = self.values * self.cone**self.power
         label = f"samples of {np.unique(self.grain).size} grains"
         ax.plot(self.cone, amplitudes / self.expected - 1, ".", markersize=3, label=label)
@@ -235,8 +235,7 @@ class ContinuumFit(Fitted, Tabular):
         ax.axhline(0.0, color="0.5", lw=1, ls="--", label=label)
         ax.set_xscale("log")
         ax.xaxis.set(major_locator=LogLocator(subs=(1, 2, 5)), minor_formatter="")
-        cone = r"$\tau^2 - \chi^2$ (time in units of $\sqrt{m_1/k_1}$)"
-        return finish(ax, cone, "C over that of Eq. (35), less 1")
+        return finish(ax)
 
 
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) -> ContinuumFit:
@@ -467,11 +466,12 @@ class ExponentFit(Fitted):
 
         Points at the right are the exponents of great depth.
         """
-        ax = axes_in_units(ax, "", "")
-        ax.set_xscale("log")
+        shown = {} if self._strong else self.laws
+        points = "; points: at great depth" if shown else ""
+        depth = f"depth h = n − 1/2 (grains){points}"
+        ax = chart(ax, depth, "local exponent d log / d log h\nless that of a weak wave", "x")
         ax.axhline(0, color="k", lw=1, ls="--", label="law of weak waves")
         deepest = max((local.depth[-1] for local in self.local.values()), default=1.0)
-        shown = {} if self._strong else self.laws
         for place, (name, power) in enumerate(self.expected.items()):
             colour = SHADES[place]
             if name in self.local:
@@ -486,12 +486,8 @@ class ExponentFit(Fitted):
                 error = shown[name].error[0]
                 ax.errorbar(beyond, height, error, fmt="o", ms=4, capsize=3, color=colour)
         mark_decades(ax)
-        points = "; points: at great depth" if shown else ""
-        depth = f"depth h = n − 1/2 (grains){points}"
-        exponent = "local exponent d log / d log h\nless that of a weak wave"
         # The legend is below the axes, since curves may lie anywhere within.
-        below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.3), "ncols": 3}
-        return finish(ax, depth, exponent, columnspacing=1.0, **below)
+        return finish(ax, below=0.3, ncols=3, columnspacing=1.0)
 
 
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:

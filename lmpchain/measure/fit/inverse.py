@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from scipy.interpolate import make_interp_spline
@@ -17,16 +17,13 @@ from ...scene.scene import Scene
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.notebook import Shown
-from ...util.plotting import axes_in_units, choose_few, finish, with_error
+from ...util.plotting import Axes, chart, choose_few, finish, with_error
 from ...util.tables import counted
 from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor
 from .table import Fitted, FittedNumber, round_to_error
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 Field = Literal["velocity", "displacement", "force"]
 Parameter = Literal["velocity", "top_load", "youngs_modulus"]
@@ -155,16 +152,16 @@ class ParameterFit(Fitted, Tabular):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw some of the traces as points and the fit as lines; return the axes."""
         trace = self.trace
-        ax = axes_in_units(ax, "s", UNITS_OF_TRACES[trace.field])
+        field = "force above rest" if trace.field == "force" else f"{trace.field}, downward"
+        ax = chart(ax, "time [s]", f"{field} [{UNITS_OF_TRACES[trace.field]}]")
         for i in choose_few(trace.grain.size):
             label = f"grain {trace.grain[i]}"
             (points,) = ax.plot(trace.time, trace.values[:, i], ".", markersize=4, label=label)
             ax.plot(trace.time, self.model[:, i], color=points.get_color(), lw=1)
-        field = "force above rest" if trace.field == "force" else f"{trace.field}, downward"
         unit = UNITS_OF_TRACES[self.parameter]
         name = self.parameter.replace("_", " ").replace("youngs", "Young's")
         title = f"{name} {with_error(self.value, self.error, unit)} (lines)"
-        return finish(ax, "time", field, title)
+        return finish(ax, title)
 
     def _columns(self) -> Iterator[NamedColumn]:
         trace = self.trace

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from scipy import stats
@@ -14,14 +14,11 @@ from ...errors import InputError
 from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, struck
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units, finish
+from ...util.plotting import Axes, chart, finish
 from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column import is_uniform
 from .table import Fitted, FittedNumber
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 END_GRAINS = 5  # at an end a wave meets its own reflection
 # Largest relative scatter of the height, and errors of speed and width, of a solitary wave.
@@ -85,7 +82,7 @@ class SolitonFit(Fitted, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the relative deviations of peak velocity and local speed from the exact wave."""
-        ax = axes_in_units(ax, "", "")
+        ax = chart(ax, "grain, from the top", "|relative difference|")
         local = np.abs(1 / np.gradient(self.time, self.grain.astype(float)))
         height = np.abs(self.velocity / self.amplitude - 1)
         speed = np.abs(local / self.expected[1] - 1)
@@ -95,7 +92,7 @@ class SolitonFit(Fitted, Tabular):
         ax.plot(self.grain, speed, ".", label="local speed, over that of the solitary wave")
         ax.axhline(formula, color="0.4", lw=1, ls="--", label=f"speed by {author}'s formula")
         ax.set_yscale("log")
-        return finish(ax, "grain, from the top", "|relative difference|")
+        return finish(ax)
 
 
 def fit_soliton(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -18,14 +18,11 @@ from ...theory.modes import eigenmodes
 from ...trajectory.picture import UNITS_OF_FIELDS
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
-from ...util.plotting import axes_in_units, choose_few, finish
+from ...util.plotting import Axes, chart, choose_few, finish
 from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
 from .table import Fitted, FittedNumber
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 
 class BesselRegion(NamedTuple):
@@ -116,18 +113,17 @@ class ModeFit(Fitted, Tabular):
     def plot(self, ax: Axes | None = None, what: Literal["share", "residual"] = "share") -> Axes:
         """Draw the shares of energy over frequency, or the residual over time; return the axes."""
         if what == "residual":
-            ax = axes_in_units(ax, "s", "")
+            ax = chart(ax, "time [s]", "linear motion from t = 0,\nrelative residual")
             ax.plot(self.time, self.residual)
-            ax.set(xlabel="time", ylabel="linear motion from t = 0,\nrelative residual")
             ax.ticklabel_format(axis="y", useMathText=True)
             return ax
-        ax = axes_in_units(ax, "Hz", "")
+        ax = chart(ax, "frequency of the mode [Hz]", "share of the energy at t = 0 (%)")
         hertz = self.frequency / (2 * np.pi)
         percent = 100 * self.share
         error = 100 * self.share_error
         ax.errorbar(hertz, percent, yerr=error, fmt=".", markersize=4, elinewidth=1)
         title = f"Linear motion from t = 0: off by at most {self.residual.max():.1e}"
-        return finish(ax, "frequency of the mode", "share of the energy at t = 0 (%)", title)
+        return finish(ax, title)
 
 
 def fit_modes(trajectory: Trajectory) -> ModeFit:
@@ -275,7 +271,7 @@ class BesselFit(Fitted, Tabular):
 
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the motion of some grains as points and the fit as lines; return the axes."""
-        ax = axes_in_units(ax, "s", UNITS_OF_FIELDS[self.field])
+        ax = chart(ax, "time [s]", f"{self.field}, downward [{UNITS_OF_FIELDS[self.field]}]")
         moving = np.unique(self.grain[np.abs(self.values) > 0.05 * np.abs(self.values).max()])
         for grain in moving[choose_few(moving.size)]:
             rows = self.grain == grain
@@ -285,7 +281,7 @@ class BesselFit(Fitted, Tabular):
             ax.plot(time, self.model[rows], color=points.get_color(), lw=1)
         kappa = f"kappa {self.kappa:.5g} ± {self.error[3]:.1g}"
         title = f"{kappa}, residual {self.residual:.1e} (lines)"
-        return finish(ax, "time", f"{self.field}, downward", title)
+        return finish(ax, title)
 
 
 def fit_bessel(
