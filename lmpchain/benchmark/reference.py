@@ -135,7 +135,7 @@ def reference(scene: Scene) -> Reference:
     RunFailed
         If steps become too short to continue.
     """
-    if scene.chain.law.power is None or scene.chain.ground is not None:
+    if _needs_scipy(scene):
         return _solve_by_scipy(scene)
     motion = _Motion(scene)
     solution, largest = motion.solve(ANSWER)
@@ -150,6 +150,11 @@ def reference(scene: Scene) -> Reference:
     return replace(answer, error=error, method=method)
 
 
+def _needs_scipy(scene: Scene) -> bool:
+    """Return whether no power series follows from a recurrence: formulas and ground forces."""
+    return scene.chain.law.power is None or scene.chain.ground is not None
+
+
 def expected_seconds(scene: Scene) -> float:
     """Return the expected time of `reference`, s.
 
@@ -162,7 +167,7 @@ def expected_seconds(scene: Scene) -> float:
     float
         s.
     """
-    if scene.chain.law.power is None or scene.chain.ground is not None:
+    if _needs_scipy(scene):
         evaluations = 2 * SCIPY_EVALUATIONS * (1 + scene.total_phase)
         return evaluations * (SCIPY_CALL_S + SCIPY_GRAIN_S * scene.chain.grains)
     motion = _Motion(scene)

@@ -285,6 +285,13 @@ FUNCTIONS = {
 FUNCTIONS |= {"expm1": math.expm1, "log1p": math.log1p}
 
 
+def _identity(*functions: Callable[..., Any]) -> str:
+    """Return a hash of the code of formulas, by which their loops are cached."""
+    codes = [function.__code__ for function in functions]
+    content = [(code.co_code, code.co_consts, code.co_names) for code in codes]
+    return sha256(repr(content).encode()).hexdigest()
+
+
 @cache
 def _loops_of(kernel: Any) -> tuple[Any, ...]:
     """Make the loops of a law given by a formula, and that over samples, see `change_in_time`."""
@@ -293,9 +300,7 @@ def _loops_of(kernel: Any) -> tuple[Any, ...]:
     stiffness_of = kernel.stiffness.function(*arguments)
     force_at = compiled_formula(change_of)
     stiffness_at = compiled_formula(stiffness_of)
-    codes = [function.__code__ for function in (change_of, stiffness_of)]
-    content = [(code.co_code, code.co_consts, code.co_names) for code in codes]
-    kind = sha256(repr(content).encode()).hexdigest()
+    kind = _identity(change_of, stiffness_of)
 
     @compiled
     def force(r, inverse_length, strength, precompressed, coefficients, given, n):
@@ -330,10 +335,8 @@ def _ground_loop_of(kernel: Any) -> Any:
     """Make the loop of a force from the ground over bodies."""
     force_of = kernel.force.function("u, t, given, n", FUNCTIONS, kernel.codes)
     force_at = compiled_formula(force_of)
-    code = force_of.__code__
-    content = repr((code.co_code, code.co_consts, code.co_names))
 
-    @compiled_filler(kind=sha256(content.encode()).hexdigest())
+    @compiled_filler(kind=_identity(force_of))
     def pull_back(pull, x, inverse_mass, given, first, t):
         for n in range(pull.size):
             pull[n] -= inverse_mass[n] * force_at(x[n], t, given, first + n)

@@ -31,7 +31,7 @@ compiled = numba.njit(**INGREDIENT)
 joined = numba.njit(**INGREDIENT, forceinline=True)
 # Numba itself inlines functions that return arrays or records, and long ones with one caller.
 pasted = numba.njit(**INGREDIENT, inline="always")
-compiled_measure = partial(compiled_once, "the measures", 8, nogil=True, **_OPTIONS)
+compiled_measure = partial(compiled_once, "the measures", 6, nogil=True, **_OPTIONS)
 
 
 class OpeningErrors(NamedTuple):
