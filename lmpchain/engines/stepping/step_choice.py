@@ -227,8 +227,10 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
         coarse = steps == math.ceil(phase / shorter)
     sampled = Steps.spread(interval, steps, 1, shortens, coarse)
     # In the sonic vacuum fronts are so steep that interpolated values may get a wrong sign.
-    # Polynomial interpolation also fails at kinks of the applied force.
+    # Polynomial interpolation also fails at kinks of the applied force, and it takes the rate of
+    # all forces, which the kernel of a ground does not compute.
     smooth = scene.chain.linearisable and not scene.excitation.does_work
+    smooth = smooth and scene.chain.ground is None
     if adaptive and smooth and method.interpolates:
         passing = _pass_samples(scene, tolerance, shortens, phase, reach)
         if passing and work(method, passing) < work(method, sampled):

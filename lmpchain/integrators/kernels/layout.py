@@ -283,18 +283,21 @@ class Rows(NamedTuple):
         N: force on the first grain from above; then that on the last one from below.
     path : (Q,) array, or an empty one if nothing is imposed
         What is imposed: a displacement, m, or a force, N.
+    time : (Q,) array
+        Time of the kick, s; read by a force from the ground alone.
     """
 
     kick: Array
     drift: Array
     carried: Array
     path: Array
+    time: Array
 
 
 def make_rows(count: int, acts: bool) -> Rows:
     """Return this number of rows, and whether a forcing is imposed."""
-    kick, drift, carried, path = np.zeros((4, count))
-    return Rows(kick, drift, carried, path[: count if acts else 0])
+    kick, drift, carried, path, time = np.zeros((5, count))
+    return Rows(kick, drift, carried, path[: count if acts else 0], time)
 
 
 class SplittingStages(NamedTuple):

@@ -126,6 +126,7 @@ def slice_rows(rows, numbers):
         drift=rows.drift[numbers],
         carried=rows.carried[numbers],
         path=rows.path[numbers],
+        time=rows.time[numbers],
     )
 
 
@@ -160,12 +161,34 @@ def add_ground(chain, y, t, first, last, pull):
         bodies = slice(first, last)
         inverse_mass = chain.inverse_mass[bodies]
         given = chain.ground_parameters
-        pull_to_rest(chain.ground, pull[bodies], y[bodies], inverse_mass, given, first, t)
+        pull_to_rest(chain.ground, pull[bodies], y[bodies], inverse_mass, given, first, t, 1.0)
+
+
+@inlined
+def _kick_by_ground(chain, a, b, t, length):
+    """Kick the bodies a ... b-1 by the ground at time t for a time `length`, s."""
+    bodies = slice(a, b)
+    inverse_mass = chain.inverse_mass[bodies]
+    given = chain.ground_parameters
+    pull_to_rest(
+        chain.ground, chain.v[bodies], chain.x[bodies], inverse_mass, given, a, t, length
+    )
 
 
 @inlined
 def _sweep_rows(chain, a, b, rows):
     """Kick and drift the grains a ... b-1 once for each row."""
+    if chain.ground == 0:
+        _sweep_contacts(chain, a, b, rows)
+        return
+    for row in range(rows.kick.size):
+        _kick_by_ground(chain, a, b, rows.time[row], rows.kick[row])
+        _sweep_contacts(chain, a, b, slice_rows(rows, slice(row, row + 1)))
+
+
+@compiled
+def _sweep_contacts(chain, a, b, rows):
+    """Kick the grains a ... b-1 by their contacts, and drift them, once for each row."""
     pushed = forced(chain)
     # No body of the window is above these grains.
     top = a == chain.state.first
