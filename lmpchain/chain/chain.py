@@ -314,9 +314,14 @@ class Chain(ChainPicture, Checked):
         stiffness = self.ground.stiffness(0.0, 0.0) if self.ground else 0.0
         return read_only(np.array(np.broadcast_to(stiffness, self.grains), float))
 
+    @property
+    def ground_in_time(self) -> bool:
+        """Whether the force from the ground depends on the time."""
+        return self.ground is not None and "t" in self.ground.formula.names
+
     def refuse_moving_ground(self, what: str) -> None:
-        """Raise `InputError` if the stiffness of the ground depends on the time."""
-        if self.ground is not None and "t" in self.ground.formula.names:
+        """Raise `InputError` if the force from the ground depends on the time."""
+        if self.ground_in_time:
             cure = "leave t out of its formula"
             raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
 

@@ -113,7 +113,6 @@ def test_quantities_between_samples_hold_their_errors():
 REFUSING = {
     "lammps": lambda run: simulate(run.scene, "lammps"),
     "chebyshev": lambda run: simulate(run.scene, "chebyshev"),
-    "verlet": lambda run: simulate(run.scene, lmpchain.engines.Native(integrator="verlet")),
     "energy": lambda run: energy.shares(run),
     "ledger": lambda run: energy.ledger(run),
     "losses": lambda run: energy.losses(run),
