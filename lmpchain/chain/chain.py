@@ -615,7 +615,7 @@ class Chain(ChainPicture, Checked):
     def excess_energy(
         self, displacement: Array, velocity: Array, wall: Array | None = None
     ) -> Array:
-        """Return the energy above that at rest, (...) J: kinetic, contacts, load and weight.
+        """Return the energy above that at rest, (...) J: kinetic, contacts, ground, load, weight.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -626,9 +626,12 @@ class Chain(ChainPicture, Checked):
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """
-        self.refuse_ground("the energy above rest")
+        self.refuse_moving_ground("the energy above rest")
         kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
         # grains at rest, as before a strike: nothing is in the contacts
         if wall is None and not np.any(displacement):
             return kinetic
-        return kinetic + self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)
+        contacts = self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)
+        if self.ground is None:
+            return kinetic + contacts
+        return kinetic + contacts + ground.energy(self.ground, np.asarray(displacement)).sum(-1)

@@ -87,9 +87,7 @@ def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitti
     """Write the input script, which runs by itself."""
     if splitting.order > 2 and (column.scene.excitation.does_work or column.chain.ground_in_time):
         acting = "a ground in time" if column.chain.ground_in_time else "a drive or a force"
-        raise InputError.at(
-            "integrator", f"a deck can carry {acting} with verlet only; use that"
-        )
+        raise InputError.at("integrator", f"a deck can carry {acting} with verlet only; use that")
     text = script(column, step, splitting)
     with write_aside(path, overwrite=True) as aside:
         aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")

@@ -55,6 +55,7 @@ DATA_ROWS = {
     "Velocities": (7, 1, [1, 2, 4, 5, 6]),
     "Rest": (2, 1, []),
 }
+OWN = "Own"
 
 
 class Deck(NamedTuple):
@@ -88,7 +89,10 @@ class _DeckLine(NamedTuple):
 
 
 class _Grains(NamedTuple):
-    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up."""
+    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up.
+
+    `own` has a column for each parameter of the ground that differs from grain to grain.
+    """
 
     path: Path
     title: str
@@ -99,6 +103,7 @@ class _Grains(NamedTuple):
     heights: Array
     speeds: Array
     rest: Array
+    own: Array
 
     @property
     def masses(self) -> Array:
@@ -252,6 +257,9 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if bond := script.find("bond_style"):
         fault = "has contacts by formula, which cannot be read back: run the deck with lmp"
         raise script.refuse(bond, fault)
+    if scene is None and (ground := script.find("fix", "ground")):
+        fault = "is the ground by a formula, which the deck does not hold: give its scene, --scene"
+        raise script.refuse(ground, fault)
     data = script.variables.get("data")
     path = data.words[3] if data else "column.data"
     if data and not PLAIN_PATH.fullmatch(path):
@@ -315,12 +323,16 @@ def _read_data(path: Path) -> _Grains:
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
     titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        if titles[:1] not in [[title] for title in ATOMS] or titles[1:] != list(DATA_ROWS):
+        known = titles[1:] in (list(DATA_ROWS), [*DATA_ROWS, OWN])
+        if titles[:1] not in [[title] for title in ATOMS] or not known:
             raise ValueError
         forms = {titles[0]: ATOMS[titles[0]]} | DATA_ROWS
         atoms, speeds, rest = map(_rows, parts[2::2], forms.values())
         numbers = np.arange(1, len(atoms) + 1)
-        if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
+        own = numbers[:, None]
+        if OWN in titles:
+            own = _rows(parts[-1], (len(parts[-1][0]), 1, []))
+        if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest, own)):
             raise ValueError
     except ValueError:
         fault = f"is no data file of a column: it needs {' or '.join(ATOMS)}, Velocities and Rest"
@@ -332,7 +344,7 @@ def _read_data(path: Path) -> _Grains:
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
     kinds, diameters, densities, heights = atoms[:, COLUMNS[titles[0]]].T
     types = kinds.astype(int).tolist()
-    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1]
+    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1], own[:, 1:]
     return _Grains(path, titles[0], parts[0], types, *motion)
 
 
@@ -559,6 +571,11 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
                 f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
             )
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+    own = [*column.ground.own.values()] if column.ground else []
+    read = grains.own.T
+    if len(read) != len(own) or (own and not np.allclose(read, own, SAME_NUMBER, 0.0)):
+        fault = f"has other parameters of the ground under {OWN} than the scene"
+        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:

@@ -170,9 +170,7 @@ def _kick_by_ground(chain, a, b, t, length):
     bodies = slice(a, b)
     inverse_mass = chain.inverse_mass[bodies]
     given = chain.ground_parameters
-    pull_to_rest(
-        chain.ground, chain.v[bodies], chain.x[bodies], inverse_mass, given, a, t, length
-    )
+    pull_to_rest(chain.ground, chain.v[bodies], chain.x[bodies], inverse_mass, given, a, t, length)
 
 
 @inlined
