@@ -262,3 +262,29 @@ def test_modes_take_springs_alone():
     for name in ("periodic", "two wells", "in time"):
         with pytest.raises(InputError, match="no spring of one stiffness"):
             simulate(struck(on(GROUNDS[name])), "modes")
+
+
+@pytest.mark.parametrize("acting", ["strike", "push", "drive"])
+def test_modes_of_viscous_contacts_on_a_spring(acting):
+    """The ground is not viscous: a mode decays by what its contacts alone store."""
+    scene = struck(on(SPRING, damping={"viscoelastic": 1e-8, "drag": 1e3}), velocity=1e-8)
+    weak = {
+        key: excitation.replace(amplitude=1e-5 * excitation.amplitude)
+        for key, excitation in ENERGIES[acting].items()
+    }
+    scene = scene.replace(**weak)
+    linear = simulate(scene, "modes")
+    native = simulate(scene, "native", tolerance=1e-9)
+    off = np.abs(linear.velocity - native.velocity).max() / np.abs(native.velocity).max()
+    assert off <= linear.error_estimate.total + 1e-9
+    assert linear.error_estimate.total < 1e-6
+    ledger = energy.ledger(linear)
+    assert np.abs(ledger.drift).max() < 1e-6 * ledger.total.max()
+
+
+def test_a_ground_that_couples_viscous_modes_is_refused():
+    scene = struck(on(GROUNDS["of each grain"], damping={"viscoelastic": 1e-8}), velocity=1e-8)
+    with pytest.raises(InputError, match="couples viscous modes: use drag alone"):
+        simulate(scene, "modes")
+    dragged = scene.replace(chain=on(GROUNDS["of each grain"], damping={"drag": 1e3}))
+    simulate(dragged, "modes")

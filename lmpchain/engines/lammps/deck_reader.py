@@ -329,9 +329,7 @@ def _read_data(path: Path) -> _Grains:
         forms = {titles[0]: ATOMS[titles[0]]} | DATA_ROWS
         atoms, speeds, rest = map(_rows, parts[2::2], forms.values())
         numbers = np.arange(1, len(atoms) + 1)
-        own = numbers[:, None]
-        if OWN in titles:
-            own = _rows(parts[-1], (len(parts[-1][0]), 1, []))
+        own = _rows(parts[-1], (len(parts[-1][0]), 1, [])) if OWN in titles else rest[:, :1]
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest, own)):
             raise ValueError
     except ValueError:
