@@ -7,7 +7,7 @@ import pytest
 from scipy.interpolate import make_interp_spline
 
 import lmpchain
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Scene, laws, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Profile, Scene, laws, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.chain import ground
 from lmpchain.engines import Native
@@ -212,6 +212,27 @@ def test_the_energy_of_a_ground():
     assert held[1] == pytest.approx(k * 1e-30 / 2, rel=1e-13)
 
 
+def test_averages_of_springs_on_springs():
+    """Kinetic and potential energy of linear springs have the same mean."""
+    chain = on(SPRING, exponent=1.0, top="wall", bottom="wall")
+    rng = np.random.default_rng(1)
+    velocity = (1e-6 * rng.standard_normal(12)).tolist()
+    start = Profile(displacement=[0.0] * 12, velocity=velocity)
+    scene = Scene(chain=chain, excitation=start, duration=3e4 * chain.time_scale, samples=2)
+    average = lmpchain.averages(scene, ["kinetic_energy", "potential_energy"], tolerance=1e-5)
+    assert scene.energy == pytest.approx((chain.masses * np.square(velocity)).sum() / 2)
+    for name in ("kinetic_energy", "potential_energy"):
+        low, high = average.interval[name]
+        assert low <= scene.energy / 2 <= high
+        assert high - low < 0.02 * scene.energy
+
+
+@pytest.mark.parametrize("name", ["periodic", "two wells", "in time"])
+def test_averages_take_springs_alone(name):
+    with pytest.raises(InputError, match="averages take springs to the ground alone"):
+        lmpchain.averages(struck(on(GROUNDS[name])), ["kinetic_energy"])
+
+
 MOVING = {
     "ledger": lambda run: energy.ledger(run),
     "shares": lambda run: energy.shares(run),
@@ -236,7 +257,6 @@ REFUSING = {
     "relative stiffness": lambda run: dyson.relative_stiffness(run.scene.chain),
     "fit of solitary waves": lambda run: fit_solitary.fit_soliton(run),
     "stability": lambda run: lmpchain.stability.stability(run.scene),
-    "averages": lambda run: lmpchain.averages(run.scene, ["kinetic_energy"]),
     "gradients": lambda run: lmpchain.design.gradient(
         run.scene, lmpchain.design.PeakForce(contact=3), ["masses"]
     ),
