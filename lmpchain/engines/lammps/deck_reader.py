@@ -47,8 +47,11 @@ LAMMPS_NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
 )  # as LAMMPS reads one
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
-# Columns of a row: their number, the count of leading integers, and columns that must be 0.
-ATOMS = {"Atoms # sphere": (7, 2, [4, 5]), "Atoms # hybrid": (10, 2, [2, 3, 7, 8, 9])}
+# Columns of a row: their number, the count of leading integers, and columns that must be 0. A
+# hybrid style has a column more for bonds, three for sph, or both.
+ATOMS = {("Atoms # sphere", 7): (7, 2, [4, 5])} | {
+    ("Atoms # hybrid", length): (length, 2, [2, 3, *range(7, length)]) for length in (8, 10, 11)
+}
 # Type, diameter, density and height in such a row.
 COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
 DATA_ROWS = {
@@ -56,6 +59,7 @@ DATA_ROWS = {
     "Rest": (2, 1, []),
 }
 OWN = "Own"
+BONDS = "Bonds"
 
 
 class Deck(NamedTuple):
@@ -91,7 +95,8 @@ class _DeckLine(NamedTuple):
 class _Grains(NamedTuple):
     """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up.
 
-    `own` has a column for each parameter of the ground that differs from grain to grain.
+    `own` has a column for each parameter of the ground that differs from grain to grain, and
+    `bonds` a row for each contact by a formula: number, type and grains.
     """
 
     path: Path
@@ -104,6 +109,7 @@ class _Grains(NamedTuple):
     speeds: Array
     rest: Array
     own: Array
+    bonds: Array
 
     @property
     def masses(self) -> Array:
@@ -254,12 +260,10 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if not folder.is_dir():
         raise InputError.at("deck", f"there is no folder {folder}")
     script = _Script(folder / "in.column")
-    if bond := script.find("bond_style"):
-        fault = "has contacts by formula, which cannot be read back: run the deck with lmp"
-        raise script.refuse(bond, fault)
-    if scene is None and (ground := script.find("fix", "ground")):
-        fault = "is the ground by a formula, which the deck does not hold: give its scene, --scene"
-        raise script.refuse(ground, fault)
+    formula = script.find("bond_style") or script.find("fix", "ground")
+    if scene is None and formula:
+        cure = "give its scene, --scene"
+        raise script.refuse(formula, f"has a formula with its numbers filled in: {cure}")
     data = script.variables.get("data")
     path = data.words[3] if data else "column.data"
     if data and not PLAIN_PATH.fullmatch(path):
@@ -293,7 +297,8 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
         fault = "is not the variable dt, by which force or drive tell the time: set that one"
         raise script.refuse(script.need("timestep"), fault)
     lagged = scene.chain.damped and script.find("fix", "motion", "mobile", "nve") is not None
-    column = LammpsColumn(scene, gauge, _pair_style(script)[1][0], lagged=lagged)
+    pair_style = "granular" if script.find("bond_style") else _pair_style(script)[1][0]
+    column = LammpsColumn(scene, gauge, pair_style, lagged=lagged)
     _check_data(column, grains)
     _check_commands(script, column, integrator, step)
     return Deck(scene, LAGGED.name if lagged else integrator, step, gauge, digits)
@@ -323,17 +328,24 @@ def _read_data(path: Path) -> _Grains:
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
     titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        known = titles[1:] in (list(DATA_ROWS), [*DATA_ROWS, OWN])
-        if titles[:1] not in [[title] for title in ATOMS] or not known:
+        sections = dict(zip(titles, parts[2::2], strict=True))
+        title, *others = titles
+        known = list(DATA_ROWS) + [name for name in (OWN, BONDS) if name in sections]
+        form = ATOMS.get((title, len(sections[title][0])))
+        if others != known or not form:
             raise ValueError
-        forms = {titles[0]: ATOMS[titles[0]]} | DATA_ROWS
-        atoms, speeds, rest = map(_rows, parts[2::2], forms.values())
+        forms = {title: form} | DATA_ROWS
+        atoms, speeds, rest = (_rows(sections[name], form) for name, form in forms.items())
         numbers = np.arange(1, len(atoms) + 1)
-        own = _rows(parts[-1], (len(parts[-1][0]), 1, [])) if OWN in titles else rest[:, :1]
+        own, bonds = rest[:, :1], np.zeros((0, 4))
+        if OWN in sections:
+            own = _rows(sections[OWN], (len(sections[OWN][0]), 1, []))
+        if BONDS in sections:
+            bonds = _rows(sections[BONDS], (4, 4, []))
         if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest, own)):
             raise ValueError
     except ValueError:
-        fault = f"is no data file of a column: it needs {' or '.join(ATOMS)}, Velocities and Rest"
+        fault = f"is no data file of a column: it needs {' or '.join(COLUMNS)}, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
     for part, (title, (_, _, zeros)) in zip((atoms, speeds), forms.items(), strict=False):
         if (off := part[:, zeros].any(1)).any():
@@ -342,7 +354,7 @@ def _read_data(path: Path) -> _Grains:
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
     kinds, diameters, densities, heights = atoms[:, COLUMNS[titles[0]]].T
     types = kinds.astype(int).tolist()
-    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1], own[:, 1:]
+    motion = diameters, densities, heights, speeds[:, 3], rest[:, 1], own[:, 1:], bonds
     return _Grains(path, titles[0], parts[0], types, *motion)
 
 
@@ -557,6 +569,9 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
         [low, high, "ylo", "yhi"],
         [bottom, top, "zlo", "zhi"],
     ]
+    if column.formula:
+        kinds, coefficients = column.bonds
+        header += [[str(len(kinds)), "bonds"], [str(len(coefficients)), "bond", "types"]]
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
         fault = f"has another header than a column of {grains.rest.size} grains"
@@ -569,6 +584,12 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
                 f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
             )
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+    types = np.array(column.bonds[0] if column.formula else [])
+    numbers = np.arange(1, types.size + 1)
+    bonds = np.column_stack((numbers, types, numbers, numbers + 1))
+    if not np.array_equal(grains.bonds, bonds):
+        fault = "has other bonds than the contacts of the scene"
+        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
     own = [*column.ground.own.values()] if column.ground else []
     read = grains.own.T
     if len(read) != len(own) or (own and not np.allclose(read, own, SAME_NUMBER, 0.0)):
