@@ -126,8 +126,9 @@ class BatchArrays(NamedTuple):
     parameters : (R, P, W) array
         Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
         below each body, for a law given by a formula; (R, 0, W) for powers.
-    ground : int
-        Where the loop of the force from the ground lies in memory, 0 without a ground.
+    ground : int or None
+        Where the loop of the force from the ground lies in memory; None without a ground, for which
+        the marches are compiled without one.
     ground_parameters : (R, G, W) array
         Parameters of the force from the ground on each body.
     omega : (R,) array
@@ -171,7 +172,7 @@ class BatchArrays(NamedTuple):
     precompressed: float
     coefficients: Array
     parameters: Array
-    ground: int
+    ground: int | None
     ground_parameters: Array
     omega: Array
     scale: Array
@@ -255,7 +256,7 @@ class BatchMember(NamedTuple):
     state: Any
     inverse_mass: Array
     links: Links
-    ground: int
+    ground: int | None
     ground_parameters: Array
     opening_weight: Array
     opening_reach: Array
