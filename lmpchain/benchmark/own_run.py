@@ -95,8 +95,8 @@ class RunCheck(Shown):
     error, error_displacement, error_velocity : float
         Against the reference; `error` is the larger of the other two. Of a deck, what is expected.
     error_energy : float
-        Largest difference of the energy above rest, relative to the largest energy; NaN where
-        grains that move were not recorded.
+        Largest difference of the energy above rest, relative to the largest energy; NaN if
+        grains that move were not recorded, or if the ground depends on the time.
     arrival : Arrival or None
         Of the front of the velocity; None where no front passes or samples do not resolve it.
     integrator : str
@@ -139,7 +139,7 @@ class RunCheck(Shown):
         yield "  displacement", _percent(self.error_displacement), ""
         yield "  velocity", _percent(self.error_velocity), ""
         unknown = math.isnan(self.error_energy) and math.isfinite(self.error)
-        why = "grains that move were not recorded" if unknown else ""
+        why = "grains that move were not recorded, or a ground in time" if unknown else ""
         yield "energy", number(self.error_energy, ".2g", missing="-"), why
         if self.arrival:
             late = f"{self.arrival.seconds:.2g} s at grain {self.arrival.grain}"
@@ -464,7 +464,7 @@ def _energy_error(answer: Trajectory, true: Trajectory) -> float:
     try:
         total, exact = (energy.ledger(run).total for run in (answer, true))
     except InputError:
-        # The energy is unknown because grains that move were not recorded.
+        # Grains that move were not recorded, or the ground depends on the time.
         return math.nan
     largest = float(np.abs(exact).max())
     return float(np.abs(total - exact).max()) / largest if largest else math.nan

@@ -68,6 +68,12 @@ class ReferenceCost:
 COST = ReferenceCost()
 
 
+# SciPy's solution is looked at so often, between samples too, for its largest motion: at most so
+# many values of displacements.
+LOOKS_A_RADIAN = 4
+LOOK_VALUES = 2**20
+
+
 @dataclass(frozen=True, eq=False)
 class Reference:
     """A reference solution and its own error.
@@ -227,9 +233,12 @@ def _equations(scene: Scene) -> Callable[[float, Array], Array]:
         force = contacts.force_change(closer)
         if chain.damped:
             overlap = contacts.overlap + closer
-            # The power of a negative overlap is no number; laws by formula have forces there.
-            overlap = overlap if chain.law.power is None else np.maximum(overlap, 0.0)
-            viscosity = chain.contact_viscosity * contacts.stiffness_at(overlap)
+            # Laws by formula have forces in open contacts. The power of a negative overlap is no
+            # number, and an open spring has no stiffness.
+            powers = chain.law.power is not None
+            stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0) if powers else overlap)
+            stiffness = np.where(overlap > 0, stiffness, 0.0) if powers else stiffness
+            viscosity = chain.contact_viscosity * stiffness
             force = force + viscosity * contacts.closer(v, wall[1], base[1])
         pull = chain.ground.force(u, t) if chain.ground else 0.0
         acceleration = (push - pull - np.diff(force)) / chain.masses - chain.drag * v
@@ -262,13 +271,13 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
             method="DOP853",
             rtol=tolerance,
             atol=tolerance * size + 1e-300,
-            t_eval=np.union1d(times, end),
+            t_eval=np.union1d(times, _look_times(scene, begin, end)),
             max_step=MOST_RADIANS / scene.highest_frequency,
         )
         if run.status:
             raise RunFailed(f"the reference by SciPy gave up: {run.message}")
         state = run.y[:, -1]
-        rows.append(run.y.T[: times.size])
+        rows.append(run.y.T[np.isin(run.t, times)])
         peaks.append(np.abs(run.y.reshape(2, grains, -1)).max(axis=(1, 2)))
         begin = end
     solution = np.concatenate(rows).reshape(-1, 2, grains).swapaxes(0, 1).copy()
@@ -278,6 +287,13 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
         solution[:, :, body - 1] = wave.at(scene.time, 0), wave.at(scene.time, 1)
         peaks.append(np.abs(solution[:, :, body - 1]).max(axis=1))
     return solution[0], solution[1], np.max(peaks, axis=0)
+
+
+def _look_times(scene: Scene, begin: float, end: float) -> Array:
+    """Return times from `begin` to `end`, s, at which the largest motion is looked for."""
+    phase = (end - begin) * scene.highest_frequency
+    most = LOOK_VALUES // scene.chain.grains
+    return np.linspace(begin, end, 2 + int(min(LOOKS_A_RADIAN * phase, most)))
 
 
 class _Motion:

@@ -314,9 +314,14 @@ class Chain(ChainPicture, Checked):
         stiffness = self.ground.stiffness(0.0, 0.0) if self.ground else 0.0
         return read_only(np.array(np.broadcast_to(stiffness, self.grains), float))
 
+    @property
+    def ground_in_time(self) -> bool:
+        """Whether the force from the ground depends on the time."""
+        return self.ground is not None and "t" in self.ground.formula.names
+
     def refuse_moving_ground(self, what: str) -> None:
-        """Raise `InputError` if the stiffness of the ground depends on the time."""
-        if self.ground is not None and "t" in self.ground.formula.names:
+        """Raise `InputError` if the force from the ground depends on the time."""
+        if self.ground_in_time:
             cure = "leave t out of its formula"
             raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
 
@@ -610,7 +615,7 @@ class Chain(ChainPicture, Checked):
     def excess_energy(
         self, displacement: Array, velocity: Array, wall: Array | None = None
     ) -> Array:
-        """Return the energy above that at rest, (...) J: kinetic, contacts, load and weight.
+        """Return the energy above that at rest, (...) J: kinetic, contacts, ground, load, weight.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -621,9 +626,12 @@ class Chain(ChainPicture, Checked):
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """
-        self.refuse_ground("the energy above rest")
+        self.refuse_moving_ground("the energy above rest")
         kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
         # grains at rest, as before a strike: nothing is in the contacts
         if wall is None and not np.any(displacement):
             return kinetic
-        return kinetic + self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)
+        contacts = self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)
+        if self.ground is None:
+            return kinetic + contacts
+        return kinetic + contacts + ground.energy(self.ground, np.asarray(displacement)).sum(-1)

@@ -134,6 +134,14 @@ class Formula:
             made[node] = _in_lepton(node, [made[part] for part in node.parts])
         return made[self]
 
+    @property
+    def lammps(self) -> str:
+        """The formula in the language of variables of LAMMPS."""
+        made: dict[Formula, str] = {}
+        for node in self.walk():
+            made[node] = _in_lammps(node, [made[part] for part in node.parts])
+        return made[self]
+
     def derivative(self, variable: str) -> Formula:
         """Return the derivative by a variable; what jumps has the derivatives of its two sides."""
         slopes: dict[Formula, Formula] = {}
@@ -596,6 +604,24 @@ def _in_lepton(node: Formula, parts: list[str]) -> str:
     if node.operation in PRECEDENCE:
         return f"({parts[0]}{'^' if node.operation == '**' else node.operation}{parts[1]})"
     return f"{node.operation}({','.join(parts)})"
+
+
+# Functions that variables of LAMMPS lack, or name otherwise, by comparisons and exponentials.
+LAMMPS_FUNCTIONS = {
+    "log": "ln({0})",
+    "tanh": "(1.0-2.0/(exp(2.0*{0})+1.0))",
+    "step": "({0}>=0.0)",
+    "select": "ternary({0}>=0.0,{1},{2})",
+    "max": "ternary({0}>{1},{0},{1})",
+    "min": "ternary({0}<{1},{0},{1})",
+}
+
+
+def _in_lammps(node: Formula, parts: list[str]) -> str:
+    if node.operation in LAMMPS_FUNCTIONS:
+        return LAMMPS_FUNCTIONS[node.operation].format(*parts)
+    # Arithmetic and the other functions are those of LEPTON.
+    return _in_lepton(node, parts)
 
 
 NUMPY_NAMES = {"max": "maximum", "min": "minimum", "abs": "absolute"}

@@ -490,6 +490,13 @@ class Law(ContactLaw):
             }
         )
 
+    def of_grains(self, grains: Any) -> Law:
+        """Return the law of a ground under these grains, (G,), counted from 1."""
+        columns = np.asarray(grains) - 1
+        return self.with_parameters(
+            value[columns] if np.ndim(value) else value for value in self.parameters
+        )
+
     def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
         """Return whether a contact is stiff at rest, and no kink is there, (..., N+1)."""
         stiff = contacts.exists & (contacts.stiffness > 0) & np.isfinite(contacts.stiffness)

@@ -108,7 +108,7 @@ class ChainBatch:
             parameters=_in_rows(self.contacts, rows.shape[2])
             if formulas
             else np.zeros((size, 0, rows.shape[2])),
-            ground=address_of_ground(ground.kernel_of(chain.ground)) if chain.ground else 0,
+            ground=address_of_ground(ground.kernel_of(chain.ground)) if chain.ground else None,
             ground_parameters=_ground_rows(chains, rows.shape[2]),
             omega=omega,
             scale=scale,

@@ -105,11 +105,8 @@ _OF_CHAINS = {
     for damped in (False, True)
 }
 METHODS = _OF_CHAINS[False]
-_ON_GROUND: dict[str, Method] = {
-    method.name: method for method in _ALL if isinstance(method, DormandPrince)
-}
 
 
 def methods_of(chain: Chain) -> dict[str, Method]:
-    """Return the methods for a chain, by name: with damping, with a ground, or with neither."""
-    return _OF_CHAINS[chain.damped] if chain.ground is None else _ON_GROUND
+    """Return the methods for a chain, by name: with damping, or without."""
+    return _OF_CHAINS[chain.damped]

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline, CubicSpline, make_interp_spline
 
+from ..chain import ground
 from ..chain.damping import viscous_force
 from ..errors import InputError
 from ..trajectory.gathered import ENERGIES
@@ -40,8 +41,8 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 class EnergyLedger(Shown, Tabular):
     """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
-    ``kinetic + contact + gravity + load = total``. For a weak wave these terms, `contact` and
-    `gravity` above all, are far larger than their sum and cancel in it; `total`, `kinetic` and
+    ``kinetic + contact + ground + gravity + load = total``. For a weak wave these terms, `contact`
+    and `gravity` above all, are far larger than their sum and cancel in it; `total`, `kinetic` and
     `drive` keep their digits.
 
     Attributes
@@ -52,6 +53,8 @@ class EnergyLedger(Shown, Tabular):
         Of all grains, a driven one included.
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
+    ground : (T,) array
+        Work against the ground, 0 at rest and without a ground.
     gravity, load : (T,) arrays
         Potential energies of the weight, and of a constant load on a free top or on a wall that
         moves, 0 at rest.
@@ -85,6 +88,7 @@ class EnergyLedger(Shown, Tabular):
         "time": "s",
         "kinetic": "J",
         "contact": "J",
+        "ground": "J",
         "gravity": "J",
         "load": "J",
         "total": "J",
@@ -97,6 +101,7 @@ class EnergyLedger(Shown, Tabular):
     time: Array
     kinetic: Array
     contact: Array
+    ground: Array
     gravity: Array
     load: Array
     total: Array
@@ -206,8 +211,8 @@ class EnergyShares(Shown, Tabular):
     kinetic : (T, G) array
     elastic : (T, C) array
     of_grain : (T, G) array
-        Kinetic energy of each grain, half of its contacts with other grains, and all of those with
-        walls; NaN where a neighbour was not recorded.
+        Kinetic energy of each grain and that of the ground under it, half of its contacts with
+        other grains, and all of those with walls; NaN where a neighbour was not recorded.
     kinetic_error, elastic_error, of_grain_error : arrays like these three
         Uncertainty of each by the error of the trajectory, where that is known.
     """
@@ -270,8 +275,8 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     >>> (energy.part(1, 20) / scene.energy).round(8).tolist()
     [1.0, 1.0, 1.0]
     """
-    trajectory.scene.chain.refuse_ground("the balance of energy")
     chain = trajectory.scene.chain
+    chain.refuse_moving_ground("the balance of energy")
     grain = trajectory.grains
     between = trajectory if isinstance(trajectory, Motion) else motion_of(trajectory)
     off = between.known_error("displacement")
@@ -291,16 +296,19 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     kinetic_error = mass * fast * (speed + fast / 2)
     elastic = contacts.energy(closer)
     elastic_error = 2 * off * force
+    pull = _ground_of(chain, trajectory.displacement, off, grain)
     return EnergyShares(
         time=trajectory.time,
         grain=grain,
         contact=contact,
         kinetic=kinetic,
         elastic=elastic,
-        of_grain=kinetic + _share_out(chain, contact, elastic, grain),
+        of_grain=kinetic + pull.energy + _share_out(chain, contact, elastic, grain),
         kinetic_error=kinetic_error,
         elastic_error=elastic_error,
-        of_grain_error=kinetic_error + _share_out(chain, contact, elastic_error, grain),
+        of_grain_error=kinetic_error
+        + pull.energy_error
+        + _share_out(chain, contact, elastic_error, grain),
     )
 
 
@@ -342,6 +350,30 @@ class _Forces(NamedTuple):
     power_doubt: Array
 
 
+class _GroundPull(NamedTuple):
+    """Force and energy of the ground at the samples, with their errors, (T, G) N and J each."""
+
+    force: Array
+    doubt: Array
+    energy: Array
+    energy_error: Array
+
+
+def _ground_of(
+    chain: Chain, u: Array, off: float, grains: NDArray[np.intp] | None = None
+) -> _GroundPull:
+    """Return what the ground does to these grains, (G,) of (T, G) displacements; by default all."""
+    law = chain.ground
+    if law is None:
+        return _GroundPull(*np.zeros((4, 1, 1)))
+    if grains is not None:
+        law = law.of_grains(grains)
+    force = law.force(u, 0.0)
+    ends = [law.force(u + side, 0.0) for side in (-off, off)]
+    doubt = np.maximum(*(np.abs(end - force) for end in ends))
+    return _GroundPull(force, doubt, ground.energy(law, u), off * (np.abs(force) + doubt))
+
+
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
@@ -380,7 +412,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     >>> bool(abs(energy.drift).max() < 1e-8 * energy.total[0])
     True
     """
-    trajectory.scene.chain.refuse_ground("the balance of energy")
+    trajectory.scene.chain.refuse_moving_ground("the balance of energy")
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
@@ -394,10 +426,13 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     force, rate, doubt = contacts.force, contacts.rate, contacts.doubt
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
+    pull = _ground_of(chain, u, off)
     total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    total = total + pull.energy.sum(1)
     # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)
     total_error = total_error.sum(1) + 2 * off * np.abs(contacts.largest).sum(1)
+    total_error += pull.energy_error.sum(1)
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
         # The rates of viscous forces do not follow from the samples.
@@ -409,7 +444,15 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     if chain.damped:
         impulse, impulse_error = _integral(scene, time, -(v @ _drag(scene)))
         impulse_error += _area(time, fast * _drag(scene).sum())
-    push = scene.excitation.push(chain, time, force, rate, v)
+    push_from, push_rate = force, rate
+    if chain.ground is not None:
+        pull_rate = chain.ground.stiffness(u, 0.0) * v
+        given, error = integral(-pull.force.sum(1), -pull_rate.sum(1))
+        impulse = impulse + given
+        impulse_error += error + _area(time, pull.doubt.sum(1))
+        push_from = ground.join_contacts(force, pull.force)
+        push_rate = ground.join_contacts(rate, pull_rate)
+    push = scene.excitation.push(chain, time, push_from, push_rate, v)
     pieces = _known_pieces(scene, time, push, u, v) if push else None
     if chain.top == "wall":
         given, error = integral(force[:, 0], rate[:, 0], pieces.top if pieces else None)
@@ -423,6 +466,8 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         # An applied force is exact, and so is the speed of a driven body.
         driven = _doubt_of_driver(scene, doubt)
+        if scene.excitation.driven and chain.ground is not None:
+            driven = driven + pull.doubt[:, 0]
         moves = scene.drive is not None
         drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
         if push.on_grain:
@@ -449,6 +494,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         time=time,
         kinetic=v**2 @ chain.masses / 2,
         contact=elastic + closer @ chain.contacts.force,
+        ground=pull.energy.sum(1) + np.zeros(time.size),
         gravity=-chain.gravity * (u @ chain.masses),
         load=-_work_at_ends(scene, time, u, walls[0]),
         total=total,
@@ -561,7 +607,6 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     >>> f"{lost.of_contact[-1].sum() / scene.energy:.3f} of the strike"
     '0.148 of the strike'
     """
-    trajectory.scene.chain.refuse_ground("the balance of energy")
     scene, u, v = motion_of_all(trajectory)
     chain = scene.chain
     time = trajectory.time
@@ -573,7 +618,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     )
     contacts = _forces(chain, closer, closing, *doubts)
     lost = _sum_losses(scene, time, contacts, v, motion.known_error("velocity"))
-    if not chain.damped:
+    if not chain.damped or chain.ground_in_time:
         return lost
     balance = ledger(trajectory)
     distance = float(np.abs(lost.total - balance.dissipated).max()) + balance.dissipated_error
@@ -680,6 +725,8 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
         below = CubicHermiteSpline(time, u[:, 1], v[:, 1])(x)
         above = contacts.of(0).force_change(-wave.at(x))
         force = contacts.of(1).force_change(wave.at(x) - below) - above
+        if scene.chain.ground is not None:
+            force += scene.chain.ground.of_grains([1]).force(wave.at(x), 0.0)
         work = integrate(force * wave.at(x, 1))
         return pieces._replace(work=work, push=integrate(force), top=integrate(above))
     mass = scene.chain.masses[scene.excitation.acts_on - 1]

@@ -174,8 +174,11 @@ class SceneFacts(Recording):
 
     @cached_property
     def energy(self) -> float:
-        """Energy above rest at t = 0, J; infinite if the excitation or a ground does work later."""
-        if self.chain.ground is not None:
+        """Energy above rest at t = 0, J; infinite if that does not bound the energy of contacts.
+
+        It does not if the excitation does work later, or a ground that may be no spring.
+        """
+        if self.chain.ground is not None and not ground.is_spring(self.chain.ground):
             return math.inf
         _, near = self._surroundings
         return near.excitation.energy(near.chain)
@@ -433,12 +436,13 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
     function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
     of the series of the exact solution are positive there. The stiffest contact is bounded by the
-    energy above rest; a driven chain has no such bound, and the light cone is all of it. A drag
+    energy above rest; a driven chain has no such bound, and the light cone is all of it, as that of
+    a chain on a ground, which is stiff in another way. A drag
     leaves the bound as it is; with viscous contacts it is that of `_damped_distance`.
     """
     chain = scene.chain
     grains = chain.grains
-    if not math.isfinite(scene.energy) or grains < CUT.shortest:
+    if not math.isfinite(scene.energy) or grains < CUT.shortest or chain.ground is not None:
         return 1, grains
     top, bottom = scene.excitation.reach(chain)
     # the stiffest contact within reach decides how far that is: look further until it suffices

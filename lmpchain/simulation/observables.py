@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..chain import ground
 from ..chain.chain import Chain
 from ..chain.contacts import Contacts
 from ..errors import InputError, shown
@@ -78,6 +79,8 @@ def _of_chain(chain: Chain, name: str) -> Observable:
 
     def potential(u: Array, _: Array) -> Array:
         energy: Array = chain.contacts.energy(Contacts.closer(u)).sum(-1)
+        if chain.ground is not None:
+            energy += ground.energy(chain.ground, u).sum(-1)
         return energy
 
     def temperature(u: Array, v: Array) -> Array:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..chain.ground import is_spring
 from ..engines.cost_model import announce, seconds
 from ..engines.native import Native
 from ..engines.stepping.rounding import perturb
@@ -474,9 +475,9 @@ def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
         yield "chain.damping", f"averages are those of a motion that never ends: {cure}"
-    if chain.ground is not None:
+    if chain.ground is not None and not is_spring(chain.ground):
         cure = "leave it out, as chain.replace(ground=None) does"
-        yield "chain.ground", f"averages know no energy of the ground: {cure}"
+        yield "chain.ground", f"averages take springs to the ground alone: {cure}"
     if scene.excitation.does_work:
         cure = "use an impulse, a displacement or a profile"
         yield "excitation", f"must leave the energy as it is at t = 0: {cure}"

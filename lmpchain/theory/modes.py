@@ -185,7 +185,7 @@ def ground_of(chain: Chain) -> Array:
 
 
 def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
-    """Return whether all contacts are as viscous, and all grains dragged as much: rules.
+    """Return whether damping couples no modes: equal viscosities, drags, and pulls of the ground.
 
     Parameters
     ----------
@@ -197,6 +197,9 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
         Field, whether it allows for modes, and the cure if not.
     """
     cure = "give one number"
+    # Without the ground, the viscous forces of a mode are A w^2 times its velocity.
+    pulls = _squared_rates_of_ground(chain)
+    even = not chain.contact_viscosity.any() or np.ptp(pulls) <= 1e-14 * pulls.max(initial=0.0)
     return [
         (
             "chain.damping.viscoelastic",
@@ -208,7 +211,18 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
             not np.ptp(chain.drag),
             f"differs from grain to grain, which couples the modes: {cure}",
         ),
+        (
+            "chain.ground",
+            bool(even),
+            "pulls unlike grains unlike, which couples viscous modes: use drag alone",
+        ),
     ]
+
+
+def _squared_rates_of_ground(chain: Chain) -> Array:
+    """Return the squared frequency of each moving grain on the ground alone, (M,) rad^2/s^2."""
+    moving = slice(0, chain.movable)
+    return chain.ground_stiffness[moving] / chain.masses[moving]
 
 
 def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
@@ -226,7 +240,9 @@ def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
     """
     if not chain.damped:
         return modes
-    decay = (chain.contact_viscosity[0] * modes.frequency**2 + chain.drag[0]) / 2
+    # Contacts alone are viscous, not the ground.
+    squared = modes.frequency**2 - _squared_rates_of_ground(chain)[:1].sum()
+    decay = (chain.contact_viscosity[0] * squared + chain.drag[0]) / 2
     return replace(modes, decay=decay)
 
 

@@ -12,7 +12,7 @@ from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Scene
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Scene, simulate
 from lmpchain.benchmark.reference import _first_root, reference
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -265,3 +265,31 @@ def test_the_reference_of_laws_by_formula_is_that_of_powers(name: str) -> None:
     # A tenth of the error is the change from a run at ten times the tolerance.
     assert found.error < 1e-9
     assert found.scale == pytest.approx(true.scale, rel=0.02)
+
+
+def on_springs(**chain):
+    """Return a strong strike on a chain of springs that may open, on springs to the ground."""
+    made = Chain(
+        grains=8, diameter=1e-3, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain
+    )
+    return Scene(
+        chain=made, excitation=Impulse(velocity=1e-3), duration=30 * made.time_scale, samples=4
+    )
+
+
+def test_scipy_meets_springs_that_open_and_are_viscous():
+    scene = on_springs(damping={"viscoelastic": 1e-7})
+    native = simulate(scene, "native", tolerance=1e-9)
+    exact = reference(scene)
+    assert (scene.chain.contacts.overlap[1:-1] + np.diff(-exact.displacement) < 0).any()
+    off = np.abs(native.velocity - exact.velocity).max()
+    assert off < (1e-9 + exact.error) * exact.scale[1]
+
+
+def test_scipy_finds_the_largest_motion_between_samples():
+    scene = on_springs().replace(excitation=Displacement(displacement=1e-10, grain=4))
+    dense = simulate(scene.replace(samples=3001), "native", tolerance=1e-9)
+    exact = reference(scene)
+    largest = np.abs(dense.displacement).max(), np.abs(dense.velocity).max()
+    assert exact.scale == pytest.approx(largest, rel=0.01)
+    assert np.abs(exact.velocity).max() < 0.9 * largest[1]

@@ -7,11 +7,13 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers.thinned import thinned
+from scipy.interpolate import make_interp_spline
 
 import lmpchain
-from lmpchain import Chain, Impulse, InputError, Law, Scene, laws, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Profile, Scene, laws, simulate
 from lmpchain.benchmark.reference import reference
-from lmpchain.engines.lammps.export import write_deck
+from lmpchain.chain import ground
+from lmpchain.engines import Native
 from lmpchain.measure import collision, dyson, energy, shock, solitary, spectrum, wavenumbers
 from lmpchain.measure.fit import solitary as fit_solitary
 from lmpchain.theory import scattering, soliton
@@ -20,9 +22,9 @@ HOST = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 SPRING = Law("k*u", k=1e6)
 
 
-def on(ground: Law | None, grains: int = 12, **options) -> Chain:
+def on(law: Law | None, grains: int = 12, **options) -> Chain:
     """Return a loaded chain on a ground."""
-    fields = {**HOST, **options, "ground": ground}
+    fields = {**HOST, **options, "ground": law}
     return Chain(grains=grains, **{key: x for key, x in fields.items() if x is not None})
 
 
@@ -94,9 +96,35 @@ def test_a_run_meets_its_tolerance(name, damping):
         assert off < 1e-8 + exact.error
 
 
+# The order of each method, and two numbers of steps between samples that show it.
+ORDERS = {
+    "verlet": (2, 96, 192),
+    "rkn4": (4, 48, 96),
+    "rkn6": (6, 12, 24),
+    "kahan-li6": (6, 24, 48),
+    "kahan-li8": (8, 12, 24),
+}
+
+
+@pytest.mark.parametrize("name", ["two wells", "in time"])
+@pytest.mark.parametrize("integrator", ORDERS)
+def test_splittings_keep_their_order(name, integrator):
+    scene = struck(on(GROUNDS[name]), samples=11)
+    exact = simulate(scene, "native", tolerance=1e-12).velocity
+    order, *counts = ORDERS[integrator]
+    coarse, fine = (
+        np.abs(
+            simulate(scene, Native(integrator, scene.sampling_interval / n)).velocity - exact
+        ).max()
+        for n in counts
+    )
+    assert fine > 1e-11 * np.abs(exact).max()
+    assert np.log2(coarse / fine) == pytest.approx(order, abs=0.05)
+
+
 def test_a_batch_gives_the_bits_of_single_runs():
     scenes = [struck(on(Law("k*u + b*u**3", k=k, b=1e20))) for k in (1e5, 3e5, 1e6)]
-    engine = lmpchain.engines.Native(integrator="dop853", step=scenes[0].sampling_interval / 2)
+    engine = Native(integrator="dop853", step=scenes[0].sampling_interval / 2)
     together = lmpchain.simulate_many(scenes, engine=engine)
     for scene, answer in zip(scenes, together, strict=True):
         alone = simulate(scene, engine)
@@ -115,13 +143,117 @@ def test_quantities_between_samples_hold_their_errors():
     assert (exact.error < 1e-3 * exact.value.max()).all()
 
 
-REFUSING = {
-    "lammps": lambda run: simulate(run.scene, "lammps"),
-    "chebyshev": lambda run: simulate(run.scene, "chebyshev"),
-    "verlet": lambda run: simulate(run.scene, lmpchain.engines.Native(integrator="verlet")),
-    "energy": lambda run: energy.shares(run),
+ENERGIES = {
+    "strike": {},
+    "push": {"excitation": Force(grain=3, amplitude=0.1, frequency=1e5)},
+    "drive": {"excitation": Drive(amplitude=1e-8, frequency=1e5)},
+    "moved wall": {"excitation": Drive(grain=0, amplitude=1e-8, frequency=1e5)},
+}
+
+
+def work_of(run):
+    """Return the work of what acts, by a spline through its power at the samples."""
+    scene, time = run.scene, run.time
+    chain, excitation = scene.chain, scene.excitation
+    if not excitation.does_work:
+        return 0.0 * time
+    wave = excitation.waveform
+    if isinstance(excitation, Force):
+        power = wave.at(time) * run.velocity[:, 2]
+    else:
+        wall = wave.at(time) if excitation.grain == 0 else None
+        moved = 0.0 if wall is None else wave.at(time, 1)
+        contacts = chain.contacts
+        closer = contacts.closer(run.displacement, wall)
+        closing = contacts.closer(run.velocity, moved)
+        overlap = np.maximum(contacts.overlap + closer, 0.0)
+        viscosity = chain.contact_viscosity * contacts.stiffness_at(overlap)
+        force = contacts.force_change(closer) + viscosity * closing
+        if wall is not None:
+            power = force[:, 0] * wave.at(time, 1)
+        else:
+            pull = chain.ground.force(run.displacement)[:, 0]
+            # A sine begins with a corner, but without an acceleration.
+            bend = np.append(0.0, excitation.acceleration(time[1:]))
+            whole = chain.masses[0] * bend + pull + force[:, 1] - force[:, 0]
+            power = whole * wave.at(time, 1)
+    return make_interp_spline(time, power, 7).antiderivative()(time)
+
+
+@pytest.mark.parametrize("name", ["spring", "of each grain", "periodic", "two wells"])
+@pytest.mark.parametrize("damping", [None, {"drag": 1e4}, {"viscoelastic": 1e-8}])
+@pytest.mark.parametrize("acting", ENERGIES)
+def test_the_balance_of_energy_and_momentum(name, damping, acting):
+    top = "wall" if acting == "moved wall" else "free"
+    scene = struck(on(GROUNDS[name], damping=damping, top=top), samples=401)
+    scene = scene.replace(**ENERGIES[acting])
+    run = simulate(scene, "native", tolerance=1e-9)
+    ledger = energy.ledger(run)
+    size = ledger.total.max()
+    terms = ledger.kinetic + ledger.contact + ledger.ground + ledger.gravity + ledger.load
+    np.testing.assert_allclose(terms, ledger.total, atol=1e-9 * np.abs(ledger.contact).max())
+    assert np.abs(ledger.ground).max() > 1e-3 * size
+    assert np.abs(ledger.drive - work_of(run)).max() < 1e-6 * size
+    assert np.abs(ledger.drift).max() <= ledger.drive_error + ledger.dissipated_error + 1e-7 * size
+    momentum = np.abs(ledger.momentum).max()
+    assert np.abs(ledger.momentum_drift).max() < ledger.impulse_error + 1e-7 * momentum
+    shares = energy.shares(run)
+    np.testing.assert_allclose(shares.of_grain.sum(1), ledger.total, atol=1e-12 * size)
+    if damping:
+        lost = energy.losses(run)
+        np.testing.assert_allclose(lost.total, ledger.dissipated, atol=lost.error)
+    above_rest = scene.chain.excess_energy(run.displacement, run.velocity)
+    if top == "free":
+        np.testing.assert_allclose(above_rest, ledger.total, rtol=1e-12, atol=1e-13 * size)
+
+
+def test_the_energy_of_a_ground():
+    u = np.array([0.0, 1e-15, 3e-8, -1e-6])
+    k, period = 1e6, 1e-8
+    wave = 2 * np.pi / period
+    exact = 2 * k / wave**2 * np.sin(wave * u / 2) ** 2
+    held = ground.energy(laws.frenkel_kontorova(k, period=period), u)
+    np.testing.assert_allclose(held, exact, rtol=1e-11, atol=1e-13 * k / wave**2)
+    assert held[1] == pytest.approx(k * 1e-30 / 2, rel=1e-13)
+
+
+def test_averages_of_springs_on_springs():
+    """Kinetic and potential energy of linear springs have the same mean."""
+    chain = on(SPRING, exponent=1.0, top="wall", bottom="wall")
+    rng = np.random.default_rng(1)
+    velocity = (1e-6 * rng.standard_normal(12)).tolist()
+    start = Profile(displacement=[0.0] * 12, velocity=velocity)
+    scene = Scene(chain=chain, excitation=start, duration=3e4 * chain.time_scale, samples=2)
+    average = lmpchain.averages(scene, ["kinetic_energy", "potential_energy"], tolerance=1e-5)
+    assert scene.energy == pytest.approx((chain.masses * np.square(velocity)).sum() / 2)
+    for name in ("kinetic_energy", "potential_energy"):
+        low, high = average.interval[name]
+        assert low <= scene.energy / 2 <= high
+        assert high - low < 0.02 * scene.energy
+
+
+@pytest.mark.parametrize("name", ["periodic", "two wells", "in time"])
+def test_averages_take_springs_alone(name):
+    with pytest.raises(InputError, match="averages take springs to the ground alone"):
+        lmpchain.averages(struck(on(GROUNDS[name])), ["kinetic_energy"])
+
+
+MOVING = {
     "ledger": lambda run: energy.ledger(run),
-    "losses": lambda run: energy.losses(run),
+    "shares": lambda run: energy.shares(run),
+    "energy above rest": lambda run: run.scene.chain.excess_energy(*run.scene.initial()),
+}
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_a_ground_in_time_has_no_balance_of_energy(name):
+    run = simulate(struck(on(GROUNDS["in time"])), "native")
+    with pytest.raises(InputError, match="knows no stiffness in time"):
+        MOVING[name](run)
+
+
+REFUSING = {
+    "chebyshev": lambda run: simulate(run.scene, "chebyshev"),
     "solitary": lambda run: solitary.find(run),
     "collision": lambda run: collision.find(run),
     "shock": lambda run: shock.find(run),
@@ -130,15 +262,12 @@ REFUSING = {
     "relative stiffness": lambda run: dyson.relative_stiffness(run.scene.chain),
     "fit of solitary waves": lambda run: fit_solitary.fit_soliton(run),
     "stability": lambda run: lmpchain.stability.stability(run.scene),
-    "averages": lambda run: lmpchain.averages(run.scene, ["kinetic_energy"]),
     "gradients": lambda run: lmpchain.design.gradient(
         run.scene, lmpchain.design.PeakForce(contact=3), ["masses"]
     ),
     "orbits": lambda run: lmpchain.orbits.normal_mode(run.scene.chain, 1, 1e-12),
     "scattering": lambda run: scattering.transmission(run.scene.chain, 1e5),
     "soliton": lambda run: soliton.solve(speed=1.2).on(run.scene.chain, 6),
-    "deck": lambda run: write_deck(run.scene, "never"),
-    "energy above rest": lambda run: run.scene.chain.excess_energy(*run.scene.initial()),
 }
 
 
@@ -158,3 +287,29 @@ def test_modes_take_springs_alone():
     for name in ("periodic", "two wells", "in time"):
         with pytest.raises(InputError, match="no spring of one stiffness"):
             simulate(struck(on(GROUNDS[name])), "modes")
+
+
+@pytest.mark.parametrize("acting", ["strike", "push", "drive"])
+def test_modes_of_viscous_contacts_on_a_spring(acting):
+    """The ground is not viscous: a mode decays by what its contacts alone store."""
+    scene = struck(on(SPRING, damping={"viscoelastic": 1e-8, "drag": 1e3}), velocity=1e-8)
+    weak = {
+        key: excitation.replace(amplitude=1e-5 * excitation.amplitude)
+        for key, excitation in ENERGIES[acting].items()
+    }
+    scene = scene.replace(**weak)
+    linear = simulate(scene, "modes")
+    native = simulate(scene, "native", tolerance=1e-9)
+    off = np.abs(linear.velocity - native.velocity).max() / np.abs(native.velocity).max()
+    assert off <= linear.error_estimate.total + 1e-9
+    assert linear.error_estimate.total < 1e-6
+    ledger = energy.ledger(linear)
+    assert np.abs(ledger.drift).max() < 1e-6 * ledger.total.max()
+
+
+def test_a_ground_that_couples_viscous_modes_is_refused():
+    scene = struck(on(GROUNDS["of each grain"], damping={"viscoelastic": 1e-8}), velocity=1e-8)
+    with pytest.raises(InputError, match="couples viscous modes: use drag alone"):
+        simulate(scene, "modes")
+    dragged = scene.replace(chain=on(GROUNDS["of each grain"], damping={"drag": 1e3}))
+    simulate(dragged, "modes")

@@ -186,6 +186,7 @@ def swinging(**more: Any) -> EnergyLedger:
         "time": time,
         "kinetic": 2 * np.cos(time) ** 2,
         "contact": zero,
+        "ground": zero,
         "gravity": zero,
         "load": zero,
     }

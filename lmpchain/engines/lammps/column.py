@@ -26,6 +26,7 @@ from ...scene.scene import Scene
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from ...util.lazy import cached_property
+from .ground import LammpsGround
 
 # Coefficients of the current cubic piece, in powers of the time since its begin.
 PIECE = ("begin", "c0", "c1", "c2", "c3")
@@ -159,6 +160,12 @@ class LammpsColumn:
         """The law of the contacts if it is a formula: each contact is then a bond of LEPTON."""
         law = self.chain.law
         return law if isinstance(law, Law) else None
+
+    @cached_property
+    def ground(self) -> LammpsGround | None:
+        """The force from the ground, or None."""
+        law = self.chain.ground
+        return LammpsGround(law, not self.scene.initial()[0].any()) if law else None
 
     @property
     def atoms(self) -> str:

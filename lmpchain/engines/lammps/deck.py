@@ -85,10 +85,9 @@ def script(column: LammpsColumn, step: float, splitting: Splitting) -> str:
 
 def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitting) -> Path:
     """Write the input script, which runs by itself."""
-    if splitting.order > 2 and column.scene.excitation.does_work:
-        raise InputError.at(
-            "integrator", "a deck can carry a drive or a force with verlet only; use that"
-        )
+    if splitting.order > 2 and (column.scene.excitation.does_work or column.chain.ground_in_time):
+        acting = "a ground in time" if column.chain.ground_in_time else "a drive or a force"
+        raise InputError.at("integrator", f"a deck can carry {acting} with verlet only; use that")
     text = script(column, step, splitting)
     with write_aside(path, overwrite=True) as aside:
         aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")
@@ -168,7 +167,7 @@ def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
 
     Else LAMMPS gets the velocities in memory, in a fraction of the time.
     """
-    return folder is not None or not column.bare
+    return folder is not None or not column.bare or column.ground is not None
 
 
 def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
@@ -196,6 +195,7 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
         speeds=_lines("%d 0 0 %r 0 0 0\n", speeds),
         heights=_lines("%d %r\n", column.heights),
         bonds=_bond_lines(column.bonds[0]) if column.formula else (),
+        own=_own_lines(column),
     )
     file.writelines(piece.encode("ascii") for piece in pieces)
 
@@ -220,6 +220,12 @@ def _bond_lines(types: list[int]) -> Iterator[str]:
     """Yield the lines of the bonds: number, type, and the two grains."""
     for number, bond_type in enumerate(types, 1):
         yield f"{number} {bond_type} {number} {number + 1}\n"
+
+
+def _own_lines(column: LammpsColumn) -> Iterator[str]:
+    """Yield the lines of the parameters that each grain has of the ground."""
+    if column.ground and (own := column.ground.own):
+        yield from _lines(f"%d{' %r' * len(own)}\n", *own.values())
 
 
 def _as_text(values: Array) -> list[str]:

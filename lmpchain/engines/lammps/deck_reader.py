@@ -47,14 +47,19 @@ LAMMPS_NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
 )  # as LAMMPS reads one
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
-# Columns of a row: their number, the count of leading integers, and columns that must be 0.
-ATOMS = {"Atoms # sphere": (7, 2, [4, 5]), "Atoms # hybrid": (10, 2, [2, 3, 7, 8, 9])}
+# Columns of a row: their number, the count of leading integers, and columns that must be 0. A
+# hybrid style has a column more for bonds, three for sph, or both.
+ATOMS = {("Atoms # sphere", 7): (7, 2, [4, 5])} | {
+    ("Atoms # hybrid", length): (length, 2, [2, 3, *range(7, length)]) for length in (8, 10, 11)
+}
 # Type, diameter, density and height in such a row.
 COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
 DATA_ROWS = {
     "Velocities": (7, 1, [1, 2, 4, 5, 6]),
     "Rest": (2, 1, []),
 }
+OWN = "Own"
+BONDS = "Bonds"
 
 
 class Deck(NamedTuple):
@@ -88,7 +93,11 @@ class _DeckLine(NamedTuple):
 
 
 class _Grains(NamedTuple):
-    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up."""
+    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up.
+
+    `own` has a column for each parameter of the ground that differs from grain to grain, and
+    `bonds` a row for each contact by a formula: number, type and grains.
+    """
 
     path: Path
     title: str
@@ -99,6 +108,8 @@ class _Grains(NamedTuple):
     heights: Array
     speeds: Array
     rest: Array
+    own: Array
+    bonds: Array
 
     @property
     def masses(self) -> Array:
@@ -249,14 +260,7 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     if not folder.is_dir():
         raise InputError.at("deck", f"there is no folder {folder}")
     script = _Script(folder / "in.column")
-    if bond := script.find("bond_style"):
-        fault = "has contacts by formula, which cannot be read back: run the deck with lmp"
-        raise script.refuse(bond, fault)
-    data = script.variables.get("data")
-    path = data.words[3] if data else "column.data"
-    if data and not PLAIN_PATH.fullmatch(path):
-        raise script.refuse(data, "must be a plain path")
-    grains = _read_data(folder / path)
+    grains = _read_data(folder / _data_path(script))
     composed = script.find("variable", "part") is not None
     integrator = "kahan-li6" if composed else "verlet"
     script.need("timestep")
@@ -281,14 +285,27 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     else:
         scene = scene.replace(**recording)
     _check_heights(scene, grains)
-    if scene.excitation.does_work and step != script.variable("dt"):
-        fault = "is not the variable dt, by which force or drive tell the time: set that one"
+    timed = scene.excitation.does_work or scene.chain.ground_in_time
+    if timed and step != script.variable("dt"):
+        fault = "is not the variable dt, by which forces and drives tell the time: set that one"
         raise script.refuse(script.need("timestep"), fault)
     lagged = scene.chain.damped and script.find("fix", "motion", "mobile", "nve") is not None
-    column = LammpsColumn(scene, gauge, _pair_style(script)[1][0], lagged=lagged)
+    pair_style = "granular" if script.find("bond_style") else _pair_style(script)[1][0]
+    column = LammpsColumn(scene, gauge, pair_style, lagged=lagged)
     _check_data(column, grains)
+    _check_formulas(column, grains)
     _check_commands(script, column, integrator, step)
     return Deck(scene, LAGGED.name if lagged else integrator, step, gauge, digits)
+
+
+def _data_path(script: _Script) -> str:
+    """Return the path of the data file in the folder of a deck; raises `InputError`."""
+    data = script.variables.get("data")
+    if data is None:
+        return "column.data"
+    if not PLAIN_PATH.fullmatch(data.words[3]):
+        raise script.refuse(data, "must be a plain path")
+    return data.words[3]
 
 
 def _commands(text: str) -> list[_DeckLine]:
@@ -313,27 +330,49 @@ def _read_data(path: Path) -> _Grains:
     text = deck.read_user_text("deck", path)
     _, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
-    titles = [" ".join(words) for part in parts[1::2] for words in part]
     try:
-        if titles[:1] not in [[title] for title in ATOMS] or titles[1:] != list(DATA_ROWS):
-            raise ValueError
-        forms = {titles[0]: ATOMS[titles[0]]} | DATA_ROWS
-        atoms, speeds, rest = map(_rows, parts[2::2], forms.values())
-        numbers = np.arange(1, len(atoms) + 1)
-        if not all(np.array_equal(part[:, 0], numbers) for part in (atoms, speeds, rest)):
-            raise ValueError
+        title, rows = _read_sections(parts)
     except ValueError:
-        fault = f"is no data file of a column: it needs {' or '.join(ATOMS)}, Velocities and Rest"
+        fault = f"is no data file of a column: it needs {' or '.join(COLUMNS)}, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
-    for part, (title, (_, _, zeros)) in zip((atoms, speeds), forms.items(), strict=False):
-        if (off := part[:, zeros].any(1)).any():
+    atoms, speeds, rest = (rows[name] for name in (title, *DATA_ROWS))
+    for name, (_, _, zeros) in _forms(title, atoms.shape[1]).items():
+        if (off := rows[name][:, zeros].any(1)).any():
             worst = int(off.argmax())
-            fault = f"grain {worst + 1} does not move on the axis ({title.split()[0]})"
+            fault = f"grain {worst + 1} does not move on the axis ({name.split()[0]})"
             raise InputError.at(str(path), f"{fault}: x, y and their velocities must be 0")
-    kinds, diameters, densities, heights = atoms[:, COLUMNS[titles[0]]].T
+    kinds, diameters, densities, heights = atoms[:, COLUMNS[title]].T
     types = kinds.astype(int).tolist()
     motion = diameters, densities, heights, speeds[:, 3], rest[:, 1]
-    return _Grains(path, titles[0], parts[0], types, *motion)
+    return _Grains(path, title, parts[0], types, *motion, rows[OWN][:, 1:], rows[BONDS])
+
+
+def _read_sections(parts: list[list[list[str]]]) -> tuple[str, dict[str, Array]]:
+    """Return the title of the atoms, and the rows of each section; raises `ValueError`."""
+    titles = [" ".join(words) for part in parts[1::2] for words in part]
+    sections = dict(zip(titles, parts[2::2], strict=True))
+    title, *others = titles
+    forms = _forms(title, len(sections[title][0]))
+    known = [*DATA_ROWS, *(name for name in (OWN, BONDS) if name in sections)]
+    if others != known or not forms:
+        raise ValueError
+    if OWN in sections:
+        forms[OWN] = len(sections[OWN][0]), 1, []
+    if BONDS in sections:
+        forms[BONDS] = 4, 4, []
+    rows = {name: _rows(sections[name], form) for name, form in forms.items()}
+    numbers = np.arange(1, len(rows[title]) + 1)
+    rows.setdefault(OWN, rows[title][:, :1])
+    if not all(np.array_equal(rows[name][:, 0], numbers) for name in (title, *DATA_ROWS, OWN)):
+        raise ValueError
+    rows.setdefault(BONDS, np.zeros((0, 4)))
+    return title, rows
+
+
+def _forms(title: str, length: int) -> dict[str, tuple[int, int, list[int]]]:
+    """Return the forms of the rows of atoms of this length, and of others; {} if there is none."""
+    atoms = ATOMS.get((title, length))
+    return {title: atoms} | DATA_ROWS if atoms else {}
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
@@ -352,6 +391,9 @@ def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
 
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     """Return the chain of a deck."""
+    if formula := script.find("bond_style") or script.find("fix", "ground"):
+        cure = "give its scene, --scene"
+        raise script.refuse(formula, f"has a formula with its numbers filled in: {cure}")
     masses = grains.masses
     d = grains.diameters
     model, stiffness, damping = _contacts(script, grains.types)
@@ -547,6 +589,9 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
         [low, high, "ylo", "yhi"],
         [bottom, top, "zlo", "zhi"],
     ]
+    if column.formula:
+        kinds, coefficients = column.bonds
+        header += [[str(len(kinds)), "bonds"], [str(len(coefficients)), "bond", "types"]]
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
         fault = f"has another header than a column of {grains.rest.size} grains"
@@ -559,6 +604,21 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
                 f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
             )
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+
+
+def _check_formulas(column: LammpsColumn, grains: _Grains) -> None:
+    """Raise `InputError` unless bonds, and parameters of the ground, are those of a column."""
+    types = np.array(column.bonds[0] if column.formula else [])
+    numbers = np.arange(1, types.size + 1)
+    bonds = np.column_stack((numbers, types, numbers, numbers + 1))
+    if not np.array_equal(grains.bonds, bonds):
+        fault = "has other bonds than the contacts of the scene"
+        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+    own = [*column.ground.own.values()] if column.ground else []
+    read = grains.own.T
+    if len(read) != len(own) or (own and not np.allclose(read, own, SAME_NUMBER, 0.0)):
+        fault = f"has other parameters of the ground under {OWN} than the scene"
+        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:

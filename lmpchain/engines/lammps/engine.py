@@ -121,6 +121,7 @@ class Lammps(TimeSteppingEngine):
     integrators: ClassVar[tuple[str, ...]] = ("rkn6", "kahan-li6", "verlet")
     inputs: ClassVar[tuple[str, ...]] = (f"{DECK}/in.column", f"{DECK}/column.data")
     logs: ClassVar[tuple[str, ...]] = (LOG,)
+    knows_ground: ClassVar[bool] = True
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
@@ -427,8 +428,8 @@ class Lammps(TimeSteppingEngine):
         splitting = self.splitting(scene)
         integrator = splitting.name
         step = proposal.step
-        driven = scene.excitation.does_work and splitting.order > 2
-        if driven or not deck.carries(splitting):
+        timed = scene.excitation.does_work or scene.chain.ground_in_time
+        if (timed and splitting.order > 2) or not deck.carries(splitting):
             integrator = "verlet"
             step /= splitting.evaluations
         # Without a bound, the gauge diameter would need another trial.

@@ -53,7 +53,6 @@ def write_deck(
     """
     check_scene(scene)
     check_tolerance(tolerance)
-    scene.chain.refuse_ground("LAMMPS")
     engine = Lammps(integrator, step, diameter, pair_style, template=template, include=include)
     deck.check_carried(engine.splitting(scene), "integrator")
     if reasons := engine.refuses(scene):

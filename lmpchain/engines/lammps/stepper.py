@@ -72,6 +72,7 @@ class LammpsStepper:
             wave=scene.excitation.waveform,
             driven=bool(scene.excitation.driven),
             pushed=scene.excitation.acts_on - 1 if kicks else None,
+            timed=column.chain.ground_in_time,
         )
         include = ""
         if state and column.include:

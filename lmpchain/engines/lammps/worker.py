@@ -41,6 +41,8 @@ class StepPlan:
     driven : bool
     pushed : int or None
         The grain, counted from 0, that a force kicks from outside.
+    timed : bool
+        Whether the force from the ground depends on the time.
     """
 
     grains: int
@@ -54,6 +56,12 @@ class StepPlan:
     wave: Waveform | None
     driven: bool
     pushed: int | None
+    timed: bool
+
+    @property
+    def tells_time(self) -> bool:
+        """Whether the time is put in from outside: drifts of a splitting are no steps of it."""
+        return self.timed and self.splitting.order > 2
 
     @property
     def walled(self) -> bool:
@@ -120,6 +128,8 @@ class Worker:
         if state:
             # With damping, the first forces depend on the velocities.
             self._set("v", state[1])
+        if plan.tells_time:
+            self._lammps.set_internal_variable("now_at", plan.done * plan.step)
         if plan.walled:
             self._move_wall(plan.done * plan.step)
         elif plan.done and plan.pieces and plan.splitting.order == 2:
@@ -232,6 +242,8 @@ class Worker:
                         self._v[0, 2] = (plan.rest - imposed[n + 1] - self._x[0, 2]) / drift
                     if plan.walled:
                         self._move_wall(times[n + 1])
+                    if plan.tells_time:
+                        self._lammps.set_internal_variable("now_at", float(times[n + 1]))
                     command(f"timestep {drift!r}")
                     command("run 1 pre no post no")
                 # The last kick is not merged with the first kick of the next step, so that chunks

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
+from ...chain.ground import join_contacts
 from ...integrators.kernels.chebyshev import Propagator
 from ...scene.scene import Scene
 from ...util.arrays import Array
@@ -284,6 +285,8 @@ def _powers(scene: Scene, solution: LinearSolution, times: Array, off: Array) ->
     lost_off = (2 * np.abs(closing) + closing_off) @ viscosity * closing_off
     lost_off += (2 * np.abs(v) + fast) @ drag * fast
     force = stiffness * chain.contacts.closer(u, moved[0]) + viscosity * closing
+    if chain.ground is not None:
+        force = join_contacts(force, chain.ground_stiffness * u)
     push = excitation.push(chain, times, force, np.zeros(force.shape), v)
     if push is None:
         return np.stack([lost, np.zeros(lost.shape), lost_off, np.zeros(lost.shape)], axis=1)
@@ -291,5 +294,7 @@ def _powers(scene: Scene, solution: LinearSolution, times: Array, off: Array) ->
     if excitation.driven or wall:
         touched = slice(0, 1 + excitation.driven)
         force_off = stiffness[touched].sum() * 2 * off[0] + viscosity[touched].sum() * closing_off
+        if excitation.driven:
+            force_off += chain.ground_stiffness[0] * off[0]
         given_off = np.abs(push.speed) * force_off
     return np.stack([lost, push.force * push.speed, lost_off, given_off], axis=1)

@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from ...chain import ground
 from ...errors import RunFailed
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, compare
 from ...integrators.kernels.table import ROUNDED
@@ -143,8 +144,8 @@ class Monitor:
         samples = self._scene.samples
         self._differences = np.zeros((self.runs, samples, size, 2))
         self._peaks = np.zeros((size, 2))
-        # The energy in the ground is not balanced.
-        if self._chains.arrays.damped and self._scene.chain.ground is None:
+        # A ground in time does work that is not balanced.
+        if self._chains.arrays.damped and not self._scene.chain.ground_in_time:
             native.balance = np.zeros((1 + len(auxiliary.schedules), size, samples, 2))
 
     def make_room(self, samples: int) -> None:
@@ -387,6 +388,9 @@ class Monitor:
                 # The force on a driven grain accelerates the grain itself, too.
                 speed = wave.at(scene.time, 1)
                 work += chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
+                if chain.ground is not None:
+                    held = ground.energy(chain.ground.of_grains([1]), wave.at(scene.time))
+                    work += held - held[0]
             put_in = float(chain.excess_energy(*scene.excitation.initial(chain)))
             scale = max(put_in, np.abs(lost).max(), np.abs(work).max()) or 1.0
             distances = _finite((differences[:, real] / scale).tolist())

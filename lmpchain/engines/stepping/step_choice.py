@@ -226,14 +226,22 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
         shorter = expected_reach(scene, method, tolerance / FIRST_STEP.coarse_error, shortens)
         coarse = steps == math.ceil(phase / shorter)
     sampled = Steps.spread(interval, steps, 1, shortens, coarse)
-    # In the sonic vacuum fronts are so steep that interpolated values may get a wrong sign.
-    # Polynomial interpolation also fails at kinks of the applied force.
-    smooth = scene.chain.linearisable and not scene.excitation.does_work
-    if adaptive and smooth and method.interpolates:
+    if adaptive and method.interpolates and _interpolates(scene):
         passing = _pass_samples(scene, tolerance, shortens, phase, reach)
         if passing and work(method, passing) < work(method, sampled):
             return passing
     return sampled
+
+
+def _interpolates(scene: Scene) -> bool:
+    """Return whether samples of a scene may be interpolated between steps.
+
+    In the sonic vacuum fronts are so steep that interpolated values may get a wrong sign.
+    Polynomial interpolation also fails at kinks of the applied force, and it takes the rate of all
+    forces, which the kernel of a ground does not compute.
+    """
+    acts = scene.excitation.does_work or scene.chain.ground is not None
+    return scene.chain.linearisable and not acts
 
 
 def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: bool) -> float:

@@ -69,7 +69,7 @@ class TimeSteppingEngine(Engine):
     def methods(self, scene: Scene) -> list[Method]:
         """Return the methods among which the engine chooses for a scene."""
         methods = methods_of(scene.chain)
-        automatic = AUTOMATIC if scene.chain.conservative else AUTOMATIC_DAMPED
+        automatic = AUTOMATIC_DAMPED if scene.chain.damped else AUTOMATIC
         names = automatic if self.integrator == "auto" else [self.integrator]
         return [methods[name] for name in names]
 
@@ -80,9 +80,6 @@ class TimeSteppingEngine(Engine):
             return []
         best_first = sorted(names, key=lambda name: -names[name].order)
         cure = f"use {' or '.join(name for name in best_first if name in self.integrators)}"
-        if scene.chain.ground is not None:
-            fault = f"{self.integrator} knows no ground: {cure}, or leave the ground out"
-            return [("integrator", fault)]
         kind = "without" if scene.chain.damped else "with"
         fault = f"{self.integrator} is a method for chains {kind} damping: {cure}, or leave it out"
         return [("integrator", fault)]

@@ -13,6 +13,7 @@ from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, SplittingStages, 
 from .openings import shorten
 from .right_hand_side import (
     accelerate,
+    add_ground,
     ahead,
     hold,
     impose,
@@ -27,8 +28,8 @@ from .window import look, watch, widen
 
 
 @inlined
-def _finish_kick(chain, margin, rates):
-    """Complete the last kick of the previous step.
+def _finish_kick(chain, t, margin, rates):
+    """Complete the last kick of the previous step, at time t.
 
     Stores forces and accelerations in `rates`, and returns the index offset of these forces that
     `fill_jerk` needs.
@@ -40,7 +41,9 @@ def _finish_kick(chain, margin, rates):
     # Include one more grain on either side, because the distance of a contact from opening depends
     # on the accelerations of both of its grains.
     above = max(first - 1, state.first)
-    accelerate(chain, chain.x, above, min(last + 1, state.last), rates.force, rates.pull)
+    below = min(last + 1, state.last)
+    accelerate(chain, chain.x, above, below, rates.force, rates.pull)
+    add_ground(chain, chain.x, t, above, below, rates.pull)
     speeds = chain.v[first:last]
     a = rates.pull[first:last]
     for n in range(speeds.size):
@@ -77,7 +80,7 @@ def _advance(chain, method, work, clock, out, landed):
         recall(chain, t)
         # Impose velocities before the forces are computed, like all imposed quantities.
         impose_velocity(chain, w, PAD, t)
-    beyond = _finish_kick(chain, stages + 1, rates)
+    beyond = _finish_kick(chain, t, stages + 1, rates)
     filled = _fill_passed(chain, rates, clock, out, beyond)
     if landed:
         hold(chain, w)
@@ -114,6 +117,7 @@ def _advance(chain, method, work, clock, out, landed):
     for stage in range(stages - 1):
         rows.kick[stage] = kicks[stage + 1] * h
         rows.drift[stage] = drifts[stage + 1] * h
+        rows.time[stage] = t + reach[stage] * h
     sweep(chain, rows)
     # The last kick is completed at the next step, which computes the forces that it needs.
     state.done = done

@@ -156,8 +156,13 @@ def _forward(chain, steps, room, path, stretch, looks):
     while done < count:
         burst = min(room.shape[1], count - done, count_rows(steps, look) - row)
         imposed = path[done : done + burst]
+        # Nothing reads the times of kicks, because gradients refuse a ground.
         rows = Rows(
-            kick=room[0, :burst], drift=room[1, :burst], carried=room[2, :burst], path=imposed
+            kick=room[0, :burst],
+            drift=room[1, :burst],
+            carried=room[2, :burst],
+            path=imposed,
+            time=room[2, :burst],
         )
         fill_rows(steps, look, row, rows.kick, rows.drift)
         # Each row extends the motion by one grain.

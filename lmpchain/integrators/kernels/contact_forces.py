@@ -151,7 +151,8 @@ FORCES = types.void(_ROW, _ROW, _LINKS)
 STIFFNESSES = types.void(_ROW, _ROW, _ROW, _LINKS)
 _SAMPLES = types.float64[:]
 SERIES = types.void(*(_SAMPLES, _SAMPLES, types.float64[:, ::1], types.int64, _SAMPLES, _SAMPLES))
-GROUND = types.void(_ROW, _ROW, _ROW, types.float64[:, ::1], types.int64, types.float64)
+_GIVEN = types.float64[:, ::1]
+GROUND = types.void(_ROW, _ROW, _ROW, _GIVEN, types.int64, types.float64, types.float64)
 SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, types.boolean)
 
 
@@ -337,9 +338,9 @@ def _ground_loop_of(kernel: Any) -> Any:
     force_at = compiled_formula(force_of)
 
     @compiled_filler(kind=_identity(force_of))
-    def pull_back(pull, x, inverse_mass, given, first, t):
+    def pull_back(pull, x, inverse_mass, given, first, t, length):
         for n in range(pull.size):
-            pull[n] -= inverse_mass[n] * force_at(x[n], t, given, first + n)
+            pull[n] -= length * inverse_mass[n] * force_at(x[n], t, given, first + n)
 
     return pull_back
 
@@ -369,12 +370,13 @@ def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
 
 
 @inlined
-def pull_to_rest(address, pull, x, inverse_mass, given, first, t):
+def pull_to_rest(address, pull, x, inverse_mass, given, first, t, length):
     """Subtract from accelerations (B,) those by the ground at time t, of bodies x (B,).
 
+    A kick subtracts them from velocities, times its `length` in s; it is 1 for accelerations.
     `first` is the column of the first body in `given`, see `BatchArrays.ground_parameters`.
     """
-    _call_ground(address, (pull, x, inverse_mass, given, first, t))
+    _call_ground(address, (pull, x, inverse_mass, given, first, t, length))
 
 
 @inlined

@@ -13,7 +13,7 @@ from ...util.arrays import Array
 from .compiling import compiled_march, inlined, pasted
 from .dense_output import fill_rates
 from .layout import PAD, Chains
-from .right_hand_side import accelerate, forced, hold, impose, impose_velocity
+from .right_hand_side import accelerate, add_ground, forced, hold, impose, impose_velocity
 from .sample_loop import sample_loop
 from .window import look, watch, widen
 
@@ -29,6 +29,7 @@ def _accelerate(chain, work, t):
     impose(chain, chain.x, t, t)
     impose_velocity(chain, v, PAD, t)
     accelerate(chain, chain.x, first, last, force, pull)
+    add_ground(chain, chain.x, t, first, last, pull)
     fill_rates(chain, first, last, force, rate, first - 1)
     viscosity = chain.viscosity
     for n in range(first, last):

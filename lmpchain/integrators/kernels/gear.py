@@ -9,7 +9,7 @@ import numpy as np
 from ...util.arrays import Array
 from .compiling import compiled, compiled_march, inlined, pasted
 from .layout import PAD, RESOLUTION, Chains
-from .right_hand_side import accelerate, cut, hold, impose
+from .right_hand_side import accelerate, add_ground, cut, hold, impose
 from .sample_loop import sample_loop
 from .window import look, watch, widen
 
@@ -59,6 +59,7 @@ def _begin(chain, work, now, h):
     state.step_size = h
     impose(chain, y, now, now + RESOLUTION * h)
     accelerate(chain, y, first, last, force, pull)
+    add_ground(chain, y, now, first, last, pull)
     for n in range(first, last):
         derivatives[0, n] = pull[n]
     _move(chain, z, now, h, -1.0)
@@ -66,6 +67,7 @@ def _begin(chain, work, now, h):
     for side in (1.0, -1.0 if smooth else 0.5):
         _move(chain, z, now, h, side)
         accelerate(chain, z, first, last, force, pull)
+        add_ground(chain, z, now + side * h, first, last, pull)
         for n in range(first, last):
             # Differences use accelerations one step before and after, or one step and half a step
             # after.
@@ -109,6 +111,7 @@ def _step(chain, corrections, work, now, then, h):
         derivatives[1, n] = b + 4.0 * c
     impose(chain, y, then, then)
     accelerate(chain, y, first, last, force, pull)
+    add_ground(chain, y, then, first, last, pull)
     for n in range(first, last):
         off = 0.5 * h * h * pull[n] - derivatives[0, n]
         y[n] += corrections[0] * off

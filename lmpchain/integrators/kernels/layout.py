@@ -126,8 +126,9 @@ class BatchArrays(NamedTuple):
     parameters : (R, P, W) array
         Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
         below each body, for a law given by a formula; (R, 0, W) for powers.
-    ground : int
-        Where the loop of the force from the ground lies in memory, 0 without a ground.
+    ground : int or None
+        Where the loop of the force from the ground lies in memory; None without a ground, for which
+        the marches are compiled without one.
     ground_parameters : (R, G, W) array
         Parameters of the force from the ground on each body.
     omega : (R,) array
@@ -171,7 +172,7 @@ class BatchArrays(NamedTuple):
     precompressed: float
     coefficients: Array
     parameters: Array
-    ground: int
+    ground: int | None
     ground_parameters: Array
     omega: Array
     scale: Array
@@ -255,7 +256,7 @@ class BatchMember(NamedTuple):
     state: Any
     inverse_mass: Array
     links: Links
-    ground: int
+    ground: int | None
     ground_parameters: Array
     opening_weight: Array
     opening_reach: Array
@@ -283,18 +284,21 @@ class Rows(NamedTuple):
         N: force on the first grain from above; then that on the last one from below.
     path : (Q,) array, or an empty one if nothing is imposed
         What is imposed: a displacement, m, or a force, N.
+    time : (Q,) array
+        Time of the kick, s; read by a force from the ground alone.
     """
 
     kick: Array
     drift: Array
     carried: Array
     path: Array
+    time: Array
 
 
 def make_rows(count: int, acts: bool) -> Rows:
     """Return this number of rows, and whether a forcing is imposed."""
-    kick, drift, carried, path = np.zeros((4, count))
-    return Rows(kick, drift, carried, path[: count if acts else 0])
+    kick, drift, carried, path, time = np.zeros((5, count))
+    return Rows(kick, drift, carried, path[: count if acts else 0], time)
 
 
 class SplittingStages(NamedTuple):

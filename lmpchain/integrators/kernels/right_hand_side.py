@@ -126,6 +126,7 @@ def slice_rows(rows, numbers):
         drift=rows.drift[numbers],
         carried=rows.carried[numbers],
         path=rows.path[numbers],
+        time=rows.time[numbers],
     )
 
 
@@ -156,16 +157,25 @@ def accelerate(chain, y, first, last, force, pull):
 @inlined
 def add_ground(chain, y, t, first, last, pull):
     """Add the accelerations by the ground at time t to those of bodies first ... last-1 of y."""
-    if chain.ground != 0:
-        bodies = slice(first, last)
-        inverse_mass = chain.inverse_mass[bodies]
-        given = chain.ground_parameters
-        pull_to_rest(chain.ground, pull[bodies], y[bodies], inverse_mass, given, first, t)
+    _pull_bodies(chain.ground, chain, y, t, first, last, pull, 1.0)
 
 
 @inlined
-def _sweep_rows(chain, a, b, rows):
-    """Kick and drift the grains a ... b-1 once for each row."""
+def _pull_bodies(ground, chain, y, t, first, last, pull, length):
+    """Add accelerations, times a `length`, of bodies first ... last-1 of y to `pull` (W,).
+
+    Without a ground, it is None, and nothing is compiled.
+    """
+    if ground is not None:
+        bodies = slice(first, last)
+        inverse_mass = chain.inverse_mass[bodies]
+        given = chain.ground_parameters
+        pull_to_rest(ground, pull[bodies], y[bodies], inverse_mass, given, first, t, length)
+
+
+@inlined
+def _sweep_contacts(chain, a, b, rows):
+    """Kick the grains a ... b-1 by their contacts, and drift them, once for each row."""
     pushed = forced(chain)
     # No body of the window is above these grains.
     top = a == chain.state.first
@@ -181,6 +191,23 @@ def _sweep_rows(chain, a, b, rows):
         body - (a - 1),
         pushed > 0,
     )
+
+
+@inlined
+def _sweep_by(ground, chain, a, b, rows):
+    """Kick and drift grains; a ground, if it is not None, kicks before the contacts of a row."""
+    if ground is None:
+        _sweep_contacts(chain, a, b, rows)
+    else:
+        for row in range(rows.kick.size):
+            _pull_bodies(ground, chain, chain.x, rows.time[row], a, b, chain.v, rows.kick[row])
+            _sweep_contacts(chain, a, b, slice_rows(rows, slice(row, row + 1)))
+
+
+@inlined
+def _sweep_rows(chain, a, b, rows):
+    """Kick and drift the grains a ... b-1 once for each row."""
+    _sweep_by(chain.ground, chain, a, b, rows)
 
 
 @compiled

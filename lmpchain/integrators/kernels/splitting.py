@@ -19,9 +19,10 @@ def _fill_step(chain, method, rows, row, origin, before, h):
     for stage in range(drifts.size):
         rows.kick[row + stage] = kicks[stage] * h
         rows.drift[row + stage] = drifts[stage] * h
+        along = reach[stage - 1] if stage > 0 else 0.0
+        rows.time[row + stage] = origin + (before + along) * h
         if chain.imposed.acts:
-            along = reach[stage - 1] if stage > 0 else 0.0
-            rows.path[row + stage] = imposed(chain, origin + (before + along) * h)
+            rows.path[row + stage] = imposed(chain, rows.time[row + stage])
     rows.kick[row] += chain.state.pending
     chain.state.pending = kicks[drifts.size] * h
 
@@ -46,6 +47,7 @@ def _land(chain, work, clock):
     rows = slice_rows(work, slice(0, 1))
     rows.kick[0] = chain.state.pending
     rows.drift[0] = 0.0
+    rows.time[0] = clock.end
     if chain.imposed.acts:
         rows.path[0] = imposed(chain, clock.end)
     sweep(chain, rows)

@@ -250,9 +250,26 @@ def test_what_lammps_cannot_do_is_refused_in_a_line(name: str):
         simulate(scene, Lammps("verlet", step=1e-7, **options))
 
 
-def test_a_deck_with_a_formula_is_not_read_back(tmp_path: Path):
+@pytest.mark.parametrize("name", some(("toda under gravity", "walls", "drag")))
+def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
+    scene, step = case(name)
+    write_deck(scene, tmp_path, step=step)
+    with pytest.raises(InputError, match="has a formula with its numbers filled in"):
+        read_deck(tmp_path)
+    read = read_deck(tmp_path, scene)
+    assert read.scene.chain == scene.chain
+    assert read.step == pytest.approx(step, rel=1e-9)
+    data = tmp_path / "column.data"
+    data.write_text(
+        data.read_text().replace("\n3 1 3 4\n", "\n3 1 3 5\n").replace("3 3 3 4", "3 2 3 4")
+    )
+    with pytest.raises(InputError, match="other bonds than the contacts"):
+        read_deck(tmp_path, scene)
+
+
+def test_a_deck_of_another_law_is_refused(tmp_path: Path):
     scene, step = case("toda")
     write_deck(scene, tmp_path, step=step)
-    for given in (None, scene):
-        with pytest.raises(InputError, match="contacts by formula, which cannot be read back"):
-            read_deck(tmp_path, given)
+    other = scene.replace(chain=scene.chain.replace(law=laws.toda(1.1e5, k=K)))
+    with pytest.raises(InputError, match="cannot be foreseen"):
+        read_deck(tmp_path, other)

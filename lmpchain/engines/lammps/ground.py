@@ -1,0 +1,61 @@
+"""The force from the ground in LAMMPS: of a spring, or by a formula of the displacement.
+
+One spring for all grains is `fix spring/self`, which pulls a grain back to where it is when the fix
+is made, and takes 7 % of the time of a step. Any other ground is an atom-style variable for
+`fix addforce`, which takes 40 % of it and more; both give the same bits for the same spring. LAMMPS
+evaluates these forces at the end of a step, or of a drift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...chain.formula import Formula, name
+from ...chain.law import Law
+from ...util.arrays import Array
+from ...util.lazy import cached_property
+
+
+@dataclass(frozen=True)
+class LammpsGround:
+    """A ground in the terms of LAMMPS.
+
+    Parameters
+    ----------
+    law : Law
+    rests : bool
+        Whether all grains are at rest, or struck there, at t = 0.
+    """
+
+    law: Law
+    rests: bool
+
+    @property
+    def own(self) -> dict[str, Array]:
+        """The parameters that differ from grain to grain, (N,) each, by their names in LAMMPS."""
+        own = (key for key, value in self.law.given.items() if isinstance(value, tuple))
+        return {f"d_own{n}": np.array(self.law.given[key]) for n, key in enumerate(own, 1)}
+
+    @cached_property
+    def spring(self) -> float:
+        """Stiffness of `fix spring/self`, N/m; 0 if that is another force."""
+        stiffness = self.law.formula.derivative("u").substitute(self._values).number
+        return stiffness if self.rests and stiffness and stiffness > 0 else 0.0
+
+    @property
+    def pull(self) -> str:
+        """The upward force on a grain, N, in variables of LAMMPS."""
+        # Displacements are positive downward, so that a force that pulls back is one upward.
+        values = self._values | {"u": name("v_phi"), "t": name("v_now")}
+        return self.law.formula.substitute(values).lammps
+
+    @cached_property
+    def _values(self) -> dict[str, Formula | float]:
+        """The parameters: a number, or the name of a property of each grain."""
+        names = iter(self.own)
+        return {
+            key: name(next(names)) if isinstance(value, tuple) else value
+            for key, value in self.law.given.items()
+        }
