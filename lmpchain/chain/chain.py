@@ -316,6 +316,9 @@ class Chain(ChainPicture, Checked):
 
     def refuse_moving_ground(self, what: str) -> None:
         """Raise `InputError` if the stiffness of the ground depends on the time."""
+        if self.ground is not None and (self.ground.kinks(0.0) == 0).any():
+            cure = "use a native run"
+            raise InputError.at("chain.ground", f"{what} knows no kink at rest: {cure}")
         if self.ground is not None and "t" in self.ground.formula.names:
             cure = "leave t out of its formula"
             raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
