@@ -320,7 +320,10 @@ class Chain(ChainPicture, Checked):
         return self.ground is not None and "t" in self.ground.formula.names
 
     def refuse_moving_ground(self, what: str) -> None:
-        """Raise `InputError` if the force from the ground depends on the time."""
+        """Raise `InputError` if the force from the ground depends on the time, or bends at rest."""
+        if self.ground is not None and (self.ground.kinks(0.0) == 0).any():
+            cure = "use a native run"
+            raise InputError.at("chain.ground", f"{what} knows no kink at rest: {cure}")
         if self.ground_in_time:
             cure = "leave t out of its formula"
             raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")

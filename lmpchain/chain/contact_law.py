@@ -62,8 +62,6 @@ class ContactLaw(ABC):
     onset : float
         The power of the overlap with which the force sets in as a contact closes.
     parameters : tuple of numbers, or of (..., N+1) arrays, optional
-    kinks : tuple of float, optional
-        Overlaps at which a formula is not smooth, m.
     name : str, optional
         For messages.
     """
@@ -73,7 +71,6 @@ class ContactLaw(ABC):
     curvature_formula: Formula
     onset: float
     parameters: tuple[Any, ...] = ()
-    kinks: tuple[float, ...] = (0.0,)
     name: str = "a law given by formulas"
 
     @property
@@ -104,6 +101,10 @@ class ContactLaw(ABC):
     def given_constant(self) -> Array | None:
         """The constants of contacts that the law itself gives, N/m^delta; else None."""
         return None
+
+    def kinks(self, constant: Any) -> Array:
+        """Return the overlaps at which the force is not smooth, m, (K, ...) of (...) constants."""
+        return np.zeros((1, *np.shape(constant)))
 
     def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
         """Return further values at rest that the compiled force reads."""

@@ -13,10 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import InputError
 from ..util.arrays import Array
 from .formula import ZERO, Formula
-from .law import Law
+from .law import SMOOTH, Law, bend_powers
 
+# Times, s, at which the powers of kinks are determined.
+KINK_TIMES = (0.0, 1 / 3, 1.0)
 # Displacements over the largest one, and times over the duration, at which the largest stiffness is
 # looked for.
 PLACES = np.linspace(-1.0, 1.0, 17)
@@ -37,11 +40,17 @@ def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
     for key, value in law.given.items():
         if isinstance(value, tuple) and len(value) != grains:
             yield f"ground.{key}", f"must be one number, or {grains}, one a grain, not {len(value)}"
-    bends = [c for variable in ("u", "t") for c in law.formula.conditions(variable)]
+    bends = law.formula.conditions("t")
     if bends:
         fault = f"bends where {bends[0].text} = 0"
-        yield "ground.force", f"{fault}: use a smooth formula, without max, min, abs and step"
-    elif not _rests(law):
+        yield "ground.force", f"{fault}: use max, min, abs and step of the displacement u alone"
+        return
+    try:
+        law.formula.kinks("u")
+    except InputError as error:
+        yield from ((f"ground.{key}", message) for key, message in error.faults)
+        return
+    if not _rests(law):
         fault = "is not 0 at u = 0 at all times, so that grains would not rest"
         yield "ground.force", f"{fault}: write the force from the equilibrium on"
     else:
@@ -59,6 +68,19 @@ def _rests(law: Law) -> bool:
     return all(
         law.formula.substitute({**law._numbers(n), "u": 0.0}) is ZERO for n in range(max(kinds))
     )
+
+
+def onset(law: Law) -> float:
+    """Return the lowest power of the distance to a kink with which the force bends there."""
+    sizes = [len(value) for value in law.given.values() if isinstance(value, tuple)]
+    kinks = law.formula.kinks("u")
+    powers = [SMOOTH]
+    # The size of a jump may be 0 at one time.
+    for time in KINK_TIMES:
+        for values in map(law._numbers, {0, max(sizes, default=1) - 1}):
+            formula = law.formula.substitute({**values, "t": time})
+            powers += bend_powers(formula, kinks, values, "u")
+    return min(powers)
 
 
 def is_spring(law: Law) -> bool:

@@ -181,15 +181,12 @@ class Law(ContactLaw):
         force, stiffness, curvature = (
             part.function(variables, NUMPY, arguments) for part in _derived(formula)
         )
-        kinks = [place.substitute(self._numbers(0)) for place in formula.kinks("o")]
-        values = sorted({k for place in kinks if (k := place.number) is not None})
         super().__init__(
             force,
             stiffness,
             curvature,
             onset=SMOOTH,
             parameters=tuple(_array(given[key]) for key in self.names),
-            kinks=tuple(values),
             name=self.text,
         )
         object.__setattr__(self, "onset", self._onset())
@@ -198,6 +195,23 @@ class Law(ContactLaw):
     def kernel(self) -> LawKernel:
         """What the native engine compiles, the same for all values of the parameters."""
         return _kernel(self.formula, tuple(self.names))
+
+    def kinks(self, constant: Any) -> Array:
+        """Return where the force is not smooth, in overlap or displacement, (K, ...) m.
+
+        Every contact has its own kinks. `LARGEST` stands for a kink that no motion reaches.
+        """
+        constant = np.asarray(constant, dtype=float)
+        parameters = [np.asarray(value, dtype=float) for value in self.parameters]
+        shape = np.broadcast_shapes(constant.shape, *(value.shape for value in parameters))
+        rows = np.zeros((0, *shape))
+        with np.errstate(all="ignore"):
+            for place in _kink_functions(self.formula, tuple(self.names), self.of_ground):
+                row = np.broadcast_to(place(constant, parameters), shape)
+                row = np.where(np.abs(row) < LARGEST, row, LARGEST) + 0.0
+                if not any(np.array_equal(row, other) for other in rows):
+                    rows = np.concatenate((rows, row[None]))
+        return rows if shape else np.sort(rows)
 
     def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
         """Return the values at rest that the compiled change of the force reads."""
@@ -229,17 +243,17 @@ class Law(ContactLaw):
         """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
         total = np.zeros(r.shape)
-        for s, weights in self._nodes(rest, r):
+        for s, weights in self._nodes(rest, r, constant):
             total = total + (weights * self._change(rest, s, constant)).sum(axis=0)
         return np.sign(r) * total
 
-    def _nodes(self, rest: Array, r: Array) -> Iterator[tuple[Array, Array]]:
+    def _nodes(self, rest: Array, r: Array, constant: Array) -> Iterator[tuple[Array, Array]]:
         """Yield places s between 0 and r, and their weights, (n, ...), of an integral over them.
 
         Pieces end at kinks, and grow with the distance to them.
         """
         ends: list[Any] = [0 * r, r]
-        for kink in self.kinks:
+        for kink in self.kinks(constant):
             far = np.abs(rest - kink)
             ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
@@ -281,8 +295,14 @@ class Law(ContactLaw):
 
     def _onset(self) -> float:
         """Return the lowest power of the distance to a kink with which the force bends there."""
-        whole = self.formula.substitute(self._numbers(0))
-        return min((_bend_at(whole, kink) for kink in self.kinks), default=SMOOTH)
+        # A parameter of its own in each contact may change the power: extreme contacts show it.
+        arrays = [value for value in self.given.values() if isinstance(value, tuple)]
+        contacts = {0} | {f(value) for value in arrays for f in (np.argmin, np.argmax)}
+        powers = [SMOOTH] if not self.formula.kinks("o") else []
+        for values in map(self._numbers, sorted(map(int, contacts))):
+            whole = self.formula.substitute(values)
+            powers += bend_powers(whole, self.formula.kinks("o"), values, "o")
+        return min(powers, default=SMOOTH)
 
     def with_parameters(self, parameters: Iterable[Any]) -> Law:
         """Return the law with other numbers or arrays for `parameters`."""
@@ -398,7 +418,9 @@ class Law(ContactLaw):
 
     def _sampled(self, constant: float) -> tuple[Array, Array]:
         """Return overlaps of every size and the kinks, ascending, m, and the forces there, N."""
-        places = np.unique(np.concatenate((-SIZES, [0.0], SIZES, self.kinks)))
+        kinks = self.kinks(constant)
+        kinks = kinks[np.abs(kinks) < LARGEST]
+        places = np.unique(np.concatenate((-SIZES, [0.0], SIZES, kinks)))
         # Forces beyond all numbers are as large as can be.
         values = np.clip(self.force(places, constant), -LARGEST, LARGEST)
         sound = ~np.isnan(values)
@@ -421,7 +443,7 @@ class Law(ContactLaw):
                 bonds = False
                 continue
             stiffness = alone.stiffness(rest, constant)[0]
-            bonds &= 0 < stiffness < np.inf and rest[0] not in alone.kinks
+            bonds &= 0 < stiffness < np.inf and rest[0] not in alone.kinks(constant)
         return pulls, grows, pulls and bonds
 
     @property
@@ -468,7 +490,7 @@ class Law(ContactLaw):
     @property
     def form(self) -> Any:
         """A key that is equal for laws that differ in the values of parameters only."""
-        return self.formula, tuple(self.names), self.kinks, self.onset
+        return self.formula, tuple(self.names), self.onset
 
     def joined(self, laws: Sequence[ContactLaw]) -> Law:
         """Return the law of many chains, with a row of every parameter for each chain."""
@@ -500,7 +522,7 @@ class Law(ContactLaw):
     def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
         """Return whether a contact is stiff at rest, and no kink is there, (..., N+1)."""
         stiff = contacts.exists & (contacts.stiffness > 0) & np.isfinite(contacts.stiffness)
-        for kink in self.kinks:
+        for kink in self.kinks(contacts.constant):
             stiff &= contacts.overlap != kink
         return stiff
 
@@ -510,10 +532,11 @@ class Law(ContactLaw):
         It is the distance to the nearest kink or, if that is far, the change by which the slope or
         the bend of the stiffness would change all of it.
         """
-        length = np.full(contacts.overlap.shape, LONGEST)
-        for kink in self.kinks:
-            length = np.minimum(length, np.abs(contacts.overlap - kink))
         constant = np.where(contacts.exists, contacts.constant, 1.0)
+        length = np.full(contacts.overlap.shape, LONGEST)
+        kinks = self.kinks(constant)
+        for kink in kinks:
+            length = np.minimum(length, np.abs(contacts.overlap - kink))
         with np.errstate(all="ignore"):
             k = self.stiffness(contacts.overlap, constant)
             bend = np.abs(self.curvature(contacts.overlap, constant)) / k
@@ -521,7 +544,7 @@ class Law(ContactLaw):
             ends = [self.curvature(contacts.overlap + side * step, constant) for side in (-1, 1)]
             twist = np.sqrt(np.abs(ends[1] - ends[0]) / (4 * step * k))
             # Before a kink, powers of the distance to it bend as well.
-            far = FAR if self.kinks else 1.0
+            far = FAR if len(kinks) else 1.0
             return np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
@@ -531,9 +554,8 @@ class Law(ContactLaw):
             self.stiffness(side * part * overlap, constant) for side in sides for part in PARTS
         ]
         values += [
-            np.where(np.abs(kink) < overlap, self.stiffness(np.float64(kink), constant), 0.0)
-            for kink in self.kinks
-            if kink != 0
+            np.where((np.abs(kink) < overlap) & (kink != 0), self.stiffness(kink, constant), 0.0)
+            for kink in self.kinks(constant)
         ]
         return np.nanmax(values, axis=0)
 
@@ -594,7 +616,7 @@ class Law(ContactLaw):
         )
         overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
         total = np.zeros(shape)
-        for places, weights in self._nodes(np.zeros(shape), overlap):
+        for places, weights in self._nodes(np.zeros(shape), overlap, constant):
             total += (weights * self.force(places, constant)).sum(axis=0)
         return (np.sign(overlap) * total)[()]
 
@@ -784,26 +806,45 @@ def _shown(value: float | tuple[float, ...]) -> str:
     return number(value).text
 
 
-def _bend_at(formula: Formula, kink: float) -> float:
+@cache
+def _kink_functions(formula: Formula, names: tuple[str, ...], of_ground: bool) -> list[Any]:
+    """Return functions of (k, p) that compute the kinks of a formula, m."""
+    arguments = {key: f"p[{n}]" for n, key in enumerate(names)}
+    kinks = formula.kinks("u" if of_ground else "o")
+    return [place.function("k, p", NUMPY, arguments) for place in kinks]
+
+
+def bend_powers(
+    formula: Formula, places: Sequence[Formula], values: Mapping[str, float], variable: str
+) -> list[float]:
+    """Return the powers of the distance with which a formula bends at its kinks, see `_bend_at`.
+
+    Its only name is the variable; `values` are those of the names in the `places` of the kinks.
+    """
+    kinks = {place.substitute(values).number for place in places}
+    return [_bend_at(formula, kink, variable) for kink in kinks if kink is not None]
+
+
+def _bend_at(formula: Formula, kink: float, variable: str) -> float:
     """Return the lowest power of the distance to a kink that differs on its two sides.
 
     0 is a jump of the force, 1 one of the stiffness.
     """
     distance = NEAR_KINK * abs(kink) or 1e-40
-    below, above = (formula.between_kinks("o", kink + side) for side in (-distance, distance))
+    below, above = (formula.between_kinks(variable, kink + side) for side in (-distance, distance))
     for order in range(COMPARED):
-        difference = above.value_at("o", kink) - below.value_at("o", kink)
+        difference = above.value_at(variable, kink) - below.value_at(variable, kink)
         if not math.isfinite(difference):
             near, far = (
-                above.value_at("o", kink + d) - below.value_at("o", kink + d)
+                above.value_at(variable, kink + d) - below.value_at(variable, kink + d)
                 for d in (distance, 16 * distance)
             )
             grows = math.log(abs(far / near), 16) if near and far else 0.0
             return round(order + max(grows, -1.0), 6)
-        scale = abs(above.value_at("o", kink)) + abs(below.value_at("o", kink))
+        scale = abs(above.value_at(variable, kink)) + abs(below.value_at(variable, kink))
         if abs(difference) > 1e-9 * scale:
             return float(order)
-        below, above = below.derivative("o"), above.derivative("o")
+        below, above = below.derivative(variable), above.derivative(variable)
     return float(COMPARED)
 
 

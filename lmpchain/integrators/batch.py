@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Sequence
 from functools import cache, lru_cache
@@ -27,6 +28,10 @@ FORCES = ("auto", "exact", "plain")
 # Overlap, m, of contacts that only touch among pressed contacts. It is far below the rounding of
 # overlaps in a wave, and its powers do not underflow.
 TOUCHING = 1e-30
+# Distances to a kink, over the scale of the motion, at which its bend is measured.
+SIDES = (-1, -0.5, 0, 0.5, 1)
+# Distance to a kink, m, from which on no motion reaches the kink.
+MOST_DISTANT = 1e100
 # Chains of at most so many bodies are computed as a whole, which costs less than following the
 # wave; analysis/calibration/light_cone.py
 WINDOW_MIN = 14 * PAD
@@ -81,7 +86,10 @@ class ChainBatch:
         forms = [force_form(scene, force) for scene in scenes]
         self.plain = [form in PLAIN and chain.compressed for form in forms]
         self.opening_power = chain.law.onset
+        if chain.ground is not None:
+            self.opening_power = min(self.opening_power, ground.onset(chain.ground))
         formulas = chain.law if chain.law.power is None else None
+        kinks = self.contacts.law.kinks(self.contacts.constant)
         at_rest = _at_rest(self.contacts, chain.loose_grains, formulas is None)
         acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
@@ -91,14 +99,22 @@ class ChainBatch:
         alike = damped and not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
         rows = aligned_rows(8 if damped else 5, size, self.grains)
         of_damped = rows[5:] if damped else np.zeros((3, size, 0))
+        openings: Any
+        if formulas:
+            openings = np.zeros((3, size, max(len(kinks), 1), rows.shape[2]))
+        else:
+            openings = rows[0][:, None], rows[3][:, None], rows[4][:, None]
         uncompressed, least_strain, omega, allowed = np.zeros((4, size))
         scale, units = np.empty((2, size, 2))
         self.arrays = BatchArrays(
             inverse_length=rows[0],
             strength=rows[1],
             inverse_mass=rows[2],
-            opening_weight=rows[3],
-            opening_reach=rows[4],
+            opening_length=openings[0],
+            opening_weight=openings[1],
+            opening_reach=openings[2],
+            opening_rest=1.0 if formulas else float(chain.compressed),
+            ground_kinks=_ground_kink_rows(chains, rows.shape[2]),
             uncompressed=uncompressed,
             least_strain=least_strain,
             form=np.array(forms),
@@ -136,37 +152,77 @@ class ChainBatch:
             self.opening_power,
         )
         if formulas:
-            self._weigh_kinks()
+            self._weigh_kinks(kinks)
+        if chain.ground is not None:
+            self._weigh_ground_kinks()
 
-    def _weigh_kinks(self) -> None:
-        """Let steps shorten near the nearest kink of each contact, by how much the force bends."""
+    def _weigh_kinks(self, kinks: Array) -> None:
+        """Let steps shorten near the kinks (K, R, N+1) of contacts, by how much the force bends."""
         arrays = self.arrays
         contacts = slice(PAD - 1, PAD + self.grains)
-        kinks = self.contacts.law.kinks
         inverse_length = arrays.inverse_length[:, contacts]
-        # Other kinks are crossed unseen: contacts count as open from the beginning.
+        # The smallest strain is that of one kink: contacts with more count as open.
         if len(kinks) > 1:
             arrays.least_strain[:] = -1.0
-        if not kinks:
+        arrays.opening_weight[:] = arrays.opening_reach[:] = 0.0
+        if not len(kinks):
             inverse_length[:] = 0.0
-            arrays.opening_weight[:] = arrays.opening_reach[:] = 0.0
             return
         overlap = self.contacts.overlap
-        kink = nearest_kinks(self.contacts)
         typical = arrays.scale[:, :1] + 1e-300
-        strain = typical * np.where(self.contacts.exists, inverse_length, 1.0)
-        far, near, at, after, beyond = (
-            self.contacts.force_at(kink + side * typical) for side in (-1, -0.5, 0, 0.5, 1)
+        mobility = np.maximum(
+            *(arrays.inverse_mass[:, PAD - 1 + i :][:, : self.grains + 1] for i in (0, 1))
         )
-        # Two sides of opposite sign, as of o |o|, have no second difference.
-        odd = beyond - far - 2 * (after - near)
-        bent = np.maximum(np.abs(far - 2 * at + beyond), 2 * np.abs(odd))
-        strength = arrays.strength[:, contacts] * strain**self.opening_power
-        ratio = np.divide(bent, strength, out=np.zeros_like(bent), where=strength > 0)
-        arrays.opening_weight[:, contacts] *= ratio**2
-        arrays.opening_reach[:, contacts] *= ratio ** (2 / 3)
+        for row, kink in enumerate(kinks):
+            bent = _bend([self.contacts.force_at(kink + side * typical) for side in SIDES])
+            length, weight = self._length_and_weight(overlap - kink, bent, mobility)
+            arrays.opening_length[:, row, contacts] = length
+            arrays.opening_weight[:, row, contacts] = weight
+        slow = math.sqrt(2.0) * (2.0 * arrays.omega[:, None, None]) ** 3
+        arrays.opening_reach[:] = np.cbrt(arrays.opening_weight) / slow
         # A kink at a larger overlap than that at rest is reached by closing.
-        inverse_length[overlap < kink] *= -1.0
+        inverse_length[overlap < nearest_kinks(self.contacts)] *= -1.0
+
+    def _weigh_ground_kinks(self) -> None:
+        """Let steps shorten near the kinks of the force from the ground on every grain."""
+        arrays = self.arrays
+        grains = slice(PAD, PAD + self.grains)
+        kinks = arrays.ground_kinks[:, 0, :, grains].copy()
+        if not kinks.shape[1]:
+            return
+        arrays.least_strain[:] = -1.0
+        moments = ground.MOMENTS[::8] * self.scenes[0].duration
+        typical = arrays.scale[:, :1] + 1e-300
+        for real, scene in enumerate(self.scenes):
+            law = scene.chain.ground
+            assert law is not None
+            for row, kink in enumerate(kinks[real]):
+                places = [kink + side * typical[real] for side in SIDES]
+                bends = [_bend([law.force(place, t) for place in places]) for t in moments]
+                bent = np.max(bends, axis=0)
+                mobility = arrays.inverse_mass[real, grains]
+                length, weight = self._length_and_weight(
+                    -kink, bent, mobility, slice(real, real + 1)
+                )
+                arrays.ground_kinks[real, 0, row, grains] = length
+                arrays.ground_kinks[real, 1, row, grains] = weight
+
+    def _length_and_weight(
+        self, distance: Array, bent: Array, mobility: Array, reals: slice = slice(None)
+    ) -> tuple[Array, Array]:
+        """Return `opening_length` and `opening_weight` of kinks at a distance from rest, m.
+
+        Forces bend there by `bent`, N, over the scale of the motion, and move a body of 1/mobility.
+        """
+        scale = self.arrays.scale[reals]
+        # A distance of 0 has no inverse, and shorter ones have no effect.
+        length = 1.0 / np.copysign(np.maximum(np.abs(distance), TOUCHING), distance)
+        strain = (scale[:, :1] + 1e-300) * np.abs(length)
+        changes = self.arrays.omega[reals, None] ** 2.5 * scale[:, 1:] + 1e-300
+        with np.errstate(all="ignore"):
+            effect = np.minimum(bent * strain**-1.5 * mobility / changes, 1e150) ** 2
+        seen = (bent > 0) & (np.abs(distance) < MOST_DISTANT)
+        return np.where(seen, length, 0.0), np.where(seen, effect, 0.0)
 
     def _of_each(self, rows: NDArray[Any]) -> NDArray[Any]:
         """Broadcast one row, or R rows, to R rows."""
@@ -253,7 +309,7 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
     if not powers:
         # The length is the distance to a kink, and the force, which is not read, that of a spring.
         distance = np.abs(overlap - nearest_kinks(contacts))
-        overlap = distance if contacts.law.kinks else contacts.length
+        overlap = distance if len(contacts.law.kinks(constant)) else contacts.length
         force = np.where(contacts.pressed, stiffness * overlap, 0.0)
     touch = contacts.exists & ~contacts.pressed & contacts.pressed.any(-1, keepdims=True)
     touch[:, 0] &= not powers
@@ -278,9 +334,19 @@ def _touches_base(contacts: Contacts) -> bool:
 
 def nearest_kinks(contacts: Contacts) -> Array:
     """Return the kink nearest to the overlap at rest of every contact, (..., N+1) m; 0 if none."""
-    kinks = np.array(contacts.law.kinks or (0.0,))
-    distances = np.abs(contacts.overlap[..., None] - kinks)
-    return kinks[distances.argmin(-1)]  # type: ignore[no-any-return]
+    kinks = contacts.law.kinks(contacts.constant)
+    if not len(kinks):
+        return np.zeros_like(contacts.overlap)
+    nearest = np.abs(contacts.overlap - kinks).argmin(0)
+    return np.take_along_axis(kinks, nearest[None], 0)[0]
+
+
+def _bend(forces: Sequence[Array]) -> Array:
+    """Return by how much forces at `SIDES` of a kink bend there, N."""
+    far, near, at, after, beyond = forces
+    # Two sides of opposite sign, as of o |o|, have no second difference.
+    odd = beyond - far - 2 * (after - near)
+    return np.maximum(np.abs(far - 2 * at + beyond), 2 * np.abs(odd))  # type: ignore[no-any-return]
 
 
 def parameter_rows(contacts: Contacts) -> Array:
@@ -312,6 +378,18 @@ def _ground_rows(chains: Sequence[Chain], width: int) -> Array:
     # Places without a grain get parameters, too, because a formula may divide by them.
     behind = width - PAD - rows.shape[2]
     return np.pad(rows, ((0, 0), (0, 0), (PAD, behind)), mode="edge")
+
+
+def _ground_kink_rows(chains: Sequence[Chain], width: int) -> Array:
+    """Return `BatchArrays.ground_kinks` of R chains, with the places of kinks in the first row."""
+    if chains[0].ground is None:
+        return np.zeros((len(chains), 2, 0, width))
+    kinks = [c.ground.kinks(np.zeros(c.grains)) for c in chains if c.ground]
+    rows = np.zeros((len(chains), 2, max(map(len, kinks)), width))
+    for row, places in zip(rows, kinks, strict=True):
+        row[0, :, PAD : PAD + chains[0].grains] = MOST_DISTANT
+        row[0, : len(places), PAD : PAD + chains[0].grains] = places
+    return rows
 
 
 @cache

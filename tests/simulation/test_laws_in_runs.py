@@ -118,7 +118,7 @@ def test_a_batch_has_parameters_of_its_own_for_every_scene(name: str) -> None:
 def test_scenes_that_differ_in_parameters_are_one_batch() -> None:
     for name in ("parameters", "constants", "one for each contact", "pulls", "damped"):
         assert len({kind(scene) for scene in BATCHES[name]}) == 1
-    assert len({kind(scene) for scene in BATCHES["kinks of their own"]}) == 3
+    assert len({kind(scene) for scene in BATCHES["kinks of their own"]}) == 2
 
 
 @pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])

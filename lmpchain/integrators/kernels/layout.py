@@ -109,9 +109,15 @@ class BatchArrays(NamedTuple):
         1 / length and strength of the contact below each body, see `contact_forces`.
     inverse_mass : (R, W) array
         1/kg, of each body; 0 of what is held.
-    opening_weight, opening_reach : (R, W) arrays
-        Of the contact below each body: the square of the acceleration that it gives as it opens,
-        over what changes the motion, and how near to that time no step is shorter.
+    opening_length, opening_weight, opening_reach : (R, K, W) arrays
+        K kinks of the contact below each body: 1 / distance of the overlap at rest from the kink,
+        negative if closing leads to the kink; the square of the acceleration that the contact
+        gives as it passes the kink, over what changes the motion; and how near to that time no
+        step is shorter. A contact of powers has one kink, its opening.
+    opening_rest : float
+        Distance from kinks at rest in this length: 0 if contacts only touch, else 1.
+    ground_kinks : (R, 2, J, W) array
+        J kinks of the force from the ground on each body: the same length and weight.
     uncompressed : (R,) array
         N/m^delta: the constant of a first contact that touches without pressing in a compressed
         chain, else 0.
@@ -163,8 +169,11 @@ class BatchArrays(NamedTuple):
     inverse_length: Array
     strength: Array
     inverse_mass: Array
+    opening_length: Array
     opening_weight: Array
     opening_reach: Array
+    opening_rest: float
+    ground_kinks: Array
     uncompressed: Array
     least_strain: Array
     form: NDArray[np.int64]
@@ -258,8 +267,11 @@ class BatchMember(NamedTuple):
     links: Links
     ground: int | None
     ground_parameters: Array
+    opening_length: Array
     opening_weight: Array
     opening_reach: Array
+    opening_rest: float
+    ground_kinks: Array
     imposed: Imposed
     scale: Array
     omega: float

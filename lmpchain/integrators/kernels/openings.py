@@ -13,7 +13,6 @@ from typing import NamedTuple
 from ...util.arrays import Array
 from .compiling import bits, inlined, number
 from .layout import PAD
-from .right_hand_side import slice_links
 from .team import largest, share
 
 # Number of contacts that are examined together, so that they fit into a few vector registers.
@@ -21,12 +20,16 @@ GROUP = 16
 
 
 class Near(NamedTuple):
-    """Contacts of a chain; the contact nearest to opening or closing shortens the step.
+    """One kink of each contact; the contact nearest to opening or closing shortens the step.
 
     Attributes
     ----------
-    weight, reach : (W,) arrays
+    inverse_length, weight, reach : (W,) arrays
         See `layout.BatchArrays`.
+    rest : float
+        See `opening_rest` of `layout.BatchArrays`.
+    touching : bool
+        Whether the first contact only touches in a chain that is pressed.
     close : float
         See `_may_shorten`.
     omega : float
@@ -35,8 +38,11 @@ class Near(NamedTuple):
         Upper bound on the nearness: the inverse time to an opening, over 2 omega.
     """
 
+    inverse_length: Array
     weight: Array
     reach: Array
+    rest: float
+    touching: bool
     close: float
     omega: float
     nearest: float
@@ -76,7 +82,7 @@ def _score(gap, rate, bend, weight, omega, nearest):
 
 
 @inlined
-def _may_shorten(y, rates, bends, links, reach, close):
+def _may_shorten(y, rates, bends, inverse_length, rest, reach, close):
     """Return whether any of these contacts may be near enough to opening to shorten the step.
 
     A contact shortens the step if its score is at least shortened^14. In `_score`, fast^2 is at
@@ -87,8 +93,8 @@ def _may_shorten(y, rates, bends, links, reach, close):
     # Numbers are compared as bit patterns, see `window.watch`.
     largest = -1
     for n in range(reach.size):
-        il = links.inverse_length[n]
-        gap = abs(links.precompressed + (y[n] - y[n + 1]) * il)
+        il = inverse_length[n]
+        gap = abs(rest + (y[n] - y[n + 1]) * il)
         rate = (rates[n] - rates[n + 1]) * il
         bend = abs((bends[n] - bends[n + 1]) * il)
         q = 4.0 * (rate * rate + gap * bend)
@@ -97,7 +103,7 @@ def _may_shorten(y, rates, bends, links, reach, close):
 
 
 @inlined
-def _find_nearness(y, rates, bends, links, near):
+def _find_nearness(y, rates, bends, near):
     """Return the largest score of all contacts between the bodies y; 0 if none is near."""
     # Numbers are compared as bit patterns, see `window.watch`.
     largest = 0
@@ -109,26 +115,36 @@ def _find_nearness(y, rates, bends, links, near):
         yt = y[ends]
         rt = rates[ends]
         bt = bends[ends]
-        il = links.inverse_length[contacts]
+        il = near.inverse_length[contacts]
         wt = near.weight[contacts]
-        if not _may_shorten(
-            yt, rt, bt, slice_links(links, contacts, 0.0), near.reach[contacts], near.close
-        ):
+        if not _may_shorten(yt, rt, bt, il, near.rest, near.reach[contacts], near.close):
             continue
         for n in range(il.size):
-            gap = links.precompressed + (yt[n] - yt[n + 1]) * il[n]
+            gap = near.rest + (yt[n] - yt[n + 1]) * il[n]
             rate = (rt[n] - rt[n + 1]) * il[n]
             bend = (bt[n] - bt[n + 1]) * il[n]
             largest = max(bits(_score(gap, rate, bend, wt[n], near.omega, near.nearest)), largest)
     nearness = number(largest)
     # The overlap of a wall that only touches is the displacement itself.
-    if links.uncompressed > 0.0:
+    if near.touching:
         gap = y[0] - y[1]
         rate = rates[0] - rates[1]
         bend = bends[0] - bends[1]
         score = _score(gap, rate, bend, near.weight[0], near.omega, near.nearest)
         nearness = score if score > nearness else nearness
     return nearness
+
+
+@inlined
+def _find_ground_nearness(y, rates, bends, inverse_length, weight, omega, nearest):
+    """Return the largest score of one kink of the force from the ground on all bodies y."""
+    largest = 0.0
+    for n in range(y.size):
+        il = inverse_length[n]
+        gap = 1.0 + y[n] * il
+        score = _score(gap, rates[n] * il, bends[n] * il, weight[n], omega, nearest)
+        largest = score if score > largest else largest
+    return largest
 
 
 @inlined
@@ -144,16 +160,26 @@ def shorten(chain, y, w, pull, openings):
     first, last = share(chain)
     bodies = slice(first - 1, last + 1)
     near = slice(first - 1, last)
-    touches = chain.links.uncompressed if first == PAD else 0.0
-    links = slice_links(chain.links, near, touches)
-    contacts = Near(
-        weight=chain.opening_weight[near],
-        reach=chain.opening_reach[near],
-        close=openings.close,
-        omega=chain.omega,
-        nearest=openings.nearest[chain.schedule, chain.number],
-    )
-    nearness = _find_nearness(y[bodies], w[bodies], pull[bodies], links, contacts)
+    nearest = openings.nearest[chain.schedule, chain.number]
+    nearness = 0.0
+    for kink in range(chain.opening_weight.shape[0]):
+        contacts = Near(
+            inverse_length=chain.opening_length[kink, near],
+            weight=chain.opening_weight[kink, near],
+            reach=chain.opening_reach[kink, near],
+            rest=chain.opening_rest,
+            touching=first == PAD and chain.links.uncompressed > 0.0,
+            close=openings.close,
+            omega=chain.omega,
+            nearest=nearest,
+        )
+        nearness = max(nearness, _find_nearness(y[bodies], w[bodies], pull[bodies], contacts))
+    grains = slice(first, last)
+    for kink in range(chain.ground_kinks.shape[1]):
+        inverse_length = chain.ground_kinks[0, kink, grains]
+        weight = chain.ground_kinks[1, kink, grains]
+        held = y[grains], w[grains], pull[grains], inverse_length, weight, chain.omega, nearest
+        nearness = max(nearness, _find_ground_nearness(*held))
     nearness = largest(chain.team, nearness)
     # The step of constant local error is proportional to score^(-1/14).
     return min(1.0, openings.shortened * nearness ** (-1 / 14)) if nearness > 0.0 else 1.0

@@ -44,8 +44,11 @@ def chain_of(chains, real, schedule):
         links=links_of(batch, real),
         ground=batch.ground,
         ground_parameters=batch.ground_parameters[real],
+        opening_length=batch.opening_length[real],
         opening_weight=batch.opening_weight[real],
         opening_reach=batch.opening_reach[real],
+        opening_rest=batch.opening_rest,
+        ground_kinks=batch.ground_kinks[real],
         imposed=Imposed(
             acts=batch.acts,
             reach=batch.reach[real],

@@ -147,8 +147,8 @@ def _fill_weights(batch, real, opening_power):
         strain = typical * (inverse_length if inverse_length > 0.0 else 1.0)
         pull = (batch.strength[real, n] + touching) * strain**power
         weight = min(pull * mobility / changes, 1e150) ** 2
-        batch.opening_weight[real, n] = weight
-        batch.opening_reach[real, n] = np.cbrt(weight) / slow
+        batch.opening_weight[real, 0, n] = weight
+        batch.opening_reach[real, 0, n] = np.cbrt(weight) / slow
 
 
 def place_bodies(
