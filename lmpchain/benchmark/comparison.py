@@ -34,7 +34,7 @@ __dir__ = listed(__name__)
 
 
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
-    """Return the relative errors of displacement and velocity.
+    """Return the relative errors of displacement and velocity, each relative to its largest value.
 
     Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|``
     of any grain of the chain at any time of the run. It is NaN where the trajectory is.
@@ -59,7 +59,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
 
 
 def error(trajectory: Trajectory, reference: Reference) -> float:
-    """Return the relative error of a trajectory, the larger of the two of `errors`.
+    """Return the relative error of a trajectory: the larger of the errors that `errors` returns.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
     )
 
 
-WIDEST = 60  # grains of the wave that are shown
+WIDEST = 60  # Largest number of grains shown.
 # Offsets of names from their markers in points; neighbours alternate above and below.
 NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
 
@@ -305,7 +305,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
             answer.velocity[-1, visible] / unit,
             linestyle="none",
             marker=class_of(answer.engine).style[1],
-            # Markers become smaller so that none hides another one.
+            # Markers become smaller so that no marker hides another.
             markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,

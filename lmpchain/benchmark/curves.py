@@ -32,7 +32,7 @@ def machine() -> str:
 
 @dataclass(frozen=True)
 class CurvePoint(ComparisonRow):
-    """Error and cost of one engine at one step or tolerance, the least time of several runs.
+    """Error and cost of one engine at one step or tolerance; the time is the least of several runs.
 
     Attributes
     ----------
@@ -112,7 +112,7 @@ WITHOUT = "{}, without the estimate"
 
 @dataclass(frozen=True)
 class EngineCurve:
-    """The points of one engine and integrator, from the cheapest on.
+    """The points of one engine and integrator, cheapest first.
 
     Attributes
     ----------
@@ -127,12 +127,12 @@ class EngineCurve:
 
     @property
     def to_tolerance(self) -> bool:
-        """Whether the engine chose the steps itself, to a tolerance."""
+        """Whether the engine chose the steps itself to meet a tolerance."""
         return self.points[0].tolerance is not None
 
     @property
     def name(self) -> str:
-        """Engine, and integrator or "to a tolerance"."""
+        """Engine, and its integrator or "to a tolerance"."""
         choice = "to a tolerance" if self.to_tolerance else self.integrator
         return ", ".join(filter(None, (self.engine, choice)))
 
@@ -165,11 +165,11 @@ class WorkPrecision(Shown, Tabular):
 
     @property
     def points(self) -> list[CurvePoint]:
-        """All points, curve by curve."""
+        """All points of all curves."""
         return [point for curve in self.curves for point in curve.points]
 
     def cheapest(self, engine: str = "") -> list[Choice]:
-        """Return the cheapest measured point for each of some errors: 1e-3, 1e-6, 1e-9, 1e-12.
+        """Return the cheapest measured point for each of the errors 1e-3, 1e-6, 1e-9 and 1e-12.
 
         Parameters
         ----------
@@ -210,7 +210,7 @@ class WorkPrecision(Shown, Tabular):
         return align(self.ways())
 
     def ways(self) -> list[Sequence[str]]:
-        """Return the rows of the table of `best`."""
+        """Return the rows of the table that `best` aligns."""
         rows: list[Sequence[str]] = [("to reach", "engine", "step", "error", "time", "")]
         for pair in zip(self.cheapest(), self.cheapest("lammps"), strict=True):
             for choice, name in zip(pair, ("none", "lammps"), strict=True):
@@ -255,7 +255,7 @@ class WorkPrecision(Shown, Tabular):
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
     ) -> Axes:
-        """Draw error against time, five curves in colour, others in grey, and return the axes.
+        """Draw error against time, five curves in colour and the others in grey; return the axes.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""True error of a run, separated into step and rounding error, and steps that reduce it."""
+"""True error of a user's run, split into step and rounding error, and steps that reduce it."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from .truth import as_trajectory, truth
 
 __dir__ = listed(__name__)
 
-UNKNOWN_METHOD = "unknown"  # integrator of a dump
-ARRIVAL = 0.1  # of a travel time, by which it may be uncertain at most
+UNKNOWN_METHOD = "unknown"  # Integrator of a dump, which does not name it.
+ARRIVAL = 0.1  # Largest uncertainty of an arrival, as a fraction of the travel time.
 
 
 @dataclass(frozen=True)
 class DigitLimits:
-    """When digits explain how far a run is from the same steps in displacements.
+    """Limits within which rounding explains how far a run is from a native run with the same steps.
 
     Attributes
     ----------
     printed : float
-        Times the last digit that was written.
+        Multiple of the last printed digit.
     heights : float
-        Times the bound on the round-off of heights: reflections amplify it up to tenfold.
+        Multiple of the bound on the rounding of heights: reflections amplify it up to tenfold.
     amplified : float
-        Error of a reference from which on the scene amplifies rounding.
+        Error of a reference above which the scene counts as one that amplifies rounding.
     """
 
     printed: float = 2.0
@@ -59,7 +59,7 @@ DIGITS = DigitLimits()
 
 
 class ArrivalError(NamedTuple):
-    """Error of the arrival of the front: relative to its travel time, s, and at which grain."""
+    """Error of the arrival of the front relative to its travel time, the time, s, and the grain."""
 
     relative: float
     seconds: float
@@ -84,7 +84,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunCheck(Shown):
-    """The true error of a run, its causes, and the steps that reach smaller errors.
+    """The true error of a run, its causes, and steps that reach smaller errors.
 
     Errors are relative to the largest motion of any grain at any time of the run.
 
@@ -206,7 +206,7 @@ def check(
     units: str | Sequence[float] | None = None,
     progress: bool = False,
 ) -> RunCheck:
-    """Measure the true error of a run and how much of it comes from time step and rounding.
+    """Measure the true error of a run and its parts from the time step and from rounding.
 
     The error is that against a Taylor series in extended precision. A native run with the
     integrator and the step of the run, in displacements, has its error of the step and not its
@@ -318,7 +318,7 @@ def _read(
 
 
 def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[Cause, ...]]:
-    """Return integrator, step, s, and causes of the error of an answer."""
+    """Return the integrator, the step, s, and the causes of the error of a trajectory."""
     scene = answer.scene
     cost = answer.cost
     wrong = error(answer, solution)
@@ -354,7 +354,7 @@ def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     runs = deck_steps(composed)
     # A deck of lmpchain with a composed method takes several LAMMPS steps per time step.
     if answer.scene.chain.damped:
-        # With fix nve, which most users take.
+        # The default of most users is fix nve.
         pairs.append((LAGGED.name, answer.cost.step_s))
     elif answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
         pairs.append((composed.name, runs * answer.cost.step_s))
@@ -429,7 +429,7 @@ def _record(
     step: float,
     causes: tuple[Cause, ...],
 ) -> RunCheck:
-    """Return the record of a run, or of one that breaks down."""
+    """Return the record of a run, also of a run that broke down."""
     displacement = velocity = math.inf
     energy_error = math.nan
     arrival = None
@@ -464,19 +464,19 @@ def _energy_error(answer: Trajectory, true: Trajectory) -> float:
     try:
         total, exact = (energy.ledger(run).total for run in (answer, true))
     except InputError:
-        # The energy is unknown because grains that move were not recorded.
+        # The energy is unknown because some moving grains were not recorded.
         return math.nan
     largest = float(np.abs(exact).max())
     return float(np.abs(total - exact).max()) / largest if largest else math.nan
 
 
 def _arrival(answer: Trajectory, true: Trajectory) -> ArrivalError | None:
-    """Return the largest error of the travel time of the front, where samples resolve it."""
+    """Return the largest error of the front's travel time where samples resolve the front."""
     try:
         tracked, exact = (front.track(run) for run in (answer, true))
     except InputError:
         return None
-    # A grain is skipped if another maximum may be its front.
+    # A grain is skipped if a different maximum may be its front.
     clear = exact.time_error <= ARRIVAL * exact.time
     grains, here, there = np.intersect1d(tracked.grain, exact.grain[clear], return_indices=True)
     times = exact.time[clear][there]

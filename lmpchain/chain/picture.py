@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Longest chain whose arrays are computed only for display in a notebook.
 DETAILED_GRAINS = 1_000_000
-DRAWN_POINTS = 2000  # maximum number of points in a curve
+DRAWN_POINTS = 2000  # Largest number of points of a curve.
 
 
 class ChainPicture(Shown):

@@ -1,4 +1,4 @@
-"""Verbs of the command line, with their arguments as `argparse` takes them."""
+"""Verbs of the command line with their arguments in the form of `argparse`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .sensitivity import UNCERTAIN, sensitivity
 
 
 def _duration(text: str) -> float:
-    """Return H:MM:SS, or seconds, as seconds."""
+    """Convert H:MM:SS, or a number of seconds, to seconds."""
     match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
@@ -36,7 +36,7 @@ def _duration(text: str) -> float:
     return total
 
 
-# Names and options, as `add_argument` of argparse accepts them.
+# Names and options in the form of `add_argument` of argparse.
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
@@ -106,7 +106,7 @@ DUMP_UNITS = _argument(
     help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
     "what the dump says, or si)",
 )
-# What a dump or an input may leave open, for `new --from`.
+# Information that a dump or an input may lack, for `new --from`.
 OF_A_RUN = (
     _argument("--material", metavar="NAME", help="with --from: material of the grains"),
     *(
@@ -129,7 +129,7 @@ OF_A_RUN = (
     _argument("--samples", metavar="N", type=int, help="with --from: samples of the scene"),
     DUMP_UNITS,
 )
-# A saved run, or a dump with its scene.
+# Arguments for a saved run, or for a dump with its scene.
 RUN = (
     _argument(
         "run",
@@ -373,7 +373,7 @@ VERBS = {
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
                 "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
             ),
-            # Each parameter that may be uncertain has an option.
+            # Each uncertain parameter has an option.
             *(
                 _argument(
                     f"--sigma-{name}",
