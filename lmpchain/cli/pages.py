@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ..errors import LmpchainError
 
-SOURCES = Path(__file__).parent.parent.parent / "docs"  # Documentation sources in a checkout; a wheel has none.
+SOURCES = Path(__file__).parent.parent.parent / "docs"  # Only in a checkout.
 
 
 def docs(arguments: argparse.Namespace) -> int:

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spreading(StreamedAverages, Tabular):
-    """Spreading of energy in disordered chains of one scene: means and their standard errors.
+    """Mean spreading of energy in disordered chains of one scene, with standard errors.
 
     The energy of a grain is its kinetic energy, half of the energy of its contacts with other
     grains, and the energy of its contact with a wall.
@@ -134,7 +134,7 @@ def spreading(
     of: Of = "stiffness",
     progress: bool = False,
 ) -> Spreading:
-    """Return the spreading of the energy of an excitation, averaged over many disordered chains.
+    """Return the spreading of an excitation's energy, averaged over many disordered chains.
 
     In a random linear chain the second moment grows as t^(3/2) after an impulse and as t^(1/2)
     after a displacement, while the participation remains finite: S. Lepri, R. Schilling and S.
