@@ -206,7 +206,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
                 findings.append(finding)
         except Exception as error:
             kind = "" if isinstance(error, LmpchainError) else f"{type(error).__name__}: "
-            # Some errors name their own cure.
+            # Some error messages contain a remedy.
             text = f"{kind}{error}".split(": pip install")[0]
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
@@ -215,7 +215,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
 
 
 def _register(name: str, cure: str) -> Callable[[Check], None]:
-    """Register a check, with its name and the cure of its faults."""
+    """Register a check under a name, with the remedy of its faults."""
     return lambda run: _CHECKS.append((name, cure, run))
 
 

@@ -157,13 +157,13 @@ class Objective(Protocol):
         """Whether the value also depends on the motion between samples."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains whose motion counts; raises `InputError` if there is no such value."""
+        """Return the grains that the value depends on; raises `InputError` if they do not exist."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
 
 
-AHEAD = 1e-100  # Speed, m/s, of a grain far ahead of a wave, where the decay is faster than any power.
+AHEAD = 1e-100  # Speed of a grain far ahead of a wave, m/s.
 
 
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:

@@ -140,7 +140,7 @@ class Optimum(Tabular):
         return sum(map(len, self.history))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the best value so far over the runs, a line a start, and return the axes."""
+        """Draw the best value so far over the number of runs, a line per start; return the axes."""
         from ..util.plotting import COLOURS, axes_in_units, legend
 
         ax = axes_in_units(ax, "", "")
@@ -402,7 +402,7 @@ class _Descent(NamedTuple):
         return self.sign * value, self.sign * self.box.slopes(by_name)
 
     def allows(self, at: Array) -> bool:
-        """Return whether a point satisfies all constraints within rounding of the optimiser."""
+        """Return whether a point satisfies all constraints within rounding."""
         values = self.box.values(at)
         return all(constraint(values)[0] >= -1e-6 for constraint in self.constraints)
 

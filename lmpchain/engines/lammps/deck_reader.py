@@ -1,4 +1,4 @@
-"""Decks of lmpchain read back, edited or not, without running them."""
+"""Reads decks of lmpchain, edited or not, without running them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from . import deck
 from .column import LammpsColumn
 
 EXPONENTS = {"hertz": 1.5, "hooke": 1.0}
-HEAVIEST = 1e5  # kg/m3: denser grains are drawn with a gauge diameter
-SAME_NUMBER = 1e-6  # relative difference of numbers that were written and read
-GAPS = 1e-4  # of an overlap, by which heights at rest may differ
-# Arguments of these commands may differ, and they may be repeated: the last one counts, runs
-# add up.
+HEAVIEST = 1e5  # Grains above this density have a gauge diameter, kg/m3.
+SAME_NUMBER = 1e-6  # Relative difference of a number after writing and reading.
+GAPS = 1e-4  # Largest difference of heights at rest, as a fraction of an overlap.
+# Commands whose arguments may differ and that may be repeated: the last one is valid, and runs add
+# up.
 FREE = {
     "verlet": {"timestep", "run", "thermo", "dump_modify"},
     "kahan-li6": {"thermo", "dump_modify"},
@@ -45,11 +45,11 @@ VARIABLE = re.compile(r"\$\{(\w+)\}", re.ASCII)
 USED = re.compile(r"(?:\$\{|v_)(\w+)", re.ASCII)
 LAMMPS_NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
-)  # as LAMMPS reads one
+)  # A number as LAMMPS reads it.
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
-# Columns of a row: their number, the count of leading integers, and columns that must be 0.
+# Layout of a row: number of columns, count of leading integers, and columns that must be 0.
 ATOMS = {"Atoms # sphere": (7, 2, [4, 5]), "Atoms # hybrid": (10, 2, [2, 3, 7, 8, 9])}
-# Type, diameter, density and height in such a row.
+# Columns of type, diameter, density and height in a row.
 COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
 DATA_ROWS = {
     "Velocities": (7, 1, [1, 2, 4, 5, 6]),
@@ -58,7 +58,7 @@ DATA_ROWS = {
 
 
 class Deck(NamedTuple):
-    """The content of a deck: the scene that it runs, and its method.
+    """The content of a deck: its scene and its method.
 
     Attributes
     ----------
@@ -81,14 +81,14 @@ class Deck(NamedTuple):
 
 
 class _DeckLine(NamedTuple):
-    """A command with its number in the file."""
+    """A command with its line number."""
 
     number: int
     words: list[str]
 
 
 class _Grains(NamedTuple):
-    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up."""
+    """Grains of a data file from the top, z upward: types and properties in SI units."""
 
     path: Path
     title: str
@@ -102,12 +102,12 @@ class _Grains(NamedTuple):
 
     @property
     def masses(self) -> Array:
-        """(N,) kg."""
+        """Masses, (N,) kg."""
         return np.pi / 6 * self.diameters**3 * self.densities
 
 
 class _Script:
-    """The commands of a deck."""
+    """The parsed commands of a deck."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -125,12 +125,12 @@ class _Script:
                     raise self.refuse(line, f"uses the variable {name} before it is set")
 
     def refuse(self, line: _DeckLine | None, why: str) -> InputError:
-        """Return the fault of a line, or of the file."""
+        """Return the error for a line, or for the file."""
         where = f"line {line.number} ({short(' '.join(line.words))}) " if line else ""
         return InputError.at(str(self.path), f"{where}{why}")
 
     def find(self, *words: str) -> _DeckLine | None:
-        """Return the first command that begins with these words."""
+        """Return the first command that begins with these words, or None."""
         found = (line for line in self.lines if line.words[: len(words)] == list(words))
         return next(found, None)
 
@@ -143,7 +143,7 @@ class _Script:
         return line
 
     def value(self, text: str, line: _DeckLine) -> float:
-        """Return a number, a variable or a product of two; raises `InputError`."""
+        """Return the value of a number, a variable or a product of two; raises `InputError`."""
         if match := PRODUCT.fullmatch(text):
             first, factor, second = match.groups()
             product = [factor or f"${{{first}}}", f"${{{second}}}"]
@@ -160,7 +160,7 @@ class _Script:
         return number
 
     def argument(self, line: _DeckLine, place: int) -> str:
-        """Return a word of a command; raises `InputError`."""
+        """Return one word of a command; raises `InputError` if it is missing."""
         if place >= len(line.words):
             raise self.refuse(line, "is too short")
         return line.words[place]
@@ -172,7 +172,7 @@ class _Script:
         return self.value(f"${{{name}}}", self.variables[name])
 
     def count(self, text: str, line: _DeckLine, least: int = 1) -> int:
-        """Return a whole number from `least`; raises `InputError`."""
+        """Return an integer of at least `least`; raises `InputError` for other words."""
         number = self.value(text, line)
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
@@ -225,7 +225,7 @@ class _Script:
 
 
 def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
-    """Read what a deck is to run from `in.column` and `column.data`, and execute nothing.
+    """Read the scene of a deck from `in.column` and `column.data` without executing anything.
 
     Chain and excitation follow from the numbers in both files. The commands must be those that
     lmpchain writes for them; variables, the time step and the length of the run may differ.
@@ -295,7 +295,7 @@ def _commands(text: str) -> list[_DeckLine]:
     """Return the commands of a text without comments."""
     lines = []
     for number, line in enumerate(text.split("\n"), 1):
-        # LAMMPS joins continued lines before it removes comments.
+        # LAMMPS joins continuation lines before it removes comments.
         command, _, comment = line.partition("#")
         words = command.split() + (["&"] if comment.rstrip().endswith("&") else [])
         if words:
@@ -304,7 +304,7 @@ def _commands(text: str) -> list[_DeckLine]:
 
 
 def _is_index(words: Sequence[str]) -> bool:
-    """Return whether a command sets a variable that `-var` replaces."""
+    """Return whether a command defines a variable that `-var` can replace."""
     return len(words) == 4 and words[0] == "variable" and words[2] == "index"
 
 
@@ -337,7 +337,7 @@ def _read_data(path: Path) -> _Grains:
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
-    """Return the rows of a section by their number; raises `ValueError`."""
+    """Return the rows of a section by number; raises `ValueError` for other formats."""
     length, whole, _ = form
     for row in rows:
         if len(row) != length or not all(map(LAMMPS_NUMBER.fullmatch, row)):
@@ -351,7 +351,7 @@ def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
 
 
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
-    """Return the chain of a deck."""
+    """Return the chain that a deck describes."""
     masses = grains.masses
     d = grains.diameters
     model, stiffness, damping = _contacts(script, grains.types)
@@ -361,8 +361,8 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     if hertz:
         constants = stiffness * np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         share = pair_value(masses) / 1.5
-    # Only overlaps and masses enter the motion. Grains of the gauge diameter would be compressed
-    # too much for a scene.
+    # Only overlaps and masses affect the motion. Grains of gauge diameter would be compressed too
+    # much for a scene.
     diameters = np.cbrt(6 * masses / (np.pi * 2500.0)) if gauge else d
     return Chain(
         grains=masses.size,
@@ -379,7 +379,7 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
 
 
 def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
-    """Return the ends of the chain of a deck, and the constants of its walls."""
+    """Return the ends of a deck's chain and the constants of its walls."""
     count = diameters.size
     mobile = script.need("group", "mobile", "id")
     first, _, last = script.argument(mobile, 3).partition(":")
@@ -397,7 +397,7 @@ def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
 
 
 def _load(script: _Script, grains: _Grains, constant: float, exponent: float) -> float:
-    """Return the load on the top of the chain of a deck, N.
+    """Return the load on the top of a deck's chain, N.
 
     On a grain that is driven, or below a wall, it is none of the commands, but in the overlap of
     the first contact at rest.
@@ -418,7 +418,7 @@ def _load_grain(script: _Script) -> int:
 
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
-    """Return the model, and stiffness and damping of each contact between grains, (N-1,)."""
+    """Return the contact model, and stiffness and damping of each contact, (N-1,)."""
     style, words = _pair_style(script)
     if words[:1] == ["gran/hertz/history"] and len(words) == 7:
         alike = np.ones(len(types) - 1)
@@ -429,7 +429,7 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
     for line in script.lines:
         if line.words[0] != "pair_coeff" or line.words[3:4] == ["dpd"]:
             continue
-        # Among several pair styles, a coefficient names its own.
+        # With several pair styles, a coefficient names its style.
         arguments = [word for word in line.words[1:] if word != "granular"]
         if len(arguments) < 5 or arguments[2] not in EXPONENTS:
             raise script.refuse(line, "is no contact that lmpchain writes")
@@ -453,7 +453,7 @@ def _pair_style(script: _Script) -> tuple[_DeckLine, list[str]]:
     style = script.need("pair_style")
     words = style.words[1:]
     if words[:1] == ["hybrid/overlay"] and "dpd" in words:
-        # Style dpd acts between no grains: fix mvv/dpd asks for it.
+        # Style dpd acts between no grains, but fix mvv/dpd requires it.
         words = words[1 : words.index("dpd")]
     if not words:
         raise script.refuse(style, "is too short")
@@ -467,7 +467,7 @@ def _wall_constant(script: _Script, line: _DeckLine, diameter: float, hertz: boo
 
 
 def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
-    """Return the damping of a deck."""
+    """Return the damping that a deck describes."""
     drag = 0.0
     if line := script.find("fix", "drag", "mobile", "viscous"):
         drag = script.value(script.argument(line, 4), line) / float(masses[0])
@@ -479,7 +479,7 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
 
 
 def _excitation(script: _Script, grains: _Grains) -> Excitation:
-    """Return the excitation of the column of a deck."""
+    """Return the excitation that a deck describes."""
     if struck := script.find("group", "struck", "id"):
         grain = script.count(script.argument(struck, 3), struck)
         return Impulse(velocity=script.variable("v0"), grain=grain)
@@ -504,7 +504,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
 
 
 def _check_heights(scene: Scene, grains: _Grains) -> None:
-    """Raise `InputError` unless grains rest and start where the scene has them."""
+    """Raise `InputError` unless the grains rest and start at the heights of the scene."""
     if scene.chain.grains != grains.rest.size:
         fault = f"has {grains.rest.size} grains, the scene {scene.chain.grains}"
         raise InputError.at(str(grains.path), fault)
@@ -523,7 +523,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
         )
     u, v = scene.initial()
     if isinstance(scene.excitation, Impulse):
-        # A deck sets the velocity of the strike itself.
+        # A deck applies the strike velocity itself.
         v = np.zeros_like(v)
     rounding = 4 * np.spacing(np.abs(grains.rest).max())
     starts = [(grains.rest - grains.heights, u, rounding), (0.0 - grains.speeds, v, 0.0)]
@@ -538,7 +538,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
 
 
 def _check_data(column: LammpsColumn, grains: _Grains) -> None:
-    """Raise `InputError` unless the rest of a data file is what lmpchain would write."""
+    """Raise `InputError` unless the rest of a data file is as lmpchain writes it."""
     low, high, bottom, top = map(repr, column.box)
     header = [
         [str(grains.rest.size), "atoms"],
@@ -562,7 +562,7 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:
-    """Raise `InputError` at the first command that lmpchain would not write for a column."""
+    """Raise `InputError` at the first command that lmpchain would not write for this column."""
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
     cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
     ours = {line.words[1]: line for line in expected if _is_index(line.words)}
@@ -573,8 +573,8 @@ def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step
 
 
 def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: str) -> None:
-    """Raise `InputError` at the first command that is not the next one of `rest`, or free."""
-    # A spline is applied piece by piece, so each run ends where the next piece begins.
+    """Raise `InputError` at the first command that is neither the next one of `rest` nor free."""
+    # A spline is applied piece by piece, so that each run ends where the next piece begins.
     pieces = sum(words[0] == "run" for words in rest) > 1
     free = free - ({"run"} if pieces else set())
     repeated = set()
@@ -593,7 +593,7 @@ def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: s
 
 
 def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> None:
-    """Raise `InputError` at the first variable that lmpchain would not set."""
+    """Raise `InputError` at the first variable that lmpchain would not define."""
     for name, line in script.variables.items():
         known = name in ours and (name in FREE_VARIABLES or _alike(line.words, ours[name].words))
         if not known:
@@ -601,7 +601,7 @@ def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> 
 
 
 def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
-    """Return whether a command only sets the length of the run or the output."""
+    """Return whether a command only affects the length of the run or its output."""
     words = line.words
     if words[0] == "dump_modify":
         return words[1:-1] in (["out", "sort", "id", "format", "float"], ["out", "format", "float"])
@@ -611,7 +611,7 @@ def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
 
 
 def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether two commands agree within rounding."""
+    """Return whether two commands are equal within rounding."""
     if len(words) != len(others):
         return False
     return all(one == other or _near(one, other) for one, other in zip(words, others, strict=True))
