@@ -1,4 +1,4 @@
-"""Position shifts of two solitary waves after a collision, relative to undisturbed waves."""
+"""Position shifts of two solitary waves in a collision, relative to undisturbed waves."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-APART = 1e-4  # of its height, to which each wave has fallen at the middle between both
-ALONE = 8  # grains that each wave passes alone, before and after
+APART = 1e-4  # Fraction of its height to which each wave has fallen in the middle between both.
+ALONE = 8  # Number of grains that each wave passes alone, before and after.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -91,7 +91,7 @@ class Collision(Shown, Tabular):
     _after: tuple[_CrestLine, _CrestLine]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw how far each wave is ahead of its undisturbed position; return the axes."""
+        """Draw the distance of each wave ahead of its undisturbed position; return the axes."""
         ax = axes_in_units(ax, "s", "")
         for k, colour in enumerate(("#0072B2", "#D55E00")):
             line = self._before[k]
@@ -211,7 +211,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     least: dict[int, float] = {}
     for wave, height in zip(waves, heights, strict=True):
         least[wave.way] = min(least.get(wave.way, np.inf), 0.3 * _in_si(chain, wave, height))
-    # Two waves in one direction share a threshold, which the lower wave sets.
+    # Two waves in one direction share a threshold, which depends on the lower wave.
     passages = {way: crests.find(time, way * velocity, low) for way, low in least.items()}
     before = [
         _line(passages[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
@@ -245,7 +245,7 @@ def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingW
 
 
 def _in_si(chain: Chain, wave: _IncomingWave, velocity: float) -> float:
-    """Return a velocity of the exact wave in m/s."""
+    """Convert a velocity of the exact wave to m/s."""
     return velocity * (chain.length_scale / wave.unit if wave.exact.loaded else 1.0)
 
 
@@ -264,7 +264,7 @@ def _line(
     grain, time = through
     expected = grain + wave.speed * (passages.time - time)
     height = _in_si(chain, wave, float(wave.exact.velocity(0.0)))
-    # The other wave is further away than the shift.
+    # The distance to the other wave is larger than the shift.
     near = np.abs(passages.grain - expected) < wave.reach
     near &= np.abs(passages.height / height - 1) < crests.NEAR
     near &= (passages.time > begin) & (passages.time < end)

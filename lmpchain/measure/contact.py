@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-LINES = 6  # contacts drawn as lines; more are drawn as a map
+LINES = 6  # Largest number of contacts drawn as lines; more contacts are drawn as a map.
 
 
 @dataclass(frozen=True, order=True)
@@ -81,7 +81,7 @@ class ContactHistory(Shown, Tabular):
         after = overlap[1:]
         # The contact approaches closing or opening, then recedes.
         turned = (before * rate[:-1] < 0) & (after * rate[1:] > 0) & ~changed
-        # A cubic lies between the smallest and the largest of its control points.
+        # A cubic polynomial is between the smallest and the largest of its control points.
         third = np.diff(self.time)[:, None] / 3
         crosses_early = before * (before + third * rate[:-1]) <= 0
         crosses_late = after * (after - third * rate[1:]) <= 0
@@ -101,7 +101,7 @@ class ContactHistory(Shown, Tabular):
         return sorted(events)
 
     def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:
-        """Draw the forces over time, as lines or, if they are many, as a map; returns the axes.
+        """Draw the forces over time as lines or, if there are many, as a map; return the axes.
 
         Parameters
         ----------
@@ -128,7 +128,7 @@ class ContactHistory(Shown, Tabular):
             colours: dict[str, Any] = {"cmap": "cividis"}
             extend = "neither"
             if above_rest:
-                # A change has two signs. The colours saturate so that a weak wave remains visible.
+                # Changes have both signs. The colours saturate so that a weak wave remains visible.
                 limit = scale(values)
                 colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
                 extend = "both"
@@ -236,7 +236,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
-    """Return the force between the chain and the wall or held grain at one end, (T,) N, at least 0.
+    """Return the force on the wall or held grain at one end of the chain, (T,) N, at least 0.
 
     It is the force of the contact with the wall; where the bottom is "fixed", the force that holds
     grain N up, which is that of contact N - 1 and the weight of grain N.

@@ -1,4 +1,4 @@
-"""Pulses that pass a sensor down and up, and the time until an echo comes back.
+"""Pulses that pass a sensor downward and upward, and the time of flight of an echo.
 
 The energy that passes a grain per second is the force in it, above that at rest, times its
 velocity. It is positive in waves that go down and negative in waves that go up, of compression and
@@ -33,7 +33,7 @@ __dir__ = listed(__name__)
 
 
 class Pulse(NamedTuple):
-    """A pulse as it passes a grain.
+    """A pulse at the time when it passes a grain.
 
     Attributes
     ----------
@@ -183,19 +183,20 @@ def find(
 
 
 def _pulses(time: Array, power: Array, change: Array, least: float, part: float) -> list[Pulse]:
-    """Return the pulses whose power exceeds a share of the largest one; `part` is its error."""
+    """Return the pulses whose power exceeds a fraction of the largest; `part` is its error."""
     strong = np.flatnonzero(np.abs(power) > least * np.abs(power).max())
     if not strong.size:
         return []
     signs = np.sign(power[strong])
-    # Runs of strong samples of one sign, and the weak ones between them.
+    # Strong samples of equal sign form runs, with weak samples between the runs.
     begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
     ends = np.append(begins[1:], strong.size) - 1
     force = CubicSpline(time, change)
     passed, rough = (_passed(time, power, stride) for stride in (1, 2))
     pulses = []
     start = 0
-    # The energy is stationary between two samples, up to which the power at the nearer one passes.
+    # Between two samples the energy is stationary at a time up to which the nearer sample's power
+    # counts.
     step = time[1] - time[0]
     for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         low = 0 if number == 0 else int(strong[ends[number - 1]]) + 1

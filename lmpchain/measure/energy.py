@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 # Gauss-Legendre quadrature between corners, exact up to degree 9.
-MOST_TURN = 1000.0  # radians of a waveform between two samples that are looked at one by one
+MOST_TURN = 1000.0  # Largest phase of a waveform between two samples for which the samples are examined one by one, rad.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -121,7 +121,7 @@ class EnergyLedger(Shown, Tabular):
 
     @property
     def momentum_drift(self) -> Array:
-        """Return the momentum change that external forces do not explain, (T,) N s.
+        """Return the momentum change that is not caused by external forces, (T,) N s.
 
         If `balanced` has the impulse, it is 0 for any motion.
         """
@@ -195,7 +195,7 @@ class EnergyLosses(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyShares(Shown, Tabular):
-    """Energies above rest of the G recorded grains and the C contacts between them over time, J.
+    """Energies above rest of the G recorded grains and the C contacts between them, J.
 
     The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic
     energy less the work that load and weight do as it gives way, which is never below 0.
@@ -284,7 +284,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     contacts = chain.contacts.of(contact)
     closer = u[:, 0] - u[:, 1]
     speed = np.abs(trajectory.velocity)
-    # The largest force above that at rest within the error.
+    # Largest force in excess of the force at rest, within the error.
     force = np.maximum(
         np.abs(contacts.force_change(closer - 2 * off)),
         np.abs(contacts.force_change(closer + 2 * off)),
@@ -308,7 +308,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
 
 
 class _Pieces(NamedTuple):
-    """Integrals over the intervals that follow from the waveform alone, (T-1,); NaN elsewhere.
+    """Integrals over the intervals that the waveform alone determines, (T-1,); NaN elsewhere.
 
     Attributes
     ----------
@@ -395,13 +395,13 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     force, rate, doubt = contacts.force, contacts.rate, contacts.doubt
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
-    total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    total = (chain.masses * v**2).sum(1) / 2 + elastic  # Computed as in Chain.excess_energy.
     # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)
     total_error = total_error.sum(1) + 2 * off * np.abs(contacts.largest).sum(1)
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
-        # The rates of viscous forces do not follow from the samples.
+        # The samples do not determine the rates of viscous forces.
         return _integral(scene, time, value, None if chain.damped else slope, known)
 
     momentum = v @ chain.masses
@@ -468,7 +468,7 @@ def _close(
     sampled: dict[str, tuple[Array, float]],
     changes: dict[str, tuple[float, Array, Any, str]],
 ) -> tuple[dict[str, tuple[Array, float]], list[str]]:
-    """Return the best values of terms, their errors, and the terms given by a balance.
+    """Return the best values of terms, their errors, and the terms that a balance gives.
 
     `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
     that sum and its error, and the other term of the balance.
@@ -481,7 +481,7 @@ def _close(
     for name, (sign, value, value_error, other) in changes.items():
         rest, rest_error = terms.get(other, (0.0, 0.0))
         error = float(np.max(value_error)) + rest_error
-        # A term with the error 0 does not exchange anything, and needs no balance.
+        # A term with error 0 does not exchange energy, and needs no balance.
         if name not in summed and other not in balanced and error < terms[name][1]:
             terms[name] = sign * (value - value[0]) + rest, error
             balanced.append(name)
@@ -557,7 +557,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
 def _sum_losses(
     scene: Scene, time: Array, contacts: _Forces, v: Array, fast: float
 ) -> EnergyLosses:
-    """Return the energy dissipated by contacts and grains; `fast` is the error of speeds, m/s."""
+    """Return the energies dissipated by contacts and grains; `fast` is the speed error, m/s."""
     drag = _drag(scene)
     if not scene.chain.damped:
         return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
@@ -619,7 +619,7 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     corners = corners[(corners > 0) & (corners <= time[-1])]
     # The slope at a corner is the right-hand one, so an interval that ends there has a corner.
     known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
-    # Viscous forces on a driven body need more than displacements.
+    # Viscous forces on a driven body do not follow from displacements alone.
     if not known.any() or (moves and scene.chain.damped):
         return _Pieces(unknown, unknown, unknown)
     turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)

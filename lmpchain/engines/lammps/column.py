@@ -172,7 +172,7 @@ class LammpsColumn:
 
     @property
     def model(self) -> str:
-        """Contact model of LAMMPS: hertz for spheres, whose force depends on the radius, or hooke."""
+        """Contact model of LAMMPS: hertz, which contains the effective radius, or hooke."""
         return "hooke" if self.chain.law.power == 1 else "hertz"
 
     @property

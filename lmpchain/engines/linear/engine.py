@@ -127,7 +127,7 @@ class Chebyshev(LinearEngine):
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why linear theory, or the series of one propagator, does not hold here."""
+        """Return reasons why linear theory or the series of a single propagator does not apply."""
         reasons = super().refuses(scene)
         excitation = scene.excitation
         # The propagator of the chain and its drive is a constant matrix only for a sine.
@@ -146,7 +146,7 @@ class Chebyshev(LinearEngine):
         count = _evaluations(scene)
         series = min(count, max(1.0, radians / SPAN))
         polynomials = series * terms(radians / series)
-        reached = min(scene.chain.grains, 30 + radians / 4)  # Average number of moving grains while the light cone grows.
+        reached = min(scene.chain.grains, 30 + radians / 4)  # Mean width of the light cone.
         return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:

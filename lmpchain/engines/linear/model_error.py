@@ -172,7 +172,7 @@ class PhaseError:
 
     @property
     def at_most(self) -> float:
-        """Upper bound on the error; reflections or a drive may shift the phase either way."""
+        """Upper bound on the error; reflections or a drive may shift phases in either direction."""
         if self.remark:
             return 1.0
         bound = max(FACTORS.doubt * self.scattered, self.steepens)

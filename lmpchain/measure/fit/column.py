@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 
-# Least drop behind a front, relative to the largest motion, if the trajectory error is unknown.
+# Smallest decrease behind a front, relative to the largest motion, if the error is unknown.
 QUIET = 1e-6
 
 
@@ -340,14 +340,14 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     # The peak of a discrete chain lags behind the front of the continuum.
     shift = theory.peak_time(n, delta) - chi(h, delta)
     if not (time > shift).all():
-        # Noise.
+        # The time is only noise.
         return None
     order = 1 / 3 + 1 / delta
     step = 1 / delta - 1 / 3
     try:
         fit = fit_power(h, time - shift, order, order + step)
     except InputError:
-        # The law does not describe such a strong strike.
+        # The law does not apply to such a strong strike.
         return None
     power, scale, correction = fit.values.tolist()
     factor = float(np.exp(scale))
@@ -365,10 +365,10 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     )
 
 
-# Exponents of a solitary wave without gravity, which a strike number above some 10^3 makes.
+# Exponents of a solitary wave without gravity, which is reached at strike numbers above some 10^3.
 STRONG = {"velocity": 0.0, "displacement": 0.0, "time": 1.0, "speed": 0.0, "width": 0.0}
-WINDOW = 11  # grains of a local exponent
-# Wave strength above which the fitted law of weak waves says nothing of great depth.
+WINDOW = 11  # Number of grains in a fit of a local exponent.
+# Wave strength above which the law of weak waves cannot be extrapolated to great depth.
 STILL_STRONG = 0.3
 
 
@@ -401,7 +401,7 @@ class ExponentFit(Fitted):
     strength: Array = field(default_factory=lambda: np.zeros(0))
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the local exponents at the deepest grains, and the exponents at great depth."""
+        """Yield the local exponents at the deepest grains, and the extrapolated exponents."""
         if self.strength.size:
             yield FittedNumber(
                 "exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1])
@@ -440,7 +440,7 @@ class ExponentFit(Fitted):
             )
 
     def approach(self, name: str) -> str:
-        """Return in words which law the local exponents of a quantity approach with depth.
+        """Return in words which law the local exponents of a quantity approach at depth.
 
         "on" a law is what agrees with it within the error at the deepest grains, "towards" one what
         comes nearer to it from the first grains to the deepest by more than both errors.
@@ -489,7 +489,7 @@ class ExponentFit(Fitted):
         points = "; points: at great depth" if shown else ""
         depth = f"depth h = n − 1/2 (grains){points}"
         exponent = "local exponent d log / d log h\nless that of a weak wave"
-        # The legend is below the axes, since curves may lie anywhere within.
+        # The legend is below the axes, because curves may be anywhere within.
         below: dict[str, Any] = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.3), "ncols": 3}
         return finish(ax, depth, exponent, columnspacing=1.0, **below)
 

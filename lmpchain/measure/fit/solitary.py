@@ -23,14 +23,14 @@ from .table import Fitted, FittedNumber
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-END_GRAINS = 5  # at an end a wave meets its own reflection
+END_GRAINS = 5  # Number of grains at an end where a wave meets its own reflection.
 # Largest relative scatter of the height, and errors of speed and width, of a solitary wave.
-SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
+SOLITARY = 0.02  # See analysis/calibration/fit_thresholds.py.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolitonFit(Fitted, Tabular):
-    """A wave that keeps its height, beside the exact solitary wave of that height.
+    """A wave of constant height, compared with the exact solitary wave of that height.
 
     Attributes
     ----------
