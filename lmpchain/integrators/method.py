@@ -9,7 +9,7 @@ import numpy as np
 
 from .steps import Steps
 
-if TYPE_CHECKING:  # This import is only for type checkers, so that methods are described without importing numba.
+if TYPE_CHECKING:  # Numba is not imported at run time.
     from .batch import ChainBatch
 
 

@@ -60,7 +60,7 @@ class LaggedVerlet:
 
 @dataclass(frozen=True)
 class Gear:
-    """Gear's predictor-corrector of order 4, the method of the paper, with five values a grain."""
+    """Gear's predictor-corrector of order 4, the method of the paper: five values per grain."""
 
     name: str = "gear4"
     order: int = 4

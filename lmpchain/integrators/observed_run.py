@@ -117,7 +117,7 @@ class ImposedCourse:
 
     @cached_property
     def _basis(self) -> Any:
-        """For each sample, the curve through 1 at this sample and 0 at the others."""
+        """The spline basis: for each sample, a curve that is 1 there and 0 at all others."""
         drive = self.excitation
         if drive.times is None:
             # The motion of a piston for a speed of 1.

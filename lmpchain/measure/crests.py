@@ -15,7 +15,7 @@ __dir__ = listed(__name__)
 
 HALF = 4  # Number of samples on either side of a crest for the polynomial.
 REACH = 6  # Number of samples on either side of a maximum for the spline.
-NEAR = 0.25  # Largest deviation of the next crest, as a fraction of its height and of the time per grain.
+NEAR = 0.25  # Largest relative deviation of the next crest in time and height.
 
 
 class Crests(NamedTuple):

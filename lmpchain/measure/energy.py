@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 # Gauss-Legendre quadrature between corners, exact up to degree 9.
-MOST_TURN = 1000.0  # Largest phase of a waveform between two samples for which the samples are examined one by one, rad.
+MOST_TURN = 1000.0  # Largest phase between samples, rad.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -347,7 +347,7 @@ class _Forces(NamedTuple):
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
-    """Return the share of grains in the energy of their contacts, (T, G): half, all at a wall."""
+    """Return the fraction of contact energy assigned to grains, (T, G): half, or 1 at walls."""
     # A contact that does not exist has no energy; the energy of an unrecorded contact is unknown.
     shares = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(energy), 1))
     shares[:, contact] = energy
@@ -499,7 +499,7 @@ def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
 
 
 def _area(time: Array, size: Array | float) -> float:
-    """Return the time integral of an error, (T,) or a number, over the samples; 0 for one."""
+    """Return the time integral of an error, (T,) or a number, over samples; 0 for one sample."""
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
@@ -682,7 +682,7 @@ def _integral(
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
-    """Return the integral of the curve through samples up to each; infinite for a single one."""
+    """Return the integral of the curve through samples up to each; infinite for one sample."""
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:

@@ -39,24 +39,24 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
-LEAST_SAMPLES = 12  # in a period, at least
-LEAST_PERIODS = 24  # of the window, at least: half of it must still separate harmonics
-FEWEST_GRAINS = 8  # grains between which a wavenumber is measured
-END_MARGIN = 3  # grains next to a source or an end, whose motion the next contacts do not show
-ENOUGH = 24  # grains: with these, only the steadier ones are used
+LEAST_SAMPLES = 12  # Smallest number of samples in a period.
+LEAST_PERIODS = 24  # Smallest number of periods in a window.
+FEWEST_GRAINS = 8  # Smallest number of grains between which a wavenumber is measured.
+END_MARGIN = 3  # Number of grains next to a source or an end whose motion is affected by it.
+ENOUGH = 24  # With this number of grains, only the steadier ones are used.
 # Relative changes of an amplitude from the window to its later half, below which a grain is steady.
 STEADY = (1e-4, 1e-3, 1e-2)
-# Transient in the window of a drive point, over its change to the later half of the window, if a
-# third of it dies out in between. Waves leave a uniform piece faster.
+# Transient in the window of a drive point, relative to its change to the later half of the window,
+# if a third of it decays in between. Waves leave a uniform piece faster.
 LEFT = 3.0
-LEAST_DECAY = 1e-12  # a smaller decay of the linear wave is a rounding error
+LEAST_DECAY = 1e-12  # A smaller decay of the linear wave is a rounding error.
 # The largest amplitude of a harmonic of an error of size 1, which a square wave has.
 SQUARE = 4 / np.pi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HarmonicWave(Shown, Tabular):
-    """The wave that a harmonic drive sends through a uniform piece of a chain.
+    """The wave of a harmonic drive in a uniform piece of a chain.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class HarmonicWave(Shown, Tabular):
     linear_decay: float
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the phase lag of the grains less that of linear waves; return the axes."""
+        """Draw the phase lag of the grains minus the phase lag of linear waves; return the axes."""
         ax = axes_in_units(ax, "", "")
         lag = -np.unwrap(np.angle(self.amplitude))
         cells = (self.grain - self.grain[0]) / self.cell
@@ -139,7 +139,7 @@ class DrivePoint:
 
     @property
     def impedance(self) -> complex:
-        """Force over velocity, N s/m; its real part is positive if the chain takes energy."""
+        """Force over velocity, N s/m; the real part is positive if the chain absorbs energy."""
         return self.stiffness / (2j * np.pi * self.frequency)
 
     @property
@@ -412,7 +412,7 @@ def _cosine(amplitude: Complex, cell: int) -> complex:
 
 
 def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
-    """Return the wavenumber k of exp(-i k n) with this cosine that the amplitudes show."""
+    """Return the wavenumber k of exp(-i k n) with this cosine that fits the amplitudes."""
     root = complex(np.arccos(complex(cosine)))
     later = amplitude[cell:]
     misfits = [
@@ -423,14 +423,14 @@ def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
 
 
 def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> complex:
-    """Return the wavenumber per cell of the linearised chain, of the wave that decays downward.
+    """Return the wavenumber per cell of the linear wave that decays downward.
 
     Of the two waves without decay it is the one with a phase of the same sign.
     """
     if not chain.linearisable:
         return complex(np.nan, np.nan)
     springs = dynamic_stiffness(chain, omega)
-    # The pull on a grain by a unit displacement of it, without damping.
+    # Force on a grain for a unit displacement of it, without damping.
     pull = chain.masses[: chain.movable] * chain.dynamical_matrix()[0]
     transfer = np.eye(2, dtype=complex)
     for n in range(grain, grain + cell):
@@ -445,7 +445,7 @@ def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> 
 
 
 def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
-    """Return the mean change of overlaps relative to their rest, and its change in the window."""
+    """Return the mean change of overlaps relative to rest, and its change within the window."""
 
     def mean(size: int) -> Array:
         t = np.arange(size + 1) / size
@@ -460,7 +460,7 @@ def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
 
 
 def _force_of_driver(trajectory: Trajectory, grain: int) -> Array:
-    """Return the force of the driver on the chain, (T,) N above rest, without a grain's inertia."""
+    """Return the force of the driver on the chain, (T,) N above rest, minus a grain's inertia."""
     force = contacts(trajectory, [grain]).change[:, 0]
     if grain and trajectory.scene.chain.contacts.exists[0]:
         force = force - contacts(trajectory, [0]).change[:, 0]

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-SAMPLES = 8  # in a period, at least
-POINTS = 32  # in a period, at which the power is averaged
-PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
+SAMPLES = 8  # Smallest number of samples in a period.
+POINTS = 32  # Number of points in a period over which the power is averaged.
+PIECES = 200  # Number of pieces in a picture.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,17 +70,17 @@ class Power(Shown, Tabular):
 
     @property
     def share(self) -> float:
-        """Mean power relative to the power input of the drive."""
+        """Mean power as a fraction of the power input of the drive."""
         return self.mean / self.input
 
     @property
     def share_error(self) -> float:
-        """Uncertainty of the share."""
+        """Uncertainty of this fraction."""
         return (self.error + abs(self.share) * self.input_error) / abs(self.input)
 
     @property
     def linear_share(self) -> float:
-        """Share in linear theory."""
+        """This fraction in linear theory."""
         return self.linear / self.linear_input
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -167,7 +167,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     force = contacts(trajectory, [number]).change[:, 0]
     speed = v.mean(1)
     mean, error = _mean(time, force * speed, period, count)
-    # The relative errors of force and velocity are alike.
+    # Force and velocity have similar relative errors.
     part = velocity_error / max(known.sampled[1], 1e-300)
     error += 2 * part * float(np.abs(force * speed).max())
     given, given_error = _input(trajectory, drive, count, part)
@@ -234,7 +234,7 @@ def _input(
 
 
 def _power_of_driver(trajectory: Trajectory, grain: int) -> Array:
-    """Return the power of the driver of grain 1 or the wall, (T,) W, less the power of inertia."""
+    """Return the power of the driver of grain 1 or the wall, (T,) W, minus the power of inertia."""
     _, v = motion(trajectory, np.array([grain]))
     force = contacts(trajectory, [grain]).change[:, 0]
     if grain and trajectory.scene.chain.contacts.exists[0]:

@@ -1,4 +1,4 @@
-"""Shocks and rarefactions over x / t, where long waves of a step have one profile at all times."""
+"""Shocks and rarefactions over x / t, on which the long waves of a step depend at all times."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ __dir__ = listed(__name__)
 # Moments at which the profile is compared, relative to the age of the wave at the end.
 AGES = (0.4, 0.6, 0.8, 1.0)
 PROFILE_POINTS = 400
-BEYOND = 1.15  # the profile is drawn up to this multiple of the speed of the leading edge
-NEIGHBOURHOOD = 0.03  # of the leading speed, within which the largest change is taken
+BEYOND = 1.15  # Multiple of the speed of the leading edge up to which the profile is drawn.
+NEIGHBOURHOOD = 0.03  # As a fraction of the leading speed.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SelfSimilar(Shown, Tabular):
-    """The overlaps of a shock or a rarefaction over distance divided by time.
+    """The overlaps of a shock or a rarefaction as a function of distance divided by time.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
 
 
 def _profile(wave: Shock, row: int, speed: Array) -> Array:
-    """Return the overlaps at a moment over distance divided by time, (P,) m."""
+    """Return the overlaps at a time as a function of distance divided by time, (P,) m."""
     way = np.abs(wave.contact - wave.source)
     behind = wave.contact < wave.source if wave.downward else wave.contact > wave.source
     order = np.argsort(np.where(behind, -way, way))
@@ -136,7 +136,7 @@ def _profile(wave: Shock, row: int, speed: Array) -> Array:
 
 
 def _simple_wave(wave: Shock, exponent: float, speed: Array) -> Array:
-    """Return the overlaps of a centred simple wave: sound at each of them has its own speed."""
+    """Return the overlaps of a centred simple wave, each moving at its sound speed."""
     ahead = wave.ahead.overlap
     sound = wave.predictions["continuum"].leading
     fan = ahead * (speed / sound) ** (2 / (exponent - 1))

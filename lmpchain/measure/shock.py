@@ -40,12 +40,12 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 Kind = Literal["dispersive shock", "steady shock", "rarefaction"]
-END_CONTACTS = 5  # at an end a wave meets its reflection
-FEWEST = 24  # contacts that the leading edge passes
-OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
-FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
-MOMENTS = 400  # that are kept for a picture
-COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
+END_CONTACTS = 5  # Number of contacts at an end where a wave meets its reflection.
+FEWEST = 24  # Smallest number of contacts that the leading edge must pass.
+OSCILLATIONS = (0.1, 0.5)  # Half amplitudes over the jump.
+FEWEST_OSCILLATIONS = 6  # Smallest number of extremes for fitting a parabola.
+MOMENTS = 400  # Number of times stored for a picture.
+COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # Colours of edges.
 # Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
     "whitham": "Whitham",
@@ -60,7 +60,7 @@ CREST = 1.05
 # of the time to the fourth.
 LASTING = 0.2
 STEADY_PUSH = 0.1
-STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
+STEADY = 0.95  # Fraction of the jump that the last contact of a steady shock must have reached.
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Edge:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Shock(Shown, Tabular):
-    """A shock or a rarefaction, and what theory says of it; see `lmpchain.theory.shock`.
+    """A shock or a rarefaction, with its theoretical predictions; see `lmpchain.theory.shock`.
 
     Velocities are positive in the way of travel; overlaps are those of contacts in all, and 0 of
     open contacts.
@@ -165,7 +165,7 @@ class Shock(Shown, Tabular):
 
     @property
     def downward(self) -> bool:
-        """Whether the wave goes down."""
+        """Whether the wave travels downward."""
         return self._downward
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -226,7 +226,7 @@ class Shock(Shown, Tabular):
         return ax
 
     def _predicted(self, name: str) -> list[tuple[str, float]]:
-        """Return name and speed of the best prediction of an edge; None if there is no theory."""
+        """Return name and speed of the best prediction of an edge; None without a theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
                 return [(AUTHORS.get(theory, theory), float(speed))]
@@ -381,7 +381,7 @@ def _wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> _TravellingWa
     velocity = np.asarray(trajectory.velocity)
     rest = scene.chain.equilibrium_overlap
     closer = rest + displacement[:, :-1] - displacement[:, 1:]
-    # An open contact transmits no force, whatever its gap.
+    # An open contact transmits no force, regardless of its gap.
     overlap = np.maximum(closer, 0.0)
     source = _source(scene, upward)
     if upward:
@@ -494,7 +494,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
 
 
 def _plateau(wave: _TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
-    """Return mean velocity and overlap behind the wave, and twice their standard deviation."""
+    """Return mean velocity and overlap behind the wave, and twice their standard deviations."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))
@@ -532,7 +532,7 @@ def _crests(time: Array, signals: Array, contacts: np.ndarray) -> Array:
 
 
 def _leading_crest(wave: _TravellingWave, ahead: State, jump: float) -> Edge:
-    """Return the leading solitary wave, followed through the later two thirds of the way."""
+    """Return the leading solitary wave, tracked through the later two thirds of the way."""
     # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
@@ -570,7 +570,7 @@ def _trailing_edge(wave: _TravellingWave, ahead: State, behind: State) -> Edge:
         turns = curve.derivative().roots(extrapolate=False)
         share = np.abs(np.diff(curve(turns))) / (2 * jump)
         middle = (turns[1:] + turns[:-1]) / 2
-        # Use the crests from the leading one on.
+        # The crests are used from the leading one on.
         first = int(share.argmax()) if share.size else 0
         used = np.flatnonzero((share > OSCILLATIONS[0]) & (share < OSCILLATIONS[1]))
         used = used[used >= first]
@@ -597,12 +597,12 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
     try:
         return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
     except InputError:
-        # The wave is so weak that only the KdV equation applies.
+        # For such a weak wave only the KdV equation applies.
         return np.nan
 
 
 def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
-    """Return both edges, extrapolated from places with known speed of sound between them."""
+    """Return both edges, extrapolated from points between them where the sound speed is known."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
     times = np.linspace(len(wave.time) // 2, len(wave.time) - 1, 16).astype(int)
@@ -610,7 +610,7 @@ def _rarefaction_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind:
         overlap = np.maximum(wave.overlap[k], 0.0)
         sound = gas.sound(1.0) * overlap ** ((gas.exponent - 1) / 2)
         share = (sound - sounds[1]) / (sounds[0] - sounds[1])
-        # Ripples behind the trailing edge may exceed this share, too.
+        # Ripples behind the trailing edge may exceed this fraction as well.
         behind_fan = np.flatnonzero(share[wave.source :] < 0.2)
         first = wave.source + (behind_fan[-1] + 1 if behind_fan.size else 0)
         inside = first + np.flatnonzero((share[first:] > 0.2) & (share[first:] < 0.8))
@@ -648,7 +648,7 @@ def _dispersive_edges(wave: _TravellingWave, gas: Medium, ahead: State, behind: 
 
 
 def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> float:
-    """Return the thickness of a weak viscous shock, NaN without a load or without viscosity."""
+    """Return the thickness of a weak viscous shock; NaN without a load or without viscosity."""
     if ahead.overlap > 0 and viscosity > 0:
         return gas.thickness(ahead, behind.overlap, viscosity)
     return np.nan

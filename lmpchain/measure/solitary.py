@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-FEWEST_SAMPLES = 4 * crests.HALF + 3  # that show a crest
-UNCHANGED = 12  # grains that a wave must have passed unchanged
+FEWEST_SAMPLES = 4 * crests.HALF + 3  # Smallest number of samples that shows a crest.
+UNCHANGED = 12  # Number of grains that a wave must have passed unchanged.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -87,17 +87,17 @@ class Train(Shown, Tabular):
 
     @property
     def share(self) -> Array:
-        """Share of each wave in the energy of the strike, (W,)."""
+        """Fraction of the strike's energy in each wave, (W,)."""
         return self.energy / self.total
 
     @property
     def share_error(self) -> Array:
-        """Uncertainty of each share, (W,)."""
+        """Uncertainty of each fraction, (W,)."""
         return self.energy_error / self.total
 
     @property
     def all_share(self) -> tuple[float, float]:
-        """Share of all waves together, and its uncertainty."""
+        """Fraction of the strike's energy in all waves together, and its uncertainty."""
         return float(self.share.sum()), float(self.share_error.sum())
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -112,7 +112,7 @@ class Train(Shown, Tabular):
                 ax.text(
                     grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"
                 )
-        # Leave room for these words.
+        # Room for these labels.
         ax.set_ylim(top=1e4 * self.density.max())
         whole, error = self.all_share
         count = self.grain.size
@@ -122,7 +122,7 @@ class Train(Shown, Tabular):
 
 
 class _FollowedWave(NamedTuple):
-    """A solitary wave as in `Train`, its width in grains, and the time when tracking began."""
+    """A solitary wave as in `Train`, with its width in grains and the time when tracking began."""
 
     grain: float
     speed: float
@@ -314,7 +314,7 @@ def _wave(
 
 
 def _number(chain: Chain, column: int, upward: bool) -> int:
-    """Return the number of the grain in a column; columns are mirrored for waves that go up."""
+    """Return the number of the grain in a column; columns are mirrored for upward waves."""
     number = chain.grains - column if upward else 1 + column
     return int(np.clip(number, 1, chain.grains))
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-NARROWEST = 8  # grains in a window
+NARROWEST = 8  # Smallest number of grains in a window.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -130,8 +130,8 @@ class _Acting(Measured):
         elif self.times is not None:
             yield from self._point_faults(values, getattr(self, values))
         elif not self.waveform.fastest < LIMITS.frequency:
-            # The envelope of a burst of few cycles or of a short push may be fast; the error then
-            # names it.
+            # The envelope of a burst of few cycles, or of a short push, may have a high frequency.
+            # The error then names its key.
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
                 # These fields set the envelope of a burst, a half-sine or a piston.
@@ -144,7 +144,7 @@ class _Acting(Measured):
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
 
     def _words(self, values: str) -> str:
-        """Return the sets of fields in words."""
+        """Return the sets of fields that define a waveform, as text."""
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
@@ -262,7 +262,7 @@ class Drive(_Acting):
 
     @property
     def numbers(self) -> Array:
-        """Parameters of the waveform: as for every motion; for a piston, its velocity."""
+        """Parameters of the waveform; for a piston, its velocity."""
         return super().numbers if self.shape is None else np.array([self.velocity])
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
@@ -316,11 +316,11 @@ class Drive(_Acting):
         return fields
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return grain 1, and the last grain that is displaced or moves at t = 0."""
+        """Return grain 1 and the last grain that is displaced or moves at t = 0."""
         return 1, 1 if self.start is None else self.start.reach(chain)[1]
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the drive of grains first ... last, which must include grain 1."""
+        """Return the drive of grains first ... last; they must include grain 1."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
@@ -332,7 +332,7 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Return an upper bound from the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
+        """Return an upper bound from the path, because ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
         stiffness = chain.contacts.stiffness[self.grain]
         return float(np.sqrt(stiffness) * self.waveform.path(duration))
 
@@ -440,7 +440,7 @@ class Force(OneGrain, _Acting):
         return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
 
     def _pushed(self, chain: Chain) -> tuple[Array, Array]:
-        """Estimate the motion of the forced grain from rest, (N,) m and m/s, 0 for others."""
+        """Estimate the motion of the forced grain from rest, (N,) m and m/s; 0 for other grains."""
         size = self.waveform.largest()
         mass = chain.masses[self.grain - 1]
         # A force of 0 causes no motion.
@@ -454,7 +454,7 @@ class Force(OneGrain, _Acting):
         return displacement, self.at_grain(chain, speed)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Return an upper bound from the impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
+        """Return an upper bound from the impulse, because ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
         return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:

@@ -18,7 +18,7 @@ Number = Annotated[Whole, Field(ge=1)]
 
 
 class Push(NamedTuple):
-    """The external force on a grain or on the top wall, less its value at rest.
+    """The external force on a grain or on the top wall, minus its value at rest.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class Excitation(Checked):
 
     @property
     def acts_on(self) -> int:
-        """Number of the grain that is driven or forced after t = 0, else 0."""
+        """Number of the grain that is driven or forced after t = 0; 0 if there is none."""
         return 0
 
     @property
@@ -101,7 +101,7 @@ class Excitation(Checked):
 
     @property
     def linear(self) -> bool:
-        """Whether engines of the linearised chain can solve it: true except for a spline."""
+        """Whether engines of the linearised chain can solve it; true except for a spline."""
         return self.waveform is None or self.waveform.spline is None
 
     @property

@@ -104,7 +104,7 @@ class ModeFit(Fitted, Tabular):
 
     @property
     def share(self) -> Array:
-        """Fraction of the energy in each mode at t = 0, (M,); they sum to 1 (0 at rest)."""
+        """Fraction of the energy in each mode at t = 0, (M,); the sum is 1, or 0 at rest."""
         total = self.energy.sum()
         return self.energy / total if total else self.energy
 
@@ -185,7 +185,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         energy=energy[0],
         energy_error=energy.std(0),
         residual=np.maximum(*residuals),
-        # The energy in the ground is not counted.
+        # The energy of the ground is not included.
         given=math.nan if chain.ground is not None else float(scene.energy),
     )
 
@@ -434,7 +434,7 @@ def _window(
 
 
 def _thin(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
-    """Leave out grains at rest if there are too many values, and then some of the others."""
+    """Remove grains at rest if there are too many values, and then a part of the others."""
     if np.count_nonzero(inside) <= REGION.most:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])
