@@ -112,7 +112,7 @@ class Orbit(Shown, Tabular):
 
     @cached_property
     def tangent(self) -> Array:
-        """Tangent map (2M, 2M) of a period, or of half if reversible, in canonical variables."""
+        """Canonical tangent map (2M, 2M) of a period, or of half a period if reversible."""
         size = 2 * self.flow.size
         steps = self.mesh[: self.mesh.size // 2] if self.reversible else self.mesh
         passage = self.flow.run(self.state, self.period, steps, np.eye(size).reshape(2, -1, size))

@@ -49,7 +49,7 @@ class Newton:
 
 
 NEWTON = Newton()
-FILTERS = Lock()  # Lock for the list of warning filters, which all threads share and change in turn.
+FILTERS = Lock()  # Protects the warning filters, which all threads share.
 
 
 class OrbitPoint(NamedTuple):
@@ -103,7 +103,7 @@ class Equations:
         return unknown.size - 1 - bool(self.scale)
 
     def closure(self, point: OrbitPoint, mesh: Array) -> Array:
-        """Return the change of the state over a period, or the momenta after half of one, (R,)."""
+        """Return the change of state over a period, or the momenta after half a period, (R,)."""
         return self._closure(self.flow_at(point.value), point, mesh)[0]
 
     def linearise(self, point: OrbitPoint, mesh: Array) -> tuple[Array, Array]:
@@ -183,7 +183,7 @@ class Equations:
 
 
 class Constraint(NamedTuple):
-    """A further equation: from unknowns and their point, a residual and its derivatives (U,)."""
+    """A further equation: returns a residual and derivatives (U,) for unknowns and point."""
 
     of: Callable[[Array, OrbitPoint], tuple[float, Array]]
 

@@ -1,4 +1,4 @@
-"""Self-contained pages with a live figure: one script, which the policy of the page names."""
+"""Self-contained pages with a live figure; their security policy allows only its script."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ class Excitation(Checked):
 
     @property
     def waveform(self) -> Waveform | None:
-        """Motion of grain 1 or of the top wall, m, or a force, N, after t = 0; or None."""
+        """Motion of grain 1 or the top wall, m, or force, N, after t = 0; None if there is none."""
         return None
 
     @property

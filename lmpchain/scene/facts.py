@@ -240,7 +240,7 @@ class SceneFacts(Recording):
 
     @cached_property
     def first_squeeze(self) -> tuple[int, float]:
-        """The contact that is squeezed most at first, and its overlap over the mean diameter."""
+        """The most compressed contact at first, and its overlap over the mean diameter."""
         first, near = self._surroundings
         # The values of a strike that is rejected may overflow.
         with np.errstate(over="ignore"):
@@ -273,12 +273,12 @@ class SceneFacts(Recording):
 
     @cached_property
     def largest_strain(self) -> float:
-        """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
+        """Bound on ``|r / eps|`` of all contacts, rigorous if it is small; infinite without one."""
         return float(self.chain.contacts.strain_bound(self.approach_bounds))
 
     @cached_property
     def linear_strain(self) -> float:
-        """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
+        """Bound on ``|r / eps|`` of all contacts of the linear chain at any time, or infinity.
 
         Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
         compliance c is 1/k or, between two ends that stand still, where the others must give way,

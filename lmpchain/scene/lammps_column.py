@@ -36,8 +36,8 @@ AT_REST = 1e-6  # Largest difference of an overlap from its value at rest, relat
 QUIET = 1e-6  # A grain is at rest below this fraction of the largest velocity.
 FEWEST_CONTACTS = 3  # Smallest number of contacts at rest that determine gravity and load.
 UNLIKE = 1e-2  # Relative scatter of forces above which a column is not at rest.
-FAR_WALL = 0.1  # A wall farther away than this fraction of a diameter does not belong to the column.
-RESOLVED = 1e-2  # Largest rounding, relative to the largest overlap, for which forces can be inferred.
+FAR_WALL = 0.1  # Diameters to a wall beyond the column.
+RESOLVED = 1e-2  # Rounding up to which forces can be inferred.
 
 
 class RunOptions(NamedTuple):
@@ -319,7 +319,7 @@ class RunColumn:
         return held
 
     def _check_later(self, holding: RunFix, stopped: np.ndarray) -> None:
-        """Raise `InputError` if a fix adds a force to stopped grains behind the one that stops."""
+        """Raise `InputError` if a fix adds a force to grains after the fix that stops them."""
         fixes = list(self._fixes("freeze", "setforce", "gravity", "addforce", "wall/gran"))
         for fix in fixes[fixes.index(holding) + 1 :]:
             if fix.style not in ("freeze", "setforce") and (self._among(fix) & stopped).any():
@@ -591,7 +591,7 @@ class RunColumn:
         return gravity, load
 
     def _check_rest(self, rest: Array, forces: Array, errors: Array) -> None:
-        """Raise `InputError` if forces less weights, (C,) N, differ too much for grains at rest."""
+        """Raise `InputError` if forces minus weights, (C,) N, scatter too much for rest."""
         spread = np.abs(rest - np.median(rest))
         if (spread > CERTAIN * errors + UNLIKE * np.abs(forces).max()).any():
             raise self._refuse(

@@ -1,1 +1,1 @@
-"""A scene and an engine in, a trajectory out; engine selection, run folders, checkpoints."""
+"""From a scene and an engine to a trajectory: engine selection, run folders, checkpoints."""
