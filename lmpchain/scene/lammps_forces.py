@@ -21,7 +21,7 @@ from .lammps_contacts import OLD_STYLES, GrainForce, read_model, read_old_model
 from .lammps_input import LammpsInput
 from .lammps_text import InputLine
 
-TOWER = re.compile(r"\^[^-+*/(,;]*\^")  # Matches x^y^z, whose order of evaluation differs between readers.
+TOWER = re.compile(r"\^[^-+*/(,;]*\^")  # Matches x^y^z, which is ambiguous.
 SAME_DENSITY = 1e-12  # Relative difference of densities of one material, caused by rounding.
 
 

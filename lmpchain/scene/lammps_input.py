@@ -294,7 +294,7 @@ class LammpsInput:
         return found
 
     def _select(self, line: InputLine, words: list[str]) -> Callable[[int], bool]:
-        """Return whether a number fits ranges as 1:19 or 1*19, or a comparison as <= 19."""
+        """Return whether a number matches a range such as 1:19, or a comparison such as <= 19."""
         compare: dict[str, Callable[[int, int], bool]] = {
             "<": lambda a, b: a < b,
             "<=": lambda a, b: a <= b,

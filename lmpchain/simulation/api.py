@@ -170,7 +170,7 @@ def resume(
 
 
 def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
-    """Solve the rest of a scene, with another engine if the first equation leaves out too much."""
+    """Solve the rest of a scene, with another engine if the model error is too large."""
     attempt = output.attempt or _first(output, output.scene)
     with output.requests:
         while True:

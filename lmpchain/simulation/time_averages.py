@@ -1,4 +1,4 @@
-"""Averages over time, for motions that no run predicts: `lmpchain.averages`."""
+"""Time averages of motions that cannot be predicted: `lmpchain.averages`."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ from .observables import Observable, observable
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
+BLOCK_NUMBERS = 2**17  # Number of samples x grains x copies in memory at a time.
 A_TIME = "a time above 0 s"
-NO_INTERVAL = "unknown"  # Half-width of an interval if the time is too short.
-STEPS_AT_ONCE = 2**23  # Grains times steps between two opportunities to stop.
+NO_INTERVAL = "unknown"  # Text for the half-width of an interval if the time is too short.
+STEPS_AT_ONCE = 2**23  # Number of grains times steps between two opportunities to stop.
 
 
 @dataclass(frozen=True)
 class Averaging:
-    """Parameters of averaging along a motion; analysis/calibration/batch_means.py.
+    """Parameters of time averages, see analysis/calibration/batch_means.py.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """Relative energy errors of splittings; analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings, see analysis/calibration/batch_means.py.
 
     Attributes
     ----------
@@ -98,7 +98,7 @@ class EnergyErrors:
 
 
 AVERAGING = Averaging()
-LEAST_TOLERANCE = 1e-10  # Rounding alone shifts the energy of long motions by about as much.
+LEAST_TOLERANCE = 1e-10  # Rounding alone changes the energy of long motions by about this fraction.
 ENERGY_ERRORS = EnergyErrors()
 
 
@@ -157,7 +157,7 @@ class Averages(Shown, Tabular):
     stretch_mean: Mapping[str, Array]
 
     def __repr__(self) -> str:
-        """Return the first means with half their intervals, and the number of other means."""
+        """Return the first means with half their intervals, and the number of the other means."""
         said = []
         for name, mean in islice(self.mean.items(), 2):
             half_width = self.interval[name][1] - mean
@@ -296,7 +296,7 @@ class _Course(NamedTuple):
     stretch: int
 
     def pieces(self, most: int) -> Iterator[tuple[int, int, int]]:
-        """Yield stretch (-1: warm-up), first and last sample of pieces of `most` samples."""
+        """Yield time interval (-1: warm-up), first and last sample of pieces of `most` samples."""
         first = 1
         lengths = [self.warm_up, *[self.stretch] * BATCHING.stretches]
         for stretch, length in enumerate(lengths, -1):
@@ -434,7 +434,7 @@ def averages(
     with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
         for _ in range(AVERAGING.attempts):
             steps = math.ceil(longer.sampling_phase / reach)
-            # Announce the first attempt only.
+            # Only the first attempt is announced.
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
                 cost_s = seconds(Native.name, 0.0, work * copies * scene.chain.grains)
@@ -449,7 +449,7 @@ def averages(
                 named = dict(zip(names, observables, strict=True))
                 return _conclude(scene, course, named, sums, schedule, method.name)
             error = sums.energy_error
-            # The energy error is extrapolated to the end as a random walk.
+            # The energy error is extrapolated to the end like a random walk.
             ratio = (tolerance / (error / math.sqrt(sums.lost_after))) ** (1 / method.order)
             reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
             bar.reach(0)
@@ -459,7 +459,7 @@ def averages(
 
 
 def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
-    """Return the names of the quantities; raise `InputError` if something cannot be averaged."""
+    """Return the names of the quantities; raise `InputError` if one cannot be averaged."""
     check_scene(scene)
     names = [quantities] if isinstance(quantities, str) else list(quantities)
     faults = []
@@ -474,7 +474,7 @@ def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
 
 
 def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield why the motion of a scene does not last for ever at constant energy."""
+    """Yield the reasons why the motion does not last forever at constant energy."""
     chain = scene.chain
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
@@ -536,7 +536,7 @@ def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:
 
 
 def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
-    """Return the method for a motion, and omega h of the first step.
+    """Return the method for a motion, and omega h of its first step.
 
     A method of high order is best for smooth forces. If contacts open, the energy error of an
     opening does not depend on the order, and velocity Verlet has the shortest steps.
@@ -614,7 +614,7 @@ def _follow(
 
 
 def _check_apart(u: Array, course: _Course) -> None:
-    """Raise `InputError` unless copies, at (R, N) m, are as far apart as any two motions."""
+    """Raise `InputError` unless copies, (R, N) m, have become as distant as independent motions."""
     distances = np.abs(u[1:] - u[0]).max(-1)
     if (distances < AVERAGING.apart * np.abs(u).max()).any():
         warm_up = course.warm_up * course.scene.sampling_interval
@@ -652,8 +652,8 @@ def _conclude(
         results["mean"][name] = mean.mean
         results["variance"][name] = variance
         size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
-        # Steps shift an average also directly, by about as much. Otherwise only 80 of 100 intervals
-        # cover the kinetic energy of 38 beads.
+        # The truncation error of the steps also shifts an average directly, by about the same
+        # amount. Without this term only 80 of 100 intervals cover the kinetic energy of 38 beads.
         half_width = mean.half_width + 2 * sums.energy_error * size
         results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
         results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)

@@ -29,7 +29,7 @@ from ..util.ticks import UnitFormatter
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-TOLERANCE = 1e-6  # tolerance that defines the predictability horizon
+TOLERANCE = 1e-6  # Tolerance that defines the predictability horizon.
 
 
 @dataclass(frozen=True)

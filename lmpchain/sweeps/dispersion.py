@@ -22,7 +22,7 @@ from ..util.tabular import NamedColumn, Tabular
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-SAMPLES_A_PERIOD = 24  # in a period
+SAMPLES_A_PERIOD = 24  # Number of samples per period.
 NUMBERS_OF_A_WAVE = {
     "phase": "rad",
     "phase_error": "rad",
@@ -75,7 +75,7 @@ class AmplitudeDispersion(Shown, Tabular):
             yield NamedColumn(name, "", np.repeat(getattr(self, name), shape[1]))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the phase less that of linear waves over frequency, by amplitude; return axes."""
+        """Draw the phase relative to linear waves over frequency, by amplitude; return the axes."""
         ax = axes_in_units(ax, "Hz", "")
         for number, amplitude in enumerate(self.amplitude):
             shift = self.phase[:, number] - self.linear_phase

@@ -29,7 +29,7 @@ SHAPING = ("chain.grains", "chain.file", "recording")
 
 
 class Labels(NamedTuple):
-    """Samples and grains that the arrays have places for.
+    """Samples and grains that the result arrays contain.
 
     Attributes
     ----------

@@ -310,7 +310,7 @@ class _Work:
     def do(
         self, executor: Executor, tasks: Iterator[SweepTask], bar: ProgressBar, limit: int
     ) -> list[str]:
-        """Do all tasks, at most `limit` at a time; return the faults that prevented some."""
+        """Execute all tasks, at most `limit` at a time; return the faults that prevented some."""
         faults: list[str] = []
         deaths: Counter[SweepTask | int] = Counter()
         pending: dict[Future, SweepTask | int] = {}
@@ -327,7 +327,7 @@ class _Work:
                     error = _find_error(future)
                     died = isinstance(error, BrokenExecutor)
                     deaths[job] += died
-                    # The cause may pass, for example a lack of memory.
+                    # The cause may be temporary, for example a lack of memory.
                     if died and deaths[job] < TASKS.deaths:
                         self._submit(executor, job, pending)
                         continue

@@ -20,7 +20,7 @@ from ..util.files import check_tree
 
 # Data types, and their codecs.
 KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}
-FILLS = {"float64": "NaN", "string": "not done"}  # where a scene has no answer
+FILLS = {"float64": "NaN", "string": "not done"}  # Fill values for scenes without a result.
 ENCODING = {"name": "default", "configuration": {"separator": "/"}}
 
 

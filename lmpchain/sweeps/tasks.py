@@ -57,7 +57,7 @@ class TaskLimits(NamedTuple):
 
 
 TASKS = TaskLimits()
-KNOWN = 0.9  # of the time up to which a scene can be predicted
+KNOWN = 0.9  # Fraction of the predictability horizon up to which a scene is simulated.
 
 
 class Beginning(NamedTuple):
@@ -80,7 +80,7 @@ class Beginning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SweepTask:
-    """Scenes to answer, from the number `first` on, and the layout of their results.
+    """Scenes to solve, from the number `first` on, and the layout of their results.
 
     Attributes
     ----------
@@ -105,7 +105,7 @@ class SweepTask:
 
 
 def count_scenes(engine: str, scene: Scene) -> int:
-    """Return the number of scenes like this one in a task; large scenes have tasks of their own."""
+    """Return the number of scenes like this one per task; large scenes get separate tasks."""
     if not engines.get(engine).batches:
         return 1
     numbers = scene.fine.samples * scene.chain.grains
@@ -127,7 +127,7 @@ def announced_work(
 
 
 def answer(task: SweepTask) -> None:
-    """Solve the scenes of a task, unless they are done, and write their results."""
+    """Solve the unfinished scenes of a task, and write their results."""
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
@@ -195,7 +195,7 @@ def _put(
     plan: Sweep,
     task: SweepTask,
 ) -> None:
-    """Store the quantities of an answer in a row, or the reason for its failure."""
+    """Store the quantities of a result in a row, or the reason for its failure."""
     if isinstance(result, LmpchainError):
         columns["reason"][row] = str(result)
         return
@@ -253,7 +253,7 @@ def _answer_alone(
 def _answer_beginning(
     scene: Scene, engine: Engine, plan: Sweep, missed: ToleranceNotMet
 ) -> Beginning | None:
-    """Simulate the predictable part of a scene; return None if no stored quantity is known then."""
+    """Simulate the predictable part of a scene; return None if it determines no quantity."""
     keep = [name for name in plan.keep if is_extreme(name)]
     if missed.known_until == math.inf or not keep:
         return None

@@ -1,4 +1,4 @@
-"""Bands of linear waves in periodic chains, and the modes that a finite chain has in their gaps.
+"""Bands of linear waves in periodic chains, and modes of finite chains in the gaps.
 
 A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The
 rows of B are the extensions of the contacts, each by the root of its stiffness, of displacements by
@@ -45,13 +45,13 @@ __all__ = [
     "waves",
 ]
 
-# width of a gap over the highest frequency, and relative difference of equal grains
+# Relative width of a gap, and relative difference of grains, that count as 0.
 NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Masses and springs that repeat: grains, each with the contact below it, and their resonators.
+    """Masses and springs of a repeating cell: grains, the contact below each, and resonators.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class Cell:
 
     @property
     def damped(self) -> bool:
-        """Whether contacts or a drag take energy."""
+        """Whether contacts or a drag dissipate energy."""
         return bool(np.any(self.viscoelastic) or np.any(self.drag))
 
     @classmethod
     def of(cls, chain: Chain) -> Cell:
-        """Return all grains of a chain as a cell, closed by a contact of its last with its first.
+        """Return all grains of a chain as a cell, with a contact from the last to the first grain.
 
         Raises
         ------
@@ -98,7 +98,8 @@ class Cell:
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
         chain.refuse_loose("theory of bands")
-        # the last contact shows the ratio of given constants to those of Hertz; one grain has none
+        # The last contact has the ratio of given constants to those of Hertz's law; a single grain
+        # has none.
         ends = [-2, -1, 0][-chain.grains - 1 :]
         d = chain.diameters[ends]
         modulus = chain.by_grain("plane_strain_modulus")[ends]
@@ -107,7 +108,7 @@ class Cell:
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
         closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.law)
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
-        # the closing contact is as viscous as that next to it, like one with a wall
+        # The closing contact has the viscosity of the contact next to it, like a wall contact.
         viscosity = chain.contact_viscosity[1:]
         chain.refuse_moving_ground("theory of bands")
         damping = {"viscoelastic": viscosity, "drag": chain.drag}
@@ -116,7 +117,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bands(Shown, Tabular):
-    """Frequencies of waves in a periodic chain, branch by branch.
+    """Frequencies of waves in a periodic chain, sorted by branch.
 
     Attributes
     ----------
@@ -144,7 +145,7 @@ class Bands(Shown, Tabular):
         return self.frequency[key]
 
     def density_of_states(self, frequency: ArrayLike) -> Array:
-        """Return modes a cell and a rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
+        """Return modes per cell and rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
 
         ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
         """
@@ -158,7 +159,7 @@ class Bands(Shown, Tabular):
             return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the branches over wavenumber, the gaps between them shaded, and return the axes."""
+        """Draw the branches over wavenumber and shade the gaps between them; return the axes."""
         ax = axes_in_units(ax, "", "Hz")
         order = np.argsort(self.wavenumber)
         for number, branch in enumerate(self.frequency, 1):
@@ -178,7 +179,7 @@ class Bands(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GapModes(Shown, Tabular):
-    """Eigenmodes of a finite chain outside the bands of its cell: at ends or odd grains.
+    """Eigenmodes of a finite chain outside the bands of its cell, at ends or irregular grains.
 
     Attributes
     ----------
@@ -201,7 +202,7 @@ class GapModes(Shown, Tabular):
     centre: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the displacements of the grains in each mode, over its largest; return the axes."""
+        """Draw each mode's displacements relative to the largest one; return the axes."""
         ax = axes_in_units(ax, "", "")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{prefixed(w / (2 * np.pi), 'Hz')}, {number:.1f} grains"
@@ -214,7 +215,7 @@ class GapModes(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Waves(Shown, Tabular):
-    """Waves ``exp(i (q n - w t))`` of real frequencies that carry energy downward, or decay so.
+    """Waves ``exp(i (q n - w t))`` of real frequencies with energy flow or decay downward.
 
     Attributes
     ----------
@@ -245,7 +246,7 @@ class Waves(Shown, Tabular):
 
 
 def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
-    """Return the wave of each real frequency in the chain that repeats a cell, damped or in a gap.
+    """Return the wave at each real frequency in a periodic chain, with damping or in a gap.
 
     Where damping is weak, the attenuation a cell is ``(A w^2 + gamma) / 2`` over the group
     velocity, for one A and one gamma.
@@ -276,7 +277,7 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
     w = np.atleast_1d(real(frequency, "frequency"))
     require(("frequency", (w > 0) & np.isfinite(w), "must be finite and above 0"))
-    # sin^2(q / 2), which keeps its digits for long waves
+    # The formula with sin^2(q / 2) is accurate for long waves.
     square = -_excess_trace(cell, w) / 4
     q = 2 * np.arcsin(np.sqrt(square + 0j))
     q = np.where(q.imag < 0, -q, q) if cell.damped else np.abs(q.real) + 1j * np.abs(q.imag)
@@ -284,7 +285,7 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
 
 
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
-    """Return the Bloch branches of the chain that repeats a cell.
+    """Return the Bloch branches of the periodic chain of a cell.
 
     L. Brillouin, Wave Propagation in Periodic Structures (1946); for dimers of spheres N. Boechler
     et al., Phys. Rev. Lett. 104, 244302 (2010).
@@ -318,17 +319,17 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     q = np.atleast_1d(real(wavenumber, "wavenumber"))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b, full_matrices=False)
-    # first order perturbation of a singular value
+    # First-order perturbation of a singular value.
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
     # The phases of both vectors are arbitrary at frequency 0.
     soft = frequency <= NEGLIGIBLE * np.abs(slope).max(initial=0.0)
     velocity = np.where(soft, np.abs(product), product.real)
-    # singular values fall, branches rise
+    # Singular values are in descending order, branches in ascending order.
     return Bands(cell, q, frequency.T[::-1], velocity.T[::-1], gaps(cell))
 
 
 def gaps(cell: Cell | Chain) -> Array:
-    """Return the gaps between the bands of the chain that repeats a cell, (G, 2) rad/s.
+    """Return the gaps between the bands of the periodic chain of a cell, (G, 2) rad/s.
 
     The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or
     falling.
@@ -377,7 +378,7 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
 
 
 def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
-    """Return the eigenmodes of a chain in the gaps or above the bands of a cell that repeats.
+    """Return a chain's eigenmodes in the gaps or above the bands of a repeating cell.
 
     Parameters
     ----------
@@ -400,7 +401,7 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     chain.refuse_damping("a mode in a gap")
     modes = eigenmodes(chain)
     low, high = _outside(cell).T[..., None]
-    # modes at an edge belong to the band
+    # Modes at a band edge belong to the band.
     margin = NEGLIGIBLE * modes.frequency[-1]
     inside = ((modes.frequency > low + margin) & (modes.frequency < high - margin)).any(0)
     shape = modes.shape[:, inside].T
@@ -410,7 +411,7 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
 
 
 def _lossless(cell: Cell | Chain) -> Cell:
-    """Return the cell; raise `InputError` if it has damping, and no real frequencies then."""
+    """Return the cell; raise `InputError` if it has damping, so that frequencies are complex."""
     if isinstance(cell, Chain):
         cell.refuse_damping("a band")
         return Cell.of(cell)
@@ -424,7 +425,7 @@ def _outside(cell: Cell | Chain) -> Array:
     cell = _lossless(cell)
     b, _ = _extensions(cell, np.array([0.0, np.pi]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
-    # a branch may rise or fall between the two wavenumbers
+    # A branch may increase or decrease between the two wavenumbers.
     low = edges.min(0)
     high = edges.max(0)
     between = np.column_stack((high, np.append(low[1:], np.inf)))
@@ -432,7 +433,7 @@ def _outside(cell: Cell | Chain) -> Array:
 
 
 def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
-    """Return masses and stiffness, (P,), and resonators, (R, 3): grain from 0, mass, stiffness."""
+    """Return masses and stiffness, (P,), and resonators, (R, 3): grain index, mass, stiffness."""
     m = real(cell.masses, "masses")
     k = real(cell.stiffness, "stiffness")
     resonators = (
@@ -449,7 +450,7 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
         ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one a grain"),
         ("resonators", carried, "must be (mass, stiffness), one a grain"),
     )
-    # mass 0 stands for a grain without one
+    # Mass 0 represents a grain without a resonator.
     grains = np.flatnonzero(resonators[:, 0])
     return m, k, np.column_stack((grains, resonators[grains]))
 
@@ -464,7 +465,7 @@ def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[n
     held = np.flatnonzero(ground)
     b, slope = np.zeros((2, q.size, total + held.size, total), complex)
     b[:, :size, :size] = extensions(m, k, turn)
-    # the last contact alone turns with the wavenumber
+    # Only the last contact depends on the wavenumber.
     slope[:, size - 1, 0] = -1j * (np.sqrt(k[-1] / m[0]) * turn)
     for row, (grain, mass, stiffness) in enumerate(resonators, size):
         b[:, row, row] = np.sqrt(stiffness / mass)
@@ -500,14 +501,14 @@ def _half_trace(cell: Cell, w: Array) -> Array:
 
 
 def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
-    """Return 2 cos(wavenumber) - 2 at frequencies, by the transfer matrix of a cell less 1.
+    """Return 2 cos(wavenumber) - 2 at frequencies, from the transfer matrix minus the identity.
 
     Real without damping.
     """
     m, k, resonators = _check_cell(cell)
     w_flat = w.ravel()
     square = w_flat**2
-    # a grain is as heavy as the force that it takes: that of its resonator, too
+    # The dynamic mass of a grain includes the force of its resonator.
     dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
     springs = np.broadcast_to(k[:, None], (k.size, w.size))
     if cell.damped:
@@ -520,8 +521,8 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
             dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
-    # Transfer matrix of displacement and force less the identity, which would hide the digits
-    # of long waves.
+    # The identity is subtracted from the transfer matrix of displacement and force, because it
+    # would hide the digits of long waves.
     change = np.zeros((w.size, 2, 2), dynamic.dtype)
     for inertia, stiff in zip(dynamic, springs, strict=True):
         force = np.zeros_like(change)
