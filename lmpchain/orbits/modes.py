@@ -1,4 +1,4 @@
-"""Nonlinear normal modes from linear ones, and breathers from the anti-continuous limit."""
+"""Nonlinear normal modes from linear ones, and breathers from the limit of fixed heavy grains."""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ CHECKPOINT_FILES = ("checkpoint", "checkpoint-before")
 OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
                 "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
                 "choices")  # fmt: skip
-UNSEALED = ("sha256", "sessions", SEALED)  # Keys of run.json that are not part of the run specification.
+UNSEALED = ("sha256", "sessions", SEALED)  # Keys outside the specification.
 IN_STATE = "state."  # Prefix of the arrays of a state in a checkpoint.
 HASH = hashlib.sha256
 LENGTH = HASH().digest_size

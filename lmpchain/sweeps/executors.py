@@ -25,7 +25,7 @@ UNGUARDED = (
     'if __name__ == "__main__":'
 )
 IMPORT_FAILED = 1  # Exit code of a process whose script fails or ends it.
-SPAWN = get_context("spawn")  # Processes are spawned, because a forked process would share LAMMPS, MPI and threads.
+SPAWN = get_context("spawn")  # Forks would share LAMMPS, MPI and threads.
 
 
 class Here(Executor):

@@ -295,7 +295,7 @@ def infinite_general(
 
 
 def free_end(n: ArrayLike, T: ArrayLike) -> Array:
-    """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T): the semi-infinite chain, grain 1 displaced by 1.
+    """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T), for unit displacement of a free end.
 
     It holds in a finite chain until the wave has come back from the other end.
 

@@ -200,7 +200,7 @@ class Medium:
         return Edges(leading, _above_zero(sound * (2 - ratio)), 2 * length * np.log(2 * ratio - 1))
 
     def kdv(self, ahead: State, overlap: float) -> Edges:
-        """Return the edges by Korteweg and de Vries's equation, for weak waves."""
+        """Return the edges by the Korteweg-de Vries equation, for weak waves."""
         _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:
@@ -222,7 +222,7 @@ class Medium:
 
 
 def _require_overlap(overlap: float) -> None:
-    """Raise `InputError` for the overlap of a gap, of which a power is complex."""
+    """Raise `InputError` for negative overlaps, whose powers would be complex."""
     message = f"must be 0 or more (got {shown(overlap)}): an open contact has the overlap 0"
     require(("overlap", overlap >= 0, message))
 
@@ -234,7 +234,7 @@ def _require_compression(ahead: State, overlap: float) -> None:
 
 
 def _solitary_speed(cosh: float) -> float:
-    """Return sinh(q/2) / (q/2) where cosh(q/2) has a value."""
+    """Return sinh(q/2) / (q/2) for a value of cosh(q/2)."""
     half = np.arccosh(cosh)
     return float(np.sinh(half) / half) if half else 1.0
 

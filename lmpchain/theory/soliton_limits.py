@@ -107,7 +107,7 @@ def sen_displacement(x: ArrayLike) -> Array:
 
 
 def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the long-wave speed under a load, over the speed of sound.
+    """Return the long-wave speed under a load, relative to the speed of sound.
 
     ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` for Hertz, f being the largest
     over the static force; C. Coste, E. Falcon and S. Fauve, Phys. Rev. E 56, 6104 (1997). The

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
-MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
+MOVING = 1e-3  # Fraction of the largest motion below which a grain counts as at rest.
 
 
 def draw_motion(
