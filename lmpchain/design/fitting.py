@@ -309,7 +309,7 @@ class _Estimate(NamedTuple):
 
 
 def _estimate(problem: Problem, theta: Array) -> _Estimate:
-    """Return the uncertainty of relative changes, and their error by a run of half the steps."""
+    """Return the uncertainty of relative changes, and their error from a run at half the steps."""
     residuals, jacobian = problem.residuals(theta, True)
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:

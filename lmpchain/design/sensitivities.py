@@ -28,7 +28,7 @@ PAIRS = 16
 # Values below this one (SI units) count as 0. Momentum and energy far ahead of a wave may be
 # smaller, because they decay faster than any power.
 NOTHING = 1e-150
-AT_REST = 1e-9  # Bound on the rounding of a force that no wave changes, relative to the force at rest.
+AT_REST = 1e-9  # Relative rounding of a force at rest.
 # Order of a table: properties of the chain, then loads and excitation.
 CANDIDATES = (
     "diameters",

@@ -34,9 +34,7 @@ REGISTRY = {  # Module and class of each engine by name.
     "continuum": ("linear.closed_form", "Continuum"),
 }
 __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
-DEFAULT = (
-    "native"  # A single engine in place of "auto".
-)
+DEFAULT = "native"  # A single engine in place of "auto".
 # Arguments of `simulate` that every engine shares.
 ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
 

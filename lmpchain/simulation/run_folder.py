@@ -389,7 +389,7 @@ class RunFolder:
         }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
-        """Return the times of this attempt in all sessions, s; wall time of all attempts."""
+        """Return the times of this attempt in all sessions, and the total wall time, s."""
         session = cost._asdict() | {"wall_s": time.monotonic() - self._began}
         return {key: value + session[key] for key, value in self._before.items()}
 

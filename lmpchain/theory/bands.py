@@ -496,7 +496,7 @@ def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[A
 
 
 def _half_trace(cell: Cell, w: Array) -> Array:
-    """Return cos(wavenumber) at frequencies: half the trace of the transfer matrix of a cell."""
+    """Return cos(wavenumber) at frequencies, half the trace of a cell's transfer matrix."""
     return 1 + _excess_trace(cell, w) / 2
 
 

@@ -95,7 +95,7 @@ class DimerSoliton(Shown, Tabular):
         return self._ahead(x, light, 0)
 
     def velocity(self, x: ArrayLike, light: bool = False) -> Array:
-        """Return the velocity of a heavy or a light grain at x, positive in the way of travel."""
+        """Return the velocity of a heavy or a light grain at x, positive in travel direction."""
         return -self.speed * self._ahead(x, light, 1)
 
     def on(self, chain: Chain, grain: float) -> Profile:

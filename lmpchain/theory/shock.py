@@ -189,7 +189,7 @@ class Medium:
         return Edges(sound * leading, _above_zero(2 * sound - behind), height)
 
     def toda(self, ahead: State, overlap: float) -> Edges:
-        """Return the exact edges in a Toda chain of the same first two terms of the force."""
+        """Return the exact edges in a Toda chain with equal first two terms of the force."""
         _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:

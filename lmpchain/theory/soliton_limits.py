@@ -74,7 +74,7 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
 
 
 def sen_displacement(x: ArrayLike) -> Array:
-    """Return the displacement over the largest, as fitted for Hertz in the sonic vacuum.
+    """Return the relative displacement, as fitted for Hertz's law in the sonic vacuum.
 
     (1 - tanh(f(x)/2))/2 with ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``; S. Sen et al., Phys.
     Rep. 462, 21 (2008).

@@ -163,7 +163,7 @@ def _held(z: Array) -> np.ndarray:
 
 
 def _likely_step(frames: Frames, z: Array, v: Array) -> float:
-    """Return the time step with which positions change as velocities say, s; 0 if unknown."""
+    """Return the time step at which positions and velocities agree, s; 0 if unknown."""
     rates = (v[1:] + v[:-1]) / 2 * np.diff(frames.steps)[:, None]
     size = float(np.square(rates).sum())
     step = float((np.diff(z, axis=0) * rates).sum()) / size if size > 0 else 0.0

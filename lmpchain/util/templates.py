@@ -17,7 +17,7 @@ from .memory import memory_limit
 
 LARGEST_TEXT = 2**28  # Largest memory that a user's template may use, bytes.
 _PACKAGE = Path(__file__).parent.parent
-_FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # Folders in a wheel and in a source tree.
+_FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # In a wheel; in a source tree.
 
 
 class _Sandbox(ImmutableSandboxedEnvironment):

@@ -57,7 +57,7 @@ EVENT = np.dtype([
     ("height", float),  # Height with its sign; for a hidden event, a bound on the size.
     ("off", float),  # Error of the height.
     ("tilt", float),  # Error of the slope, 1/s, minus the slope of a shoulder.
-    ("bend", float),  # Lower bound of the curvature, 1/s^2 (0 if unsure); of a shoulder's slope, 1/s^3.
+    ("bend", float),  # Lower bound of the curvature, 1/s^2; of a shoulder's slope, 1/s^3.
     ("since", float),  # Smallest size until a larger one follows.
     ("until", float),  # Time until which the size is equal within its error, s.
 ])  # fmt: skip
