@@ -178,7 +178,7 @@ def test_json_has_the_documented_form_without_nan():
 # --- the picture
 
 
-def test_a_picture_in_axes_of_ones_own():
+def test_a_picture_in_axes_of_the_user():
     answer, truth = made_up()
     mine = figure()
     axes = mine.subplots(1, 3)

@@ -244,7 +244,7 @@ def test_runs_to_a_tolerance_are_named_however_few(found):
     assert "native, to a tolerance" in axes.figure.axes[1].get_legend_handles_labels()[1]
 
 
-def test_a_picture_in_axes_of_ones_own(found):
+def test_a_picture_in_axes_of_the_user(found):
     mine = figure()
     axes = mine.subplots(1, 3)
     # On a busy machine no curve may reach the target, but the other codes do.

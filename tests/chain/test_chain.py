@@ -54,7 +54,7 @@ def test_the_chain_of_the_paper():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_contact_constant_for_any_exponent(exponent: float):
-    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), with all values from the two grains of the contact."""
+    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), with values from the two grains of the contact."""
     chain = Chain(
         grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
     )
@@ -181,7 +181,7 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_the_contact_law_and_what_follows_from_it(exponent: float):
-    """Stiffness is the slope of the force, a collision ends at the given energy, and loads scale."""
+    """Stiffness is the slope of the force, a collision ends at its energy, and loads scale."""
     every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
     contacts = every.of(np.flatnonzero(every.pressed))
     o = contacts.overlap

@@ -302,7 +302,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
 def test_adjoints_of_long_chains_agree_with_tangents(
     velocity: float, struck: int, options: dict[str, float]
 ):
-    """Windows grow or form tiles, in several pieces, for every law and both ways of undoing rows."""
+    """Windows grow or form tiles, for every law and both ways of undoing rows."""
     rng = np.random.default_rng(1)
     start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)

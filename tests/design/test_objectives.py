@@ -1,4 +1,4 @@
-"""Objectives and gradients of chains with contact openings, against differences and accurate runs."""
+"""Objectives and gradients with contact openings, against differences and accurate runs."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Dependence of a motion's inputs on the properties of a scene, against differences of new scenes."""
+"""Dependence of a motion's inputs on a scene's properties, against differences of new scenes."""
 
 from typing import Any
 
