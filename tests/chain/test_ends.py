@@ -20,7 +20,7 @@ from lmpchain.theory import scattering
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"]
 )
 def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
-    """With K_wall = 2^delta K the chain is half of a symmetric one, squeezed in its middle contact."""
+    """With K_wall = 2^delta K the chain is half of a symmetric one around a squeezed contact."""
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
         return
     rng = np.random.default_rng(5)

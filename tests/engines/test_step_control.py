@@ -276,7 +276,7 @@ def test_a_hopeless_tolerance_ends_with_the_third_attempt():
     assert "because round-off alone may make 1e-06" in missed
 
 
-def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():
+def test_a_tolerance_is_loosened_fourfold_until_it_is_met():
     asked = []
 
     def propose(tolerance):
@@ -297,7 +297,7 @@ def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():
     assert asked == [1e-3, 4e-3, 0.016, 0.064, 0.256]
 
 
-def test_a_refusal_of_the_engine_stays_with_the_attempt():
+def test_a_refusal_of_the_engine_is_recorded_with_the_attempt():
     """Beyond the last digits nothing is promised.
 
     With best effort the tolerance is what can be had.

@@ -17,9 +17,7 @@ REST = Impulse(velocity=0.0)
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
-    told.
-    """
+    """Return a chain of touching grains with m = K = 1 and diameter 100, by default free below."""
     units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
     return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))
 
@@ -393,7 +391,7 @@ def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
     everything = contacts(column)
     some = record(column.scene.chain, column.scene.excitation, 1.2e-4, 601, [7, 11, 5, 6])
     history = contacts(some)
-    assert history.contact.tolist() == [5, 6, 11]  # grain 12 is held
+    assert history.contact.tolist() == [5, 6, 11]  # Grain 12 is fixed.
     assert np.array_equal(history.overlap, everything.overlap[:, [4, 5, 10]])
     assert np.array_equal(history.force, contacts(column, [5, 6, 11]).force)
     assert np.array_equal(contacts(some, [11, 5]).closing, everything.closing[:, [10, 4]])

@@ -118,7 +118,7 @@ HAMMERS = {
 
 @pytest.mark.parametrize("name", HAMMERS)
 @pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
-def test_a_hammer_is_accounted_for_by_few_samples(name: str, within: float):
+def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float):
     """Corners between few samples do not spoil the work of a hammer, compared with the energy
     gained.
     """

@@ -150,7 +150,7 @@ def test_a_gap_is_measured_as_a_decay() -> None:
 
 
 def test_drive_point_of_linear_chains() -> None:
-    """The dynamic stiffness is that of a dense linear system, for each kind of drive."""
+    """The dynamic stiffness equals that of a dense linear system, for each kind of drive."""
     losses = {"viscoelastic": 4e-6, "drag": 50.0}
     chain = Chain(grains=6, top="wall", bottom="wall", damping=losses, **LOADED)
     omega = 0.37 * chain.band_edge
@@ -200,7 +200,7 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
         u[0] = drive.amplitude * np.sin(omega * t)
         v[0] = drive.amplitude * omega * np.cos(omega * t)
         overlap = np.maximum(chain.contacts.overlap - np.diff(u), 0.0)
-        # K (1 + A d/dt) o^(3/2)
+        # The force is K (1 + A d/dt) o^(3/2).
         return constants * overlap**1.5 - constants * 8e-6 * 1.5 * np.sqrt(overlap) * np.diff(v)
 
     def rate(t: float, state: np.ndarray) -> np.ndarray:
@@ -227,7 +227,7 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
     assert abs(found.linear - fundamental) > max(100 * found.error, 5e-3 * abs(fundamental))
 
 
-def test_errors_cover_what_is_left_of_a_transient() -> None:
+def test_errors_cover_the_rest_of_a_transient() -> None:
     """After short runs of weakly damped, strongly driven chains, a four times longer one agrees."""
     rng = np.random.default_rng(6)
     for number in range(6):
@@ -252,7 +252,7 @@ def test_errors_cover_what_is_left_of_a_transient() -> None:
         assert abs(short.stiffness - long.stiffness) <= short.error + long.error
 
 
-def test_a_plot_has_labels_and_what_cannot_be_measured_is_refused() -> None:
+def test_pictures_have_labels_and_unsuitable_runs_are_rejected() -> None:
     """The picture has labelled axes; a burst or a few grains give no wavenumber."""
     t = long_run(1.5, 0.02)
     axes = harmonic.wave(t).plot()

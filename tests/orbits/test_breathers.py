@@ -1,6 +1,4 @@
-"""Breathers of every kind: back after a period by an independent integrator, and where theory has
-them.
-"""
+"""Breathers of every kind: closure by an independent integrator, and theoretical frequencies."""
 
 from functools import cache
 
@@ -47,8 +45,7 @@ def defect() -> Orbit:
 
 @cache
 def dark(energy: float = 6.7e-4) -> Orbit:
-    """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202
-    (2013).
+    """Return a dark breather, a dip in a pi-mode: C. Chong et al., PRE 87, 042202 (2013).
 
     Rigid walls are mirrors, so the chain is the half of a ring.
     """
@@ -67,7 +64,7 @@ def stiffness(chain: Chain) -> float:
 
 
 def share(orbit: Orbit) -> np.ndarray:
-    """Return the part of every grain in the kinetic energy, over a period."""
+    """Return the fraction of the kinetic energy in every grain, averaged over a period."""
     held = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
     return held / held.sum()
 
@@ -76,7 +73,7 @@ def share(orbit: Orbit) -> np.ndarray:
     "kind", [gap, surface, defect, dark, pytest.param(strong, marks=pytest.mark.slow)]
 )
 def test_a_breather_returns_after_a_period(kind):
-    """Source: Taylor series in extended precision."""
+    """The reference is a Taylor series in extended precision."""
     orbit = kind()
     u, v, error = extended_reference(orbit.scene(1, samples=9))
     assert error < 1e-14
@@ -93,7 +90,7 @@ def test_a_breather_returns_after_a_period(kind):
         (defect, 2.0, np.inf, np.sqrt(4 / (0.5 * (2 - 0.5))), 11),
     ],
 )
-def test_bright_breathers_lie_in_gaps_and_soften(
+def test_bright_breathers_are_in_gaps_and_soften(
     kind, low: float, high: float, limit: float, grain: int
 ):
     """Above one band edge, and below the other or the linear mode at a surface or a defect, for
@@ -117,15 +114,13 @@ def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
     assert other.energy == pytest.approx(orbit.energy, rel=1e-9)
 
 
-def test_a_dark_breather_swings_with_its_background():
-    """Far from the dip as a pi-mode of that amplitude, by quadrature; its frequency lies in the
-    band.
-    """
+def test_a_dark_breather_oscillates_with_its_background():
+    """Far from the dip the motion is a pi-mode of that amplitude, with a frequency in the band."""
     orbit = dark()
     chain = orbit.chain
     swing = np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
-    # less than at rest: grains at the dip take more room
+    # The overlap is smaller than at rest, because grains at the dip need more room.
     eps = overlap[10:12].mean()
     k = chain.contact_constants[0]
 
