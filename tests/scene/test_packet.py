@@ -1,4 +1,4 @@
-"""Packets go down at the group velocity; what meets them reflects and transmits as theory says."""
+"""Packets travel down at the group velocity, and are scattered as in theory."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def uniform(grains: int = 400, **keys: object) -> Chain:
 
 
 def middle(t, part: slice = slice(None)) -> Array:
-    """Return the mean place of the energy over time, in grains."""
+    """Return the mean position of the energy over time, in grains."""
     found = energy.shares(t)
     weight = found.of_grain[:, part]
     return (weight * found.grain[part]).sum(1) / weight.sum(1)
@@ -44,16 +44,15 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     speed = np.cos(q / 2) / chain.time_scale
     scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
     place = middle(simulate(scene, engine, 1e-9))
-    # energy is spread over wave numbers as exp(-(width dq)^2), whose mean of cos is smaller by
-    # exp(-1 / (16 width^2))
+    # The energy is distributed over wave numbers as exp(-(width dq)^2), which reduces the mean of
+    # cos by exp(-1 / (16 width^2)).
     expected = place[0] + speed * scene.time * np.exp(-1 / (16 * width**2))
     assert place == pytest.approx(expected, rel=0, abs=2e-3)
 
 
 @pytest.mark.parametrize(("q", "width"), [(0.3, 25.0), (1.0, 20.0), (2.0, 8.0), (2.9, 25.0)])
 def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
-    """On a uniform chain v = A w exp(-x^2 / 2 width^2) cos(q x) at grains, 2 A sin(q/2) the same
-    between them.
+    """At grains v = A w exp(-x^2 / 2 width^2) cos(q x), and 2 A sin(q/2) times this between them.
 
     The displacement that follows has the spectrum of the strain over 2 sin(k/2): A is the height of
     its envelope.
@@ -84,7 +83,7 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
 
 
 @pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
-def test_hardly_anything_goes_up(width: float, most: float):
+def test_the_upward_part_is_negligible(width: float, most: float):
     """The upward part is the tail of exp(-(q width)^2 / 2) beyond q = 1."""
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
@@ -102,9 +101,7 @@ def test_hardly_anything_goes_up(width: float, most: float):
 
 
 def test_a_packet_under_gravity():
-    """In a column the local wave number makes it: what goes up stays small, and arrival follows the
-    travel time.
-    """
+    """In a column with local wave numbers the upward part is small, and the arrival is right."""
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
     packet = Packet(
