@@ -287,7 +287,7 @@ def test_chaos_is_rejected_before_the_run():
     assert early.time[-1] < said < scene.duration
 
 
-def test_lammps_refuses_chaos_before_it_runs():
+def test_lammps_rejects_chaos_before_the_run():
     with pytest.raises(
         ToleranceNotMet, match="amplifies round-off, which may exceed the tolerance at t = "
     ) as refusal:
@@ -311,8 +311,8 @@ def answerable(scene, tolerance, patient):
     return not outcome.missed
 
 
-def test_what_can_be_answered_is_not_refused():
-    """Up to close to the predictability time."""
+def test_solvable_scenes_are_not_rejected():
+    """Durations are up to close to the predictability horizon."""
     whole = chaotic()
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
@@ -324,7 +324,7 @@ def test_what_can_be_answered_is_not_refused():
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-def test_no_random_scene_is_refused_that_can_be_answered():
+def test_no_solvable_random_scene_is_rejected():
     rng = np.random.default_rng(3)
     refused = 0
     for _ in range(60):
