@@ -1,4 +1,4 @@
-"""A shock protector of 20 steel beads: diameters that let least force through to a wall.
+"""A shock protector of 20 steel beads: diameters that minimise the force on a wall.
 
 The first bead strikes at 1 m/s; it and the wall are as they are. The other 19 may have half to one
 and a half times its diameter, and all together no more length than 20 equal ones. Random search has
@@ -88,7 +88,7 @@ def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-
 
 
 def best_of(orders: Iterable[list[str]]) -> tuple[float, list[str]]:
-    """Return the least peak of equal beads in some orders, and the order that has it."""
+    """Return the smallest peak of equal beads over some orders, and the best order."""
     return min(
         (float(wall_force(composite(order, CHAIN.diameters))[1].max()), order) for order in orders
     )
@@ -143,7 +143,7 @@ def every_order() -> None:
 
 
 def evolution(seconds: float) -> tuple[float, Scene, int]:
-    """Return the lowest peak that evolution finds in this CPU time, s, its scene and run count."""
+    """Return the smallest peak by evolution in this CPU time, s, its scene, and the run count."""
     best = (np.inf, SCENE)
     tried = 0
     end = time.process_time() + seconds
@@ -170,7 +170,7 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
 
 
 def draw_beads(axes: Axes, scene: Scene, height: float, colour: str) -> None:
-    """Draw beads one after the other, and the wall, at a height; light materials in white."""
+    """Draw beads in a row, and the wall, at a height; light materials are white."""
     diameters = 1e3 * scene.chain.diameters
     centres = np.cumsum(diameters) - diameters / 2
     light = scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3
@@ -181,7 +181,7 @@ def draw_beads(axes: Axes, scene: Scene, height: float, colour: str) -> None:
 
 
 def main() -> None:
-    """Search both ways and draw the forces on the wall and the beads."""
+    """Search with both methods, and draw the forces on the wall and the beads."""
     given = arguments(
         __file__, __doc__, all_orders="run all orders of equal beads, and nothing else"
     )
