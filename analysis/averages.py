@@ -99,7 +99,7 @@ def draw_sizes(ax: "Axes", quick: bool) -> None:
 
 
 def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
-    """Draw intervals of single beads in chains of 24, and the share that covers the exact value."""
+    """Draw intervals of single beads in chains of 24, and the fraction with the exact value."""
     trials = 60 if quick else 1000
     ends = []
     for seed in range(trials):

@@ -23,7 +23,7 @@ MARKS = {"fold": "o", "Neimark-Sacker": "^", "period doubling": "s"}
 
 
 def chain() -> lmpchain.Chain:
-    """Return 20 spheres in turn, the first of aluminium, below a driven one; 20 N, drag 400/s."""
+    """Return 20 alternating spheres below a driven one, first of aluminium; 20 N, drag 400/s."""
     return lmpchain.Chain(
         grains=21,
         material=[STEEL, ALUMINIUM] * 10 + [STEEL],

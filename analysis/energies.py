@@ -38,7 +38,7 @@ LENGTHS = {
 
 
 def strike(delta: float, velocity: float) -> solitary.Train:
-    """Return the solitary waves that a bead of this velocity, m/s, sends into like ones."""
+    """Return the solitary waves after a strike of one bead, m/s, on equal beads."""
     grains = LENGTHS[delta]
     mass = 1e-6
     # Overlaps are some micrometres for every exponent.

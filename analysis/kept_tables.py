@@ -14,7 +14,7 @@ from pathlib import Path
 from figures import HERE, TABLES, write_table
 from PIL import Image
 
-PROTECTORS = {  # By method: the name of its force in the script.
+PROTECTORS = {  # Name of the force in the script, by method.
     "equal beads of steel": "equal beads",
     "steel, diameters by random search": "random search over equal",
     "steel, diameters by gradients": "optimised",

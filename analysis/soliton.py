@@ -1,5 +1,4 @@
-"""Solitary waves of the lattice: shape, tails and speed, exact, by the engines,
-and by the formulae of long waves.
+"""Solitary waves of the lattice: shape, tails and speed, exact, by engines, and for long waves.
 
 A strike sends one through an unloaded chain; under a load they are faster than sound, and the
 faster the higher. The exact ones solve the advance-delay equation of the lattice. Nesterenko's and

@@ -164,9 +164,7 @@ def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
 
 
 def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
-    """Run tests in a copy of the project with a mutant; return whether they pass, and the line
-    that says why not.
-    """
+    """Run tests in a copy of the project with a mutant; return success, and a failure's reason."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
         # Times of files are copied, so that compiled code stays valid.

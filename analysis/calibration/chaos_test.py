@@ -23,7 +23,7 @@ from lmpchain import Scene
 from lmpchain.engines.native import Native
 from lmpchain.engines.step_control import PATIENCE
 
-MOST_STEPS = 200_000  # Of one run.
+MOST_STEPS = 200_000  # Largest number of steps of a run.
 PATIENT = 20  # Number of attempts, larger than in PATIENCE.
 TOLERANCES = (1e-4, 1e-6, 1e-8)
 

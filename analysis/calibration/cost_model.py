@@ -71,7 +71,7 @@ def supported(name: str, shipped: float, measured: float, says: str) -> Row:
 def _stepping(
     engine: Engine, sizes: tuple[int, ...], most: float, repeats: int
 ) -> tuple[float, float]:
-    """Return seconds a grain and force evaluation, with companions, and the overhead in grains."""
+    """Return seconds per grain and evaluation with auxiliary runs, and the overhead in grains."""
     features = []
     times = []
     for grains in sizes:

@@ -155,7 +155,7 @@ def _large(found: list[Held]) -> Row:
 
 
 def columns(quick: bool) -> list[Scene]:
-    """Return struck columns of few grains over ten passages, from weak to a strain of 0.99."""
+    """Return struck columns of few grains over ten passages, up to a strain of 0.99."""
     scenes = []
     for exponent in (1.5,) if quick else (1.1, 1.3, 1.5, 1.8, 2.2):
         for grains in (2,) if quick else (2, 3, 4, 8):

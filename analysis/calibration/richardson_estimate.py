@@ -270,7 +270,7 @@ def _fewest(count: int) -> Row:
 
 
 def _landings(cases: list[Case]) -> Row:
-    """Return the row of how many steps lie between two samples where companions land on each."""
+    """Return the row of the number of steps at which auxiliary runs land on each sample."""
     found = []
     for case, name, count in itertools.product(cases, ("rkn4", "dop853"), (9, 17, 33, 65)):
         engine = Native(name)

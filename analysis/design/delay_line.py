@@ -117,7 +117,7 @@ def main() -> None:
     starts, runs = (1, 40) if given.quick else (6, 200)
     plain = seen_at_the_end(SCENE)
     threshold = ArrivalTime(END, 0.5 * float(plain.velocity[:, 0].max()))
-    peak = PeakForce(END, sharpness=1e4)  # For a pulse of 2 N in addition to the load.
+    peak = PeakForce(END, sharpness=1e4)  # The peak of a pulse of 2 N in addition to the load.
     begin = threshold(plain).value
     rise = peak(plain).value - LOAD
     wanted = Late(threshold, peak, begin + DELAY * UNIT, rise)

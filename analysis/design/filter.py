@@ -78,9 +78,7 @@ class Way:
         )
 
     def passed(self, factors: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the share of the energy that passes, and its derivatives by the
-        factors, by a run.
-        """
+        """Return the transmitted energy fraction and its derivatives by the factors, by a run."""
         scene = self.scene.replace(chain=with_cells(factors))
         value, by_name, _ = self._energy(scene, range(LAST + 1, GRAINS + 1), ("masses",))
         by_factor = MASS * by_name["masses"][FIRST:LAST].reshape(CELLS, CELL).sum(0)

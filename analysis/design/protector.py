@@ -80,9 +80,7 @@ def random_beads(rng: np.random.Generator) -> Scene:
 
 
 def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-3) -> Scene:
-    """Return the scene of beads of these materials, which are slower than steel, before the same
-    wall.
-    """
+    """Return the scene of beads of these softer materials, with the same wall."""
     chain = CHAIN.replace(material=materials, diameter=diameters, bottom_material="steel")
     return SCENE.replace(chain=chain, duration=duration, samples=1 + round(duration * 1e5))
 
@@ -95,9 +93,7 @@ def best_of(orders: Iterable[list[str]]) -> tuple[float, list[str]]:
 
 
 def family() -> tuple[float, list[str]]:
-    """Return the least peak of some steel beads, PTFE and steel by turns, and some PTFE beads, and
-    their order.
-    """
+    """Return the smallest peak of steel, alternating and PTFE beads in a row, and their order."""
     orders = []
     for hard in range(1, BEADS):
         for soft in range(BEADS - hard + 1):
@@ -107,9 +103,7 @@ def family() -> tuple[float, list[str]]:
 
 
 def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
-    """Return the least peak of the orders of these numbers, whose binary digits say which beads are
-    PTFE.
-    """
+    """Return the smallest peak over orders given as numbers, whose bits mark PTFE beads."""
     return best_of(
         ["steel", *(("steel", "ptfe")[number >> bead & 1] for bead in range(BEADS - 1))]
         for number in numbers
@@ -117,7 +111,7 @@ def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
 
 
 def every_order() -> None:
-    """Print the lowest peak over all orders of equal beads, and the lowest peak of the family."""
+    """Print the smallest peak over all orders of equal beads, and over the family."""
     count = 2 ** (BEADS - 1)
     some = 2**12
     pieces = [range(first, first + some) for first in range(0, count, some)]

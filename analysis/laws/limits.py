@@ -30,7 +30,7 @@ from lmpchain.theory.modes import Eigenmodes, between
 from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import EPSILON, Array
 
-# From this m on, m^m in Eq. (23) as printed exceeds the largest double, 1.8e308.
+# Smallest m for which m^m in Eq. (23) as printed exceeds the largest double, 1.8e308.
 MOST_PRINTED = 143
 # Value of omega h of velocity Verlet at which the error of a straight column is negligible.
 STEADY = 0.05

@@ -103,9 +103,7 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1,
-    Euclidean over grains, at tau.
-    """
+    """Return the error of Eq. (7) after a displacement of grain 1, as L2 norm, at tau."""
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))

@@ -162,7 +162,7 @@ def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the time to each error, and the fastest other code over the native engine."""
+    """Return the time to each error, and the ratio of the fastest other code to native."""
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])

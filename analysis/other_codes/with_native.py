@@ -13,7 +13,7 @@ from lmpchain.integrators.methods import METHODS
 
 TO_TOLERANCE = "native to a tolerance, with estimate"
 COUNTS = [round(8 * 2 ** (k / 4)) for k in range(53)]  # Numbers of steps, up to 65 536.
-TOLERANCES = [10 ** (-k / 4) for k in range(8, 57)]  # From 1e-2 to 1e-14.
+TOLERANCES = [10 ** (-k / 4) for k in range(8, 57)]  # 1e-2 to 1e-14.
 
 
 def _at_step(integrator: str, problem: Problem, step: float) -> Answer:

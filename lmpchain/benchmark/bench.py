@@ -126,7 +126,7 @@ class Bench:
             steps = points[0].steps if points else steps
 
     def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
-        """Yield points at ever shorter steps, from the longest stable one to round-off."""
+        """Yield points at shorter and shorter steps, from the longest stable step to rounding."""
         interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:

@@ -372,7 +372,7 @@ class Chain(ChainPicture, Checked):
 
     @cached_property
     def depths(self) -> Array:
-        """Depth of the centre of every grain below that of grain 1 at rest, (N,) m."""
+        """Depth of every grain's centre below the centre of grain 1 at rest, (N,) m."""
         # Distances between centres: mean diameters minus overlaps, without the walls.
         distances = (self.contact_lengths - self.contacts.overlap)[1:-1]
         return read_only(np.append(0.0, np.cumsum(distances)))

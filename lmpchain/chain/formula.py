@@ -980,7 +980,7 @@ def _log_cosh(inner: Formula) -> Formula:
     return add(size, build("log", multiply(number(0.5), add(ONE, decays))))
 
 
-# By function f(L): its integral over L without the sign, the function of that integral, and the
+# Maps function f(L) to its integral over L without the sign, the function of that integral, and the
 # sign.
 PRIMITIVES: dict[str, Callable[[Formula], tuple[Formula, str, float]]] = {
     "exp": lambda inner: (build("exp", inner), "exp", 1.0),

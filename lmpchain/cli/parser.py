@@ -22,7 +22,7 @@ class Parser(argparse.ArgumentParser):
         self.renamed: Mapping[str, str] = {}
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Report unknown arguments here, because only this parser knows the command's options."""
+        """Report unknown arguments here, because only this parser has the command's options."""
         if args is not None:
             args = [self._current_spelling(each) for each in args]
         arguments, unknown = super().parse_known_args(args, namespace)

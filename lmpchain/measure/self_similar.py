@@ -25,7 +25,7 @@ __dir__ = listed(__name__)
 AGES = (0.4, 0.6, 0.8, 1.0)
 PROFILE_POINTS = 400
 BEYOND = 1.15  # Multiple of the speed of the leading edge up to which the profile is drawn.
-NEIGHBOURHOOD = 0.03  # As a fraction of the leading speed.
+NEIGHBOURHOOD = 0.03  # Fraction of the leading speed.
 
 
 @dataclass(frozen=True, eq=False, repr=False)

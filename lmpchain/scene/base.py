@@ -72,12 +72,12 @@ class Excitation(Checked):
 
     @property
     def acts_on(self) -> int:
-        """Number of the grain that is driven or forced after t = 0; 0 if there is none."""
+        """Number of the grain that is driven or forced after t = 0; 0 without such a grain."""
         return 0
 
     @property
     def waveform(self) -> Waveform | None:
-        """Motion of grain 1 or the top wall, m, or force, N, after t = 0; None if there is none."""
+        """Motion of grain 1 or the top wall, m, or force, N, after t = 0; None without forcing."""
         return None
 
     @property

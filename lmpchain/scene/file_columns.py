@@ -138,7 +138,7 @@ def find_time_and_columns(
 
 
 def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
-    """Return the time column of columns that were named without it; None if there is none.
+    """Return the time column if columns were named without it; None if no column fits.
 
     The column of times is the nearest column to the left with a name or unit of time, with a
     counter of samples, or with steps equal to the stated sampling interval.

@@ -267,7 +267,7 @@ class RunColumn:
     # Commands of the input ----------------------------------------------------------------------
 
     def _style(self, of: str) -> str:
-        """Return the pair or bond style of the input; empty if there is none."""
+        """Return the pair or bond style of the input; empty without one."""
         if self.source is None:
             return ""
         found = self.source.state.pair if of == "pair" else self.source.state.bond

@@ -62,7 +62,7 @@ def mean_load(rest: Array, errors: Array, largest: float) -> float:
 
 
 def load_between(excess: Callable[[float], float]) -> float:
-    """Return the load at which an increasing excess of overlaps is 0; infinite if there is none.
+    """Return the load at which an increasing excess of overlaps is 0; infinite without a root.
 
     The excess is below 0 without a load.
     """

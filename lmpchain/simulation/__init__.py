@@ -1,1 +1,1 @@
-"""From a scene and an engine to a trajectory: engine selection, run folders, checkpoints."""
+"""Simulation of scenes: engine selection, runs, run folders and checkpoints."""

@@ -131,7 +131,7 @@ def resume(
     progress: bool = False,
     ranks: int | None = None,
 ) -> Trajectory:
-    """Continue a run in a folder; the result is bit for bit that of an uninterrupted run.
+    """Continue a run in a folder; the result is bit for bit equal to an uninterrupted run.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def energies(scene: Scene) -> dict[str, ArrayLayout]:
 def variables(
     scene: Scene, values: dict[str, Any]
 ) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
-    """Return dimensions, values and metadata of gathered arrays, by name in files."""
+    """Return dimensions, values and metadata of accumulated arrays, by name in files."""
     layouts = arrays(scene)
     return {
         file_name(name): (layouts[name].dimensions, array, layouts[name].labels)

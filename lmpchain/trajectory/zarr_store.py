@@ -144,7 +144,7 @@ class Writer:
             self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
 
     def conclude(self, error: ErrorEstimate, cost: Cost, quantities: Mapping[str, Array]) -> None:
-        """Store the error estimate, the cost, and the gathered quantities."""
+        """Store the error estimate, the cost and the accumulated quantities."""
         for name, values in quantities.items():
             self._group[gathered.file_name(name)][...] = values
         self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})

@@ -28,7 +28,7 @@ def load_mpi_before_lammps() -> None:
 
 
 def _load_mpi() -> None:
-    """Load the MPI library of the system or, if there is none, of the MPICH wheel.
+    """Load the MPI library of the system or, without one, the library of the MPICH wheel.
 
     A library that is loaded for itself alone does not get in the way of another MPI.
     """

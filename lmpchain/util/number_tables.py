@@ -184,7 +184,7 @@ class NumberTable:
         return next(filter(None, words), "").rpartition(":")[2].strip()
 
     def fact(self, place: int, *names: str) -> float | None:
-        """Return the file's number for a column under one of these names; None if there is none."""
+        """Return the file's number for a column under one of these names, or None."""
         for cell in (self.word(place, name) for name in names):
             # Headers may have decimal points in a table with decimal commas.
             for layout in (self.layout, TableLayout(",", ".")):

@@ -12,7 +12,7 @@ RATE = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}
 
 
 class ProgressBar:
-    """A progress bar on stderr during its `with` block, if progress is to be shown.
+    """A progress bar on stderr during its `with` block, if progress is shown.
 
     Parameters
     ----------

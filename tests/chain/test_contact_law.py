@@ -85,7 +85,7 @@ def test_a_force_squeezes_a_contact_until_it_balances(exponent: float, kind: Any
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
-    """Bounds on approaches store the whole energy, and the curvature is that of the stiffness."""
+    """Contacts at their bound store the whole energy, and the curvature fits the stiffness."""
     law = by_formulas(exponent)
     contacts = Contacts.at_rest(np.array([3e9, 0.0, 1e9]), np.array([2e-4, 0.0, 0.0]), law)
     for energy in (1e-25, 1e-14, 1e-6):

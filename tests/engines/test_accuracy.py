@@ -110,7 +110,7 @@ def test_relative_accuracy_at_any_amplitude(velocity):
 
 
 def test_gauge_diameter_on_the_weak_scene():
-    """To 400 us, the gauge diameter reaches 1e-7.
+    """The gauge diameter reaches 1e-7 at 400 us.
 
     The physical one is refused beforehand, and rightly.
     """

@@ -315,7 +315,7 @@ def test_the_divergence_of_two_runs_is_relative_to_the_largest_motion():
 
 
 def test_amplification_of_an_ulp_equals_that_of_a_small_change():
-    """In this chain, contacts open again and again.
+    """Contacts of this chain open again and again.
 
     Of a change that is a million times as large, a millionth.
     """

@@ -149,7 +149,7 @@ def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
 
 
 def test_the_trusted_order():
-    """The order is that of the method if no contact opens.
+    """The order of the method is trusted if no contact opens.
 
     Six, four if coarse, and two at equal steps.
     """

@@ -298,7 +298,7 @@ def test_a_tolerance_is_loosened_fourfold_until_it_is_met():
 
 
 def test_a_refusal_of_the_engine_is_recorded_with_the_attempt():
-    """Beyond the last digits nothing is promised.
+    """Accuracy beyond the last digits is not promised.
 
     With best effort the tolerance is what can be had.
     """

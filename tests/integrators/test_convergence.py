@@ -107,9 +107,7 @@ def test_momentum_is_conserved_in_a_free_chain(engine):
 
 
 def test_momentum_balances_gravity_and_floor():
-    """d/dt of the momentum is the weight of the grains that move less the
-    force of the last contact.
-    """
+    """The rate of the momentum is the weight of moving grains minus the last contact's force."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=60e-6, samples=1001)
     t = simulate(scene, tolerance=1e-10)

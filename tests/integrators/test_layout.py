@@ -402,9 +402,7 @@ def test_threads_share_their_gates():
 
 @pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
 def test_extremes_include_all_steps(name: str):
-    """The smallest overlap, the nearest approach and the largest motion,
-    seen in samples at every step.
-    """
+    """Smallest overlap, nearest approach and largest motion agree with samples at every step."""
     chain = chains(**BETWEEN)[0]
     u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))
     scale = chain.contacts.overlap.max()

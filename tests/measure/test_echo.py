@@ -99,7 +99,7 @@ def test_time_of_flight_agrees_with_an_independent_integration(
 
 
 def test_errors_cover_coarse_sampling() -> None:
-    """Of random strikes and sampling rates, times and shares are right within their errors."""
+    """Times and shares of random strikes at random sampling rates are right within their errors."""
     rng = np.random.default_rng(3)
     covered = []
     for _ in range(8):
@@ -118,7 +118,7 @@ def test_errors_cover_coarse_sampling() -> None:
 
 
 def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
-    """Between two sensors both ways take the times of exact solitary waves, without the wall's."""
+    """The travel times in both directions are those of exact solitary waves, without the wall's."""
     chain = Chain(grains=80, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 150), 5001)
     upper, lower = (echo.find(t, grain) for grain in (35, 55))
@@ -136,7 +136,7 @@ def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
 
 
 def test_energy_of_pulses_is_that_of_the_chain() -> None:
-    """What passes a grain downward is the energy of the strike less what stays above."""
+    """The downward energy past a grain is the strike energy minus the part that stays above."""
     chain = Chain(grains=30, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 60), 2001)
     pulses = echo.find(t, 10).pulses

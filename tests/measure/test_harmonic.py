@@ -108,7 +108,7 @@ def long_run(exponent: float, amplitude: float) -> Trajectory:
 def test_strong_waves_have_the_phase_of_exact_travelling_waves(
     exponent: float, amplitude: float
 ) -> None:
-    """The shift by amplitude is that of periodic travelling waves with the same mean strain."""
+    """The shift by amplitude agrees with periodic travelling waves of the same mean strain."""
     t = long_run(exponent, amplitude)
     chain = t.scene.chain
     found = harmonic.wave(t)
@@ -183,7 +183,7 @@ def test_drive_point_of_linear_chains() -> None:
 
 
 def test_drive_point_of_a_strongly_shaken_chain() -> None:
-    """Apparent mass and loss factor of a bouncing chain agree with an own SciPy integration."""
+    """Apparent mass and loss factor of a bouncing chain agree with an independent SciPy run."""
     chain = Chain(grains=3, top="wall", bottom="wall", damping={"viscoelastic": 8e-6}, **LOADED)
     rest = float(chain.contacts.overlap[0])
     omega = 0.3 * chain.band_edge

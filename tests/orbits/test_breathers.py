@@ -19,7 +19,7 @@ HEAVY = 3e-3
 
 @cache
 def gap() -> Orbit:
-    """Bright, in the gap of a dimer: N. Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)."""
+    """Return a bright breather in a dimer's gap: N. Boechler et al., PRL 104, 244302 (2010)."""
     masses = np.resize([HEAVY, LIGHT], 21)
     chain = Chain(grains=21, masses=masses, **LOADED, **WALLS)
     edge = np.sqrt(2 * stiffness(chain) / LIGHT)
@@ -28,14 +28,14 @@ def gap() -> Orbit:
 
 @cache
 def surface() -> Orbit:
-    """At a light free end of a dimer: G. Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
+    """Return a breather at a light free end: G. Theocharis et al., PRE 82, 056604 (2010)."""
     chain = Chain(grains=20, masses=np.resize([LIGHT, HEAVY], 20), bottom="wall", **LOADED)
     return orbits.normal_mode(chain, 11, energy=2e-6)
 
 
 @cache
 def defect() -> Orbit:
-    """At a light grain among heavier ones, above their band: Theocharis et al., Phys.
+    """Return a breather at a light grain among heavier ones, above their band: Theocharis et al.
 
     Rev. E 80, 066601 (2009).
     """
@@ -55,7 +55,7 @@ def dark(energy: float = 6.7e-4) -> Orbit:
 
 
 def strong() -> Orbit:
-    """Dark, where the dip is all but free to move, so that derivatives are all but singular."""
+    """Return a dark breather with an almost free dip, so that derivatives are nearly singular."""
     return dark(5e-3)
 
 
@@ -93,8 +93,7 @@ def test_a_breather_returns_after_a_period(kind):
 def test_bright_breathers_are_in_gaps_and_soften(
     kind, low: float, high: float, limit: float, grain: int
 ):
-    """Above one band edge, and below the other or the linear mode at a surface or a defect, for
-    contacts soften.
+    """The frequency is between a band edge and the next edge or mode, as contacts soften.
 
     Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes
     at a light end have w^2 = K/m + K/M, at a grain of mass d among others of mass m w^2 = 4 K / (d

@@ -87,7 +87,7 @@ def test_a_fold_is_where_the_rate_of_the_parameter_is_0(sign: int, where: float)
 
 
 def test_a_pair_that_passes_1_at_a_fold_is_no_branch_point():
-    """It does so at every fold; without a fold, it is a branch point."""
+    """A pair passes 1 at every fold; without a fold, the event is a branch point."""
     for turning, passes in (
         ((1.0, -1.0), False),
         ((1.0, 1.0), True),
@@ -147,10 +147,8 @@ def test_isolated_pairs_that_meet_are_located():
     assert event.orbit.means.real.mean() == pytest.approx(0.0037, rel=1e-5)
 
 
-def test_the_discriminant_is_that_of_the_pair_that_meets():
-    """Of three means on a line the two that become complex are the lower ones, though the upper two
-    are nearer.
-    """
+def test_the_discriminant_belongs_to_the_pair_that_meets():
+    """The lower two of three means on a line become complex, although the upper two are closer."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.04 * (0.62 - way)))
@@ -163,7 +161,7 @@ def test_the_discriminant_is_that_of_the_pair_that_meets():
 
 
 def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
-    """Return a stand-in for a place of a damped chain, as `locate` reads it."""
+    """Return a stand-in for a member of a damped chain with the attributes that `locate` reads."""
     return SimpleNamespace(rate=1.0, turning=turning, multipliers=np.array(multipliers, complex))
 
 
@@ -172,10 +170,10 @@ def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("kind", "turn"), [("branch point", 1.0), ("period doubling", -1.0), ("Neimark-Sacker", 1j)]
 )
-def test_a_multiplier_of_a_damped_chain_that_passes_the_circle_is_located(
+def test_a_damped_multiplier_that_crosses_the_unit_circle_is_located(
     kind: str, turn: complex, sign: int, where: float
 ):
-    """Among others, inside and outside: a real one through 1 or -1, or a complex pair."""
+    """A real multiplier passes 1 or -1, or a complex pair crosses, among others on both sides."""
 
     def at(way: float) -> SimpleNamespace:
         passing = turn * (1 + sign * (way - where) * (0.1 + 0.2 * way))
@@ -191,8 +189,8 @@ def test_a_multiplier_of_a_damped_chain_that_passes_the_circle_is_located(
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_multipliers_of_a_damped_chain_that_meet_outside_of_the_circle_are_no_event(side: int):
-    """Two real ones become a complex pair, far from the circle."""
+def test_damped_multipliers_that_meet_outside_the_circle_are_no_event(side: int):
+    """Two real multipliers become a complex pair, far from the unit circle."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.4 - way))

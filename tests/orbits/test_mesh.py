@@ -13,7 +13,7 @@ EPS = CHAIN.contacts.overlap
 
 
 def test_the_highest_frequency_bounds_the_stiffest_chain():
-    """By Gershgorin's theorem: twice the summed stiffness at a grain over its mass."""
+    """The bound is twice the summed stiffness at a grain over its mass (Gershgorin)."""
     rng = np.random.default_rng(1)
     masses = rng.uniform(1, 3, 5) * 1e-6
     chain = CHAIN.replace(masses=masses)

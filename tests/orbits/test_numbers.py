@@ -235,7 +235,7 @@ def test_guesses_of_all_types_are_accepted_and_drive_cycles_are_counted():
 
 
 def test_a_single_light_grain_has_the_amplitude_of_its_period():
-    """By quadrature of its two contacts to fixed neighbours, one of which opens."""
+    """The period is a quadrature over both contacts to fixed neighbours, one of which opens."""
     masses = [3e-3, 1e-3, 3e-3]
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=3, diameter=1e-2, gravity=0.0, top_load=20.0, masses=masses, **walls)

@@ -70,7 +70,7 @@ def test_an_interrupted_family_states_its_position():
     "name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"]
 )
 def test_the_linear_mode_depends_on_the_changed_parameter(name: str):
-    """At fixed energy the period follows from the eigenvalue of masses and springs."""
+    """The period at fixed energy follows from the eigenvalue of masses and springs."""
     key = name.partition("[")[0]
     given = {"diameter": np.full(4, 1e-3)} if key == "diameter" else {}
     if key in ("masses", "contact_constants"):

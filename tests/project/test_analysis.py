@@ -641,8 +641,6 @@ def test_eq_7_does_not_approximate_eq_3():
 
 
 def test_the_front_is_not_at_tau_to_the_6_5():
-    """At tau = 150 the largest displacement is at grain 325; (5 tau / 6)^(6/5) = 328, tau^(6/5) =
-    409.
-    """
+    """The largest displacement at tau = 150 is at grain 325; (5 tau / 6)^(6/5) is 328."""
     phi = bessel.finite(np.arange(1, 500) ** (1 / 3), np.arange(1, 500), 1, 150.0)
     assert phi.argmax() + 1 == pytest.approx(325, abs=1)

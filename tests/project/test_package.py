@@ -122,7 +122,7 @@ def test_shipped_scenes():
 
 
 def test_the_conda_recipe_has_the_requirements_of_the_wheel():
-    """The names are those of conda-forge, where versions of LAMMPS have three numbers."""
+    """The names are from conda-forge, where versions of LAMMPS have three numbers."""
     names = {"MDAnalysis": "mdanalysis", "matplotlib": "matplotlib-base", "lammps[mpi]": "lammps"}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     expected = {f"python {project['requires-python']}", "__linux"}

@@ -111,7 +111,7 @@ def test_links_lead_somewhere(page: Path):
 
 
 def test_cited_equations_are_on_the_pages():
-    """By their numbers in the paper, 1 to 35, which are links on the built pages."""
+    """The pages have the equations by their numbers in the paper, as links when they are built."""
     model = (DOCS / "model.md").read_text(encoding="utf-8")
     assert re.findall(r"^\$\$ \(eq-(\d+)\)$", model, re.MULTILINE) == [
         str(number) for number in range(1, 36)
@@ -340,7 +340,7 @@ def test_commands(
 def test_the_page_shows_the_output_of_a_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """The scene is that of the examples; digits at rounding level may differ."""
+    """The scene is from the examples; digits at rounding level may differ."""
     monkeypatch.chdir(tmp_path)
     scene = ROOT / "analysis" / "scenes" / "fig5_1g.toml"
     assert main(["deck", str(scene), "-o", "mine", "--step", "2e-7"]) == 0

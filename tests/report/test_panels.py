@@ -199,7 +199,7 @@ def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
 
 
 def travel(chain: Chain, source: int) -> np.ndarray:
-    """Return when a long weak wave reaches each grain below, s: sqrt(m / k) a contact."""
+    """Return arrival times of a long weak wave at the grains below, s: sqrt(m / k) per contact."""
     stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
     mass = (chain.masses[:-1] + chain.masses[1:]) / 2
     passed = np.append(0.0, np.cumsum(np.sqrt(mass / stiffness)))

@@ -332,9 +332,7 @@ IN_LAMMPS = "force, burst", "force, half-sine", "force, points", "wall, burst", 
     thinned(itertools.product(IN_LAMMPS, ("rkn6", "kahan-li6", "verlet")), 4),
 )
 def test_lammps(kind: str, integrator: str):
-    """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its
-    heights.
-    """
+    """LAMMPS applies forces and wall motions at the method's times, to the rounding of heights."""
     scene = scene_of(*STRONG[kind], samples=5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
@@ -350,7 +348,7 @@ def test_lammps(kind: str, integrator: str):
 
 @every
 def test_batch_equals_single_runs(integrator: str):
-    """Forces on different grains, and wall motions, equal those of single runs."""
+    """Forces on different grains, and wall motions, act as in single runs."""
     given = [
         *forces(2.0, 3).values(),
         *drives(2.0).values(),
@@ -425,7 +423,7 @@ def test_adaptive_steps_restart_exactly(monkeypatch: pytest.MonkeyPatch):
     ],
 )
 def test_the_integral_of_a_forcing(wave: Waveform):
-    """By quadrature through its end and from corner to corner."""
+    """The integral agrees with quadrature from corner to corner."""
     edges = np.unique(np.append([0.0, 0.25, 0.9], [t for t in wave.corners if t < 0.9]))
     parts = [quad(wave.at, a, b, epsabs=1e-13)[0] for a, b in itertools.pairwise(edges)]
     assert wave.integral(edges[1:]) == pytest.approx(np.cumsum(parts), rel=1e-11, abs=1e-12)
@@ -602,7 +600,7 @@ def test_random_scenes(seed: int):
 @pytest.mark.parametrize("uneven", [False, True])
 @pytest.mark.parametrize("integrator", thinned(["dop853", "rkn4", "rkn6", "kahan-li8"], 2))
 def test_knots_that_cut_the_steps_of_all_runs_hide_no_error(integrator: str, uneven: bool):
-    """At 1e-2, steps would be as long as from knot to knot in all runs."""
+    """Steps of all runs would be as long as from knot to knot at 1e-2."""
     chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
     times = np.linspace(0, 1, 101)
     times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)

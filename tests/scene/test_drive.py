@@ -296,9 +296,7 @@ def test_springs_against_their_modes(kind: str, bottom: str):
 
 
 def test_the_energy_of_the_chain_is_the_input_of_the_drive():
-    """d/dt of the energy, the driven grain's own kinetic one left out, is the force of contact 1
-    times its speed.
-    """
+    """The energy without that of grain 1 grows by the force of contact 1 times its speed."""
     chain = Chain(grains=12, diameter=1e-3, bottom="wall")
     scene = scene_of(chain, sine(chain, 2.0, slower=1.5), samples=4001, units=20)
     t = simulate(scene, "native", 1e-9)
@@ -358,9 +356,7 @@ def test_driven_and_struck_chains_are_not_batched_together():
 @every
 @pytest.mark.parametrize("make", [sine, path])
 def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPatch):
-    """A run that goes on from a kept state ends with the same bytes: the time of the path is kept
-    too.
-    """
+    """A run that continues from a stored state has the same bytes, including the path's time."""
     chain = Chain(grains=30, diameter=1e-3)
     scenes = [
         Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)

@@ -101,7 +101,7 @@ def test_the_upward_part_is_negligible(width: float, most: float):
 
 
 def test_a_packet_under_gravity():
-    """In a column with local wave numbers the upward part is small, and the arrival is right."""
+    """The upward part is small for local wave numbers, and the arrival follows the travel time."""
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
     packet = Packet(
@@ -148,7 +148,7 @@ def test_reflection_and_transmission(engine: str):
 
 
 def test_energy_flows_evenly_through_an_uneven_chain():
-    """In a slowly varying chain, m v^2 times the group velocity is constant along the packet."""
+    """The product of m v^2 and the group velocity is constant along the packet."""
     x = np.linspace(-1, 1, 400)
     masses = 1e-6 * np.exp(0.5 * x)
     constants = 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
@@ -178,10 +178,8 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     assert u[:-1] - u[1:] == pytest.approx(strain, rel=0, abs=2e-3 * np.abs(strain).max())
 
 
-def test_a_packet_that_does_not_fit_is_refused():
-    """It needs six widths on either side, and waves that travel all along; both sides of each
-    limit.
-    """
+def test_a_packet_that_does_not_fit_is_rejected():
+    """A packet needs six widths on either side, and travelling waves everywhere."""
     chain = uniform(101)
     keys = {"frequency": 3e3, "width": 8.0, "grain": 50, "amplitude": 1e-12}
     limit = np.sqrt(chain.contacts.stiffness[40] / chain.masses[0]) / np.pi

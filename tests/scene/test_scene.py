@@ -829,9 +829,7 @@ def test_strike_number():
 
 
 def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
-    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain:
-    four lines.
-    """
+    """Unknown key, free bottom under gravity, missing struck grain and missing recorded grain."""
     path = tmp_path / "scene.toml"
     path.write_text(
         '[chain]\ngrains = 12\ndiameter = 1e-3\ncolour = "red"\nbottom = "free"\n'

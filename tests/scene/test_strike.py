@@ -216,7 +216,7 @@ def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
 
 
 def test_materials_differ_from_grain_to_grain() -> None:
-    """The sound speed is that of the moving grain, not of the slowest material."""
+    """The sound speed of the moving grain is used, not the slowest one."""
     chain = Chain(
         grains=4,
         material=[STEEL, PTFE, STEEL, STEEL],

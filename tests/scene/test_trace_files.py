@@ -189,7 +189,7 @@ def test_a_hammer_trace_of_an_oscilloscope_moves_a_chain():
 
 
 def test_a_vibrometer_trace_drives_a_chain():
-    """The file of `tests/data`: decimal commas, milliseconds, millivolts, a byte order mark."""
+    """The file in `tests/data` has decimal commas, milliseconds, millivolts and a BOM."""
     content = (DATA / "vibrometer.csv").read_bytes().decode("utf-8-sig")
     assert content == vibrometer()
     drive = Drive(file=DATA / "vibrometer.csv", scale=5e-6, trigger=1e-3, offset=0.25)

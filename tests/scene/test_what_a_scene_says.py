@@ -246,9 +246,7 @@ def test_a_run_of_minutes_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def springs_strain(chain: Chain, excitation: Any, duration: float) -> float:
-    """Return the bound on strains, from each spring in series with all others where both ends stand
-    still.
-    """
+    """Return the bound on strains from each spring in series with the others between fixed ends."""
     contacts = chain.contacts
     there = contacts.exists
     k = contacts.stiffness[there]

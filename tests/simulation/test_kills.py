@@ -330,7 +330,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
 
 
 def reached(folder: Path) -> float:
-    """Return the number of finished attempts of a run folder, plus the share of the current one."""
+    """Return the number of finished attempts of a run folder, plus the fraction of the current."""
     if not (folder / "scene.toml").exists():
         return -1.0
     said = status(folder)

@@ -129,7 +129,7 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
 
 
 def test_energies_are_followed_for_a_number_of_periods_of_the_band_edge() -> None:
-    """With Verlet, the relative energy error is below (w h)^2 / 4, and 0 at the start."""
+    """The relative energy error of Verlet is below (w h)^2 / 4, and 0 at the start."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2]
@@ -154,7 +154,7 @@ def column(grains: int, number: float, **keys: Any) -> Scene:
 
 
 def test_the_reflection_time_agrees_with_a_pulse_in_an_unloaded_chain() -> None:
-    """Between grains 20 and 40 of a vacuum, the largest velocity is 0.6816 of the strike."""
+    """The largest velocity between grains 20 and 40 of a vacuum is 0.6816 of the strike."""
     chain = Chain(grains=50, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1.4e-4, samples=1401)
     t = simulate(scene, "native", 1e-7)
@@ -176,7 +176,7 @@ def test_the_reflection_time_agrees_with_a_pulse_in_an_unloaded_chain() -> None:
 
 
 def test_amplification_is_predicted_within_the_measured_limits() -> None:
-    """6 to 40 grains; strike numbers from 30 to 50 N; at the top, of Hertz's exponent."""
+    """The limits are 6 to 40 grains, strike numbers of 30 to 50 N, and Hertz's law."""
     for grains, number, known in (
         (5, 100, False),
         (6, 100, True),

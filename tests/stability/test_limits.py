@@ -113,7 +113,7 @@ def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
 
 
 def test_a_tenth_of_the_diameter_is_rejected_at_first_but_not_later():
-    """A taper squeezes its last grains far more than the first: accepted, and the bound tells."""
+    """A taper squeezes its last grains more than the first, which is allowed within the bound."""
     with pytest.raises(
         InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"
     ):
@@ -129,7 +129,7 @@ def test_a_tenth_of_the_diameter_is_rejected_at_first_but_not_later():
 
 
 def test_spheres_are_softer_than_hertz():
-    """At a tenth of the strain; the stiffness of any smooth contact is 2 E* times its radius."""
+    """The strain is a tenth; the stiffness of any smooth contact is 2 E* times its radius."""
     strain = np.array([1e-6, 1e-4, 1e-2])
     assert hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
     # With x = a / R: o / 2R = x artanh x, and F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess).

@@ -85,7 +85,7 @@ def test_constants_of_linear_theory_agree_with_perturbation_theory(delta):
 @pytest.mark.parametrize("norm", linear_theory.LINEAR)
 @pytest.mark.parametrize("error", [0.01, 0.1])
 def test_linear_theory_has_the_predicted_error(norm, error):
-    """At g after 100 us, when the wave has passed grain 19.
+    """The error is compared at g after 100 us, when the wave has passed grain 19.
 
     1/6 and 6 times the gravity change nothing.
     """
@@ -139,7 +139,7 @@ def test_error_of_linear_theory_grows_with_the_strike():
 
 
 def test_error_of_linear_theory_over_several_reflections():
-    """From tau = 6 to the bottom the law holds to 10 %, for ten passages to a factor of 2.1."""
+    """The law holds to 10 % from tau = 6 to the bottom, and to a factor of 2.1 for ten passages."""
     for tau in (6, 10, 20, 40):
         assert linear_error(column(1e-3, tau, 80))["velocity"] == pytest.approx(
             2.7e-4, rel=0.1, abs=0
@@ -338,7 +338,7 @@ def test_a_driven_wave_gets_out_of_phase():
 
 
 def test_light_cone_and_width_of_the_front():
-    """Arrival as (6/5) h^(5/6), not n^(5/6), which is a sixth too early; width as h^(1/6)."""
+    """The arrival is (6/5) h^(5/6), not n^(5/6), which is a sixth too early; width is h^(1/6)."""
     grain, arrival, width = fronts(300.0)
     deep = (grain > 200) & np.isfinite(width)
     h = grain[deep] - 0.5

@@ -68,7 +68,7 @@ def slope(x, y):
 
 @pytest.mark.parametrize("options", HEIGHTS)
 def test_the_measured_floor_is_the_error_of_the_run(options):
-    """For such a weak strike the floor exceeds the truncation error.
+    """The floor exceeds the truncation error for such a weak strike.
 
     Then it is all the error there is.
     """

@@ -131,7 +131,7 @@ def test_a_scene_beyond_its_predictability_horizon():
 
 
 def test_deep_overlaps():
-    """Contact 1 is squeezed by less than a tenth, as `Scene` asks, but one further down by more."""
+    """Contact 1 is compressed by less than a tenth, as `Scene` requires, a lower one by more."""
     sizes = 5e-3 * 0.7 ** np.arange(8)
     chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)

@@ -103,7 +103,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
 
 @pytest.fixture
 def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, StoreLayout, dict[str, np.ndarray]]:
-    """Two shards of six scenes, the first gathered, of the second a part and some of another."""
+    """Return two shards of six scenes: a complete one, and one with a part and some scenes."""
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=2))
     made = laid(11, 3, velocity=(2, 4), peak=())
     assert (made.shard, made.shards) == (6, 2)

@@ -32,7 +32,7 @@ def test_errors_cover_longer_chains() -> None:
 
 
 def test_wrong_exponents_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waves of a linear chain are not solitary, and those close to it do not part in time."""
+    """Waves of a linear chain are not solitary; for similar exponents they separate too late."""
     with pytest.raises(InputError, match="above 1"):
         strike_shares([1.0])
     with pytest.raises(InputError, match="accuracy"):

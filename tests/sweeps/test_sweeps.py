@@ -359,7 +359,7 @@ def test_files_are_identified_by_their_contents(tmp_path):
 
 
 def test_traces_of_instruments_are_swept(tmp_path):
-    """Their calibration, as any key; also a file in the start of a drive counts by its contents."""
+    """Their calibration is swept like any key; a start file is identified by its contents."""
     (tmp_path / "scope.csv").write_text("t (us);u (mV)\n-1;10\n0;10\n5;11,5\n20;13\n")
     (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
     options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
@@ -431,7 +431,7 @@ def test_stored_quantities_agree_with_measure(tmp_path):
 
 
 def test_accumulated_quantities_are_stored(tmp_path):
-    """In a batch and alone they replace values from samples; contact forces need no samples."""
+    """Accumulated values replace values from samples, and contact forces need no samples."""
     tables = {
         "chain": {"grains": 30, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 1e-3},

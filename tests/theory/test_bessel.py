@@ -207,9 +207,7 @@ def test_series_against_modes_over_a_long_time():
 
 
 def test_uniform_series_by_images():
-    """The held grain N and the free end reflect: images of grain 1 at distances
-    2N - 1, with alternating signs.
-    """
+    """The fixed grain N and the free end cause images of grain 1 with alternating signs."""
     N = 12
     n = np.arange(1, 12)
     T = np.array([[3.0], [20.0], [80.0]])
@@ -229,7 +227,7 @@ def test_the_series_has_relative_accuracy_ahead_of_the_front():
     ("n", "peak"), [(100, 0.251742), (500, 0.169778), (1000, 0.142535), (4000, 0.099840)]
 )
 def test_peak_velocity_published(n: int, peak: float):
-    """Source: the linear column struck at grain 1, by an independent code, six digits."""
+    """The source is an independent code for the column struck at grain 1, with six digits."""
     h = n - 0.5
     expected = 1.2 * h ** (5 / 6) + 0.908 * (h**0.5 / 4) ** (1 / 3)
     kappa = gravity_column(int(continuum.depth(expected + 20)) + 50)
@@ -256,9 +254,7 @@ def test_long_time_laws_of_the_top_grain():
 
 
 def test_tables_of_bessel_functions():
-    """J_(2k) and the sums of odd orders, from no argument to large ones and from
-    order 0 to far too high ones.
-    """
+    """J_(2k) and sums of odd orders for arguments from 0 to large ones, and all orders."""
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
     even, integral, column = bessel.table("z", z, 700)
     for i, x in enumerate(z):

@@ -120,9 +120,7 @@ def test_superposition_and_resonant_packet(delta: float, place: tuple[float, flo
 
 @pytest.mark.parametrize("power", [1, 2])
 def test_superposition_along_the_real_axis(power: int):
-    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the
-    second allows only a small one.
-    """
+    """A = exp(-lambda) needs no rotation of the path; exp(-lambda^2) allows only a small one."""
 
     # The substitution lambda = t^5 removes the singularity at 0.
     def integrand(t: mp.mpf) -> mp.mpf:
@@ -141,9 +139,7 @@ def test_superposition_along_the_real_axis(power: int):
 
 
 def test_constants_of_eq_32():
-    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10)
-    belongs to the imaginary part.
-    """
+    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed one is for the imaginary part."""
     h = 2.0
     tau = np.array([3.0, 6.0])
     chi = continuum.chi(h)
@@ -291,9 +287,7 @@ def relative(found: np.ndarray, exact: np.ndarray) -> float:
 @pytest.mark.parametrize("delta", [1.0, 1.5, pytest.param(2.0, marks=pytest.mark.slow), 3.0])
 @pytest.mark.parametrize("driven", [False, True])
 def test_solver_is_of_second_order(delta: float, driven: bool):
-    """Against a standing wave between the free top and the held grain: exact,
-    and not smooth in h at the top.
-    """
+    """A standing wave between free top and fixed grain is exact, but not smooth at the top."""
     lam = float(modes.quasi_normal(1, 6, delta))
     shape = lambda h: continuum.standing(h, lam, delta)  # noqa: E731
     drive = (
@@ -334,7 +328,7 @@ def test_the_solver_preserves_the_invariants_of_eq_28():
 
 
 def test_impulse_of_fig_9():
-    """Behind the front the solver agrees with Eq. (35).
+    """The solver agrees with Eq. (35) behind the front.
 
     (35) made causal; far ahead it has nothing, unlike the printed |...|.
     """

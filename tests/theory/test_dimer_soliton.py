@@ -106,7 +106,7 @@ def test_travels_unchanged(heavy_first: bool):
 
 
 def test_the_approximation_is_close_to_the_wave():
-    """For the pulse after a strike, scaled to speed 1, Newton's method starts within 2 %."""
+    """Newton's method starts within 2 % for the pulse after a strike, scaled to speed 1."""
     wave = solve(0.35)
     unit = wave.speed ** (2 / (wave.delta - 1))
     x = np.linspace(-6, 6, 97)
@@ -118,7 +118,7 @@ def test_the_approximation_is_close_to_the_wave():
 
 
 def test_newtons_method_needs_few_steps(monkeypatch):
-    """From 2 % off, correct derivatives give an error of 1e-12 after 4 steps."""
+    """Correct derivatives reduce an error of 2 % to 1e-12 in 4 steps."""
     wave = wave_of()
     steps = []
     solve_linear = np.linalg.solve
@@ -171,7 +171,7 @@ def test_a_scan_gives_every_ratio_once_in_descending_order(monkeypatch):
 
 @pytest.mark.parametrize("least", [0.03, 0.06, 0.1, 0.3, 0.9])
 def test_searches_start_at_half_the_distance_of_the_ratios(least: float, monkeypatch):
-    """In s = 1 / sqrt(ratio) from 1, waves are some 0.8 apart."""
+    """The waves are some 0.8 apart in s = 1 / sqrt(ratio), which starts at 1."""
     _, begun = scan(least, monkeypatch)
     s = 1 / np.sqrt(begun)
     assert 1 < s[0] < 1.4

@@ -78,9 +78,7 @@ def test_sum_as_printed(column):
 
 
 def test_sum_for_large_m(column):
-    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1;
-    normalised it is that velocity.
-    """
+    """The sum diverges as sqrt(m / 2 pi); normalised it converges to the velocity of grain 1."""
     kappa, velocity = column
     m = 1e4
     assert dyson.average(velocity, kappa, m) == pytest.approx(

@@ -72,7 +72,7 @@ def test_peak_of_the_airy_function_published():
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.5])
 @pytest.mark.parametrize("s", [-3.0, 0.9, 5.0, 25.0])
 def test_profiles_by_quadrature(delta: float, s: float):
-    """The integrals are those of y^(-a) Ai(y - s) and of its derivative."""
+    """The integrands are y^(-a) Ai(y - s) and its derivative."""
     xi = 1 - 1 / delta
     eta = 1 + 1 / delta
     n = 1000

@@ -102,7 +102,7 @@ def test_a_wave_that_cannot_propagate_is_reflected():
 
 
 def test_two_uniform_leads():
-    """A step in mass and stiffness: T = 4 Z Z' / (Z + Z')^2 with Z = sqrt(k m) of long waves."""
+    """A step in mass and stiffness has T = 4 Z Z' / (Z + Z')^2, Z = sqrt(k m), for long waves."""
     masses = np.ones(8)
     constants = np.ones(7)
     masses[4:] = 3.0
@@ -151,9 +151,7 @@ def masses_that_are_transparent(k: float, apart: int) -> float:
 
 @pytest.mark.parametrize("apart", [1, 2, 4])
 def test_masses_of_two_impurities_that_are_transparent(apart: int):
-    """Two point scatterers: (mu - 1) w^2 m / k = 2 sin(k) cot(k d); only those
-    between the bounds are given.
-    """
+    """For two point scatterers (mu - 1) w^2 m / k = 2 sin(k) cot(k d), within the bounds."""
     grains = {1: [5, 6], 2: [5, 7], 4: [4, 8]}[apart]
     numbers = []
     for k in (0.2, 0.9, 1.7, 2.9):

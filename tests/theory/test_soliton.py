@@ -44,7 +44,7 @@ def test_equation_of_motion(wave: Soliton):
 
 @each
 def test_integrals_of_velocity(wave: Soliton):
-    """Displacement by quadrature of the velocity; momentum c times what a grain moves."""
+    """Displacement is the integral of the velocity; momentum is c times a grain's displacement."""
     x = 0.3
     moved, _ = quad(
         lambda y: float(wave.velocity(y)) / wave.speed,
@@ -80,9 +80,7 @@ def test_energy_and_momentum_are_constant_in_time(wave: Soliton):
     "wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}"
 )
 def test_exponential_tail(wave: Soliton):
-    """sinh(kappa/2) = c kappa/2 of linear waves, far from the middle; complex roots
-    decay nearly as slowly at 8 c.
-    """
+    """sinh(kappa/2) = c kappa/2 for linear waves far from the middle, up to 8 c."""
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
     assert np.sinh(kappa / 2) / (kappa / 2) == pytest.approx(wave.speed, rel=1e-9)
 
@@ -148,7 +146,7 @@ def test_struck_is_the_inverse_of_solve():
 @pytest.mark.parametrize("downward", [True, False])
 @pytest.mark.parametrize("load", [0.0, 2.0])
 def test_on_a_chain(load: float, downward: bool):
-    """In SI units, energy and momentum of the chain, and every overlap."""
+    """Energy and momentum of the chain, and every overlap, are compared in SI units."""
     chain = Chain(
         grains=120, diameter=1e-3, gravity=0.0, top_load=load, material="steel", bottom="fixed"
     )

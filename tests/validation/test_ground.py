@@ -202,7 +202,7 @@ def draw(rng: np.random.Generator) -> tuple[Scene, float]:
 
 
 def excess(seed: int) -> float:
-    """Return the error of a random scene over its estimate, or over its tolerance if larger.
+    """Return the error of a random scene over its estimate or tolerance, whichever is larger.
 
     The error is what the reference leaves no doubt about; 0 for scenes that are refused.
     """
