@@ -67,7 +67,7 @@ class Finding:
     state : "ok", "warning" or "fault"
     found : str
     cure : str
-        What to do, in one line; empty if all is well.
+        Remedy in one line; empty if all is well.
 
     Examples
     --------

@@ -47,15 +47,15 @@ class Effort:
     sharpness : float
         Factor to which the longest stable step is known.
     steps : int
-        Most steps between two samples: the search for a stable step ends there.
+        Largest number of steps between two samples; the search for a stable step ends there.
     runs, most_runs : int
         Least and largest number of runs timed for a point.
     enough_s : float
-        Time after which no more are timed, s.
+        Time after which no further runs are timed, s.
     better : float
-        Factor on the error of a point that counts as an improvement.
+        A point with an error below this multiple of the best error is an improvement.
     patience : int
-        Points in a row without an improvement after which round-off dominates.
+        Consecutive points without an improvement after which rounding error dominates.
     reference_s : float
         Longest time of the reference, s.
     """

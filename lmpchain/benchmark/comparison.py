@@ -120,11 +120,11 @@ class ComparisonRow:
     engine, integrator : str
     equation : int
     error, error_displacement, error_velocity : float
-        As `error` and `errors` give them.
+        Errors as returned by `error` and `errors`.
     expected_error : float
         `Trajectory.error_estimate.total`, the engine's own estimate.
     integration_s, compile_s : float
-        s; compilation, the first time, is no part of the integration.
+        Times, s; compilation at the first call is not part of the integration.
     steps, force_evaluations : int
     """
 
@@ -150,7 +150,7 @@ class Comparison(Shown, Tabular):
     reference : Reference
     trajectories : tuple of Trajectory
     rows : tuple of Row
-        One a trajectory, in the same order.
+        One row for each trajectory, in the same order.
     lossless : Row, optional
         The chain without its damping: its error is what leaving damping out changes, and what was
         expected of it is `Scene.damping_effect`.

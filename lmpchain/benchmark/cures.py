@@ -61,15 +61,15 @@ class Cure(NamedTuple):
     target : float
     integrator : str
     step_s : float
-        s; NaN if no step reaches it in a run of some seconds.
+        Time step, s; NaN if no step reaches the error in a run of some seconds.
     steps : int
-        Of the run.
+        Number of steps of the run.
     error : float
-        Measured, of the native engine with this step; NaN if there is none.
+        Measured error of the native engine with this step; NaN without a step.
     heights : float
-        Round-off of heights that LAMMPS is expected to add; NaN where it has no such integrator.
+        Expected rounding error of heights in LAMMPS; NaN if LAMMPS lacks the integrator.
     diameter : str
-        With which that is so: "physical", or "gauge" where the physical one leaves too much.
+        Diameter for this rounding: "physical", or "gauge" if the physical one is too coarse.
     """
 
     target: float

@@ -44,7 +44,7 @@ class CurvePoint(ComparisonRow):
         Time in the chart, s: of the integration, with that of the error estimate where a tolerance
         was asked for.
     step_s : float
-        s.
+        Time step, s.
     grain_steps_per_s : float
         Force evaluations times computed grains, per second of integration.
     longest : bool
@@ -70,19 +70,19 @@ class Choice(NamedTuple):
     Attributes
     ----------
     target : float
-        Error that is asked for.
+        Requested error.
     engine, integrator : str
         The engine is empty if none reaches it.
     step_s : float
-        s; NaN for a solution without steps.
+        Time step, s; NaN for a solution without steps.
     error : float
-        That it has; NaN if there is none.
+        Error of the choice; NaN without a choice.
     seconds : float
-        As `CurvePoint.seconds`.
+        Time as in `CurvePoint.seconds`.
     to_tolerance : bool
-        Whether the engine chose the step itself, and its time is that with the error estimate.
+        Whether the engine chose the step itself, so that its time includes the error estimate.
     why : str
-        Why there is none.
+        Reason why no choice exists.
     """
 
     target: float
@@ -149,10 +149,10 @@ class WorkPrecision(Shown, Tabular):
     dropped : int
         Points left out because their error is below ten times that of the reference.
     left_out : tuple of str
-        Engines that cannot solve the scene, and why.
+        Engines that cannot solve the scene, with the reasons.
     versions : dict of str
     machine : str
-        Processor, and cores that could be used.
+        Processor and number of available cores.
     """
 
     scene: Scene

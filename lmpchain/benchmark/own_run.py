@@ -73,7 +73,7 @@ class Cause(NamedTuple):
     ----------
     name : str
     error : float
-        Relative, as the error of the run is.
+        Relative error, as for the run.
     why : str
     """
 
@@ -93,12 +93,12 @@ class RunCheck(Shown):
     subject : str
         File, folder or engine.
     error, error_displacement, error_velocity : float
-        Against the reference; `error` is the larger of the other two. Of a deck, what is expected.
+        Errors against the reference; `error` is the larger of the other two. For a deck, expected.
     error_energy : float
         Largest difference of the energy above rest, relative to the largest energy; NaN where
         grains that move were not recorded.
     arrival : Arrival or None
-        Of the front of the velocity; None where no front passes or samples do not resolve it.
+        Arrival error of the velocity front; None if no front passes or is resolved by samples.
     integrator : str
     step_s, steps : float, int
         Largest step, s, and the number of steps, which is higher where they adapt; 0 of a solution
@@ -106,7 +106,7 @@ class RunCheck(Shown):
     limit_s : float
         Longest stable step of the integrator on the chain at rest, s; infinite without load.
     causes : tuple of Cause
-        Equation or step, and digits.
+        Causes of the error: equation or step, and digits.
     cures : tuple of Cure
     reference : Reference
     """

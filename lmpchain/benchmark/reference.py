@@ -75,11 +75,11 @@ class Reference:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     displacement, velocity : (T, N) arrays
-        Of every grain, recorded or not; from equilibrium, positive downward; m and m/s.
+        Motion of every grain, recorded or not, from equilibrium, positive downward; m and m/s.
     error : float
-        Its own error, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
+        Error of the reference, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
         Description of the method.
     largest : (2,) array, optional

@@ -28,11 +28,11 @@ class Equilibrium:
     Attributes
     ----------
     contacts : Contacts
-        With their forces, overlaps and stiffnesses at rest.
+        Contacts with their forces, overlaps and stiffnesses at rest.
     contact_lengths : (..., N+1) array
-        Mean diameter of the two grains of every contact, at a wall that of the grain, m.
+        Mean diameter of the two grains of every contact, or the grain's diameter at a wall, m.
     diameters, masses : (..., N) arrays
-        m and kg.
+        Diameters and masses, m and kg.
     """
 
     contacts: Contacts

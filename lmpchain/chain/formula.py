@@ -68,7 +68,7 @@ class Formula:
         first is 0 or more, else the third, or "growth": (1 + s)^p - 1 of s and p, -1 for s < -1.
     parts : tuple of Formula
     value : float or str
-        Of a number or a name.
+        Value of a number, or name.
     """
 
     operation: str

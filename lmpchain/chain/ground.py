@@ -94,7 +94,7 @@ class GroundKernel:
     ----------
     force : Formula
     codes : dict
-        Where the parameters are, in an array with a column for each body.
+        Index expression of each parameter in an array with a column for each body.
     """
 
     force: Formula

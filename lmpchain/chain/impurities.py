@@ -94,7 +94,7 @@ class Kinds(NamedTuple):
     ----------
     materials : list of Material
     diameters, masses : list of float
-        m and kg.
+        Diameters and masses, m and kg.
     """
 
     materials: list[Material]

@@ -678,11 +678,11 @@ class LawKernel:
         names are ``o``, ``k``, ``_p0`` ... of the parameters, and ``_q0`` ... of what is kept at
         rest.
     codes : mapping
-        Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
+        Index expression of each name in an array with a column per contact: ``given[0, n]`` is o.
     change : function
-        Of (o, r, k, p): the change of the force.
+        Function of (o, r, k, p) for the change of the force.
     kept : list of functions
-        Of (o, k, p): what is kept at rest.
+        Functions of (o, k, p) for the values stored at rest.
     """
 
     force_change: Formula

@@ -40,19 +40,19 @@ class Fit(Fitted, Tabular):
     ----------
     scene : Scene
     names : list of str
-        Of the K numbers that were fitted.
+        Names of the K fitted parameters.
     estimate : (K,) array
         A factor where entries of one parameter differ and change together, else in the unit of the
         parameter.
     covariance : (K, K) array
     chi_square : float
-        Sum of squares of the residuals, over the noise.
+        Sum of squared residuals over the noise.
     freedom : int
-        Measured values less K.
+        Number of measured values minus K.
     values : dict
         Parameters of the scene by name.
     bias : (K,) array
-        Estimated error of the estimate by the length of the steps.
+        Estimated error of the estimate caused by the step length.
     """
 
     scene: Scene

@@ -62,14 +62,14 @@ class Gradient(Mapping[str, Array]):
     ----------
     value : float
     gradients : dict
-        Arrays (P,) by name: per kg, per N/m^delta and so on.
+        Derivatives (P,) by parameter name: per kg, per N/m^delta and so on.
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
         The largest error relative to the largest derivative by the same kind of parameter. Where
         these are nothing but round-off, relative to the terms that they are the sum of.
     value_error : float
-        Of the value, in its unit.
+        Estimated error of the value, in its unit.
     step_s : float
     integrator : str
     """

@@ -26,11 +26,11 @@ class Seen(NamedTuple):
     ----------
     scene : Scene
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
-        Numbers from 1.
+        Grain numbers, from 1.
     displacement, velocity : (T, G) arrays
-        m and m/s, positive downward.
+        Motion, m and m/s, positive downward.
     """
 
     scene: Scene
@@ -58,10 +58,10 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        By the motion in view.
+        Derivatives by the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
-        By masses, and by constants, forces at rest and viscosities of all contacts, where the
-        objective itself has them.
+        Derivatives by masses, and by constants, forces at rest and viscosities of all contacts, if the
+        objective itself depends on them.
     """
 
     value: float
@@ -79,13 +79,13 @@ class ContactForce(NamedTuple):
     Attributes
     ----------
     value : (T,) array
-        N.
+        Force, N.
     by_closer, by_closing : (T,) arrays
-        By the approach of the two bodies, m, and its rate, m/s.
+        Derivatives by the approach of the two bodies, m, and its rate, m/s.
     by_force, by_constant, by_viscosity : (T,) arrays
-        By the force at rest, N, the constant, N/m^delta, and the viscosity, s.
+        Derivatives by the force at rest, N, the constant, N/m^delta, and the viscosity, s.
     grains : list of int
-        One or two that it joins.
+        One or two grains of the contact.
     """
 
     value: Array

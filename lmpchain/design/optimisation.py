@@ -119,11 +119,11 @@ class Optimum(Tabular):
     ----------
     scene : Scene
     value, error : float
-        Of the objective, and the estimated error of the value.
+        Value of the objective, and its estimated error.
     values : dict
         Parameters by name.
     history : list of arrays
-        The value of every run, one array a start.
+        Values of all runs, one array per start.
     runs : int
         Number of runs with gradients.
     """
@@ -378,9 +378,9 @@ class _Descent(NamedTuple):
     sign : float
         -1 to maximise.
     runs : int
-        Most runs.
+        Largest number of runs.
     turn : float
-        Of the fastest motion in a step, rad.
+        Phase of the fastest motion in a step, rad.
     """
 
     box: _Box

@@ -71,14 +71,14 @@ class Sensitivity(Tabular):
     Attributes
     ----------
     of, unit : str
-        Name of the answer, and its unit.
+        Name of the result, and its unit.
     gradient : Gradient
-        The answer and its derivatives, with errors.
+        The result and its derivatives, with errors.
     relative : dict
-        By name, the change of the answer for a relative change of each entry, in the unit of the
+        Change of the result by a relative change of each entry, by name, in the unit of the
         answer.
     uncertainty : dict
-        By name, the standard deviation to first order by the uncertainties of its entries alone.
+        Standard deviation to first order by the uncertainties of single parameters, by name.
     deviation : float
         Standard deviation of the answer by all of them, to first order.
     scatter, shift : float
@@ -86,7 +86,7 @@ class Sensitivity(Tabular):
         drawn chains that differ from the scene by as much to either side; NaN where one of them has
         no such answer.
     remark : str
-        That no wave reaches what the answer is about, if so.
+        Remark if no wave reaches the grains of the result; otherwise empty.
     """
 
     of: str

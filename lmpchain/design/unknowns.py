@@ -32,7 +32,7 @@ class Problem:
     Attributes
     ----------
     names : list of str
-        Of the unknowns: parameters of the scene, then nuisances of the traces.
+        Names of the unknowns: parameters of the scene, then nuisance parameters of the traces.
     units, origin : lists of float
         Estimates are origin + units theta.
     symbols : list of str
@@ -40,9 +40,9 @@ class Problem:
     along : list
         Name and direction, in the unit of the parameter, of every unknown of the scene.
     looks : int
-        Times at which a run is looked at, a step of rkn4 each.
+        Number of evaluation times of a run, with a step of rkn4 each.
     variance : float
-        Of the residuals, where the traces have no noise of their own.
+        Variance of the residuals, if the traces have no given noise.
     """
 
     def __init__(self, scene: Scene, traces: Sequence[Traces], parameters: Mapping[str, Any]):

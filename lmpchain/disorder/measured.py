@@ -62,7 +62,7 @@ class MeasuredEnsemble(Shown, Tabular):
     Attributes
     ----------
     values : (R, ...) array
-        Of each chain.
+        Values of each chain.
     x : array or None
         Coordinate of a curve.
     model_error, solver_error : float

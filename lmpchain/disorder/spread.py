@@ -34,7 +34,7 @@ class Spreading(StreamedAverages, Tabular):
     m, seed, law, of, engine, equation, realisations
         As for `Ensemble`.
     time : (T,) array
-        s.
+        Times, s.
     second_moment, second_moment_error : (T,) arrays
         Mean square distance of the energy from its centre at t = 0, grains squared.
     participation, participation_error : (T,) arrays

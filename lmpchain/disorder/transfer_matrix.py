@@ -62,7 +62,7 @@ class Localisation(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     exponent, error : (F,) arrays
         Mean growth of log|u| from grain to grain, and its standard error.
     """
@@ -93,7 +93,7 @@ class DensityOfStates(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     integrated, error : (F,) arrays
         Fraction of the modes below each frequency, and its standard error.
     """

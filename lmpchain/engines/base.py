@@ -46,7 +46,7 @@ class Proposal(NamedTuple):
     steps : Steps
         Time steps; an exact solution has one step from sample to sample.
     active_grains : int
-        Number of grains that are computed; 0 if the engine has no answer to propose.
+        Number of computed grains; 0 if the engine cannot solve the scene.
     model_error, solver_error : float
         Expected relative errors of the equation and of its numerical solution; NaN if not
         estimated.
@@ -234,12 +234,12 @@ class Engine(ABC):
     equation : int
         Number in the paper of the equation that the engine solves.
     auto : "never", "cheapest" or "last"
-        When "auto" chooses the engine: never, if it is the cheapest, or if no other engine can do
+        When "auto" chooses the engine: never, if it is the cheapest, or if no other engine can solve
         the scene.
     style : (str, str)
         Colour and marker of the engine in charts.
     citation : str
-        Reference that a publication cites for answers of this engine, beside this package.
+        Reference that publications with this engine should cite, in addition to this package.
     integrators : tuple of str
         Names of the methods that a user may choose; empty if the engine does not step through time.
     inputs, logs : tuple of str
@@ -247,14 +247,14 @@ class Engine(ABC):
     integrator, step
         Options as given by the user.
     batches : bool
-        Whether a batch of like scenes takes less time than the scenes one by one.
+        Whether a batch of similar scenes takes less time than single runs.
     whole : bool
         Whether the engine needs all grains of a scene, not only those of the light cone.
     suspect : str
         Commands of the user that may change the motion, and what to do about them. Messages on a
         failed estimate name them.
     dissipates : bool
-        Whether the engine solves chains that lose energy.
+        Whether the engine solves chains with damping.
     knows_ground : bool
         Whether the engine solves chains with a force from the ground.
     ranks_of_mpi : bool

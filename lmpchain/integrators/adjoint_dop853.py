@@ -62,7 +62,7 @@ class Followed(NamedTuple):
     Attributes
     ----------
     steps : list of arrays
-        s.
+        Step lengths, s.
     pieces : kernels.Dop853Pieces
     values : (2, looks+1, G) array
         Displacements, m, and velocities, m/s.

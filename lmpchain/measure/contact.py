@@ -46,7 +46,7 @@ class ContactHistory(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     contact : (C,) array
         Their numbers.
     overlap, closing : (T, C) arrays
@@ -154,7 +154,7 @@ class Signal(Shown, Tabular):
     ----------
     grain : int
     time : (T,) array
-        s.
+        Times, s.
     force, change : (T,) arrays
         N; above that at rest, N, as a piezoelectric sensor gives it.
     """

@@ -39,7 +39,7 @@ class DysonSums(Shown, Tabular):
     ----------
     m : (M,) array
     time : (T,) array
-        s.
+        Times, s.
     tau : (T,) array
         Time in units of `Chain.time_scale`.
     kappa : (N,) array

@@ -49,7 +49,7 @@ class EnergyLedger(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     kinetic : (T,) array
         Of all grains, a driven one included.
     contact : (T,) array
@@ -164,7 +164,7 @@ class EnergyLosses(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     of_contact : (T, N+1) array
         The integral of A dF/dt o', with F the elastic force, o the overlap; contact n lies below
         grain n, 0 and N are those with walls.
@@ -203,7 +203,7 @@ class EnergyShares(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     grain, contact : (G,) and (C,) arrays
         Their numbers; contact n lies below grain n, 0 and N are those with walls.
     kinetic : (T, G) array

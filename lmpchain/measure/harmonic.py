@@ -61,7 +61,7 @@ class HarmonicWave(Shown, Tabular):
     Attributes
     ----------
     frequency : float
-        Hz.
+        Frequency, Hz.
     grain : (G,) array
         Grains between which the wave is measured.
     amplitude : (G,) complex array
@@ -121,7 +121,7 @@ class DrivePoint:
     Attributes
     ----------
     frequency : float
-        Hz.
+        Frequency, Hz.
     stiffness : complex
         Dynamic stiffness, force over displacement, N/m.
     error : float

@@ -39,7 +39,7 @@ class SelfSimilar(Shown, Tabular):
     speed : (P,) array
         Distance from where the wave began over the time since then, grains/s, from 0.
     moment : (4,) array
-        s.
+        Times, s.
     overlap : (4, P) array
         Overlaps at these moments, m.
     limit : (P,) array

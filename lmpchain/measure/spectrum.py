@@ -37,7 +37,7 @@ class Spectrum(Shown, Tabular):
     ----------
     field : "velocity" or "displacement"
     frequency : (F,) array
-        Hz, from 0 to half the sampling rate.
+        Frequencies, Hz, from 0 to half the sampling rate.
     grain : (G,) array
         From the top downward.
     bands : (G, B, 2) array
@@ -89,7 +89,7 @@ class Dispersion(Shown, Tabular):
     ----------
     field : "velocity" or "displacement"
     frequency : (F,) array
-        Hz, from 0 to half the sampling rate.
+        Frequencies, Hz, from 0 to half the sampling rate.
     wavenumber : (K,) array
         Radians a grain, from -pi to pi; those of waves that move downward are positive.
     amplitude : (F, K) array

@@ -32,7 +32,7 @@ class TraceTable(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     traces : dict of (T,) arrays
         By names such as force_10, change_force_wall, velocity_5 and energy_total.
     units : dict of str

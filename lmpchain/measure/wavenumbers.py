@@ -43,7 +43,7 @@ class EnergyBands(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     place : (P,) array
         Middles of the windows, in grains from the top.
     edges : (B+1,) array

@@ -52,7 +52,7 @@ class Chaos(Shown, Tabular):
         the rate at which the deviations of a regular motion grow in proportion to time, which a
         finite time does not tell from an exponent.
     time : (320,) array
-        s.
+        Times, s.
     running : (320, C) array
         Exponents over the time from 0, 1/s.
     log_gali : (320, C) array

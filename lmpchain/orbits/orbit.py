@@ -38,7 +38,7 @@ class Orbit(Shown, Tabular):
     ----------
     chain : Chain
     period : float
-        s.
+        Period, s.
     displacement, velocity : (N,) arrays
         At t = 0, m and m/s.
     drive : Drive, Force or None

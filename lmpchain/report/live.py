@@ -53,7 +53,7 @@ class View:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
         Numbers, from the top.
     velocity, displacement : (T, G) arrays

@@ -49,7 +49,7 @@ class Reading:
     Attributes
     ----------
     time : (R,) array
-        s; empty if rows are not times.
+        Times, s; empty if rows are not times.
     values : (R, K) array
         Values of the K quantities.
     text : str

@@ -132,7 +132,7 @@ class Averages(Shown, Tabular):
         less 1.
     integrator : str
     step : float
-        s.
+        Time step, s.
     middle : (S,) array
         Middle of each of S = 256 stretches of time behind the warm-up, s.
     stretch_mean : dict of (R, S) arrays

@@ -221,7 +221,7 @@ class EnergyError:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     error : (T,) array
         Energy above rest over its value at t = 0, less 1.
     step : float

@@ -40,7 +40,7 @@ class AmplitudeDispersion(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        Hz.
+        Frequencies, Hz.
     amplitude : (A,) array
         Of the drive, m, or of the force, N.
     phase, phase_error, decay, decay_error, strain, strain_error : (F, A) arrays

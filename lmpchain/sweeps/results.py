@@ -36,7 +36,7 @@ class Labels(NamedTuple):
     samples : int
         The most of any scene.
     time : (T,) array or None
-        s; None if scenes differ in them.
+        Times, s; None if scenes differ in them.
     grains : (G,) array
         Numbers of the grains that any scene records; in the order of the scenes if that is one
         order.

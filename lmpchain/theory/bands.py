@@ -125,7 +125,7 @@ class Bands(Shown, Tabular):
     wavenumber : (K,) array
         Radians a cell.
     frequency : (B, K) array
-        rad/s, ascending; numpy takes the object itself for this array.
+        Frequencies, rad/s, ascending; numpy takes the object itself for this array.
     group_velocity : (B, K) array
         Cells a second; the limit from above at wavenumber 0, positive where the branch rises.
     gaps : (G, 2) array
@@ -184,7 +184,7 @@ class GapModes(Shown, Tabular):
     Attributes
     ----------
     frequency : (L,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     shape : (L, M) array
         Displacements, orthonormal in mass.
     participation : (L,) array
@@ -221,7 +221,7 @@ class Waves(Shown, Tabular):
     ----------
     cell : Cell
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     wavenumber : (F,) complex array
         q, radians a cell; its real part is below 0 where phases run upward, its imaginary part 0 or
         more.

@@ -29,12 +29,12 @@ class Eigenmodes:
     Attributes
     ----------
     frequency : (M,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     shape : (M, M) array
         Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16): ``shape.T @ diag(mass) @
         shape = 1``.
     mass : (M,) array
-        kg.
+        Masses, kg.
     decay : (M,) array or None
         Rate, 1/s, ``(A w^2 + gamma) / 2`` for one A and one gamma: the amplitude of free motion
         falls by ``exp(-decay t)``, its frequency is ``sqrt(w^2 - decay^2)``. None without damping.

@@ -48,7 +48,7 @@ class Transmission(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     wavenumber : (F,) array
         Of the lead above, radians a grain, 0 to pi.
     amplitude_reflected, amplitude_transmitted : (F,) complex arrays
@@ -136,7 +136,7 @@ class Reflection(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     amplitude : (F,) complex array
         Displacement of the last grain before the end by the wave that comes back, over that by the
         incoming one; with the time dependence exp(-i w t).

@@ -56,7 +56,7 @@ class Frames(NamedTuple):
     steps : (T,) array
         Numbers of the time steps.
     times : (T,) array
-        s; NaN where the dump does not tell.
+        Times, s; NaN where the dump does not tell.
     sides : (T, 3) array
         Lengths of the box along x, y and z, m.
     periodic : (3,) array of bool

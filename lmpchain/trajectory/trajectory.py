@@ -37,7 +37,7 @@ class Trajectory(Shown, Record, Tabular):
     equation : int
         Number in the paper of the equation solved.
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
         Numbers of the recorded grains, from 1 at the top.
     displacement, velocity : (T, G) arrays

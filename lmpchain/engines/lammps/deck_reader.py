@@ -64,13 +64,13 @@ class Deck(NamedTuple):
     ----------
     scene : Scene
     integrator : str
-        As the native engine has it: "lagged-verlet" of a damped chain with fix nve.
+        Method as in the native engine: "lagged-verlet" for a damped chain with fix nve.
     step : float
-        s.
+        Time step, s.
     gauge : float
-        Diameter with which all grains are drawn, m; 0 for their own.
+        Gauge diameter of all grains, m; 0 for their own diameters.
     digits : int
-        Of the numbers in its dump.
+        Digits of the numbers in the dump.
     """
 
     scene: Scene

@@ -29,7 +29,7 @@ class SubprocessRanks:
     ----------
     ranks : int
     pids : list of int
-        Of the ranks.
+        Process numbers of the ranks.
     """
 
     def __init__(self, ranks: int, log: str):

@@ -28,19 +28,19 @@ class StepPlan:
         Grains first ... last - 1, counted from 0, move by the equation of motion.
     splitting : Splitting
     step : float
-        s.
+        Time step, s.
     done : int
-        Steps done before.
+        Number of earlier steps.
     pieces : tuple of (end, commands)
-        Of a spline.
+        Pieces of a spline: end time, s, and LAMMPS commands.
     rest : float
         Height at which grain 1 rests, m.
     wave : Waveform or None
-        What is imposed: a force if it is `pushed`, or the motion of grain 1 if that is `driven`,
+        Forcing: a force on the grain `pushed`, or the motion of grain 1 if `driven`,
         else of the top wall.
     driven : bool
     pushed : int or None
-        The grain, counted from 0, that a force kicks from outside.
+        Index of the grain, from 0, on which an external force acts.
     """
 
     grains: int

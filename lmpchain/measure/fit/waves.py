@@ -62,9 +62,9 @@ class ModeFit(Fitted, Tabular):
     Attributes
     ----------
     frequency : (M,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     time : (T,) array
-        s.
+        Times, s.
     amplitude, rate : (T, M) arrays
         ``a_p = sum_n m_n X_pn phi_n`` with modes orthonormal in mass, m kg^(1/2), and its rate, m
         kg^(1/2)/s.
