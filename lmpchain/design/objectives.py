@@ -60,7 +60,7 @@ class Slopes(NamedTuple):
     displacement, velocity : (T, G) arrays
         Derivatives by the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
-        Derivatives by masses, and by constants, forces at rest and viscosities of all contacts, if the
+        Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
         objective itself depends on them.
     """
 

@@ -234,7 +234,7 @@ class Engine(ABC):
     equation : int
         Number in the paper of the equation that the engine solves.
     auto : "never", "cheapest" or "last"
-        When "auto" chooses the engine: never, if it is the cheapest, or if no other engine can solve
+        When "auto" chooses the engine: never, if it is the cheapest, or if no other can solve
         the scene.
     style : (str, str)
         Colour and marker of the engine in charts.

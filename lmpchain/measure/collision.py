@@ -49,13 +49,13 @@ class Collision(Shown, Tabular):
     speed_after, velocity_after : (2,) arrays
         Both after the collision; lower if the waves lose energy.
     shift : (2,) array
-        By how many grains each is further along its way than without the other, at `time`, by the
+        Shift of each wave along its way by the other wave, in grains, at `time`, by the
         line of its motion afterwards.
     shift_error : (2,) array
-        By how much it may be off: by the two lines, and by the change of speed over the way on
+        Error of the shift: by the two lines, and by the change of speed over the way on
         which it is not known.
     exact_speed : (2,) array
-        Of the exact solitary waves of these velocities before, grains/s.
+        Speeds of the exact solitary waves of the velocities before, grains/s.
     toda, kdv : (2,) arrays
         Laws of `lmpchain.theory.collision` for the same speeds under a load; NaN in the sonic
         vacuum, where there are none, and `kdv` of waves that meet head-on.

@@ -45,7 +45,7 @@ class DysonSums(Shown, Tabular):
     kappa : (N,) array
         Stiffness of the contact below each grain over that of the first.
     velocity : (T, N) array
-        Of all grains, m/s.
+        Velocities of all grains, m/s.
     weight : (M, N) array
         D_m(kappa_n), Eq. (23) as printed.
     as_printed : (M, T) array

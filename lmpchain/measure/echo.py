@@ -43,7 +43,7 @@ class Pulse(NamedTuple):
     force : float
         Force in the grain at that time above rest, N; negative in a wave of tension.
     energy, energy_error : float
-        That passes the grain, J; uncertainty by sampling and by the error of the trajectory, J.
+        Energy that passes the grain, J; uncertainty by sampling and by the trajectory error, J.
     """
 
     time: float
@@ -62,9 +62,9 @@ class Echo(Shown, Tabular):
     ----------
     grain : int
     seconds, error : float
-        From the first pulse to the next one that goes the other way, s; uncertainty by sampling.
+        Time from the first pulse to the next in the other direction, s; uncertainty by sampling.
     distance : float
-        To the reflector and back, between centres at rest, m.
+        Distance to the reflector and back, between centres at rest, m.
     share, share_error : float
         Energy of the echo relative to that of the first pulse.
     inverted : bool
@@ -72,7 +72,7 @@ class Echo(Shown, Tabular):
     pulses : list of Pulse
         All pulses in the order of time; neighbours go in opposite directions.
     time, power : (T,) arrays
-        s; power through the grain, positive downward, W.
+        Times, s; power through the grain, positive downward, W.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}

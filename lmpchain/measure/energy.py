@@ -51,7 +51,7 @@ class EnergyLedger(Shown, Tabular):
     time : (T,) array
         Times, s.
     kinetic : (T,) array
-        Of all grains, a driven one included.
+        Kinetic energy of all grains, including a driven one.
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
     gravity, load : (T,) arrays
@@ -67,15 +67,15 @@ class EnergyLedger(Shown, Tabular):
         the native engine and LAMMPS, `dissipated` and the work in a chain with damping are summed
         up at every step of the run. The linear engines integrate both along their solutions.
     momentum : (T,) array
-        Of all grains, positive downward.
+        Momentum of all grains, positive downward.
     impulse : (T,) array
-        What force, driver, walls, a held grain and drag have given since t = 0 beyond the impulses
+        Impulse of force, driver, walls, a fixed grain and drag since t = 0 in excess of impulses
         that balance at rest.
     drive_error, impulse_error, dissipated_error : float
         Their uncertainty, J and N s, with that by the error of the trajectory if that is known. Of
         an integral over samples it is the shift when every second sample is used; infinite for
         fewer than three samples, or samples farther apart than half a period of the fastest motion.
-        Where forces are smooth and well sampled, the true error is about
+        If forces are smooth and well sampled, the true error is about
         1/15 of that shift.
     balanced : tuple of str
         Those of `drive`, `dissipated` and `impulse` that follow from the balance of energy or
@@ -313,7 +313,7 @@ class _Pieces(NamedTuple):
     Attributes
     ----------
     work, push, top : (T-1,) arrays
-        Of the power and of the force of a push, J and N s, and of that of the top wall, N s.
+        Integrals of power, J, and force of a push, N s, and of the top wall's force, N s.
     """
 
     work: Array
@@ -327,7 +327,7 @@ class _Forces(NamedTuple):
     Attributes
     ----------
     force, rate : arrays
-        Force less that at rest, N, and the rate of the elastic part, N/s.
+        Force minus the force at rest, N, and rate of the elastic part, N/s.
     largest : array
         Largest size of the elastic part within the error, N.
     doubt : array

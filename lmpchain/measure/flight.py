@@ -50,11 +50,11 @@ class Flight:
     Attributes
     ----------
     grains : int
-        How many grains further the second is.
+        Distance of the second sensor in grains.
     distance : float
-        Between their centres at rest, m.
+        Distance between the centres at rest, m.
     seconds, error : float
-        s; uncertainty by sampling, s.
+        Time of flight, s; uncertainty by sampling, s.
     """
 
     grains: int

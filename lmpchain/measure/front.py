@@ -168,10 +168,10 @@ class PowerLaw(Shown, Tabular):
     label, depth, values : str, (P,) and (P,) arrays
         The quantity, depths h = n - 1/2 in grains, and what was fitted.
     unit : str
-        Of the values.
+        Unit of the values.
     order, exponent, factor, correction : float
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the
+        Errors of exponent, factor and correction: half the 95 % confidence interval plus the
         shift when a term in h^(-2 order) is fitted too. On smooth data such terms exceed the
         scatter; it is an estimate, not a bound.
     """
@@ -333,7 +333,7 @@ class CorrectedPower(NamedTuple):
     interval : (3,) array
         Half the 95 % confidence intervals; 0 of an exponent that is given.
     shift : (3,) array
-        How far the values move when the next term is fitted, too.
+        Change of the values when the next term is fitted as well.
     """
 
     values: Array

@@ -65,7 +65,7 @@ class HarmonicWave(Shown, Tabular):
     grain : (G,) array
         Grains between which the wave is measured.
     amplitude : (G,) complex array
-        Of the displacement ``Re(a exp(i w t))`` at the frequency of the drive, m.
+        Amplitude of the displacement ``Re(a exp(i w t))`` at the drive frequency, m.
     phase, phase_error : float
         Phase lag per cell downward, radians, from -pi to pi; by how much it may be off: changes
         from the window to its later half, between two parts of the grains and with every second
@@ -78,7 +78,7 @@ class HarmonicWave(Shown, Tabular):
         Mean change of the overlap, relative to the overlap at rest: strong waves squeeze or stretch
         the chain, which changes its dispersion as well.
     linear_phase, linear_decay : float
-        Of the linearised chain.
+        Values for the linearised chain.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"grain": "", "amplitude": "m"}
@@ -125,11 +125,11 @@ class DrivePoint:
     stiffness : complex
         Dynamic stiffness, force over displacement, N/m.
     error : float
-        By how much it may be off in magnitude, N/m: three times the change from the window to its
+        Error in magnitude, N/m: three times the change from the window to its
         later half, the change with every second sample, and the error of the trajectory. It does
         not hold for a chain that bounces without becoming periodic.
     linear : complex
-        That of the linearised chain, N/m; NaN if it has no load.
+        Stiffness of the linearised chain, N/m; NaN without a load.
     """
 
     frequency: float

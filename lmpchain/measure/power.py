@@ -41,7 +41,7 @@ class Power(Shown, Tabular):
     ----------
     contact : int
     time, power : (T,) arrays
-        s; force above rest times the mean velocity of the two bodies, W.
+        Times, s; force above rest times the mean velocity of the two bodies, W.
     mean, error : float
         Over the last `periods` of the drive, W; by how much it may be off: the change from their
         first to their second half, that of every second sample, and the error of the trajectory.

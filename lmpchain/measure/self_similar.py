@@ -46,7 +46,7 @@ class SelfSimilar(Shown, Tabular):
         Overlaps that long waves approach, m: the simple wave of a rarefaction, which is exact for
         old waves; NaN of a shock.
     error : (P,) array
-        By how much the last profile may be off the profile of an old wave, m: its largest change
+        Error of the last profile relative to an old wave, m: its largest change
         nearby since two fifths of the time. Oscillations of a dispersive shock keep their length in
         grains and have no limit, so that the error is their height.
     """

@@ -76,7 +76,7 @@ class Edge:
         Overlap in the leading crest beyond that ahead, m, and its change in the same way; NaN of a
         trailing edge.
     velocity : float
-        Of grains in the leading crest beyond that ahead, m/s.
+        Velocity of grains in the leading crest in excess of grains ahead, m/s.
     """
 
     speed: float
@@ -100,7 +100,7 @@ class Shock(Shown, Tabular):
     ahead, behind : State
         Velocity, m/s, and overlap, m, before the wave, and in the plateau behind it, in the mean.
     behind_error : State
-        By how much the plateau varies, twice the standard deviation of velocity and overlap.
+        Variation of the plateau: twice the standard deviation of velocity and overlap.
     leading, trailing : Edge
         Both the same, at half the jump, of a steady shock.
     thickness : float
@@ -116,7 +116,7 @@ class Shock(Shown, Tabular):
         Speed of the exact solitary wave as high as the leading crest, `soliton.solve`, grains/s:
         that of the leading edge of an old dispersive shock; NaN of other waves and of the weakest.
     simple : State
-        What a simple or dispersive wave leaves behind at this velocity.
+        State behind a simple or dispersive wave of this velocity.
     predictions : dict
         `Edges` by name: "whitham", "toda" and "kdv" of a dispersive shock, "continuum" of a
         rarefaction; "burgers" has the thickness of a steady shock in weak viscous damping in place

@@ -39,7 +39,7 @@ class Train(Shown, Tabular):
     Attributes
     ----------
     grain : (W,) array
-        Where their middles are at the end.
+        Positions of their middles at the end.
     speed, speed_error : (W,) arrays
         Grains/s; half the 95 % confidence interval, what sampling may cost, and the change on the
         way.
@@ -51,7 +51,7 @@ class Train(Shown, Tabular):
         change over the later half of the way, what stands in the troughs, and the error of the
         trajectory.
     exact_speed, exact_energy : (W,) arrays
-        Of the exact solitary wave of this largest velocity, `theory.soliton`, grains/s and J.
+        Values for the exact solitary wave of this velocity, `theory.soliton`, grains/s and J.
     total : float
         Energy that the strike gave to the chain, J.
     place, density : (N,) arrays

@@ -39,7 +39,7 @@ class Spectrum(Shown, Tabular):
     frequency : (F,) array
         Frequencies, Hz, from 0 to half the sampling rate.
     grain : (G,) array
-        From the top downward.
+        Recorded grains from the top downward.
     bands : (G, B, 2) array
         Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
     amplitude : (F, G) array

@@ -34,9 +34,9 @@ class TraceTable(Shown, Tabular):
     time : (T,) array
         Times, s.
     traces : dict of (T,) arrays
-        By names such as force_10, change_force_wall, velocity_5 and energy_total.
+        Traces by names such as force_10, change_force_wall, velocity_5 and energy_total.
     units : dict of str
-        Of each: N, m/s, m or J.
+        Unit of each trace: N, m/s, m or J.
     """
 
     time: Array

@@ -47,14 +47,14 @@ class EnergyBands(Shown, Tabular):
     place : (P,) array
         Middles of the windows, in grains from the top.
     edges : (B+1,) array
-        Of the bands, radians a grain, 0 to pi.
+        Edges of the bands, radians per grain, 0 to pi.
     energy, error : (T, P, B) arrays
         J; the sum over places and bands is the energy of the chain. By how much each may be off by
         the error of the trajectory, where that is known.
     downward : (T, P, B) array
-        What of it waves that go down have, by linear theory of a uniform chain.
+        Part of downward waves, by linear theory of a uniform chain.
     width : float
-        Of a window, grains.
+        Width of a window, grains.
     """
 
     time: Array

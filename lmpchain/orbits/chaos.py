@@ -48,7 +48,7 @@ class Chaos(Shown, Tabular):
     exponent : (C,) array
         Lyapunov exponents over the later four fifths of the time, the largest first, 1/s.
     half_width : (C,) array
-        Of their 95 % confidence intervals, 1/s, from the correlated growth in 256 stretches; with
+        Half widths of their 95 % intervals, 1/s, from the correlated growth in 256 stretches; with
         the rate at which the deviations of a regular motion grow in proportion to time, which a
         finite time does not tell from an exponent.
     time : (320,) array

@@ -59,13 +59,13 @@ class ContinuationSteps:
     straight : float
         Cosine of the angle between two directions from which on the next step may be longer.
     bent : float
-        That cosine below which this step is too long.
+        Value of this cosine below which a step is too long.
     easy : int
         Iterations of Newton's method up to which the next step may be longer.
     still : float
         Way, in sizes of the orbit, that a family must go in `patience` tries.
     patience : int
-        Most tries for that way.
+        Largest number of tries for this distance.
     crowded : float
         Unknowns times steps to locate events, some 15 s, after which they are given up: in
         resonances they crowd.
@@ -104,7 +104,7 @@ class SolutionBranch:
     ----------
     equations : Equations
     held : tuple of Constraint
-        Of the period or the energy, if another number changes.
+        Constraint on the period or the energy, if another parameter changes.
     parameter : "energy", "period", "frequency" of the drive, or "value"
     exact : bool
         Whether directions of the family are good enough to locate events by.

@@ -25,9 +25,9 @@ class Location:
     split : float
         Difference of two means of multipliers, below which they are a double one with round-off.
     tries : int
-        Most orbits for an event.
+        Largest number of orbits for an event.
     near : float
-        Of its place, over the step in which it lies.
+        Tolerance of its position, relative to the step.
     circle : float
         Distance from the unit circle within which a multiplier of a damped chain passes it; others
         only meet and part outside of it.
@@ -57,7 +57,7 @@ class Member(NamedTuple):
         none is known.
     solution : Solution
     multipliers : (2M,) array or None
-        Of a damped orbit, to a millionth; None of others, or where none are needed.
+        Multipliers of a damped orbit, to a millionth; None for others, or if not needed.
     """
 
     orbit: Orbit

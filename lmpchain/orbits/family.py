@@ -40,12 +40,12 @@ class Event(Shown):
         leave it, or come back, or of a damped chain a complex pair passes it; a multiplier passes
         1.
     value : float
-        Of the parameter.
+        Value of the parameter.
     orbit : Orbit
     after : int
-        Number from 0 of the orbit of the family that it comes after.
+        Index, from 0, of the orbit of the family before the event.
     parameter, hold
-        As they were given to `follow`.
+        Arguments as given to `follow`.
     """
 
     kind: str
@@ -73,14 +73,14 @@ class Family(Shown, Tabular):
     ----------
     orbits : tuple of P Orbit
     value : (P,) array
-        Of the parameter, in its SI unit.
+        Values of the parameter, in its SI unit.
     parameter : str
     events : tuple of Event
-        In their order.
+        Events in their order.
     reached : bool
         Whether the family came to the value asked for.
     ended : str
-        Why it did not; empty if it did.
+        Reason for an early end; empty if the goal was reached.
     """
 
     orbits: tuple[Orbit, ...]

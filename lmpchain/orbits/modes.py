@@ -25,7 +25,7 @@ class KnownLimits:
     Attributes
     ----------
     strain : float
-        Of a small orbit.
+        Strain of a small orbit.
     slow : float
         Frequency over the band edge, below which harmonics are nearly resonant and smaller orbits
         are taken.

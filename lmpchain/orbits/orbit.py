@@ -40,7 +40,7 @@ class Orbit(Shown, Tabular):
     period : float
         Period, s.
     displacement, velocity : (N,) arrays
-        At t = 0, m and m/s.
+        State at t = 0, m and m/s.
     drive : Drive, Force or None
         The motion of grain 1 or the top wall, or the force on a grain, at this period.
     reversible : bool
@@ -49,7 +49,7 @@ class Orbit(Shown, Tabular):
         Largest change of a displacement or a velocity over a period, relative to the largest of the
         orbit; below 1e-12 unless the motion amplifies rounding beyond that.
     error : float
-        Of the orbit and its period by the integrator, relative, as steps of half the length show
+        Relative error of the orbit and its period by the integrator, as half the steps show
         it. Where an orbit can all but slide along its neighbours, as the dip of a strong dark
         breather can, most of it is round-off in that direction, along which the period hardly
         changes.

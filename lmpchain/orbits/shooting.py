@@ -29,7 +29,7 @@ class Newton:
     closed : float
         Residual of an orbit, and error of its steps, over the size of the orbit.
     iterations : int
-        Most steps.
+        Largest number of steps.
     useful : float
         Factor by which a step with derivatives of another point must bring the residual down.
     local : float
@@ -37,7 +37,7 @@ class Newton:
     nudge : float
         Change of a parameter, over its scale, for the derivative by differences.
     rounds : int
-        How often steps are laid anew around openings, and how often they are halved, at most.
+        Largest number of new meshes around openings, and of halvings of the steps.
     """
 
     closed: float = 1e-12
@@ -289,9 +289,9 @@ class Descent(NamedTuple):
     Attributes
     ----------
     unknown : (U,) array
-        Where the residual is least, the start included.
+        Unknowns with the smallest residual, including the start.
     residual : float
-        That residual, over the size of the orbit.
+        Smallest residual, relative to the size of the orbit.
     slopes : (R, U) array
     first : (U,) array or None
         The unknowns after the first step; None if that leads nowhere.

@@ -38,15 +38,15 @@ class PageLimits(NamedTuple):
     Attributes
     ----------
     size : int
-        Most bytes of the page.
+        Largest size of the page, bytes.
     runs : int
-        Most runs, of which each is then shown at some forty times and grains.
+        Largest number of runs, each of which is then shown at some forty times and grains.
     views : tuple of (int, int)
         Times and grains that are shown of a run, from the most to the least: the first that fits.
     samples : int
-        Most samples of a run, for the sake of its front.
+        Largest number of samples of a run, which resolve its front.
     batch : int
-        Most samples x grains that are in memory at a time.
+        Largest number of samples x grains in memory at a time.
     """
 
     size: int = 2_000_000

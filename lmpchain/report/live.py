@@ -29,7 +29,7 @@ class ViewSizes(NamedTuple):
     Attributes
     ----------
     times, grains : int
-        Most rows of both; of more, some are shown.
+        Largest number of times and grains shown.
     margin : int
         Grains at rest that are shown on either side of those that move.
     levels : int

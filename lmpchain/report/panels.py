@@ -31,7 +31,7 @@ class PictureLimits(NamedTuple):
     Attributes
     ----------
     markers : int
-        Most grains drawn one by one; of more, a picture is smaller as pixels.
+        Largest number of grains drawn one by one; with more, a picture is smaller as pixels.
     """
 
     markers: int = 2000

@@ -26,7 +26,7 @@ class FrontLimits(NamedTuple):
     reflected : int
         Last grains, whose peak is made together with the wave that comes back from the end.
     onward : float
-        Least share of the grains that a front passes later than those before them.
+        Smallest fraction of the grains that a front passes later than their predecessors.
     """
 
     reflected: int = 3

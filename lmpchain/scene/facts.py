@@ -36,7 +36,7 @@ class Cut:
     unseen : float
         Motion over that of the grain that is struck which no answer holds.
     share : float
-        Of the grains: where more are reached, all are computed
+        Fraction of the grains: if more are reached, all are computed
         (analysis/calibration/light_cone.py).
     shortest : int
         Grains: a shorter chain is computed as a whole, for less than it takes to cut it.
@@ -56,9 +56,9 @@ class LightCone(NamedTuple, Generic[Part]):
     Attributes
     ----------
     scene : Scene
-        That part with all of its grains recorded.
+        Scene of this part with all of its grains recorded.
     rows : slice or (C,) array
-        Indices, among the recorded grains of that part, of those that the whole scene records.
+        Indices, among the recorded grains of this part, of grains that the whole scene records.
     columns : slice or (C,) array
         Their places among the recorded grains of the whole scene.
     """

@@ -90,14 +90,14 @@ class ColumnEnd:
     kind : str
         "free", "held" or "wall".
     constant : float
-        Of the wall, N/m^delta.
+        Contact constant of the wall, N/m^delta.
     overlap : float
-        Of the wall with its grain, m; NaN if the wall is not known.
+        Overlap of the wall with its grain, m; NaN if unknown.
     line : InputLine or None
     relaxation : float
-        Of the damping of the wall, s.
+        Relaxation time of the wall's damping, s.
     model : str
-        Of its contact: "hertz" or "hooke".
+        Contact model: "hertz" or "hooke".
     """
 
     kind: str = "free"

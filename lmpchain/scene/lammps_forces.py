@@ -33,7 +33,7 @@ class ColumnGrains:
     ----------
     numbers, types : (N,) int arrays
     diameters, masses : (N,) arrays
-        m and kg.
+        Diameters and masses, m and kg.
     frozen : (N,) bool array
         Grains of `fix freeze`, which LAMMPS takes as infinitely heavy.
     """
@@ -53,11 +53,11 @@ class ColumnForces(NamedTuple):
     line : InputLine
     text : str
     fields : dict
-        Of a chain.
+        Fields of a chain.
     model : str
         "hertz", "hooke" or "bond".
     relaxations : (N-1,) array
-        Of viscoelastic damping, s.
+        Relaxation times of viscoelastic damping, s.
     diameters : (N,) array
         m; of bonds, those whose means are the rest lengths.
     """

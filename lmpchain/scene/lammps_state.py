@@ -22,9 +22,9 @@ class RunGrains:
         Name of the file, or of the object.
     numbers, types : (N,) int arrays
     positions, velocities : (N, 3) arrays
-        m and m/s.
+        Positions, m, and velocities, m/s.
     diameters, masses : (N,) arrays
-        m and kg; NaN if unknown.
+        Diameters, m, and masses, kg. NaN if unknown.
     slack : float
         Rounding of a distance between two grains, m.
     digits_lost : bool
@@ -36,7 +36,7 @@ class RunGrains:
     period : (3,) array
         Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
     duration : float
-        Of the run, s; NaN if unknown.
+        Duration of the run, s; NaN if unknown.
     likely_step : float
         Time step with which displacements would change as the velocities say, s; 0 if unknown.
     samples : int

@@ -37,9 +37,9 @@ class FileSizes:
     Attributes
     ----------
     scene, table : int
-        Of a scene or sweep, and of a CSV file, bytes.
+        Largest sizes of a scene or sweep file, and of a CSV file, bytes.
     line : int
-        Of a CSV file, characters.
+        Longest line of a CSV file, characters.
     """
 
     scene: int = 2**25

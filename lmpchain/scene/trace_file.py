@@ -475,7 +475,7 @@ class Measured(Excitation):
     file_kind : type
         Class that reads the file: a `TableFile` with its options.
     source : str, optional
-        How the file was read; ignored when excitations are compared.
+        Description of the reading; ignored when excitations are compared.
     """
 
     file_kind: ClassVar[type[TableFile]]

@@ -42,12 +42,12 @@ class AmplitudeDispersion(Shown, Tabular):
     frequency : (F,) array
         Frequencies, Hz.
     amplitude : (A,) array
-        Of the drive, m, or of the force, N.
+        Amplitudes of the drive, m, or of the force, N.
     phase, phase_error, decay, decay_error, strain, strain_error : (F, A) arrays
         Radians per cell, decay per cell, and mean change of the overlap relative to rest, as in
         `measure.harmonic.HarmonicWave`.
     linear_phase, linear_decay : (F,) arrays
-        Of the linearised chain.
+        Values for the linearised chain.
     waves : F lists of A HarmonicWave
         The waves of all grains.
     """

@@ -24,7 +24,7 @@ class SweepQuantity(NamedTuple):
     Attributes
     ----------
     dimensions : tuple of str
-        Of "time" and "grain".
+        Dimensions among "time" and "grain".
     units, long_name : str
         Metadata of the results.
     measure : function

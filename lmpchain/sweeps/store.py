@@ -73,7 +73,7 @@ class StoreLayout:
     count : int
         Scenes.
     batch : int
-        Of these, in a part.
+        Number of scenes in a part.
     columns : dict
         The arrays, `reason` last.
     """

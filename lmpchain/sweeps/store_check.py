@@ -30,7 +30,7 @@ class StoreSizes(NamedTuple):
     Attributes
     ----------
     shard_scenes : int
-        Least scenes in a shard, for each array: 100 files hold 10^4 scenes.
+        Smallest number of scenes in a shard per array: 100 files contain 10^4 scenes.
     shard_bytes : int
         Largest shard, whatever that takes of its scenes.
     chunk_bytes : int

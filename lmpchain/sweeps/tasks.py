@@ -35,9 +35,9 @@ class TaskLimits(NamedTuple):
     Attributes
     ----------
     scenes : int
-        Most scenes of a task.
+        Largest number of scenes of a task.
     numbers : int
-        Most samples x grains of all its scenes.
+        Largest number of samples x grains of all its scenes.
     pending : int
         Tasks that an executor has at a time.
     deaths : int
@@ -70,7 +70,7 @@ class Beginning(NamedTuple):
     whole : Trajectory
         A run to its end, of which the rest is as likely as others.
     reason : str
-        Why the whole is not within the tolerance.
+        Reason why the whole scene misses the tolerance.
     """
 
     known: Trajectory
@@ -85,7 +85,7 @@ class SweepTask:
     Attributes
     ----------
     folder, files : Path
-        Where the results go, and where CSV files lie.
+        Folder of the results, and folder of CSV files.
     layout : Layout
     grains : (G,) array
         Numbers of the grains that the arrays have places for.

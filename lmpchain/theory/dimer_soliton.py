@@ -45,11 +45,11 @@ class Grid:
     Attributes
     ----------
     period : float
-        Of the series, in grains.
+        Period of the series, in grains.
     points : int
-        In a period.
+        Number of points in a period.
     lightest : float
-        Least mass ratio of a scan.
+        Smallest mass ratio of a scan.
     spacing : float
         Distance of the beginnings of its searches in 1 / sqrt(ratio).
     """
@@ -71,7 +71,7 @@ class DimerSoliton(Shown, Tabular):
     ----------
     delta : float
     mass_ratio : float
-        Of light to heavy grains, the antiresonance.
+        Mass ratio of light to heavy grains at the antiresonance.
     speed : float
         c, grains a unit of time.
     place, values : (K,) arrays

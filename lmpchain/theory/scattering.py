@@ -50,7 +50,7 @@ class Transmission(Shown, Tabular):
     frequency : (F,) array
         Frequencies, rad/s.
     wavenumber : (F,) array
-        Of the lead above, radians a grain, 0 to pi.
+        Wavenumbers in the upper lead, radians per grain, 0 to pi.
     amplitude_reflected, amplitude_transmitted : (F,) complex arrays
         Displacement of grain 1 by the reflected wave, and of grain N by the transmitted one, over
         that of grain 1 by the incoming one; with the time dependence exp(-i w t).

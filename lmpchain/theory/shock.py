@@ -65,7 +65,7 @@ class Medium:
     constant : float
         K, N/m^delta.
     mass : float
-        Of a grain, kg.
+        Mass of a grain, kg.
 
     Raises
     ------

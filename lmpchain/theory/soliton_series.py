@@ -32,7 +32,7 @@ class Resolution:
     drop : float
         Fall of log(overlap) from the middle to the end of the series.
     residual : float
-        Of the equation, over the largest overlap.
+        Residual of the equation, relative to the largest overlap.
     tails : float
         Weight of residuals over the overlap in the same place.
     stretch : float

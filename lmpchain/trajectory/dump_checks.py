@@ -39,7 +39,7 @@ class DumpChecks(NamedTuple):
         Largest diameter of grains that are drawn smaller than they are, over the largest overlap:
         ten times what decks of ours take at most.
     levels : int
-        Least number of steps of the last digit of a height that the motion must span.
+        Smallest number of units in the last digit of a height that the motion must span.
     """
 
     start: float = 1e-6
@@ -96,7 +96,7 @@ class DumpedMotion(NamedTuple):
     order : (N,) array
         Columns of the dump in the order of the grains.
     displacement, velocity : (T, N) arrays
-        m and m/s.
+        Motion, m and m/s.
     """
 
     down: float

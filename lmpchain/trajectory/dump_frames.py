@@ -52,11 +52,11 @@ class Frames(NamedTuple):
     Attributes
     ----------
     numbers : (N,) array
-        Of the atoms.
+        Numbers of the atoms.
     steps : (T,) array
         Numbers of the time steps.
     times : (T,) array
-        Times, s; NaN where the dump does not tell.
+        Times, s; NaN if the dump does not contain them.
     sides : (T, 3) array
         Lengths of the box along x, y and z, m.
     periodic : (3,) array of bool
@@ -64,7 +64,7 @@ class Frames(NamedTuple):
     columns : dict
         (T, N) arrays by name, ordered by atom number, as they are written.
     units : Units
-        Of the columns.
+        Units of the columns.
     """
 
     numbers: np.ndarray

@@ -33,7 +33,7 @@ class _Column(NamedTuple):
     Attributes
     ----------
     z, vz : (T, N) arrays
-        m and m/s.
+        Positions, m, and velocities, m/s.
     v_phi : (T, N) array or None
         Displacements, m, where the dump has them.
     slack : float

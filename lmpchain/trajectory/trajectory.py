@@ -41,7 +41,7 @@ class Trajectory(Shown, Record, Tabular):
     grains : (G,) array
         Numbers of the recorded grains, from 1 at the top.
     displacement, velocity : (T, G) arrays
-        From equilibrium, positive downward; m and m/s.
+        Motion from equilibrium, positive downward; m and m/s.
     error_estimate : ErrorEstimate
     cost : Cost
     provenance : dict

@@ -50,11 +50,11 @@ class ChunkSizes(NamedTuple):
     Attributes
     ----------
     samples : int
-        In a shard, or a multiple that fills a chunk.
+        Number in a shard, or a multiple that fills a chunk.
     grains : int
-        Most in a chunk: the trace of a grain and a snapshot are then both read in some 20 ms.
+        Largest number in a chunk: a grain's trace and a snapshot are then read in some 20 ms.
     times : int
-        Least in a chunk.
+        Smallest number in a chunk.
     """
 
     samples: int = 16

@@ -30,7 +30,7 @@ class TableLayout(NamedTuple):
     Attributes
     ----------
     delimiter : str
-        Between columns; a blank stands for any number of blanks.
+        Separator of columns; a blank stands for any number of blanks.
     decimal : "." or ","
     """
 

@@ -166,7 +166,7 @@ def test_a_batch_needs_scenes_with_the_same_recording(made):
 
 
 def test_rounding_of_linear_solutions():
-    """The error of frequencies grows with the phase, and the error of eigenvectors with their number.
+    """The error of frequencies grows with the phase, that of eigenvectors with their number.
 
     Of a burst that hardly began, far more.
     """

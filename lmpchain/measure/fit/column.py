@@ -115,12 +115,12 @@ class FrontLaw(Fitted, Tabular):
     depth : (P,) array
         h = n - 1/2, in grains.
     time, shift : (P,) arrays
-        Of the largest velocity, and by how much the front of a row of grains lags (0.908 w for
+        Times of the largest velocity, and lags of the front of a row of grains (0.908 w for
         Hertz), units of tau.
     order, exponent, factor, correction : float
         The order is 1/delta + 1/3, the next one after that of the lag.
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift
+        Errors of exponent, factor and correction: half the 95 % interval, plus twice the shift
         when one more order, higher by 1/delta - 1/3, is fitted too, which is most of the effect of
         higher orders.
     expected : (2,) array
@@ -186,7 +186,7 @@ class ContinuumFit(Fitted, Tabular):
     power : float
         xi / (2 eta).
     grain, cone, values, model : (P,) arrays
-        What was fitted: grains, tau^2 - chi^2, phi in units of v0, and the fit.
+        Fitted data: grains, tau^2 - chi^2, phi in units of v0, and the fit.
     residual : float
         Root mean square of values - model over that of values.
     front : FrontLaw or None

@@ -121,13 +121,13 @@ class ParameterFit(Fitted, Tabular):
         m/s, N or Pa; one standard error, which assumes independent residuals, as of noise.
     trace : Trace
     model : (T, G) array
-        What the scene with this value gives, in the units of the trace.
+        Values in the scene with this parameter, in the units of the trace.
     residual : float
         Root mean square of trace - model over that of the trace.
     scene : Scene
-        With this value.
+        Scene with this value.
     runs : int
-        Of the engine.
+        Number of runs of the engine.
     """
 
     parameter: Parameter

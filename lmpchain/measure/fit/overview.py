@@ -31,9 +31,9 @@ class Summary(Shown):
     strike_number : float
     rows : tuple of Row
     left_out : tuple of (fit, reason)
-        What does not apply, and why.
+        Fits that do not apply, with the reasons.
     notes : tuple of str
-        What the fits say besides: grains left out, laws approached.
+        Remarks of the fits: excluded grains, asymptotic laws.
     """
 
     strike_number: float

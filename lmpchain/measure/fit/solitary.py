@@ -41,7 +41,7 @@ class SolitonFit(Fitted, Tabular):
         Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in
         grains.
     error : (3,) array
-        Of amplitude, speed and width: half the 95 % confidence interval, and what sampling may
+        Errors of amplitude, speed and width: half the 95 % interval, plus what sampling may
         cost.
     wave : Soliton
         The exact one of this amplitude.

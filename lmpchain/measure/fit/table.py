@@ -22,7 +22,7 @@ class FittedNumber:
     value, error : float
         The error as the fit defines it; NaN where there is none.
     expected : float
-        By the scene and the theory; NaN where they say nothing.
+        Value from the scene or theory; NaN if there is no prediction.
     """
 
     fit: str

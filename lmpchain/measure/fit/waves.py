@@ -38,7 +38,7 @@ class BesselRegion(NamedTuple):
     forerunner : float
         Echoes have not arrived where 2 s = m - 7.4 m^(1/3): there J_m(2 s) is below 1e-10.
     fewest : int
-        Least number of values for three parameters and their errors.
+        Smallest number of values for three parameters and their errors.
     most : int
         Largest number of values; of more, those of some of the grains are fitted.
     arrival : float
@@ -74,7 +74,7 @@ class ModeFit(Fitted, Tabular):
     given : float
         Energy of the motion at t = 0 by the scene, with its nonlinear part, J; NaN if unknown.
     residual : (T,) array
-        How far the linear motion from the state at t = 0, Eqs. (15) and (16), is from the
+        Distance of the linear motion from the state at t = 0, Eqs. (15) and (16), from the
         trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
         larger of displacement and velocity.
     """
@@ -201,7 +201,7 @@ class BesselFit(Fitted, Tabular):
     Attributes
     ----------
     field : "velocity" or "displacement"
-        What was given to grain p, and is fitted.
+        Quantity that was given to grain p, and is fitted.
     struck : int
         p.
     amplitude, rate, delay : float
@@ -212,11 +212,11 @@ class BesselFit(Fitted, Tabular):
     error : (4,) array
         One standard error of amplitude, rate, delay and kappa.
     covariance : (3, 3) array
-        Of amplitude, rate and delay.
+        Covariance of amplitude, rate and delay.
     expected : (4,) array
         The values that scene and theory give.
     grain, time, values, model : (P,) arrays
-        What was fitted: grains, s, m/s or m, and the fit there.
+        Fitted data: grains, times, s, values, m/s or m, and the fit.
     residual : float
         Root mean square of values - model over that of values.
     """

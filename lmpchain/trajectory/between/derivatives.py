@@ -71,7 +71,7 @@ class ChainForces(NamedTuple):
     parameters : (P, N+1) array
         See `BatchArrays.parameters`, for a law given by formulas.
     formulas : int
-        Where the loop of that law lies in memory, see `change_in_time`; 0 for powers.
+        Memory address of the law's loop, see `change_in_time`; 0 for powers.
     """
 
     contacts: Array

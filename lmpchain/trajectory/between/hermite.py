@@ -36,7 +36,7 @@ class PathRows(NamedTuple):
     Attributes
     ----------
     displacement, velocity, acceleration, jerk : int
-        At the R samples.
+        Rows of values at the R samples.
     doubt : int
         Error of the acceleration in the interval behind each sample.
     middle, error, reach : int

@@ -92,7 +92,7 @@ class Window(NamedTuple):
     first : int
         Number of the first sample of the block.
     begin, end : int
-        Of the intervals, counted from that sample.
+        Range of intervals, counted from this sample.
     """
 
     first: int
