@@ -147,9 +147,7 @@ def error(found: Solution, truth: lmpchain.Trajectory) -> float:
 
 
 def loosest(call: Call, velocity: float, tolerance: float) -> float:
-    """Return the loosest tolerance of the peer, in factors of two, that meets this one; NaN if none
-    does.
-    """
+    """Return the peer's loosest tolerance that meets this one, by factors of two; else NaN."""
     truth = lmpchain.simulate(paper(velocity), "native", 2e-13)
     for power in range(12, -24, -1):
         asked = tolerance * 2.0**power

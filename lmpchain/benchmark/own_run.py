@@ -306,7 +306,9 @@ def _read(
     elif is_dump(run):
         if scene is None:
             cure = "make it from the dump, lmpchain new scene.toml --from DUMP"
-            raise InputError.at("scene", f"is missing; a dump does not say what it is of: {cure}")
+            raise InputError.at(
+                "scene", f"is missing, and a dump does not contain its scene: {cure}"
+            )
         return Trajectory.from_dump(run, scene, units=units)
     else:
         answer = Trajectory.load(run)
@@ -329,7 +331,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
         engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
-        why = "expected round-off of double precision; displacements are held, not heights"
+        why = "expected round-off of double precision; displacements are stored, not heights"
         return engine.integrator, cost.step_s, (step, Cause("digits", rounding, why))
     pairs = _possible_steps(answer)
     twins = [(twin_run(scene, *pair), *pair) for pair in pairs]
@@ -386,7 +388,7 @@ def _digits(
 ) -> Cause:
     """Return the rounding error of a run, from its distance to a native run with the same step."""
     if distance == math.inf:
-        return Cause("digits", 0.0, "cannot be told apart, as the same steps break down")
+        return Cause("digits", 0.0, "unknown, because a native run with the same steps breaks down")
     scene = answer.scene
     digit, speed_digit = (
         float(answer.provenance.get(f"{name}_digit", 0.0)) for name in ("displacement", "velocity")
@@ -400,7 +402,7 @@ def _digits(
     heights *= max(1.0, solution.error / DIGITS.amplified)
     if distance <= DIGITS.printed * printed and printed > heights:
         places = max(1, round(-math.log10(min(printed, 0.1))))
-        why = _few_digits(f"the dump has some {places} digits of the largest motion")
+        why = _few_digits(f"the dump has about {places} digits of the largest motion")
     elif distance <= DIGITS.heights / HEIGHTS.typical * heights:
         why = "round-off of heights, which LAMMPS holds"
         if answer.provenance.get("diameter") != "gauge":
@@ -409,7 +411,7 @@ def _digits(
         return Cause(
             "another cause",
             distance,
-            f"so far is it from {integrator} at this step, more than digits explain: it was run "
+            f"a difference from {integrator} at this step beyond round-off: it was run "
             "with another step or integrator, in single precision, or with forces that the scene "
             "lacks",
         )

@@ -198,7 +198,7 @@ class Chain(ChainPicture, Checked):
         }
         if isinstance(self.material, tuple) and len(self.material) != self.grains:
             number = f"not {len(self.material)}"
-            yield "material", f"must be one or {self.grains} (one a grain), {number}"
+            yield "material", f"must be one or {self.grains} (one per grain), {number}"
         for key, (value, length) in lengths.items():
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
@@ -234,7 +234,10 @@ class Chain(ChainPicture, Checked):
         constants = self.given_wall_constants
         for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
             if material is not None and end != "wall":
-                yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'
+                yield (
+                    f"{name}_material",
+                    f'describes a wall, but there is none unless {name} = "wall"',
+                )
         if constants is None:
             return
         if len(constants) != 2 or any(
@@ -318,13 +321,17 @@ class Chain(ChainPicture, Checked):
         """Raise `InputError` for a ground stiffness in time, which `what` does not support."""
         if self.ground is not None and "t" in self.ground.formula.names:
             cure = "leave t out of its formula"
-            raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
+            raise InputError.at(
+                "chain.ground", f"{what} does not support a stiffness that changes in time: {cure}"
+            )
 
     def refuse_ground(self, what: str) -> None:
         """Raise `InputError` if the ground exerts a force, which `what` does not support."""
         if self.ground is not None:
             cure = "leave it out, as chain.replace(ground=None) does"
-            raise InputError.at("chain.ground", f"{what} knows no ground: {cure}")
+            raise InputError.at(
+                "chain.ground", f"{what} does not support a force from the ground: {cure}"
+            )
 
     @property
     def exponent(self) -> float:
@@ -446,7 +453,7 @@ class Chain(ChainPicture, Checked):
         """Raise `InputError` if the chain has damping, which `what` does not support."""
         if self.damped:
             cure = "leave it out, as chain.replace(damping=None) does"
-            raise InputError.at("chain.damping", f"{what} knows no damping: {cure}")
+            raise InputError.at("chain.damping", f"{what} does not support damping: {cure}")
 
     @cached_property
     def contact_viscosity(self) -> Array:

@@ -469,18 +469,18 @@ def parse(text: str) -> Formula:
     if not CHARACTERS.fullmatch(text):
         wrong = next(c for c in text if not CHARACTERS.fullmatch(c))
         hint = ": write ** for a power" if wrong == "^" else ""
-        raise _fault(f"has {wrong!r}, which no formula holds{hint}")
+        raise _fault(f"has the character {wrong!r}, which is not allowed{hint}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise _fault(f"is no formula: {_short(text)}") from None
+        raise _fault(f"is not a valid formula: {_short(text)}") from None
     left = [MAX_OPERATIONS]
     formula = _read(tree.body, 0, left)
     for node in formula.walk():
         if node.number is not None and not abs(node.number) <= MAX_NUMBER:
-            raise _fault(f"has a number that is too large, or none: {_short(text)}")
+            raise _fault(f"has a number that is too large or undefined: {_short(text)}")
     if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
         raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
     return formula
@@ -514,7 +514,7 @@ def _read(node: ast.AST, depth: int, left: list[int]) -> Formula:
         _check_call(node.func.id, len(node.args))
         return build(node.func.id, *(_read(part, depth + 1, left) for part in node.args))
     kinds = "numbers, names, + - * / ** and functions"
-    raise _fault(f"has {type(node).__name__}: a formula holds {kinds} only")
+    raise _fault(f"has {type(node).__name__}: a formula may contain only {kinds}")
 
 
 def _read_leaf(node: ast.AST) -> Formula | None:
@@ -539,7 +539,7 @@ def _check_call(called: str, count: int) -> None:
         raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
     several = called in ("min", "max")
     if count != 1 if not several else count < 2:
-        raise _fault(f"has {called} of {count} values")
+        raise _fault(f"calls {called} with {count} values")
 
 
 # Printing.

@@ -26,12 +26,15 @@ MOMENTS = np.linspace(0.0, 1.0, 65)
 def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
     """Yield the reasons why a law cannot describe the ground under this number of grains."""
     if not isinstance(law, Law) or not law.of_ground:
-        fault = "depends on the overlap o: the force from the ground is one of the displacement u"
+        fault = "depends on the overlap o, but the ground acts by the displacement u"
         yield "ground.force", f"{fault} and the time t"
         return
     for key, value in law.given.items():
         if isinstance(value, tuple) and len(value) != grains:
-            yield f"ground.{key}", f"must be one number, or {grains}, one a grain, not {len(value)}"
+            yield (
+                f"ground.{key}",
+                f"must be one number, or {grains}, one per grain, not {len(value)}",
+            )
     bends = [c for variable in ("u", "t") for c in law.formula.conditions(variable)]
     if bends:
         fault = f"bends where {bends[0].text} = 0"

@@ -61,7 +61,10 @@ def misfits(
                 f"there is no grain {impurity.grain}: the chain has {grains}",
             )
         elif impurity.grain in [other.grain for other in impurities[:place]]:
-            yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
+            yield (
+                f"impurity.{place}.grain",
+                f"repeats grain {impurity.grain}: give each impurity once",
+            )
         # A contact constant would have to change with the impurity, but the constants are given.
         elif constants_given and (impurity.diameter or impurity.material):
             yield (

@@ -296,7 +296,7 @@ class Law(ContactLaw):
         if "k" in self.given:
             return np.asarray(self.given["k"])
         if "k" in self.formula.names:
-            raise InputError.at("k", "is not given: name it, as a chain does")
+            raise InputError.at("k", "is not given: pass it as an argument")
         return 1.0
 
     def _filled(self, function: Any, overlap: Any, constant: Any) -> Any:
@@ -371,7 +371,7 @@ class Law(ContactLaw):
         if count:
             fault = f"has {count} equilibria under {force:g} N: change load or gravity"
         else:
-            fault = f"has no equilibrium under {force:g} N: its force does not grow through that"
+            fault = f"has no equilibrium under {force:g} N: its force does not reach this value"
         return InputError.at("law", f"{fault} ({self.text})")
 
     def _refined(self, low: Array, high: Array, forces: Array, constant: float) -> Array:
@@ -626,7 +626,7 @@ class Law(ContactLaw):
             energy = formula.integral(variable)
             if energy is None:
                 fault = f"has no energy in closed form: {self.text}"
-                raise InputError.at("force", f"{fault}; LAMMPS needs one, the native engine not")
+                raise InputError.at("force", f"{fault}; use the native engine, which needs none")
             formula = energy
         return formula.substitute({variable: parse(overlap)}).lepton
 
@@ -730,9 +730,9 @@ def _misfits(
 ) -> Iterable[tuple[str, str]]:
     """Yield missing, unknown and misnamed parameters of a formula."""
     if "o" in names and ("u" in names or "t" in names):
-        yield "force", "has o, of a contact, beside u or t, of the ground: use one kind"
+        yield "force", "contains both o (of a contact) and u or t (of the ground): use one kind"
     if "o" not in names and "u" not in names:
-        yield "force", "depends on no overlap o and no displacement u"
+        yield "force", "depends on neither the overlap o nor the displacement u"
     if "force" in needed:
         yield "force", "has a parameter named force: give it another name"
     for key in needed:
@@ -805,7 +805,7 @@ def _law(value: Any) -> Any:
         return Law.from_table(value)
     if not isinstance(value, ContactLaw):
         cure = 'use lmpchain.Law("k*max(o, 0)**1.5"), or {"force": "k*max(o, 0)**1.5"}'
-        raise ValueError(f"is no law (got {shown(value)}): {cure}")
+        raise ValueError(f"is not a law (got {shown(value)}): {cure}")
     return value
 
 

@@ -341,7 +341,7 @@ class _Cell(_Pattern):
     def _faults(self) -> Iterator[tuple[str, str]]:
         for key, length in self._lengths.items():
             if length not in (1, self.kinds):
-                yield key, f"must be one or {self.kinds} (one a kind), not {length}"
+                yield key, f"must be one or {self.kinds} (one per kind), not {length}"
 
 
 class CellGrain(Checked):

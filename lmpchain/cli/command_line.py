@@ -197,12 +197,12 @@ def _describe_rest(arguments: argparse.Namespace) -> str:
     from ..simulation.folder_files import is_run, resume_command
 
     if arguments.command is sweep:
-        return f"what is done is kept in {arguments.output}; the same command continues from there"
+        return f"finished scenes are kept in {arguments.output}; repeat the command to continue"
     folder = run_folder(arguments)
     if folder and is_run(folder):
-        return f"to go on: {resume_command(folder)}"
+        return f"continue with: {resume_command(folder)}"
     hint = (
-        "; with -o FOLDER/ what is done is kept and can be resumed"
+        "; with -o FOLDER/ a stopped run is kept and can be resumed"
         if arguments.command is run
         else ""
     )

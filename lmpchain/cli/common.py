@@ -138,7 +138,7 @@ def output(
 
     if name == STANDARD:
         if not stream:
-            raise InputError.at(name, "is standard output, which takes text alone: name a file")
+            raise InputError.at(name, "is standard output, which only accepts text: name a file")
         return STDOUT
     path = expanded(name)
     source = expanded(scene)

@@ -45,7 +45,7 @@ def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
     mode = arguments.mode is not None and arguments.energy is not None
     if mode == (arguments.follow is not None):
         cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
-        raise InputError.at("orbit", f"is a mode or the answer to a drive: {cure}")
+        raise InputError.at("orbit", f"follows a mode or the response to a drive: {cure}")
     if mode:
         return "", 0.0
     name, _, value = arguments.follow.partition("=")

@@ -45,7 +45,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Solve a scene and save the trajectory in a file or a run folder."""
     if arguments.scene == STANDARD and not arguments.output:
         raise InputError.at(
-            "output", "name the file of the run with -o: standard input has no name"
+            "output",
+            "is missing: name the file of the run with -o, because the scene has no file name",
         )
     name = arguments.output or beside(arguments.scene, ".nc")
     # A name that ends in / is a folder, even if it does not exist yet.
@@ -152,7 +153,7 @@ def _new_folder(name: str, force: bool) -> Path:
     if not force:
         raise InputError.at(
             name,
-            f"holds a run already: go on with it, {resume_command(name)}, replace it with --force, "
+            f"contains a run: continue it, {resume_command(name)}, replace it with --force, "
             "or name another folder",
         )
     return check_replaceable(name)
@@ -309,7 +310,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     total = results["reason"].size
-    print(f"{total - len(reasons)} of {total} scenes are answered in {folder}")
+    print(f"{total - len(reasons)} of {total} scenes are solved in {folder}")
     if reasons:
-        complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
+        complain(f"{len(reasons)} scenes failed, the first because: {reasons[0]}")
     return 1 if reasons else 0

@@ -387,5 +387,5 @@ def gradient(
     if step or answer.error <= tolerance:
         return answer
     raise ToleranceNotMet(
-        f"the gradient is known to {answer.error:.2g} only; use a shorter time or less accuracy"
+        f"the error of the gradient is {answer.error:.2g}; use a shorter time or a larger tolerance"
     )

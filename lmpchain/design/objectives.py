@@ -178,7 +178,7 @@ def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
 def _check_still(scene: Scene, contact: int) -> None:
     """Raise `InputError` if this contact is with a moving wall."""
     if contact == 0 and scene.drive is not None and scene.drive.grain == 0:
-        message = "cannot look at the contact with a wall that moves: use other grains"
+        message = "cannot depend on the contact with a moving wall: use other grains"
         raise InputError.at("objective", message)
 
 
@@ -372,7 +372,7 @@ class ArrivalTime:
         if not above.size or above[0] == 0:
             reason = f"is never faster than {np.abs(v).max():.3g} m/s: use another threshold"
             if above.size:
-                reason = "has that velocity at once: use another threshold"
+                reason = "has that velocity at t = 0: use another threshold"
             elif np.abs(v).max() < AHEAD:
                 reason = "is reached by no wave: record for longer"
             raise InputError.at("velocity", f"grain {self.grain} {reason}")

@@ -175,7 +175,7 @@ class _Box:
             if name not in bounds
         ]
         faults += [
-            ("bounds", f"{shown(name)} is none of the parameters")
+            ("bounds", f"{shown(name)} is not one of the parameters")
             for name in bounds
             if name not in names
         ]
@@ -334,7 +334,7 @@ def optimise(
             bar.describe(f"starts, best {sign * min(start.value for start in finished):.6g}")
     best = min(finished, key=lambda start: start.value)
     if not np.isfinite(best.value):
-        raise RunFailed("no start came to an answer: use narrower bounds")
+        raise RunFailed("no start converged: use narrower bounds")
     values = box.values(best.at)
     optimum = changed(scene, values)
     value, error, _ = _value(optimum, objective, tolerance)

@@ -67,17 +67,17 @@ def _refuse(scene: Scene, name: str) -> str:
     course = _course(scene)
     match name:
         case "top_load" | "gravity" if not chain.compressed:
-            return "has no derivative in a chain that nothing presses: give it a load or gravity"
+            return "has no derivative in a chain without compression: add a load or gravity"
         case "top_load" if chain.top == "wall" and chain.load_grain == 1 and chain.top_load == 0:
-            return "has no derivative at 0, where the top wall only touches: give it a load"
+            return "has no derivative at 0, where the top wall only touches: give a top_load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
         case "wall_constants" if not chain.wall_constants.any():
             return 'there is no wall: use top or bottom = "wall"'
         case "amplitude" | "frequency" if getattr(course, name, None) is None:
-            return "is that of a sine or a burst that drives or pushes, which this scene has not"
+            return "belongs to a sine or burst of a drive or force, which this scene lacks"
         case "drive" | "force" if course is None or course.kind != name or course.times is None:
-            return f"is the samples of a {name} along points, which this scene has not"
+            return f"contains the samples of a {name} through points, which this scene lacks"
         case "drive" | "force" if course and course.interpolation == "pchip":
             cure = 'use interpolation = "linear" or "spline"'
             return f"has no derivative everywhere where a curve is kept monotone: {cure}"

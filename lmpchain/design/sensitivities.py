@@ -139,7 +139,7 @@ class Sensitivity(Tabular):
             percent = 100 * self.deviation / size
             first = f"{self.deviation:.3g} {self.unit} ({percent:.2g} %)"
             lines.append(f"uncertainty to first order: {first}")
-            beyond = "beyond first order: unknown, as not every drawn chain has an answer"
+            beyond = "beyond first order: unknown, because some random chains have no value"
             if np.isfinite(self.scatter):
                 scatter = f"{self.scatter:.3g} {self.unit}"
                 shift = f"the mean shifted by {self.shift:+.2g}"

@@ -79,7 +79,9 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     # The constructor itself would report only the first wrong option.
     parameters = list(signature(engine_class).parameters) if options else []
     if unknown := [key for key in options if key not in parameters]:
-        cure = f"it has {', '.join(parameters)}" if parameters else "it has none: leave it out"
+        cure = (
+            f"it has {', '.join(parameters)}" if parameters else "it has no options: leave it out"
+        )
         no = f"the engine {engine} has no such option"
         # An argument that all engines share may also be misspelt.
         known = (*parameters, *ARGUMENTS)
@@ -107,12 +109,12 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
         reasons = [*reasons, ("chain.damping", fault)]
     if scene.chain.ground is not None and not engine.knows_ground:
         cure = f"use {_those_that(lambda engine: engine.knows_ground)}"
-        fault = f"{engine.name} knows no force from the ground: leave the ground out, or {cure}"
+        fault = f"{engine.name} does not support a force from the ground: leave it out, or {cure}"
         reasons = [*reasons, ("chain.ground", fault)]
     # Recorded quantities are computed from accelerations, which only the equations of grains
     # provide.
     if scene.quantities and not engine.moves_grains:
-        why = f"{engine.name} solves no equation of motion of the grains, which gathering needs"
+        why = f"{engine.name} computes no accelerations of grains, which quantities require"
         cure = f"use {_those_that(lambda engine: engine.moves_grains)}"
         reasons = [*reasons, ("quantities", f"{why}; {cure}")]
     return reasons

@@ -236,7 +236,7 @@ class EnergyShares(Shown, Tabular):
         grains = np.arange(first, last + 1)
         if not grains.size or not np.isin(grains, self.grain).all():
             raise InputError.at(
-                "part", f"takes recorded grains, from the first to the last (got {first} to {last})"
+                "part", f"must be a range of recorded grains, first to last (got {first} to {last})"
             )
         return self.of_grain[:, np.isin(self.grain, grains)].sum(1)
 

@@ -109,7 +109,7 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     last = len(values) - 1
     if not 0 < top < last:
         longer = "record for longer, and end the push if it still grows"
-        cure = longer if top else "there is no maximum to wait for"
+        cure = longer if top else "it has no later maximum"
         raise InputError.at(
             "duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}"
         )

@@ -439,7 +439,7 @@ def _source(scene: Scene, upward: bool) -> int:
         return 0
     source = contacts - 1 - first if upward else first
     if not 0 <= source < contacts - 1:
-        raise InputError.at("direction", "no grains lie there: choose the other one")
+        raise InputError.at("direction", "has no grains on that side: choose the other one")
     return source
 
 

@@ -509,7 +509,7 @@ def family_curve(
             message = "energy is not conserved in a driven chain: follow period or amplitude"
             raise InputError.at("parameter", message)
         if parameter == "drive.frequency" and orbit.drive is None:
-            message = "drive.frequency is that of a drive, and the orbit is not driven"
+            message = "drive.frequency requires a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         if until <= 0:
             raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
@@ -548,12 +548,14 @@ def _vary(
     drive = orbit.drive
     if not isinstance(parameter, str):
         if start is None:
-            message = "is missing: the value for which the function gives the chain of the orbit"
+            message = (
+                "is missing: give the value at which the function returns the chain of the orbit"
+            )
             raise InputError.at("start", message)
         return lambda number: (parameter(number), drive), float(start)
     if parameter in ("amplitude", "drive.amplitude"):
         if drive is None:
-            message = f"{parameter} is that of a drive, and the orbit is not driven"
+            message = f"{parameter} requires a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         return lambda number: (chain, drive.replace(amplitude=number)), float(drive.amplitude)
     return _vary_number(orbit, parameter)

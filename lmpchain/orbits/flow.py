@@ -80,7 +80,7 @@ class Flow:
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif chain.damped:
             cure = "give a drive, or leave damping out, as chain.replace(damping=None) does"
-            fault = "an orbit without a drive knows no damping, which brings it to rest"
+            fault = "damping brings an orbit without a drive to rest"
             raise InputError.at("chain.damping", f"{fault}: {cure}")
         elif not chain.linearisable and self._flies_apart:
             message = "flies apart: use a top load, gravity, or walls at both ends"

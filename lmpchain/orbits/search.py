@@ -204,7 +204,7 @@ def _linear_answer(flow: Flow) -> tuple[Array, Array]:
         message = "give displacements and velocities, such as those of a linear mode"
         raise InputError.at("guess", f"is missing: {message}")
     if not chain.linearisable:
-        message = "a chain that is not compressed has no linear answer to a drive"
+        message = "a chain without compression has no linear response to a drive"
         raise InputError.at("guess", f"is missing, and {message}")
     omega = 2 * np.pi * drive.frequency
     # The motions are Im(u exp(i omega t)); a driven grain 1 moves as the drive.

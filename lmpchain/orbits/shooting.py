@@ -143,7 +143,7 @@ class Equations:
                 # At the end of the allowed range the difference is one-sided.
                 continue
             return (above - below) / (up - down)
-        raise RunFailed(f"the parameter can be nothing but {point.value:g}")
+        raise RunFailed(f"the parameter cannot differ from {point.value:g}")
 
     def _closure(
         self,

@@ -334,7 +334,7 @@ class RunColumn:
             raise fix.line.refuse("has options that are not read: give three numbers")
         values = [word if word == "NULL" else self._number(fix, n) for n, word in enumerate(fix[2])]
         if any(value not in ("NULL", 0.0) for value in values):
-            raise fix.line.refuse("sets a force other than 0, which no scene has")
+            raise fix.line.refuse("sets a force other than 0, which a scene does not support")
         return values[self.axis] != "NULL"
 
     def _gravity(self) -> float | None:

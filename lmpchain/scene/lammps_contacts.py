@@ -127,7 +127,7 @@ def read_model(
         raise line.refuse("is too short: a contact model is missing")
     name = words[0]
     if name in COHESIVE:
-        raise line.refuse(f"has cohesion ({name}), which no scene has: use hertz")
+        raise line.refuse(f"has cohesion ({name}), which a scene does not support: use hertz")
     if name not in NORMAL:
         raise line.refuse(f"has no contact model {', '.join(NORMAL)}")
     values, rest = _take(line, words, NORMAL[name])
@@ -187,7 +187,7 @@ def _skip(line: InputLine, words: list[str]) -> list[str]:
     word = words[0]
     kind = words[1] if len(words) > 1 else ""
     if word == "cutoff" or (word == "heat" and kind != "none"):
-        raise line.refuse(f"has {word}, which no scene has: take it out")
+        raise line.refuse(f"has {word}, which a scene does not support: remove it")
     models = TANGENTIAL if word == "tangential" else TURNING
     if kind not in models:
         raise line.refuse(f"has {word} {kind}, which is not one of {', '.join(models)}")
@@ -197,7 +197,7 @@ def _skip(line: InputLine, words: list[str]) -> list[str]:
 def _without_limit(line: InputLine, damping: float, words: list[str]) -> list[str]:
     """Return the words after limit_damping, which has no effect without damping."""
     if damping:
-        raise line.refuse("has limit_damping, which no scene has: take it out")
+        raise line.refuse("has limit_damping, which a scene does not support: remove it")
     return words[1:]
 
 

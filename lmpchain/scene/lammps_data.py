@@ -92,7 +92,7 @@ class _DataReader:
         if self.placed:
             return
         if n not in self.state.atoms:
-            raise line.refuse("is of a grain that there is not")
+            raise line.refuse("names a grain that does not exist")
         self.state.atoms[int(n)].v = values[:3]
 
     def mass(self, line: InputLine, words: list[str], _: str) -> None:

@@ -468,7 +468,7 @@ class LammpsInput:
         if words[:1] == ["single/bond"] and len(words) >= 4:
             kind, first, second = (self.text.whole(word, line) for word in words[1:4])
             if not {first, second} <= atoms.keys():
-                raise line.refuse("names a grain that there is not")
+                raise line.refuse("names a grain that does not exist")
             self.state.bonds.append(RunBond(kind, first, second))
         elif words[:1] == ["many"] and len(words) == 6:
             one, other = (self.members(word, line) for word in words[1:3])

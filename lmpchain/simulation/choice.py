@@ -146,7 +146,7 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
     """Return the proposals of engines that are asked only if no other engine is possible."""
     if any(proposal.possible for proposal in others):
-        why = "only if asked for by name, or if no other engine can"
+        why = "used only if requested by name, or if no other engine can solve the scene"
         return [Proposal(name, why=why) for name in engines.automatic("last")]
     return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
 

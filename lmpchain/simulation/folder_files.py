@@ -99,7 +99,7 @@ def engine_of(folder: str | PathLike[str]) -> str:
 
 def at_work(folder: Path) -> str:
     """Return a message that another process has locked a run folder, with the remedy."""
-    return f"{describe_holder(folder)} is at work here; wait for it, or stop it"
+    return f"{describe_holder(folder)} is running here; wait for it, or stop it"
 
 
 def check_run(folder: str | PathLike[str]) -> Path:
@@ -169,7 +169,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         # The folder may come from another person, so only a specification that lmpchain wrote is
         # run.
         if order["sha256"] != _seal(order, text):
-            raise ValueError("they are not those that the run began with")
+            raise ValueError("they differ from those at the start of the run")
         parallel = "ranks" in options
         if parallel and (ranks is not None or mpi.current_world()):
             # The ranks of the surrounding mpirun are used.
@@ -179,7 +179,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         check_known(engine)
         check_tolerance(order["tolerance"])
         if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
-            raise ValueError("they do not say what was asked")
+            raise ValueError("an entry is missing or invalid")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(
             str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}"
@@ -205,7 +205,7 @@ def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
     ]
     if changes:
         warn(
-            f"the run went so far with other versions, and may now differ: {'; '.join(changes)}",
+            f"the run began with other versions, and results may differ: {'; '.join(changes)}",
             stacklevel=3,
         )
 
@@ -319,8 +319,8 @@ def check_new(folder: str | PathLike[str]) -> Path:
     if path.exists() and not path.is_dir():
         raise InputError.at(str(folder), "is a file; choose another name for the run folder")
     if is_run(path) and is_sealed(path):
-        cure = f"go on with it, {resume_command(folder)}, or choose another folder"
-        raise InputError.at(str(folder), f"holds a run already: {cure}")
+        cure = f"continue it, {resume_command(folder)}, or choose another folder"
+        raise InputError.at(str(folder), f"contains a run already: {cure}")
     # Files of a run that was killed before it wrote its scene may be replaced.
     if foreign := strangers(path):
         raise InputError.at(

@@ -141,9 +141,9 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         if report["state"] not in STATES or not isinstance(report["reason"], str):
-            raise ValueError("it does not say how the run stands")
+            raise ValueError("the state of the run is missing or invalid")
         if not 0 < report["tolerance"] < 1:
-            raise ValueError("its tolerance is none")
+            raise ValueError("its tolerance is invalid")
         report["best_effort"] = bool(report["best_effort"])
         report.pop(SEALED, None)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
@@ -162,7 +162,7 @@ def _find_kill(path: Path) -> dict[str, str]:
             finally:
                 lock.release()
             if state == "running":
-                return {"state": "killed", "reason": "the process that was at work was killed"}
+                return {"state": "killed", "reason": "the process of the run was killed"}
     return {}
 
 
@@ -307,8 +307,8 @@ class RunFolder:
                 path = error.filename or self.name
                 fault = f"{path}: cannot be written: {error.strerror or error}"
                 kind = LmpchainError
-            done = f"{self.samples} of {self._known.samples} samples were done"
-            cure = f"when that is put right, {resume_command(self.name)} goes on"
+            done = f"{self.samples} of {self._known.samples} samples were computed"
+            cure = f"remove the cause, then continue with {resume_command(self.name)}"
             raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
     def prepare(self, engine: Engine) -> Engine:
@@ -445,7 +445,7 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
         if attempt.proposal.engine not in engines.names():
             raise ValueError("it has no engine")
         if not all(0 <= time_s < math.inf for time_s in times.values()):
-            raise ValueError("it took no time that there is")
+            raise ValueError("its times are invalid")
     except (ValidationError, TypeError, ValueError, LookupError):
         cure = "resume with that version, or start the run again"
         raise InputError.at(

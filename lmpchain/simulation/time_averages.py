@@ -420,7 +420,7 @@ def averages(
     check_tolerance(tolerance)
     check_flags(progress=progress)
     if tolerance < LEAST_TOLERANCE:
-        cure = "what chance leaves is far more"
+        cure = "the statistical error is far larger"
         fault = f"must be at least {LEAST_TOLERANCE:g} (got {tolerance:g}): {cure}"
         raise InputError.at("tolerance", fault)
     names = _check(scene, quantities, copies)
@@ -478,20 +478,20 @@ def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
     chain = scene.chain
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
-        yield "chain.damping", f"averages are those of a motion that never ends: {cure}"
+        yield "chain.damping", f"averages require a motion that never ends: {cure}"
     if chain.ground is not None:
         cure = "leave it out, as chain.replace(ground=None) does"
-        yield "chain.ground", f"averages know no energy of the ground: {cure}"
+        yield "chain.ground", f"averages do not support the energy of the ground: {cure}"
     if scene.excitation.does_work:
         cure = "use an impulse, a displacement or a profile"
-        yield "excitation", f"must leave the energy as it is at t = 0: {cure}"
+        yield "excitation", f"must do no work after t = 0: {cure}"
     elif scene.at_rest:
         yield "excitation", "moves nothing: there is nothing to average"
     # Neither weight nor load brings back grains that fly away.
     held = chain.compressed or chain.top == "wall"
     if not held or chain.bottom == "free" or (chain.loose_grains and chain.top == "free"):
         cure = 'use top = "wall" and bottom = "wall", gravity or a load on grain 1'
-        yield "chain.top", f"grains would fly away, and no average last: {cure}"
+        yield "chain.top", f"grains would fly away: {cure}"
 
 
 def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
@@ -619,7 +619,7 @@ def _check_apart(u: Array, course: _Course) -> None:
     if (distances < AVERAGING.apart * np.abs(u).max()).any():
         warm_up = course.warm_up * course.scene.sampling_interval
         cure = "use one copy, or a longer warm_up"
-        fault = f"begin so close that they are still together after {warm_up:.3g} s of warm-up"
+        fault = f"are still close to each other after {warm_up:.3g} s of warm-up"
         raise InputError.at("copies", f"{fault}: {cure}")
 
 
@@ -665,11 +665,11 @@ def _conclude(
     if unknown := [name for name, batches in results["batches"].items() if not batches]:
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
-        warn(f"{short}: it is remembered for too long; {cure}", stacklevel=3)
+        warn(f"{short}, because its correlation lasts too long: {cure}", stacklevel=3)
     fewest = copies * BATCHING.cosines[-1]
     if few := [name for name, batches in results["batches"].items() if batches == fewest]:
         says = f"the interval of {', '.join(few)} is worth {fewest} independent batches, the fewest"
-        cure = f"it covers less surely than others: try time={4 * time:.2g}, or copies"
+        cure = f"it is less reliable than others: try time={4 * time:.2g}, or copies"
         warn(f"{says} that a time of {time:.3g} s allows; {cure}", stacklevel=3)
     return Averages(
         scene=scene,

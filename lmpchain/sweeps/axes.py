@@ -150,7 +150,7 @@ def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fa
         section = key.partition(".")[0]
         if section not in sections:
             cure = f"they begin with {', '.join(sections)}, as chain.gravity does"
-            yield key, f"is no key of a scene{did_you_mean(section, sections)}; {cure}"
+            yield key, f"is not a key of a scene{did_you_mean(section, sections)}; {cure}"
 
 
 def _overlap_faults(keys: Sequence[str]) -> Iterator[Fault]:

@@ -368,7 +368,7 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
         entry = int(first)
         return [*table[:entry], _set_value(table[entry], rest, value, key), *table[entry + 1 :]]
     if not isinstance(table, dict | None):
-        raise InputError.at(key, "is no key of a scene: what should hold it is not a table")
+        raise InputError.at(key, "is not a key of a scene: its parent is not a table")
     table = table or {}
     return table | {first: _set_value(table.get(first), rest, value, key)}
 

@@ -415,7 +415,7 @@ def _lossless(cell: Cell | Chain) -> Cell:
     if isinstance(cell, Chain):
         cell.refuse_damping("a band")
         return Cell.of(cell)
-    cure = "a band knows no damping: leave it out, or see waves at real frequencies"
+    cure = "must have no damping: leave it out, or see waves at real frequencies"
     require(("cell", not cell.damped, cure))
     return cell
 

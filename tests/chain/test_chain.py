@@ -290,7 +290,7 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Return the work on contact n at a closer approach r, beyond that of its force at rest, J.
+    """Return the work done on contact n by a closer approach r, less the work of its rest force, J.
 
     Contact 0 is with a wall above.
     """
@@ -553,7 +553,7 @@ FAULTY = {  # Arguments, the key in the message, and a part of the message.
     "impurity twice": (
         {"impurity": [{"grain": 2, "mass": 1e-6}, {"grain": 2, "diameter": 1e-3}]},
         "impurity.1.grain",
-        "a second time",
+        "repeats grain",
     ),
     "impurity like the others": (
         {"impurity": [{"grain": 2}]},

@@ -122,7 +122,7 @@ def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
         chain.replace(exponent=2.0)
     with pytest.raises(InputError, match="law: an exponent holds for powers"):
         _ = chain.exponent
-    with pytest.raises(InputError, match="law: is no law"):
+    with pytest.raises(InputError, match="law: is not a law"):
         Chain(grains=3, diameter=1e-3, law="hertz")
 
 
@@ -362,7 +362,7 @@ def test_arguments_that_contradict_the_ends_are_rejected() -> None:
     ((_, text),) = faults(contact_constants=[1e9] * 4)
     assert text == "must have 3 entries for 4 grains, not 4"
     ((_, text),) = faults(material=[STEEL] * 3)
-    assert text == "must be one or 4 (one a grain), not 3"
+    assert text == "must be one or 4 (one per grain), not 3"
 
 
 @pytest.mark.parametrize("numbers", [2, slice(1, 4), np.array([3, 1])])

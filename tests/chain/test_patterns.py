@@ -201,7 +201,7 @@ def test_faults_of_patterns_contain_their_numbers():
         ),
         (
             lambda: periodic(5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"]),
-            ("materials", "must be one or 3 (one a kind), not 2"),
+            ("materials", "must be one or 3 (one per kind), not 2"),
         ),
         (
             lambda: periodic(5, 1e-3, "steel", 0),

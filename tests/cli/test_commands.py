@@ -182,7 +182,7 @@ def test_a_stopped_command_reports_saved_files(
     monkeypatch.setattr("lmpchain.simulation.planner.plan", stop)
     before = signal.getsignal(signal.SIGTERM)
     nothing = "nothing unfinished was kept"
-    hint = "with -o FOLDER/ what is done is kept and can be resumed"
+    hint = "with -o FOLDER/ a stopped run is kept and can be resumed"
     folder = scene.parent / "run"
     for words, kept in (
         (["run", str(scene)], f"{nothing}; {hint}"),
@@ -190,7 +190,7 @@ def test_a_stopped_command_reports_saved_files(
         (["plan", str(scene)], nothing),
         (
             ["sweep", str(scene), "-o", str(folder)],
-            f"what is done is kept in {folder}; the same command continues from there",
+            f"finished scenes are kept in {folder}; repeat the command to continue",
         ),
     ):
         assert main(words) == code
@@ -206,7 +206,7 @@ def test_a_stopped_run_folder_names_the_resume_command(scene: Path, monkeypatch:
     assert main(["resume", str(folder)]) == 130
     said = capsys.readouterr()
     assert said.out == f"{folder}: this run is finished; there is nothing left to do\n"
-    assert said.err == f"stopped by Ctrl-C; to go on: lmpchain resume {folder}\n"
+    assert said.err == f"stopped by Ctrl-C; continue with: lmpchain resume {folder}\n"
 
 
 def test_a_killed_run_names_the_resume_command(
@@ -244,8 +244,8 @@ def test_a_sweep_prints_the_number_of_solved_scenes(tmp_path: Path, monkeypatch:
     words = ["sweep", "s.toml", "-o", str(tmp_path)]
     assert main(words) == 1
     said = capsys.readouterr()
-    assert said.out == f"2 of 4 scenes are answered in {tmp_path}\n"
-    assert said.err == "error: 2 scenes have no answer, the first because: too fast\n"
+    assert said.out == f"2 of 4 scenes are solved in {tmp_path}\n"
+    assert said.err == "error: 2 scenes failed, the first because: too fast\n"
     assert (asked["workers"], asked["scheduler"], asked["progress"]) == (
         len(os.sched_getaffinity(0)),
         None,
@@ -254,7 +254,7 @@ def test_a_sweep_prints_the_number_of_solved_scenes(tmp_path: Path, monkeypatch:
     reasons[:] = ""
     assert main([*words, "--workers", "3"]) == 0
     assert asked["workers"] == 3
-    assert capsys.readouterr().out == f"4 of 4 scenes are answered in {tmp_path}\n"
+    assert capsys.readouterr().out == f"4 of 4 scenes are solved in {tmp_path}\n"
     start_under_mpirun(monkeypatch, 0)
     assert main(words) == 2
     assert keys(capsys.readouterr()) == ["sweep"]
@@ -630,7 +630,7 @@ def test_the_doctor_compiles_on_request(arguments: list[str], monkeypatch: Any):
 
 @pytest.mark.parametrize(("pace_s", "said"), [(0.7, True), (0.01, False)])
 def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: Any):
-    """The time of one job predicts that of the others, nearly nothing if they are cached."""
+    """The time of one job predicts the time of the others, which is nearly 0 if they are cached."""
     total_s = [0.0]
 
     def take(*_: Any, **__: Any) -> None:

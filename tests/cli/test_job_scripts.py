@@ -101,7 +101,7 @@ def test_a_sweep_runs_on_a_cluster_of_dask(here: Path):
     assert done.stdout.splitlines() == [
         "asked for 16 16 32GB 04:00:00",
         "jobs 10",
-        "2 of 2 scenes are answered",
+        "2 of 2 scenes are solved",
     ]
     peaks = load_sweep("results").peak_velocity.sel({"chain.gravity": 1.62})
     scene = Scene.from_toml("scene.toml")

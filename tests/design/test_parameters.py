@@ -177,14 +177,14 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
         ),
         ("top_load", {"top_load": 0.0, "top": "wall"}, "strike", "has no derivative at 0"),
         ("wall_constants", {}, "strike", "there is no wall"),
-        ("amplitude", {}, "strike", "is that of a sine"),
-        ("frequency", {}, "points", "is that of a sine"),
-        ("amplitude", {}, "force", "is that of a sine"),
-        ("drive", {}, "strike", "is the samples of a drive"),
-        ("drive", {}, "sine", "is the samples of a drive"),
-        ("drive", {}, "force", "is the samples of a drive"),
-        ("force", {}, "points", "is the samples of a force"),
-        ("force", {}, "sine force", "is the samples of a force"),
+        ("amplitude", {}, "strike", "belongs to a sine"),
+        ("frequency", {}, "points", "belongs to a sine"),
+        ("amplitude", {}, "force", "belongs to a sine"),
+        ("drive", {}, "strike", "contains the samples of a drive"),
+        ("drive", {}, "sine", "contains the samples of a drive"),
+        ("drive", {}, "force", "contains the samples of a drive"),
+        ("force", {}, "points", "contains the samples of a force"),
+        ("force", {}, "sine force", "contains the samples of a force"),
     ],
 )
 def test_missing_properties_have_no_derivative(
@@ -214,7 +214,7 @@ def test_names_are_checked_at_once():
     with pytest.raises(InputError) as error:
         parameters.check(scene(), ["colour", "amplitude"])
     assert str(error.value).startswith("parameters: ")
-    assert "amplitude: is that of" in str(error.value)
+    assert "amplitude: belongs to" in str(error.value)
     with pytest.raises(
         InputError, match=r"^parameters: name one or more of masses, contact_constants"
     ):

@@ -166,9 +166,9 @@ def test_a_batch_needs_scenes_with_the_same_recording(made):
 
 
 def test_rounding_of_linear_solutions():
-    """The error of frequencies grows with the phase, that of eigenvectors with their number.
+    """The error of frequencies grows with the phase, the error of eigenvectors with their number.
 
-    Of a burst that hardly began, far more.
+    Relative to the motion of a burst that has hardly begun, both are far larger.
     """
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
     series = Chebyshev().round_off(scene)

@@ -23,7 +23,7 @@ FLAGS = (
 
 
 def installed() -> str | None:
-    """Return the path of a browser; None if there is none."""
+    """Return the path of an installed browser, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 

@@ -47,9 +47,7 @@ def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **c
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
-    """Return a short loaded chain struck so gently (v0* = 1e-3) that
-    nothing comes near to opening.
-    """
+    """Return a short loaded chain struck so gently (v0* = 1e-3) that no contact nearly opens."""
     chain = Chain(
         grains=grains, material=GLASS, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent
     )

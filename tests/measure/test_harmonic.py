@@ -150,7 +150,7 @@ def test_a_gap_is_measured_as_a_decay() -> None:
 
 
 def test_drive_point_of_linear_chains() -> None:
-    """The dynamic stiffness equals that of a dense linear system, for each kind of drive."""
+    """The dynamic stiffness agrees with a dense linear system, for each kind of drive."""
     losses = {"viscoelastic": 4e-6, "drag": 50.0}
     chain = Chain(grains=6, top="wall", bottom="wall", damping=losses, **LOADED)
     omega = 0.37 * chain.band_edge

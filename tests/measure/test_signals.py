@@ -159,7 +159,7 @@ def test_the_error_of_an_arrival():
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
         (
             -np.arange(41.0),
-            "the signal is largest in the first sample: there is no maximum to wait for",
+            "the signal is largest in the first sample: it has no later maximum",
         ),
     ):
         with pytest.raises(InputError, match=f"duration: {words}"):

@@ -231,7 +231,7 @@ def test_a_derivative_at_the_limit_of_a_parameter_is_one_sided():
         return value
 
     equations = Equations(only, False, 1.0, 2.0)
-    with pytest.raises(RunFailed, match=r"^the parameter can be nothing but 5$"):
+    with pytest.raises(RunFailed, match=r"^the parameter cannot differ from 5$"):
         equations.by_value(point._replace(value=5.0), lambda x: x)
 
 
@@ -246,9 +246,7 @@ def test_singular_equations_are_solved_by_least_squares():
 
 
 def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps():
-    """An oscillator of few steps: the change of its orbit and period by Newton's method at half of
-    them.
-    """
+    """The orbit of an oscillator and its period are compared with those at half the steps."""
     chain = Chain(grains=2, diameter=1e-3)
     flow = Flow(chain, 1 / chain.time_scale)
     state = flow.canonical(np.array([0.8 * chain.length_scale, 0.0]), np.zeros(2))

@@ -184,7 +184,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
             lambda: orbits.follow(orbit(), "period", 0.0),
         "hold: must be": lambda: orbits.follow(orbit(), "gravity", 20.0, hold="mass"),
         "start: is missing": lambda: orbits.follow(orbit(), lambda _: CHAIN, 1.0),
-        "parameter: amplitude is that of a drive":
+        "parameter: amplitude requires a drive":
             lambda: orbits.follow(orbit(), "amplitude", 1e-9),
         "parameter: must be energy, period": lambda: orbits.follow(orbit(), "masses[5]", 1.0),
         "parameter: must be energy": lambda: orbits.follow(orbit(), "masses[0]", 1.0),

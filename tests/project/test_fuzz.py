@@ -480,7 +480,7 @@ def test_spoilt_dumps(answers: Path, count: int):
     examine(check, damage(), count)
 
 
-@pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run went so far")
+@pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run began with other")
 @fuzzed(10, 500)
 def test_spoilt_run_folders(answers: Path, count: int):
     """A resumed run gives the right bits, or an error is reported."""

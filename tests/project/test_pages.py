@@ -695,7 +695,7 @@ def test_functions_document_their_parameters_and_results():
 
 
 def test_functions_document_their_exceptions():
-    """At least exceptions raised directly are listed, not those of called functions."""
+    """All exceptions that a function raises directly are listed."""
     for name in public_functions():
         module, _, function = name.rpartition(".")
         thing = inspect.unwrap(getattr(importlib.import_module(module), function))

@@ -296,7 +296,7 @@ def test_springs_against_their_modes(kind: str, bottom: str):
 
 
 def test_the_energy_of_the_chain_is_the_input_of_the_drive():
-    """The energy without that of grain 1 grows by the force of contact 1 times its speed."""
+    """The energy without grain 1 grows at the rate of the force of contact 1 times its speed."""
     chain = Chain(grains=12, diameter=1e-3, bottom="wall")
     scene = scene_of(chain, sine(chain, 2.0, slower=1.5), samples=4001, units=20)
     t = simulate(scene, "native", 1e-9)

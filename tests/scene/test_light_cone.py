@@ -103,9 +103,7 @@ def farthest(x: float) -> int:
 
 @pytest.mark.parametrize("x", [1e-3, 0.5, 2.0, 7.0, 30.0, 100.0, 333.0])
 def test_the_cone_is_as_wide_as_springs_require(x: float):
-    """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly
-    sooner.
-    """
+    """The motion d grains away is at most I_2d(W t), below 22 digits outside of the cone."""
     chain = Chain(
         grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
     )

@@ -32,9 +32,7 @@ def middle(t, part: slice = slice(None)) -> Array:
 @pytest.mark.parametrize("q", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("engine", ["modes", "native"])
 def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
-    """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged
-    over the band.
-    """
+    """The speed sqrt(k/m) cos(q/2) of w = 2 sqrt(k/m) sin(q/2) is averaged over the band."""
     chain = uniform()
     omega = 2 / chain.time_scale * np.sin(q / 2)
     width = 20.0
@@ -121,9 +119,7 @@ def test_a_packet_under_gravity():
     "engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 def test_reflection_and_transmission(engine: str):
-    """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged
-    over the packet.
-    """
+    """An unequal mass transmits the packet average of 1 / (1 + (dm/m)^2 tan^2(q/2))."""
     q0 = 1.2
     width = 16.0
     odd = 300

@@ -287,9 +287,9 @@ def test_a_folder_used_by_another_process_is_left_unchanged(tmp_path, small_bloc
     stopped(folder)
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(lock_s=0.0))
     with FileLock(folder / ".lock"):
-        with pytest.raises(InputError, match="another process is at work here"):
+        with pytest.raises(InputError, match="another process is running here"):
             resume(folder)
-        with pytest.raises(InputError, match="another process is at work here"):
+        with pytest.raises(InputError, match="another process is running here"):
             remove(folder)
     remove(folder)
     assert list(folder.iterdir()) == []
@@ -302,7 +302,7 @@ def test_a_killed_run_has_the_status_killed(tmp_path, small_blocks):
     file = folder / "status.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"state": "running", "reason": ""}))
     assert (status(folder)["state"], status(folder)["reason"]) == (
-        "killed", "the process that was at work was killed",
+        "killed", "the process of the run was killed",
     )  # fmt: skip
     with FileLock(folder / ".lock"):
         assert status(folder)["state"] == "running"
@@ -332,8 +332,8 @@ def test_a_failure_is_recorded_with_its_reason(tmp_path, monkeypatch, small_bloc
     done = puts[1].stop
     assert str(failed.value) == (
         f"{tmp_path}/run/x: cannot be written: No space left on device; {done} of 61 samples were "
-        "done and most are "
-        f"kept; when that is put right, lmpchain resume {tmp_path}/run goes on"
+        f"computed and most are kept; remove the cause, then continue with "
+        f"lmpchain resume {tmp_path}/run"
     )
     assert status(tmp_path / "run")["state"] == "failed"
     assert "No space left" in status(tmp_path / "run")["reason"]
@@ -445,12 +445,12 @@ def test_a_changed_task_is_detected(tmp_path, small_blocks):
         {"options": asked["options"] | {"threads": 2}},
     ):
         file.write_text(json.dumps(asked | changed))
-        with pytest.raises(InputError, match="they are not those that the run began with"):
+        with pytest.raises(InputError, match="they differ from those at the start of the run"):
             resume(folder)
     scene = (folder / "scene.toml").read_text()
     file.write_text(json.dumps(asked))
     (folder / "scene.toml").write_text(scene.replace("samples = 61", "samples = 62"))
-    with pytest.raises(InputError, match="they are not those that the run began with"):
+    with pytest.raises(InputError, match="they differ from those at the start of the run"):
         resume(folder)
     (folder / "scene.toml").write_text(scene)
     assert resume(folder).time.size == 61

@@ -189,9 +189,7 @@ def test_a_killed_rank_does_not_shorten_the_step(
 
     monkeypatch.setattr(SubprocessRanks, "ask", ask)
     left[0] = rng.randint(1, 5)
-    with pytest.raises(
-        EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume .* goes on"
-    ):
+    with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume"):
         simulate(scene, engine, 1e-4, folder=tmp_path / "run")
     said = status(tmp_path / "run")
     assert (said["state"], said["attempt"]) == ("failed", 1)

@@ -177,9 +177,10 @@ def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajec
 
 
 def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float:
-    """Return the time of a plan's choice over that of the fastest valid engine, all measured.
+    """Return the measured time of the planned engine, relative to the fastest valid engine.
 
-    What is expected to take 20 times as long is not tried. NaN if the choice takes less than 1 ms.
+    Engines that are expected to take 20 times as long are left out. The
+    result is NaN if the choice takes less than 1 ms.
     """
     plan = lmpchain.plan(scene, tolerance)
     took = {}

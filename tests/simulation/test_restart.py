@@ -255,7 +255,7 @@ def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
     scene, engine, tolerance = STOPPED[case]
     with pytest.raises(Stopped):
         simulate(scene, engine, tolerance, folder=tmp_path / "run", max_wall=1e-9)
-    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         resume(tmp_path / "run", ranks=1000)
     with pytest.raises(Stopped):
         resume(tmp_path / "run", ranks=2, max_wall=1e-9)

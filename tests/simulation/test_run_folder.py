@@ -282,7 +282,7 @@ def test_reading_during_a_run_and_after_a_kill(tmp_path: Path):
     assert noted["state"] == "running", "a kill leaves no time to say more"
     assert (status(folder)["state"], status(folder)["reason"]) == (
         "killed",
-        "the process that was at work was killed",
+        "the process of the run was killed",
     )
 
 
@@ -306,8 +306,8 @@ def test_invalid_folders_are_rejected(
     (tmp_path / "other" / "file").touch()
     wanted = {
         "run": {
-            f"{finished}/": "holds a run already: go on with it, lmpchain resume",
-            f"{finished}": "holds a run already",
+            f"{finished}/": "contains a run already: continue it, lmpchain resume",
+            f"{finished}": "contains a run already",
             f"{tmp_path}/other": "is neither empty nor a run folder",
             f"{scene}/": "is a file",
             "/proc/none/": "cannot be made",
@@ -362,7 +362,7 @@ def test_one_process_at_a_time(tmp_path: Path):
         code, said = finish("resume", folder)
         assert contents(folder) == before
     assert code == 2
-    assert said == f"error: {folder}: another process is at work here; wait for it, or stop it\n"
+    assert said == f"error: {folder}: another process is running here; wait for it, or stop it\n"
     assert resume(folder).velocity.shape == (301, 3)
 
 

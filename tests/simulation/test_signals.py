@@ -77,7 +77,7 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     finally:
         process.kill()
     assert ending == code, said
-    assert f"to go on: lmpchain resume {folder}" in said
+    assert f"continue with: lmpchain resume {folder}" in said
     assert "Traceback" not in said
     kept = status(folder)
     assert kept["state"] == "stopped"
@@ -177,7 +177,7 @@ def test_a_stopped_single_file_run_names_the_folder_option(tmp_path: Path):
     with on_a_terminal(*COMMAND, *words) as (process, read_until):
         read_until("native:")  # The progress bar.
         process.send_signal(signal.SIGTERM)
-        said = read_until("; with -o FOLDER/ what is done is kept")
+        said = read_until("; with -o FOLDER/ a stopped run is kept")
         assert ended(process)[0] == 143
     assert "stopped by SIGTERM; nothing unfinished was kept; with" in said
     assert "Traceback" not in said

@@ -225,7 +225,7 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (
             SCENE.replace(chain=SCENE.chain.replace(damping={"drag": 1.0})),
             {},
-            "chain.damping: averages are those of a motion that never ends",
+            "chain.damping: averages require a motion that never ends",
         ),
         (
             SCENE.replace(chain=SCENE.chain.replace(top="free")),

@@ -70,9 +70,7 @@ def test_free_end_by_the_other_closed_form(n: int, T: float):
     ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
 )
 def test_free_end_impulse_by_quadrature(n: int, T: float):
-    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the
-    quadrature has an absolute error.
-    """
+    """Even tiny values of Eq. (13) agree with quadrature, whose integrand is scaled to 1."""
     with mp.workdps(25):
         last = mp.besselj(2 * n - 1, 2 * T) if n > T else mp.mpf(1)
         places = mp.linspace(0, T, 3 + int(T / 2))
@@ -121,9 +119,7 @@ def test_local_and_far_field(delta: float):
 
 
 def test_coefficients_of_a_uniform_chain():
-    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away
-    at j = 2N - n and 2N - n + 1.
-    """
+    """A_n = A_(n+1) = 1 and all others are 0, until the reflection at j = 2N - n and 2N - n + 1."""
     found = bessel.coefficients(np.ones(7), np.arange(1, 8), 1, 15)
     expected = np.zeros((7, 15))
     for n in range(1, 8):

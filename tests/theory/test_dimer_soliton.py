@@ -31,7 +31,7 @@ def dimer(grains: int = 40, heavy_first: bool = True, ratio: float | None = None
 
 
 def test_mass_ratio_published():
-    """0.3428 of Jayaprakash, Starosvetsky and Vakakis (2011); ten digits by another solver."""
+    """The ratio is 0.3428 (Jayaprakash et al. 2011), to ten digits by another solver."""
     assert wave_of().mass_ratio == pytest.approx(0.3428457812, abs=1e-10)
 
 

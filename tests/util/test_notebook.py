@@ -134,7 +134,7 @@ def test_markup_in_values_is_escaped():
 
 def test_a_table_contains_the_docstring_texts(run: Trajectory):
     texts = Seen(energy.ledger(run)._repr_html_()).texts
-    assert texts[texts.index("time") + 2] == "s"
+    assert texts[texts.index("time") + 2] == "Times, s"
 
 
 def test_short_forms_of_values():

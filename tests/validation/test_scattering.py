@@ -129,7 +129,7 @@ def _shares(
     tolerance: float,
     size: int = 1,
 ) -> tuple[float, float, float, float]:
-    """Return passed and returned energy of a packet, and the means of T and R over its spectrum."""
+    """Return the passed and returned energies of a packet, and the spectral means of T and R."""
     total = 600 * size
     start = 150 * size
     width = 16.0 * size

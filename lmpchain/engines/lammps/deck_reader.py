@@ -154,9 +154,9 @@ class _Script:
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
         if not LAMMPS_NUMBER.fullmatch(text):
-            raise self.refuse(line, "holds no number that can be read without LAMMPS")
+            raise self.refuse(line, "contains no number that can be read without LAMMPS")
         if not math.isfinite(number := float(text)):
-            raise self.refuse(line, "must hold a finite number")
+            raise self.refuse(line, "must contain a finite number")
         return number
 
     def argument(self, line: _DeckLine, place: int) -> str:
@@ -432,14 +432,14 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
         # With several pair styles, a coefficient names its style.
         arguments = [word for word in line.words[1:] if word != "granular"]
         if len(arguments) < 5 or arguments[2] not in EXPONENTS:
-            raise script.refuse(line, "is no contact that lmpchain writes")
+            raise script.refuse(line, "is not a contact that lmpchain writes")
         first, second, model = arguments[:3]
         key = None
         if first != "*":
             key = script.count(first, line), script.count(second, line)
         table[key] = (script.value(arguments[3], line), script.value(arguments[4], line))
     if words != ["granular"] or not table:
-        raise script.refuse(style, "is no force that lmpchain writes")
+        raise script.refuse(style, "is not a force that lmpchain writes")
     rows = [
         table.get((min(pair), max(pair)), table.get(None, (math.nan, 0.0)))
         for pair in pairwise(types)
@@ -484,7 +484,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
         grain = script.count(script.argument(struck, 3), struck)
         return Impulse(velocity=script.variable("v0"), grain=grain)
     if line := script.find("variable", "c0"):
-        fault = "acts through points, which the deck does not hold: give its scene, --scene"
+        fault = "acts through points, which the deck does not contain: give its scene, --scene"
         raise script.refuse(line, fault)
     if "amplitude" not in script.variables:
         displacement = grains.rest - grains.heights
@@ -549,22 +549,20 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
     ]
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
-        fault = f"has another header than a column of {grains.rest.size} grains"
+        fault = f"does not have the header of a column of {grains.rest.size} grains"
         raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
     for key in ("types", "diameters"):
         values, ours = (np.asarray(getattr(part, key)) for part in (grains, column))
         if not np.allclose(values, ours, rtol=SAME_NUMBER, atol=0.0):
             worst = int(np.abs(values - ours).argmax()) + 1
-            fault = (
-                f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
-            )
+            fault = f"grain {worst} differs in the {key} from lmpchain's deck, {ours[worst - 1]:g}"
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:
     """Raise `InputError` at the first command that lmpchain would not write for this column."""
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
-    cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
+    cure = "only a deck as lmpchain deck writes it can be predicted"
     ours = {line.words[1]: line for line in expected if _is_index(line.words)}
     _check_variables(script, ours, cure)
     rest = [line.words for line in expected if not _is_index(line.words)]

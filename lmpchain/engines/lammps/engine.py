@@ -152,12 +152,12 @@ class Lammps(TimeSteppingEngine):
         self.ranks = ranks
         self.template = "" if template is None else deck.read_user_text("template", template)
         self.include = "" if include is None else deck.read_include(include)
-        cure = "it holds fixes, computes and dumps, and the run comes after it"
+        cure = "it may only contain fixes, computes and dumps"
         deck.refuse_run("include", self.include, cure)
         self.keep = None if keep is None else expanded(keep)
         if own := [key for key in ("template", "include") if getattr(self, key)]:
             commands = f"the commands of your {' and '.join(own)} may move the grains"
-            self.suspect = f"{commands} as the scene does not say: run without, to see"
+            self.suspect = f"{commands} beyond the scene: run without them to compare"
         self.whole = keep is not None or bool(self.template or self.include)
 
     def splitting(self, scene: Scene) -> Splitting:
@@ -174,7 +174,7 @@ class Lammps(TimeSteppingEngine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return the reasons why LAMMPS cannot solve this scene."""
         if scene.chain.damped and self.splitting(scene) != VERLET:
-            fault = "kicks from outside know no velocities: use verlet, or leave it out"
+            fault = "damping requires verlet in LAMMPS: use it, or leave the integrator out"
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         law = scene.chain.law
@@ -184,11 +184,11 @@ class Lammps(TimeSteppingEngine):
         elif law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
             got = law if law.power is None else f"{law.power:g}"
-            fault = f"knows {allowed} only (got {got}); use the engine native"
+            fault = f"supports only {allowed} (got {got}); use the engine native"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
-            return [("ranks", f"must be at most one a grain, {grains} (got {self.ranks})")]
+            return [("ranks", f"must be at most one per grain, {grains} (got {self.ranks})")]
         small = float(scene.chain.diameters.min())
         try:
             for gauge in {"physical": (0.0,), "gauge": (small,), "auto": (0.0, small)}[
@@ -209,13 +209,15 @@ class Lammps(TimeSteppingEngine):
     def _refuses_formula(self, scene: Scene) -> list[tuple[str, str]]:
         """Return the reasons why LAMMPS cannot solve a scene with a law by formula."""
         if self.pair_style != "granular":
-            return [("pair_style", f"{self.pair_style} has no law by formula: leave it out")]
+            return [
+                ("pair_style", f"{self.pair_style} does not support a law by formula: leave it out")
+            ]
         native = "use the engine native"
         if scene.chain.contact_viscosity.any():
-            fault = "LAMMPS has no viscous contacts with a law by formula, only a drag"
+            fault = "LAMMPS supports no viscous contacts with a law by formula, only drag"
             return [("chain.damping.viscoelastic", f"{fault}; {native}")]
         if scene.excitation.wall is not None:
-            return [("excitation", f"LAMMPS moves no wall with a law by formula; {native}")]
+            return [("excitation", f"LAMMPS cannot move a wall with a law by formula; {native}")]
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
@@ -239,7 +241,7 @@ class Lammps(TimeSteppingEngine):
         if steps.per_landing > deck.STEPS_OF_A_RUN:
             # This call rejects years of work, which more samples would not shorten.
             super().propose_steps(scene, tolerance, method, steps)
-            most = f"{steps.per_landing} steps from one to the next are more than LAMMPS counts"
+            most = f"{steps.per_landing} steps per sample exceed the largest number in LAMMPS"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
         bounded = self.diameter == "gauge" and _bounds_overlaps(scene)

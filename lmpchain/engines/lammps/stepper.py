@@ -184,7 +184,5 @@ def word(path: Path) -> str:
     """Return a path in a form that is safe in a LAMMPS command."""
     text = str(path.absolute())
     if not (text.isascii() and text.isprintable()) or set(text) & set("\"'$&#{}*%"):
-        raise InputError.at(
-            text, "has a character that LAMMPS commands cannot hold: use a plainer folder name"
-        )
+        raise InputError.at(text, "has a character that LAMMPS does not accept: rename the folder")
     return text

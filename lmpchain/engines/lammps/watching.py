@@ -111,14 +111,14 @@ def _name_fault(words: list[str]) -> str:
     named = words[0] in ("compute", "fix", "group", "variable")
     for name in words[1:2] if named else []:
         if name in OURS or "$" in name:
-            return f"has the name {short(name)}, which the set-up has, too: choose another"
+            return f"has the name {short(name)}, which the set-up uses: choose another"
     return ""
 
 
 def _compute_fault(arguments: list[str]) -> str:
     for style in arguments[2:3]:
         if any(part in style for part in REFERRING):
-            return f"has the compute {style}, which refers to where the run was when it was set"
+            return f"has the compute {style}, which refers to the state in which it was defined"
     return ""
 
 
@@ -146,7 +146,7 @@ def _file_fault(words: list[str]) -> str:
     """Return whether a command may write a file outside the run folder."""
     given = [word for word in words if "$" in word and word[0] not in "\"'"]
     if words[0] in ("dump", "fix", "print") and given:
-        return f"gives a word by a variable, {short(given[0])}: write it out"
+        return f"contains the variable {short(given[0])}: write its value"
     for place in _files(words):
         if not FILE_NAME.fullmatch(words[place]) or words[place].endswith(PACKED):
             return f"writes to {short(words[place])}: give a plain file name, not packed"

@@ -408,7 +408,7 @@ def test_remarks_at_the_head_of_a_deck():
 def test_invalid_options():
     with pytest.raises(InputError, match="diameter: must be auto"):
         Lammps(diameter="small")
-    with pytest.raises(InputError, match="ranks: must be at most one a grain, 25 "):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain, 25 "):
         simulate(small(), "lammps", ranks=26)
     for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
         kept = Lammps("verlet", **options)

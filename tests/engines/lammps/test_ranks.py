@@ -123,7 +123,7 @@ def test_more_ranks_than_grains_are_rejected():
         duration=1e-5,
         samples=3,
     )
-    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         simulate(scene, "lammps", ranks=3)
     for wrong in (0, -1, 2.0, True):
         with pytest.raises(InputError, match="ranks: must be a whole number"):
