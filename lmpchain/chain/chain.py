@@ -217,9 +217,9 @@ class Chain(ChainPicture, Checked):
         if not isinstance(law, Law):
             return
         if law.of_ground:
-            yield "law.force", "depends on u or t: a contact law is one of the overlap o"
+            yield "law.force", "depends on u or t: a contact law may only depend on the overlap o"
         if law.onset == 0:
-            yield "law.force", "jumps where it should only bend: make the jump a ramp of some width"
+            yield "law.force", "has a jump: replace it by a ramp of finite width"
         if "k" in law.given and self.given_contact_constants is not None:
             yield "contact_constants", "are given by law.k, too: give one of them"
         for key, value in law.given.items():

@@ -343,7 +343,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:
         raise InputError.at(
             "grain",
-            f"grain {grain} has no contacts on both sides, or there is none: choose another",
+            f"grain {grain} does not exist or lacks a contact on one side: choose another",
         )
     both = contacts(trajectory, [grain - 1, grain])
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))

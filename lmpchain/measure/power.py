@@ -152,7 +152,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     number = int(whole_numbers(contact, "contact"))
     chain = scene.chain
     if not (0 <= number <= chain.movable and chain.contacts.exists[number]):
-        raise InputError.at("contact", f"there is none of this number (got {contact})")
+        raise InputError.at("contact", f"must be the number of a contact (got {contact})")
     time = trajectory.time
     most = int(time[-1] / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))

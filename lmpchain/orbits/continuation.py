@@ -89,11 +89,11 @@ class Ending(Enum):
     """Why a family ended before the requested value of its parameter."""
 
     POINTS = "its first {orbits} orbits end at {position}"
-    STILL = "it hardly moves on from {position}"
+    STILL = "its steps become too short at {position}"
     LOST = "it cannot be followed beyond {position}"
     MISSED = "no orbit of it is found at {until:g}"
     CROWDED = "its events crowd, {events} up to {position}: events=False leaves them out"
-    RETURNED = "it comes back to orbits that it has been through, from {position} on"
+    RETURNED = "it returns to its earlier orbits at {position}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -451,7 +451,7 @@ def follow(
     solution = curve.solve(first, anchor)
     if solution is None:
         raise RunFailed(
-            "the orbit to begin with does not solve these equations: is it that of `start`?"
+            "the first orbit does not solve these equations: does it belong to `start`?"
         )
     target = fixed(curve.equations, curve.parameter, until)
     march = _March(curve, curve.member(solution, anchor), target, points, events)

@@ -180,7 +180,7 @@ class RunColumn:
         grains, options = self.grains, self.options
         self.material: Material | None = None
         if self._style("bond"):
-            self._refuse_given("is that of the bonds", "material", "young", "poisson", "diameter")
+            self._refuse_given("follows from the bonds", "material", "young", "poisson", "diameter")
             # The rest lengths of bonds determine the lengths of contacts.
             return
         missing = np.isnan(grains.diameters) | (grains.diameters <= 0)
@@ -219,7 +219,7 @@ class RunColumn:
             return None
         if given.material is not None:
             if given.young is not None or given.poisson is not None:
-                raise InputError.at("young", "is that of the material: give one of them")
+                raise InputError.at("young", "follows from the material: give one of them")
             try:
                 return one_material(given.material)
             except ValueError as error:
@@ -795,7 +795,7 @@ class RunColumn:
         options, grains = self.options, self.grains
         duration = options.duration or grains.duration
         if grains.steps is not None:
-            self._refuse_given("is that of the dump", "duration", "samples")
+            self._refuse_given("follows from the dump", "duration", "samples")
             duration = self._dumped_time(grains.steps[1] - grains.steps[0])
         else:
             self._refuse_given("is in the run", "timestep")

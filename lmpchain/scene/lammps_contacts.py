@@ -116,7 +116,7 @@ class GrainForce(NamedTuple):
         if self.model == "hooke" and self.damped_by == "velocity":
             return self.damping / k * units.time
         cure = "viscoelastic for hertz, velocity or mass_velocity for hooke, or a coefficient of 0"
-        raise self.line.refuse(f"has a damping {self.damped_by} that no scene has: use {cure}")
+        raise self.line.refuse(f"has an unsupported damping {self.damped_by}: use {cure}")
 
 
 def read_model(

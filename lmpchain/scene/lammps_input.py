@@ -118,7 +118,9 @@ class LammpsInput:
         """Parse one command."""
         command = line.text.split()[0]
         if command == "neigh_modify" and "exclude" in line.text.split():
-            raise line.refuse("takes forces away from pairs, which no scene does: take it out")
+            raise line.refuse(
+                "removes forces between pairs, which a scene does not support: remove it"
+            )
         if command in WITHOUT_PHYSICS:
             self.ignored[command] = None
             return

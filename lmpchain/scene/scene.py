@@ -280,7 +280,7 @@ class Scene(SceneFacts):
             If it is not one column that a scene describes, or something is missing.
         """
         if unknown := options.keys() - set(RunOptions._fields):
-            raise InputError([(key, "is no option of from_lammps") for key in sorted(unknown)])
+            raise InputError([(key, "is not an option of from_lammps") for key in sorted(unknown)])
         grains = grains_of(lmp, units, read=input is not None)
         source = None
         if input is not None:

@@ -107,7 +107,7 @@ def simulate(
     if folder is None:
         if max_wall is not None:
             raise InputError.at(
-                "max_wall", "goes with a run folder, which keeps what is done; name one"
+                "max_wall", "requires a run folder, which keeps finished samples; name one"
             )
         memory = _Memory(*asked)
         return _conclude(memory, *_answer(memory, progress))
@@ -269,7 +269,7 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     cost_s = left * attempt.proposal.cost_s
     if is_long(cost_s + attempt.spent_s):
         cures = ", ".join(["a shorter duration", *_cheaper(scene, attempt, cost_s)])
-        cure = f"{cures} takes less; a run folder keeps what is done"
+        cure = f"{cures} takes less; a run folder keeps finished samples"
         announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
 
 

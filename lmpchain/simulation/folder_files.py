@@ -147,7 +147,7 @@ def check_known(engine: Engine | None) -> None:
     name = engine.name
     if name not in engines.names() or type(engine) is not type(engines.get(name)):
         raise InputError.at(
-            "engine", "a run folder stores engines by name only, and this is none of lmpchain's"
+            "engine", "a run folder stores engines by name only: use an engine of lmpchain"
         )
     engine.options()
 

@@ -446,9 +446,9 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
     masses = m.ndim == 1 and m.size > 0 and positive(m)
     carried = resonators.shape == (m.size, 2) and (resonators >= 0).all()
     require(
-        ("masses", masses, "must be above 0, one a grain"),
-        ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one a grain"),
-        ("resonators", carried, "must be (mass, stiffness), one a grain"),
+        ("masses", masses, "must be above 0, one per grain"),
+        ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one per grain"),
+        ("resonators", carried, "must be (mass, stiffness), one per grain"),
     )
     # Mass 0 represents a grain without a resonator.
     grains = np.flatnonzero(resonators[:, 0])

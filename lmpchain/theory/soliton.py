@@ -274,7 +274,7 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     positive = velocity is None or 0 < velocity < np.inf
     require(
         ("delta", 1 < delta <= HARDEST, exponent),
-        ("speed", single, "give it, under a load, or velocity, in the sonic vacuum"),
+        ("speed", single, "must be given under a load, or velocity in the sonic vacuum"),
         ("speed", fast, f"must be above 1, that of sound (got {speed!r})"),
         ("velocity", positive, f"must be above 0 (got {velocity!r})"),
     )
@@ -319,7 +319,7 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     # The long-wave speed of that overlap is close enough for Newton's method.
     overlap = brentq(excess, 1e-4 * velocity, velocity)
     near = float(long_wave_speed(real(overlap, "overlap"), delta))
-    require(("velocity", near > SLOWEST, "is too small: the wave is that of Korteweg and de Vries"))
+    require(("velocity", near > SLOWEST, "is too small: use the Korteweg-de Vries limit"))
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 
 

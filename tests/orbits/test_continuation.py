@@ -253,7 +253,7 @@ def test_a_closed_family_ends(
     assert orbits.follow(first, "energy", until, events=False).reached
     half = first.motion()[1][first.mesh.size // 2]
     later = orbits.find(chain, (half, np.zeros(6)), first.period, energy=first.energy)
-    for aspect, ended in ((0, ""), (1, "it comes back to orbits that it has been through")):
+    for aspect, ended in ((0, ""), (1, "it returns to its earlier orbits")):
         points = [points[aspect] for points in seen[1:]]
         monkeypatch.setattr(
             continuation, "aspects", lambda eq, _, of=points: [Aspect(eq.pack(p), 0.0) for p in of]
@@ -273,7 +273,7 @@ def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest
     hasty = replace(continuation.STEPS, still=np.inf, patience=2)
     monkeypatch.setattr(continuation, "STEPS", hasty)
     family = orbits.follow(first, "energy", until, events=False)
-    assert (len(family), family.ended[:31]) == (3, "it hardly moves on from energy ")
+    assert (len(family), family.ended[:37]) == (3, "its steps become too short at energy ")
     monkeypatch.setattr(continuation.SolutionBranch, "along", lambda *_: None)
     monkeypatch.setattr(continuation, "STEPS", replace(hasty, patience=60))
     family = orbits.follow(first, "energy", until, events=False)
@@ -301,7 +301,7 @@ def test_continuation_of_a_long_column_in_a_resonance_stops_soon(monkeypatch: py
     family = orbits.mode_family(
         chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False
     )
-    assert family.ended.startswith("it hardly moves on from energy")
+    assert family.ended.startswith("its steps become too short at energy")
     assert len(taken) < 200
     assert max(orbit.residual for orbit in family.orbits) < 1e-12
 

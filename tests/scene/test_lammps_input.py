@@ -74,7 +74,7 @@ REFUSED = {
     "velocity damping": (
         "pair_coeff",
         "pair_coeff * * hertz 1e10 2 tangential linear_nohistory 0 0 damping velocity",
-        "has a damping velocity that no scene has",
+        "has an unsupported damping velocity",
     ),
     "tsuji": (
         "pair_coeff",

@@ -215,8 +215,8 @@ def test_missing_information_is_requested(tmp_path: Path):
         (dump, RunOptions(material="steel", diameter=1e-2), "diameter: is in the run"),
         (dump, RunOptions(material="steel", timestep=-1.0), r"timestep: must be above 0 \(got -1"),
         (dump, RunOptions(material="steel", density=1.0), "density: is in the run"),
-        (dump, RunOptions(material="steel", young=1e9), "young: is that of the material"),
-        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: is that of the dump"),
+        (dump, RunOptions(material="steel", young=1e9), "young: follows from the material"),
+        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: follows from the dump"),
         (bare, RunOptions(material="steel"), "diameter: is not in the run: give --grain-diameter"),
         (
             bare,

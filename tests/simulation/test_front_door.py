@@ -103,7 +103,7 @@ def test_invalid_options():
     for wrong in ("ignore", None, 3):
         with pytest.raises(InputError, match='on_miss: must be "raise" or "warn"'):
             simulate(SCENE, on_miss=wrong)
-    with pytest.raises(InputError, match="max_wall: goes with a run folder"):
+    with pytest.raises(InputError, match="max_wall: requires a run folder"):
         simulate(SCENE, max_wall=1.0)
     for wall in (0, -1.0, "1"):
         with pytest.raises(InputError, match="max_wall: must be a time above 0 s"):

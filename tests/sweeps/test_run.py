@@ -81,10 +81,10 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     assert executor.tried.count(2) == 3
     assert executor.tried[-1] == "gather"
     executor = Faulty(BrokenExecutor("dead"), 3)
-    with pytest.warns(UserWarning, match="some scenes could not be done") as warned:
+    with pytest.warns(UserWarning, match="some scenes could not be solved") as warned:
         found = sweep(ASKED, tmp_path / "b", executor=executor)
     text = (
-        "some scenes could not be done this time; of the first: the process that was at it died 3 "
+        "some scenes could not be solved this time; the first: the process that was at it died 3 "
         "times"
     )
     assert [str(each.message) for each in warned] == [text]
@@ -236,7 +236,7 @@ def test_a_worker_without_access_to_the_folder_reports_it(tmp_path: Path):
     with pytest.warns(UserWarning, match="does not see the folder /nowhere: all machines must"):
         found = run.sweep(ASKED, tmp_path, executor=Elsewhere())
     assert "does not see the folder" in found["reason"].to_numpy()[0]
-    with pytest.raises(InputError, match="goes without an executor"):
+    with pytest.raises(InputError, match="cannot be combined with an executor"):
         run.sweep(ASKED, tmp_path, scheduler="tcp://a:1", executor=Here())
 
 

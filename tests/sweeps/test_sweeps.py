@@ -732,7 +732,7 @@ def test_only_missing_results_are_computed(tmp_path, monkeypatch):
     """The rest of an interrupted sweep is completed; a longer sweep reuses existing results."""
     monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
     monkeypatch.setattr(run, "join_parts", None)
-    with pytest.warns(UserWarning, match="could not be done"):
+    with pytest.warns(UserWarning, match="could not be solved"):
         sweep(chains(6), tmp_path / "parts")  # The shard cannot be written.
     (folder,) = (tmp_path / "parts").glob("*/parts")
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -972,7 +972,7 @@ def test_a_full_disk(tmp_path, serial):
     )
     ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 1
-    assert "could not be done this time" in ended.stderr
+    assert "could not be solved this time" in ended.stderr
     assert "Traceback" not in ended.stderr
     assert not list(tmp_path.glob("*/parts/*"))
     assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0

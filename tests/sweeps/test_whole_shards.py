@@ -150,7 +150,7 @@ def test_an_incomplete_part_is_computed_again(
 
     with monkeypatch.context() as patch:
         patch.setattr(run, "join_parts", None)
-        with pytest.warns(UserWarning, match="could not be done"):
+        with pytest.warns(UserWarning, match="could not be solved"):
             sweep(ASKED, tmp_path / "sweep")
     damage(next((tmp_path / "sweep").glob("*/parts/0000002.npz")))
     with pytest.raises(InputError, match="sweep again"):
