@@ -118,7 +118,7 @@ def test_errors_cover_coarse_sampling() -> None:
 
 
 def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
-    """Both travel times are those of exact solitary waves, without the delay at the wall."""
+    """Exact solitary waves have the same travel times, apart from the delay at the wall."""
     chain = Chain(grains=80, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 150), 5001)
     upper, lower = (echo.find(t, grain) for grain in (35, 55))
