@@ -208,7 +208,7 @@ def test_atoms_of_another_style_are_rejected(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(LammpsColumn, "predicts", False)
     write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
     monkeypatch.undo()
-    with pytest.raises(InputError, match="has another header"):
+    with pytest.raises(InputError, match="does not have the header"):
         read_deck(tmp_path)
 
 

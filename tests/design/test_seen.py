@@ -196,7 +196,7 @@ def test_an_oscillator_arrives_when_its_cosine_does(share: float):
     scene = swinging(0.9, 4)
     if share > 0:
         with pytest.raises(
-            InputError, match=r"^velocity: grain 1 has that velocity at once: use another"
+            InputError, match=r"^velocity: grain 1 has that velocity at t = 0: use another"
         ):
             value(scene, ArrivalTime(1, share * WEAK))
         return

@@ -141,7 +141,7 @@ def test_it_joins_auto_only_on_request(spring: Scene, monkeypatch: pytest.Monkey
     monkeypatch.setattr(Oscillator, "auto", "last")
     *_, one, other = lmpchain.plan(spring).candidates
     assert (one.engine, other.engine) == ("lammps", "oscillator")
-    assert "only if asked for by name" in other.why
+    assert "only if requested by name" in other.why
     for name in REGISTERED:
         monkeypatch.setattr(engines.class_of(name), "refuses", lambda *_: [("grains", "not mine")])
     assert simulate(spring).engine == "oscillator"

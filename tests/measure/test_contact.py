@@ -419,9 +419,9 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
             "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
             lambda: contacts(column, [12, 13]),
         ),
-        ("grain: grain 1 has no contacts on both sides", lambda: sensor(column, 1)),
-        ("grain: grain 12 has no contacts on both sides", lambda: sensor(column, 12)),
-        ("grain: grain 40 has no contacts on both sides", lambda: sensor(column, 40)),
+        ("grain: grain 1 does not exist or lacks a contact", lambda: sensor(column, 1)),
+        ("grain: grain 12 does not exist or lacks a contact", lambda: sensor(column, 12)),
+        ("grain: grain 40 does not exist or lacks a contact", lambda: sensor(column, 40)),
         ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         (

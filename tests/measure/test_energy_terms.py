@@ -255,7 +255,7 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
             seen.of_grain[:, first - 1 : last].sum(1), rel=1e-13
         )
     for first, last in ((5, 4), (0, 3), (8, 10)):
-        with pytest.raises(InputError, match=f"from the first to the last .got {first} to {last}"):
+        with pytest.raises(InputError, match=f"first to last .got {first} to {last}"):
             seen.part(first, last)
 
 

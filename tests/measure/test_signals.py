@@ -115,7 +115,9 @@ def test_a_grain_is_a_sensor_between_two_contacts():
     for grain in (2, 7, 8):
         assert sensor(t, grain).grain == grain
     for grain in (0, 1, 9, 10):
-        with pytest.raises(InputError, match=f"grain: grain {grain} has no contacts on both sides"):
+        with pytest.raises(
+            InputError, match=f"grain: grain {grain} does not exist or lacks a contact"
+        ):
             sensor(t, grain)
     walled = noise(top="wall", bottom="wall")
     for grain in (1, 9):

@@ -495,7 +495,7 @@ def test_invalid_damped_orbits_are_rejected():
     sine = DRIVES["grain"]
     pushed = orbits.find(TRIMER, drive=DRIVES["force"])
     cases: dict[str, Any] = {
-        r"^chain.damping: .* brings it to rest: give a drive": lambda: Flow(TRIMER, 1e5),
+        r"^chain.damping: damping brings .* to rest: give a drive": lambda: Flow(TRIMER, 1e5),
         r"^drive: must be a Drive or a Force": lambda: orbits.find(
             TRIMER, drive=Profile(velocity=np.zeros(4))
         ),

@@ -164,7 +164,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
         "period: must be a whole number of those of the drive, 5e-05 s":
             lambda: orbits.find(loaded, drive=sine, period=1.2e-4),
         "guess: must be a Profile": lambda: orbits.find(CHAIN, 3.0, 1e-4),
-        "guess: is missing, and a chain that is not compressed":
+        "guess: is missing, and a chain without compression":
             lambda: orbits.find(vacuum, drive=sine),
         "energy: must be a number above 0": lambda: orbits.find(CHAIN, (u, rest), 1e-4, energy=0.0),
         "period: must be a number above 0 (got inf)": lambda: orbits.find(CHAIN, (u, rest), np.inf),

@@ -134,7 +134,7 @@ REFUSED = {
     "a random velocity": ("", "velocity all create 300 1", "gives velocities that are not read"),
     "a held grain moves": ("", "set atom 3 vx 1.0", "atom 3 is held but has a velocity"),
     "minimize": ("", "minimize 0 0 10 10", "is not understood"),
-    "excluded pairs": ("", "neigh_modify exclude type 1 1", "takes forces away from pairs"),
+    "excluded pairs": ("", "neigh_modify exclude type 1 1", "removes forces between pairs"),
     "another partition": ("", "partition yes 1 run 3", "is not understood"),
     "include": ("", "include other.in", "is not understood"),
     "a loop": ("", "label again", "is a loop or a condition, which is not executed"),

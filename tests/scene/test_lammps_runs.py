@@ -312,7 +312,7 @@ def test_an_instance_without_grains_or_motion_is_refused():
         lmp.commands_string("create_atoms 1 single .5 .5 .5\ncreate_atoms 1 single .5 .5 .6")
         with pytest.raises(InputError, match="has no fix nve"):
             Scene.from_lammps(lmp, duration=1e-4)
-        with pytest.raises(InputError, match="matrial: is no option"):
+        with pytest.raises(InputError, match="matrial: is not an option"):
             Scene.from_lammps(lmp, duration=1e-4, matrial="steel")
     finally:
         lmp.close()

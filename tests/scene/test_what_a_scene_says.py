@@ -220,7 +220,7 @@ def test_decks_have_a_number_of_steps_that_lammps_can_count(tmp_path: Path) -> N
     with pytest.raises(InputError, match=r"^duration: 3000000000 steps are more than LAMMPS"):
         write_deck(scene.replace(samples=11), tmp_path, step=1e-5 / 3e9)
     # A run in the library between two samples is limited in the same way.
-    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps from one to"):
+    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps per sample"):
         simulate(scene, "lammps", integrator="verlet", step=1e-5 / 3e9)
 
 

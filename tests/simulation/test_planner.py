@@ -344,7 +344,7 @@ def test_refusals_name_the_engine():
     )
     why = {proposal.engine: proposal.why for proposal in lmpchain.plan(vacuum).candidates}
     assert why["modes"].startswith("cannot do it: without gravity and load")
-    assert why["lammps"].startswith("only if asked for by name")
+    assert why["lammps"].startswith("used only if requested by name")
 
 
 def test_lammps_is_asked_if_no_other_engine_is_possible(monkeypatch: pytest.MonkeyPatch):
@@ -407,7 +407,7 @@ def test_table_and_json(tmp_path: Path, capsys):
         "lammps",
     ]
     lammps = next(row for row in found["candidates"] if row["engine"] == "lammps")
-    assert lammps["why"].startswith("only if asked for by name")
+    assert lammps["why"].startswith("used only if requested by name")
     assert lammps["cost_s"] > 0
     assert not lammps["kept"]
     assert lammps["step"] == lmpchain.engines.get("lammps").propose(plan_scene(), 1e-3).step

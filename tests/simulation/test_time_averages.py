@@ -148,7 +148,7 @@ def test_copies_agree_with_a_single_run():
 def test_copies_that_stay_together_are_rejected():
     chain = Chain(grains=5, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14), duration=1e-3)
-    with pytest.raises(InputError, match="copies: begin so close that they are still together"):
+    with pytest.raises(InputError, match="copies: are still close to each other"):
         averages(scene, ["kinetic_energy"], copies=2)
 
 
@@ -235,7 +235,7 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (
             SCENE.replace(chain=COLUMN, excitation=Drive(amplitude=1e-9, frequency=1e4)),
             {},
-            "excitation: must leave the energy as it is",
+            "excitation: must do no work after t = 0",
         ),
         (SCENE.replace(excitation=Impulse(velocity=0.0)), {}, "excitation: moves nothing"),
     ],

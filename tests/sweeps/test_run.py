@@ -98,7 +98,7 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
 def test_faults_of_the_machine_are_reported_and_repeated_later(tmp_path: Path, monkeypatch: Any):
     monkeypatch.setattr(run, "ProgressBar", Bar)
     Bar.bars.clear()
-    with pytest.warns(UserWarning, match="of the first: OSError full$"):
+    with pytest.warns(UserWarning, match="; the first: OSError full$"):
         sweep(ASKED, tmp_path, executor=Faulty(OSError("full"), 9), progress=True)
     (bar,) = Bar.bars
     assert (bar.total, bar.options) == (7, {"unit": " scenes", "done": 0, "shown": True})
@@ -112,7 +112,7 @@ def test_faults_of_the_machine_are_reported_and_repeated_later(tmp_path: Path, m
     )
     sweep(ASKED, tmp_path)
     assert Bar.bars[2].options["done"] == 7
-    with pytest.warns(UserWarning, match="of the first: KeyError$"):
+    with pytest.warns(UserWarning, match="; the first: KeyError$"):
         sweep(ASKED, tmp_path / "b", executor=Faulty(KeyError(), 9))
 
 

@@ -102,7 +102,7 @@ def test_traces_agree_with_the_measurements(run):
 def test_missing_places(run):
     with pytest.raises(InputError, match="velocity: grain 13 was not recorded"):
         traces.gather(run, velocity=[13])
-    with pytest.raises(InputError, match="force: grain 0 has no contacts"):
+    with pytest.raises(InputError, match="force: grain 0 does not exist"):
         traces.gather(run, force=[0])
     with pytest.raises(InputError, match="force: must be grains or wall, top, bottom"):
         traces.gather(run, force=["side"])  # type: ignore[list-item]

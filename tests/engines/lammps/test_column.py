@@ -429,7 +429,7 @@ def test_invalid_options():
 def test_escaping_of_command_words(tmp_path):
     assert word(tmp_path) == str(tmp_path)
     for character in "\"'$&#{}*%\n\té":
-        with pytest.raises(InputError, match="plainer folder name"):
+        with pytest.raises(InputError, match="rename the folder"):
             word(tmp_path / f"a{character}b")
 
 

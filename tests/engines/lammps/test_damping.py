@@ -153,7 +153,7 @@ def test_unsupported_damping_is_rejected():
     scene = scene_of(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}))
     with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS has one number"):
         simulate(scene, engine="lammps")
-    with pytest.raises(InputError, match="use verlet, or leave it out"):
+    with pytest.raises(InputError, match="damping requires verlet"):
         simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))
     with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
         simulate(scene_of(Chain(**UNIFORM)), engine=Native("lagged-verlet"))

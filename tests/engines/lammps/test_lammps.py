@@ -333,7 +333,7 @@ def test_library_faults_contain_the_remedy(monkeypatch):
 
 
 def test_folder_names_cannot_contain_commands(tmp_path):
-    with pytest.raises(InputError, match="plainer folder name"):
+    with pytest.raises(InputError, match="rename the folder"):
         simulate(small(), engine=Lammps(integrator="verlet", keep=tmp_path / 'a" ${x}'))
     kept = tmp_path / "with blanks"
     simulate(small(), engine=Lammps(integrator="verlet", keep=kept))

@@ -223,14 +223,14 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
         {"damping": {"viscoelastic": 1e-7}},
         {},
         STRIKE,
-        "no viscous contacts with a law by formula, only a drag",
+        "no viscous contacts with a law by formula, only drag",
     ),
     "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
     "moving wall": (
         {"top": "wall", "top_load": 1e-2},
         {},
         Drive(grain=0, amplitude=1e-7, frequency=5e3),
-        "moves no wall",
+        "cannot move a wall",
     ),
     "no closed energy": (
         {"law": Law("k*tanh(b*o)*exp(-(b*o)**2)*(1 + o**2)", k=K, b=1e3)},

@@ -139,7 +139,7 @@ def test_an_include_that_changes_the_motion_causes_an_error():
 
 def test_an_include_is_suspected_if_an_estimate_fails():
     Path("my.include").write_text("fix drag all viscous 1e-3\n")
-    suspect = "^the commands of your include may move the grains .*: run without, to see; the error"
+    suspect = "^the commands of your include may move .*: run without them to compare; the error"
     with pytest.raises(ToleranceNotMet, match=suspect):
         simulate(small(), engine=Lammps(include="my.include"))
     Path("my.include").write_text("compute ke all ke\n")
@@ -388,7 +388,7 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
     scene = Scene.from_toml("scene.toml")
     kept = f"kept {name}"
     if set(name) & set("\"'$&#{}*%\n\t\x1b") or not name.isascii():
-        with pytest.raises(InputError, match="plainer folder name"):
+        with pytest.raises(InputError, match="rename the folder"):
             simulate(scene, engine=Lammps(**VERLET, keep=kept))
         assert names(here) == before
     else:
