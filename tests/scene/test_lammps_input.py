@@ -79,7 +79,7 @@ REFUSED = {
     "tsuji": (
         "pair_coeff",
         "pair_coeff * * hertz 1e10 0.9 tangential linear_nohistory 0 0 damping tsuji",
-        "has a damping tsuji",
+        "has an unsupported damping tsuji",
     ),
     "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is a force that is not under"),
     "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
