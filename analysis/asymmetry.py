@@ -18,7 +18,7 @@ GRAINS = 600
 
 
 def halves(tau: np.ndarray, motion: np.ndarray) -> tuple[float, float, float]:
-    """Return the time of the maximum, and the rise and fall times from and to half of it."""
+    """Return the time of the maximum, and the rise and fall times between it and half of it."""
     top = int(motion.argmax())
     before, here, after = motion[top - 1 : top + 2]
     shift = 0.5 * (before - after) / (before - 2 * here + after)
@@ -45,7 +45,7 @@ def predicted(n: int, largest: float) -> tuple[float, float]:
 
 
 def main() -> None:
-    """Strike a column and draw pulses, and their rise and fall against depth."""
+    """Strike a column; draw pulses, and their rise and fall times against depth."""
     given = arguments(__file__, __doc__)
     deepest, grains = (50, 260) if given.quick else (DEEPEST, GRAINS)
     shown = (10, deepest)

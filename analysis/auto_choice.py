@@ -1,4 +1,4 @@
-"""CPU time of the engine that "auto" chooses, relative to the fastest engine that is good enough.
+"""CPU time of the engine that "auto" chooses, relative to the fastest suitable engine.
 
 Random weak scenes: 2 to 2000 grains, 1 to 10^4 radians, 2 to 1000 samples, exponents from 1.1 to 3,
 tolerances from 1e-3 to 1e-9, and strikes so weak that linear theory is expected to be within the
@@ -25,11 +25,11 @@ from lmpchain.engines.linear.model_error import expected_error
 
 ENGINES = ("native", "modes", "chebyshev")
 REPEATS = 5
-ENOUGH_S = 0.1  # an answer that takes longer is timed twice
+ENOUGH_S = 0.1  # Longer solutions are timed twice.
 
 
 def draw(rng: np.random.Generator) -> tuple[Scene, float]:
-    """Return a scene and a tolerance."""
+    """Return a random scene and a tolerance."""
     grains = int(10 ** rng.uniform(math.log10(2), math.log10(2000)))
     heavy = rng.random() < 0.5
     loaded = not heavy or rng.random() < 0.5
@@ -57,7 +57,7 @@ def draw(rng: np.random.Generator) -> tuple[Scene, float]:
 
 
 def measure(scene: Scene, tolerance: float) -> dict[str, float]:
-    """Return the shortest time of each engine, s; of linear ones that miss, with native after."""
+    """Return the shortest time of each engine, s; a missed tolerance adds a native run."""
     shortest = dict.fromkeys(ENGINES, math.inf)
     for repeat in range(REPEATS):
         for name in ENGINES:
@@ -75,7 +75,7 @@ def measure(scene: Scene, tolerance: float) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print the share of scenes in which the choice takes at most 1.5 times as long."""
+    """Print the fraction of scenes in which the choice takes at most 1.5 times as long."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=300)
     parser.add_argument("--seed", type=int, default=1)
@@ -87,10 +87,10 @@ def main() -> None:
     while len(rows) < arguments.scenes:
         try:
             scene, tolerance = draw(rng)
-        except InputError:  # contacts that its own weight presses too much
+        except InputError:  # The contacts are pressed too much by the weight.
             continue
         if not rows:
-            measure(scene, tolerance)  # compiles
+            measure(scene, tolerance)  # This call compiles.
         took = measure(scene, tolerance)
         plan = lmpchain.plan(scene, tolerance)
         rows.append(

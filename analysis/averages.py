@@ -21,7 +21,7 @@ NAME = "kinetic_energy"
 
 
 def beads(grains: int, seed: int) -> lmpchain.Scene:
-    """Return steel beads between walls, struck at random with 1 m/s in all."""
+    """Return steel beads between walls with a random strike of 1 m/s in total."""
     level = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
     chain = lmpchain.Chain(grains=grains, material="steel", diameter=6e-3, **level)
     speeds = np.random.default_rng(seed).normal(size=grains)
@@ -99,7 +99,7 @@ def draw_sizes(ax: "Axes", quick: bool) -> None:
 
 
 def draw_coverage(one: "Axes", all_of_them: "Axes", quick: bool) -> None:
-    """Draw intervals of single beads in chains of 24, and the share that covers the exact value."""
+    """Draw intervals of single beads in chains of 24, and the fraction with the exact value."""
     trials = 60 if quick else 1000
     ends = []
     for seed in range(trials):

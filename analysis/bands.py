@@ -1,4 +1,4 @@
-"""Bands of a precompressed dimer: branches, what a strike excites, and the mode at its end.
+"""Bands of a precompressed dimer: branches, response to a strike, and the mode at its end.
 
 Heavy and light beads in turn have an acoustic and an optical branch with a gap between. A strike
 fills both branches; a chain that ends with a light bead has a mode in the gap, which lives at that
@@ -17,9 +17,7 @@ KILO = 1e3 * 2 * np.pi
 
 
 def dimer(grains: int, **rest: str) -> lmpchain.Chain:
-    """Return a chain of steel beads, every second hollow and a third as
-    heavy, all contacts alike.
-    """
+    """Return a chain of steel beads, every second one hollow with a third of the mass."""
     heavy = lmpchain.Chain(
         grains=2, diameter=1e-2, material="steel", gravity=0.0, top_load=20.0
     ).masses[0]

@@ -8,9 +8,7 @@ from lmpchain.benchmark.reference import reference
 
 
 def main() -> None:
-    """Run the scene in every engine, twice so that nothing is loaded meanwhile, and draw the
-    comparison.
-    """
+    """Run the scene in every engine, twice to exclude loading times, and draw the comparison."""
     given = arguments(__file__, __doc__)
     scene = lmpchain.Scene.from_toml(HERE / "scenes" / "fig5_1g.toml")
     if given.quick:

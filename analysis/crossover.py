@@ -1,4 +1,4 @@
-"""How the peak velocity of a pulse falls with depth, from the sonic vacuum to the linear column.
+"""Decay of a pulse's peak velocity with depth, from the sonic vacuum to the linear column.
 
 A strong strike makes a solitary wave of the sonic vacuum, whose height stays until the column
 presses its grains harder than the wave does; a weak one spreads linearly, and falls as h^(-4/15) at
@@ -15,7 +15,7 @@ from lmpchain.theory import continuum, front
 from lmpchain.util.plotting import figure
 
 STRIKES = (1e-2, 1.0, 1e1, 1e2, 1e3, 1e4)
-# strike numbers
+# Strike numbers.
 PAPER = {
     "Fig. 5, 10 g": 1.24,
     "Fig. 5, g": 8.48,
@@ -28,14 +28,12 @@ WINDOW = 5
 
 
 def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return depths, local exponents of the peak velocity, and local strengths,
-    after a strike of this number.
-    """
+    """Return depths, local exponents of the peak velocity, and local strengths after a strike."""
     tau = 1.05 * float(front.peak_time(int(depths[-1]))) + 5
     # Strong pulses have not reached the floor.
     grains = int(continuum.depth(tau)) + int(depths[-1]) // 2
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, strength, recorded=depths.tolist())
-    # Grains rattle behind the front without changing it.
+    # Grains oscillate behind the front without changing it.
     engine = lmpchain.engines.Native(step=0.3 / scene.highest_frequency)
     passed = measured.track(lmpchain.simulate(scene, engine))
     fits = measured.exponent(passed, "amplitude", WINDOW)
@@ -47,9 +45,7 @@ def strike(strength: float, depths: np.ndarray) -> tuple[np.ndarray, np.ndarray,
 
 
 def main() -> None:
-    """Strike a column from weakly to strongly; draw local exponents against
-    depth and against local strength.
-    """
+    """Strike a column from weakly to strongly; draw local exponents against depth and strength."""
     given = arguments(__file__, __doc__)
     deepest, strikes = (200, (1e-2, 1e2, 1e4)) if given.quick else (DEEPEST, STRIKES)
     depths = np.unique(np.geomspace(4, deepest, 48).astype(int))

@@ -1,4 +1,4 @@
-"""A damped dimer, driven in its gap: a fold, two answers at once, tori and period doublings.
+"""A damped dimer driven in its gap: a fold, two stable responses, tori and period doublings.
 
 After Pozharskiy, I. Kevrekidis and P. Kevrekidis, arXiv:2407.19347, and Hoogeboom et al., EPL 101,
 44003 (2013): aluminium and steel in turn, the first one of aluminium. Beyond the fold at which
@@ -17,13 +17,13 @@ ALUMINIUM = lmpchain.Material(
     "aluminium", density=2700.0, youngs_modulus=73.5e9, poissons_ratio=0.33
 )
 STEEL = lmpchain.Material("steel 440C", density=7800.0, youngs_modulus=200e9, poissons_ratio=0.3)
-FREQUENCIES = 6.7e3, 7.0e3  # Hz, in the gap
-STRONGEST = 1.5e-6  # m, amplitude of the drive
+FREQUENCIES = 6.7e3, 7.0e3  # Hz, in the gap.
+STRONGEST = 1.5e-6  # Amplitude of the drive, m.
 MARKS = {"fold": "o", "Neimark-Sacker": "^", "period doubling": "s"}
 
 
 def chain() -> lmpchain.Chain:
-    """Return 20 spheres in turn, the first of aluminium, below a driven one; 20 N, drag 400/s."""
+    """Return 20 alternating spheres below a driven one, first of aluminium; 20 N, drag 400/s."""
     return lmpchain.Chain(
         grains=21,
         material=[STEEL, ALUMINIUM] * 10 + [STEEL],
@@ -36,7 +36,7 @@ def chain() -> lmpchain.Chain:
 
 
 def main() -> None:
-    """Follow the answers in the amplitude of the drive, and say where they bifurcate."""
+    """Continue the responses in the amplitude of the drive, and print the bifurcations."""
     given = arguments(__file__, __doc__)
     dimer = chain()
     modes = lmpchain.theory.modes.eigenmodes(dimer).frequency / (2 * np.pi)
@@ -49,7 +49,7 @@ def main() -> None:
         first = orbits.find(dimer, drive=drive)
         family = orbits.follow(first, "drive.amplitude", STRONGEST)
         size = np.array([orbit.response("force:1") for orbit in family])
-        # Interpolate between members of either branch.
+        # Curves interpolate between members of either branch.
         ax.plot(1e6 * family.value, size, color=SHADES[5], lw=0.5)
         for chosen, style, words in (
             (family.stable, "-", "stable"),

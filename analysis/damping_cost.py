@@ -13,14 +13,14 @@ import lmpchain
 from lmpchain import Scene
 
 STRIKES = (0.01, 0.1, 1.0, 10.0, 100.0)
-VISCOUS = (1e-3, 1e-2, 0.1, 1.0)  # A omega
+VISCOUS = (1e-3, 1e-2, 0.1, 1.0)  # Values of A omega.
 TOLERANCES = (1e-3, 1e-6, 1e-9)
 RADIANS = 200.0
 REPEATS = 7
 
 
 def lossless(strike: float) -> Scene:
-    """Return the scene without damping of this strike number."""
+    """Return the undamped scene of this strike number."""
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
     one = Scene(chain=chain, excitation=lmpchain.Impulse(velocity=1.0), duration=1e-4)
     # The strike number is the speed over the velocity scale of the contact at rest.
@@ -36,14 +36,14 @@ def damped(scene: Scene, viscous: float) -> Scene:
 
 
 def take(scene: Scene, tolerance: float) -> tuple[float, int]:
-    """Return the seconds and the steps of one call."""
+    """Return the time, s, and the number of steps of one call."""
     began = time.process_time()
     answer = lmpchain.simulate(scene, "native", tolerance)
     return time.process_time() - began, answer.cost.steps
 
 
 def compare(scene: Scene, tolerance: float) -> list[tuple[float, int]]:
-    """Return the least seconds and steps, without damping and with each A omega."""
+    """Return the least time, s, and steps, without damping and with each A omega."""
     scenes = [scene, *(damped(scene, viscous) for viscous in VISCOUS)]
     taken = [[take(each, tolerance) for each in scenes] for _ in range(REPEATS)]
     return [min(of_one) for of_one in zip(*taken, strict=True)]

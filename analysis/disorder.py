@@ -1,4 +1,4 @@
-"""Random chains: their spectrum, how far their waves reach, and how the energy of a strike spreads.
+"""Random chains: spectrum, localisation, and spreading of the energy of a strike.
 
 Dyson's chain has independent ratios of stiffness and mass, and an exact spectrum. Random springs
 localise waves over a length that grows as the inverse square of the frequency, so that the energy
@@ -17,9 +17,7 @@ MARKS = {1: "o", 3: "s", 20: "^"}
 
 
 def main() -> None:
-    """Draw the spectra of three random chains, localisation in them, and the growth of second
-    moments.
-    """
+    """Draw the spectra of three random chains, localisation, and the growth of second moments."""
     given = arguments(__file__, __doc__)
     grains, chains, length = (600, 60, 20_000) if given.quick else (2000, 200, 100_000)
     picture, states, localised, spread = one_above_two()

@@ -1,4 +1,4 @@
-"""Energies: what leaves a strike in a solitary wave, collisions, power, and bands of wavenumber.
+"""Energies: solitary waves after a strike, collisions, power, and bands of wavenumber.
 
 After Deng et al., arXiv:2002.08499 (the share depends on the exponent alone), Shen et al., Phys.
 Rev. E 90, 022905 (2014) (collisions beside integrable chains), and Taghizadeh et al., Materials 14,
@@ -38,7 +38,7 @@ LENGTHS = {
 
 
 def strike(delta: float, velocity: float) -> solitary.Train:
-    """Return the solitary waves that a bead of this velocity, m/s, sends into like ones."""
+    """Return the solitary waves after a strike of one bead, m/s, on equal beads."""
     grains = LENGTHS[delta]
     mass = 1e-6
     # Overlaps are some micrometres for every exponent.
@@ -81,7 +81,7 @@ def draw_shares(ax: "Axes", quick: bool) -> None:
 
 
 def head_on(speed: float, grains: int) -> collision.Collision:
-    """Let two equal waves under a load meet."""
+    """Simulate a collision of two equal waves under a load."""
     chain = lmpchain.Chain(grains=grains, **LIGHT)
     wave = soliton.solve(speed=speed)
     pair = wave.on(chain, grains // 4) + wave.on(chain, 3 * grains // 4, downward=False)
@@ -89,7 +89,7 @@ def head_on(speed: float, grains: int) -> collision.Collision:
 
 
 def overtake(fast: float, slow: float, grains: int, gap: int) -> collision.Collision:
-    """Let one wave under a load overtake another."""
+    """Simulate a wave that overtakes another one under a load."""
     chain = lmpchain.Chain(grains=grains, **LIGHT)
     pair = soliton.solve(speed=fast).on(chain, 40) + soliton.solve(speed=slow).on(chain, 40 + gap)
     return _meet(chain, pair, (grains - 80) / fast)
@@ -141,7 +141,7 @@ def _plot_ratio(
 
 
 def draw_power(ax: "Axes", quick: bool) -> None:
-    """Draw the share of the input power behind an impurity against the amplitude of a force."""
+    """Draw the fraction of the input power behind an impurity against the force amplitude."""
     impurity = [{"grain": 30, "diameter": 1.6e-3}]
     chain = lmpchain.Chain(grains=60, bottom="wall", impurity=impurity, **LEVEL)
     endless = patterns.absorbing(chain, bottom=60, top=60)
@@ -174,7 +174,7 @@ def draw_power(ax: "Axes", quick: bool) -> None:
 
 
 def draw_bands(ax: "Axes", quick: bool) -> None:
-    """Draw the energy by wavenumber against distance in chains of random masses, averaged."""
+    """Draw the mean energy by wavenumber against distance in chains of random masses."""
     grains = 600
     edges = np.pi * np.array([0, 0.1, 0.2, 0.4, 1])
     sums = []
@@ -207,7 +207,7 @@ def draw_bands(ax: "Axes", quick: bool) -> None:
 
 
 def main() -> None:
-    """Draw all four."""
+    """Draw all four panels."""
     given = arguments(__file__, __doc__)
     picture = figure(7.5, 7)
     axes = picture.subplots(2, 2)

@@ -31,7 +31,7 @@ TAU = (1, 5, 10, 12)
 
 
 def main() -> None:
-    """Run the scene and draw it at four times."""
+    """Run the scene, and draw it at four times."""
     given = arguments(__file__, __doc__)
     scene = weak_scene(GRAINS, 12, 13, 1e-7, moved=MOVED)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)

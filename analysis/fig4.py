@@ -31,16 +31,14 @@ TAU = 14
 
 
 def as_printed(grains: int, tau: float) -> np.ndarray:
-    """Return Eq. (19) with the A_j(n) of Eq. (20) as printed, (N-1,): the
-    cases are i = 1 and i > 1.
-    """
+    """Return Eq. (19) with the A_j(n) of Eq. (20) as printed, (N-1,), for i = 1 and i > 1."""
     chain = lmpchain.Chain(grains=grains, diameter=1e-3)
     linear = modes.eigenmodes(chain)
     shape = linear.shape * np.sqrt(linear.mass[:, None])
     omega = linear.frequency * chain.time_scale
     root = grains ** (1 / 6)
     j = np.arange(1, int(root * tau) + 60)
-    # phi_i of Eq. (21)
+    # The angle phi_i of Eq. (21).
     cases = 2 * np.cos(np.multiply.outer(np.arcsin(omega / (2 * root)), 2 * j - 2))
     cases[0] = 1
     return (shape * shape[0]) @ (cases @ jv(2 * j - 2, 2 * root * tau))

@@ -1,4 +1,4 @@
-"""Fig. 8 of the paper: harmonically driven top; Eq. (27), its mode, and the chain itself.
+"""Fig. 8 of the paper: harmonically driven top; Eq. (27), its mode, and the chain.
 
 Squares are Eq. (1) with grain 1 driven weakly, circles the continuum of Eq. (27) solved cell by
 cell, lines the mode of Eq. (30). With exp(i lambda tau) the printed H^(1) is a wave that comes in
@@ -28,7 +28,8 @@ LAMBDA = 0.5
 TAU = 200.0
 GRAINS = 450
 RAMP = 60.0
-OUT_OF_STEP = 0.2  # of a period after the largest drive: upward and downward waves differ there
+# Fraction of a period after the largest drive, when upward and downward waves differ.
+OUT_OF_STEP = 0.2
 
 
 def main() -> None:
@@ -64,7 +65,8 @@ def main() -> None:
     n = np.arange(1, grains + 1)
     mode = continuum.mode(h, LAMBDA)
     wave_in, wave_out = ((u * np.exp(1j * LAMBDA * tau)).real for u in (mode, mode.conjugate()))
-    near = continuum.chi(h) < tau - RAMP - 30  # beyond, the drive had not reached its amplitude
+    # Further away, the drive had not reached its amplitude.
+    near = continuum.chi(h) < tau - RAMP - 30
     cells_ = field.displacement[-1]
     grains_ = run.displacement[-1] / unit
     picture, ((wave, below), (height, relative)) = page(2)

@@ -50,8 +50,8 @@ def main() -> None:
     ahead = chi > 1.1 * tau
     off = np.abs(chain[inside] / causal[inside] - 1).max()
     wrong = printed[ahead].min()
-    fine = np.linspace(0.01, grains, 4000)  # depths h = n - 1/2
-    # Left: the whole chain. Right: the front.
+    fine = np.linspace(0.01, grains, 4000)  # Depths h = n - 1/2.
+    # The left panel shows the whole chain, the right panel the front.
     for (wave, below), limits in zip(pairs, ((0, grains), (0.82, 1.18)), strict=True):
         whole = limits[0] == 0
         wave.plot(

@@ -1,4 +1,4 @@
-"""Shared by the figure scripts: arguments, panels with residuals below, styles, printed numbers."""
+"""Shared parts of the figure scripts: arguments, panels with residuals, styles, printed numbers."""
 
 from __future__ import annotations
 
@@ -30,14 +30,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 HERE = Path(__file__).parent
-TABLES = HERE / "tables"  # which pages include
-SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")  # Okabe and Ito
+TABLES = HERE / "tables"  # Tables that pages include.
+# Colours of Okabe and Ito.
+SHADES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00")
 NATIVE, LAMMPS = (
     {"ls": "none", "marker": marker, "ms": size, "mfc": "none", "color": colour}
     for (colour, marker), size in ((Native.style, 3.5), (Lammps.style, 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
-LEAST_LETTER = 8.0  # pt, in pictures that are printed 7 inches wide
+LEAST_LETTER = 8.0  # Smallest letters, pt, in pictures that are printed 7 inches wide.
 LETTERS = {
     "font.size": 9,
     "axes.labelsize": 8.5,
@@ -47,13 +48,14 @@ LETTERS = {
     "legend.title_fontsize": LEAST_LETTER,
     "legend.frameon": False,
 }
-OUTLINE = [withStroke(linewidth=2, foreground="white")]  # of letters on maps
-DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # of white lines on maps
-DIFFERENCES = "<differences>"  # the label of a panel below another one, as matplotlib's <colorbar>
+OUTLINE = [withStroke(linewidth=2, foreground="white")]  # Outline of letters on maps.
+DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # Outline of white lines on maps.
+# Label of a panel of differences below another one, as matplotlib's <colorbar>.
+DIFFERENCES = "<differences>"
 SVG = "--svg"
 PRINT_DPI = 300
-PRINTED_NUMBERS: dict[str, float] = {}  # what `say` has said
-# The paper's formula, drawn where it is wrong.
+PRINTED_NUMBERS: dict[str, float] = {}  # Numbers that `say` has printed.
+# Style of the paper's formula where it is wrong.
 PRINTED = {
     "color": COLOURS["green"],
     "lw": 1.4,
@@ -62,7 +64,7 @@ PRINTED = {
 
 
 def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
-    """Read --quick, -o and further flags, given with their help.
+    """Read --quick, -o and further flags, which are given with their help.
 
     The picture goes into `pictures/` beside the script, with --quick into this folder.
     """
@@ -87,7 +89,7 @@ def arguments(script: str, doc: str, **flags: str) -> argparse.Namespace:
 
 
 def prepare_drawing(parser: argparse.ArgumentParser) -> None:
-    """Set the letters of all pictures, and let a script take --svg, which `finish` reads."""
+    """Set the letter sizes of all pictures, and allow --svg, which `finish` reads."""
     # A script that only imports this module leaves the pictures of its process as they are.
     rcParams.update(LETTERS)
     parser.add_argument(SVG, action="store_true", help="write the picture as SVG, too, for print")
@@ -131,9 +133,7 @@ def apart(
 def end_of_run(
     pair: tuple[Axes, Axes], scene: lmpchain.Scene, engine: str, unit: float, exact: np.ndarray
 ) -> float:
-    """Run a scene, draw the last displacements over `unit` with the
-    exact ones; return the error.
-    """
+    """Run a scene, draw final and exact displacements over `unit`, and return the error."""
     wave, below = pair
     style, tolerance = {"lammps": (LAMMPS, 1e-6), "native": (NATIVE, 1e-12)}[engine]
     run = lmpchain.simulate(scene, engine, tolerance)
@@ -146,7 +146,7 @@ def end_of_run(
 
 
 def legends(picture: Figure, **keys: object) -> None:
-    """Give every panel with labels a legend."""
+    """Add a legend to every panel with labels."""
     for axes in picture.axes:
         if axes.get_legend_handles_labels()[0]:
             axes.legend(**keys)
@@ -157,9 +157,7 @@ def random_search(
     value: Callable[[lmpchain.Scene], float],
     seconds: float,
 ) -> tuple[float, lmpchain.Scene | None, int]:
-    """Return the least value, its scene, and how many were drawn in so
-    many seconds of the processor.
-    """
+    """Return the best value, its scene, and the number of draws in this CPU time, s."""
     rng = np.random.default_rng(2)
     best = (np.inf, None)
     tried = 0
@@ -169,13 +167,13 @@ def random_search(
         try:
             scene = drawn(rng)
             best = min(best, (value(scene), scene), key=lambda one: one[0])
-        except lmpchain.InputError:  # a scene that there is not, or without such a value
+        except lmpchain.InputError:  # The scene is invalid, or has no such value.
             continue
     return *best, tried
 
 
 def finish(picture: Figure, path: Path) -> None:
-    """Save the picture in full colour and the common style, and say where.
+    """Save the picture in full colour and in the common style, and print its location.
 
     The commit, the command and the printed numbers are in it.
     """
@@ -189,7 +187,7 @@ def finish(picture: Figure, path: Path) -> None:
 
 
 def save_for_print(picture: Figure, path: Path) -> None:
-    """Save as SVG, letters as outlines, which look the same without our fonts.
+    """Save as SVG with letters as outlines, which look the same without our fonts.
 
     The cells of maps, which are thousands, become pixels that are fine enough for print.
     """
@@ -201,7 +199,7 @@ def save_for_print(picture: Figure, path: Path) -> None:
 
 
 def restyle(picture: Figure) -> None:
-    """Put titles on the left behind the letters of panels, and set numbers as formulas."""
+    """Put titles to the left behind the letters of panels, and typeset numbers as formulas."""
     lettered = [axes for axes in picture.axes if not axes.get_label().startswith("<")]
     for axes in picture.axes:
         title = axes.get_title() or axes.get_title(loc="left")
@@ -215,9 +213,7 @@ def restyle(picture: Figure) -> None:
 
 
 def commit() -> str:
-    """Return the commit that draws, with a mark if files differ from it;
-    empty outside a repository.
-    """
+    """Return the current commit, marked if files differ from it; empty outside a repository."""
     said = [
         subprocess.run(
             ["git", *words.split()], cwd=HERE, capture_output=True, text=True, check=False
@@ -231,9 +227,7 @@ def commit() -> str:
 
 
 def command() -> str:
-    """Return the command that draws, from the folder above this one,
-    without where the picture goes.
-    """
+    """Return the command that draws, relative to the folder above, without the output option."""
     options = [
         word
         for word in sys.argv[1:]
@@ -249,7 +243,7 @@ def say(label: str, value: float, unit: str = "") -> None:
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Print a table in Markdown, row by row as they are known, and write it for a page."""
+    """Print a table in Markdown, row by row, and write it for a page."""
     lines = [f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
     print("\n".join(lines), flush=True)
     for row in rows:
@@ -261,7 +255,7 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Sequence[obje
 
 
 def no_answer(axes: Axes) -> None:
-    """Hatch what a map leaves empty, and say what that means."""
+    """Hatch the empty parts of a map, and add their meaning."""
     axes.patch.set(facecolor="0.93", hatch="////", edgecolor="0.75")
     axes.plot([], [], "s", color="0.93", mec="0.6", ms=9, label="no answer here")
 
@@ -272,9 +266,7 @@ def distance(measured: np.ndarray, reference: np.ndarray) -> float:
 
 
 def summit(profile: np.ndarray) -> float:
-    """Return the position of the maximum of a profile of grains 1, 2 ...,
-    by a parabola through three.
-    """
+    """Return the position of the maximum of a profile of grains 1, 2 ..., by a parabola."""
     top = int(profile.argmax())
     before, here, after = profile[top - 1 : top + 2]
     return top + 1 + 0.5 * (before - after) / (before - 2 * here + after)
@@ -295,7 +287,7 @@ def weak_scene(
     moved: int = 0,
     recorded: str | Iterable[int] = "all",
 ) -> lmpchain.Scene:
-    """Return a column of the paper's glass beads, struck or displaced with the strength `strength`.
+    """Return a column of the paper's glass beads with a strike or displacement of this strength.
 
     The strength is relative to what its first contact can hold.
 

@@ -25,8 +25,8 @@ from lmpchain.integrators.steps import Steps
 
 SAMPLES = 11
 REPEATS = 9
-COLUMNS = {120: 30000, 10000: 1000}  # grains: steps
-WAVES: dict[str, tuple[float, dict[str, Any]]] = {  # velocities, m/s, and what else makes the chain
+COLUMNS = {120: 30000, 10000: 1000}  # Steps by number of grains.
+WAVES: dict[str, tuple[float, dict[str, Any]]] = {  # Velocities, m/s, and options of the chain.
     "strong": (1e-3, {}),
     "in a loaded chain": (1e-2, {"top_load": 1.0}),
     "between weak and strong": (4e-4, {"top_load": 1.0}),
@@ -44,7 +44,7 @@ DAMPED: dict[str, tuple[float, dict[str, Any]]] = {
 
 
 def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, float]:
-    """Return the seconds of the run and of the gradient, each the least of some repeats."""
+    """Return the times of the run and of the gradient, s, each the least of several repeats."""
     speed, options = (WAVES | DAMPED)[wave]
     velocity = np.append(speed * np.random.default_rng(1).standard_normal(grains - 1), 0.0)
     chain = Chain(grains=grains, diameter=1e-3, **options)
@@ -71,7 +71,7 @@ def costs(wave: str, grains: int, steps: int, integrator: str) -> tuple[float, f
 
 
 def measure() -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table: of each wave the ratios of all integrators."""
+    """Yield the rows of the table: the ratios of all integrators for each wave."""
     for wave in WAVES | DAMPED:
         integrators = ("verlet", "rkn4", "rkn6") if wave in WAVES else ("dop853",)
         cells = []

@@ -1,4 +1,4 @@
-"""How often intervals of averages cover what they should: beads between walls, struck at random.
+"""Coverage of intervals of time averages: beads between walls with random strikes.
 
     python analysis/interval_coverage.py
 
@@ -19,7 +19,7 @@ from scipy import stats
 
 from lmpchain import averages
 
-CASES = (  # beads; time of motion, s
+CASES = (  # Number of beads, and duration, s.
     (10, 0.1),
     (10, 0.02),
     (10, 0.005),
@@ -38,7 +38,7 @@ FEWER = 300
 
 
 def cover(grains: int, time: float) -> tuple[float, float]:
-    """Return the percentages of intervals that cover and of chains that have an interval."""
+    """Return the percentages of covering intervals, and of chains with an interval."""
     name = f"{NAME}:{BEAD}"
     covers = []
     for seed in range(CHAINS):
@@ -57,7 +57,7 @@ def measure() -> Iterator[tuple[str, ...]]:
 
 
 def laws(grains: int) -> dict[str, tuple[float, float]]:
-    """Return mean and variance of quantities in the ensemble, energies over the total energy."""
+    """Return mean and variance of quantities in the ensemble, relative to the total energy."""
     whole = ensemble(grains)
     bead = stats.beta(0.5, grains / 2 - 0.5 + grains / 2.5)
     # Variance of the sum of fourth powers of a random direction.

@@ -1,4 +1,4 @@
-"""Tables of the numbers that pictures keep, for pages that do not show the picture.
+"""Tables of the numbers stored in pictures, for pages that do not show the picture.
 
     python analysis/kept_tables.py
 
@@ -14,7 +14,7 @@ from pathlib import Path
 from figures import HERE, TABLES, write_table
 from PIL import Image
 
-PROTECTORS = {  # way: how the script calls its force
+PROTECTORS = {  # Name of the force in the script, by method.
     "equal beads of steel": "equal beads",
     "steel, diameters by random search": "random search over equal",
     "steel, diameters by gradients": "optimised",
@@ -28,7 +28,7 @@ PROTECTORS = {  # way: how the script calls its force
 
 
 def kept(picture: str) -> dict[str, float]:
-    """Return the numbers that a picture keeps."""
+    """Return the numbers stored in a picture."""
     with Image.open(HERE / picture) as shown:
         return json.loads(shown.info["Numbers"])
 
@@ -57,7 +57,7 @@ def shock_edges() -> Iterator[tuple[str, ...]]:
 
 
 def main(folder: Path) -> None:
-    """Write both."""
+    """Write both tables."""
     write_table(folder / "protector.md", ("20 beads", "largest force on the wall, N"), protectors())
     write_table(
         folder / "shock_edges.md",

@@ -1,4 +1,4 @@
-"""A large sweep, killed again and again, ends with the bytes of one that was left alone.
+"""A large sweep that is killed repeatedly ends with the bytes of an undisturbed one.
 
 Arrival times and largest velocities of random columns like the paper's are kept, as in
 `sweep_speed.py`. The process that leads is killed when as many shards are written as chance says;
@@ -35,7 +35,7 @@ m = 20
 seed = 1
 realisations = {scenes}
 """
-LOOK_S = 0.2  # between two looks at a sweep
+LOOK_S = 0.2  # Time between two checks of a sweep, s.
 
 
 def shards(folder: Path) -> int:
@@ -44,7 +44,7 @@ def shards(folder: Path) -> int:
 
 
 def digests(folder: Path) -> dict[str, str]:
-    """Return the hash of every file but locks, by name."""
+    """Return the hash of every file except locks, by name."""
     found = {}
     for path in sorted(folder.rglob("*")):
         if path.is_file() and path.name != ".lock":
@@ -84,19 +84,19 @@ def swept(
             memory[done] = max(
                 memory.get(done, 0), *(each.memory_info().rss >> 20 for each in family)
             )
-        except psutil.NoSuchProcess:  # it is ending
+        except psutil.NoSuchProcess:  # The process is ending.
             pass
         if until is not None and done >= until:
             os.kill(process.pid, signal.SIGKILL)
         time.sleep(LOOK_S)
-    psutil.wait_procs(family)  # workers end with the process that leads
+    psutil.wait_procs(family)  # Workers end with the leading process.
     if process.returncode not in (0, -signal.SIGKILL):
         raise SystemExit(f"the sweep ended with the code {process.returncode}")
     return process.returncode == 0, memory
 
 
 def main() -> None:
-    """Print what came of the kills, and how much memory it took."""
+    """Print the results of the kills, and the memory used."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenes", type=int, default=20_000)
     parser.add_argument("--kills", type=int, default=5)

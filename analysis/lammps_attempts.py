@@ -1,4 +1,4 @@
-"""What the native trials cost that find the step of LAMMPS, beside the runs in LAMMPS.
+"""Cost of the native trials that find the LAMMPS step, relative to the LAMMPS runs.
 
     python analysis/lammps_attempts.py [--repeats 3]
 
@@ -23,7 +23,7 @@ COLUMNS = ("scene", "tolerance", "native trials, s", "all, s", "trials / all", "
 
 
 class Timed(Lammps):
-    """LAMMPS, with what its trials take, s, and how many runs it has started."""
+    """LAMMPS engine with the time of its trials, s, and the number of started runs."""
 
     trials_s = 0.0
     started = 0
@@ -42,7 +42,7 @@ class Timed(Lammps):
 
 
 def spend(scene: Scene, tolerance: float) -> tuple[float, float, int]:
-    """Return the processor time of the trials and of all, s, and the number of runs."""
+    """Return the CPU time of the trials and in total, s, and the number of runs."""
     engine = Timed()
     began = time.process_time()
     simulate(scene, engine, tolerance)
@@ -50,14 +50,14 @@ def spend(scene: Scene, tolerance: float) -> tuple[float, float, int]:
 
 
 def measure(count: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table, each from this number of repeats."""
+    """Yield the rows of the table, each with this number of repeats."""
     paper = Scene.from_toml(SCENE)
     cases = [
         ("the paper's", paper, 1e-3),
         ("the paper's", paper, 1e-6),
         ("300 grains that all move, 0.5 ms", agitated(300).replace(duration=5e-4), 1e-3),
     ]
-    spend(paper, 1e-3)  # compiles, and loads LAMMPS
+    spend(paper, 1e-3)  # This call compiles, and loads LAMMPS.
     for name, scene, tolerance in cases:
         repeats = [spend(scene, tolerance) for _ in range(count)]
         trials_s = min(repeat[0] for repeat in repeats)

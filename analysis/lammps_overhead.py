@@ -1,4 +1,4 @@
-"""CPU time of a column in LAMMPS through the package, relative to `lmp` on the same deck.
+"""CPU time of a column in LAMMPS by the package, relative to `lmp` with the same deck.
 
 Set-up is what a run of a single step takes, less that step; the loop is what all further ones take.
 `lmp` reads the deck that the package wrote, without its dump. The step is given, and the loop of
@@ -30,13 +30,13 @@ from lmpchain.engines.lammps.export import write_deck
 from lmpchain.util.files import write_aside
 
 KEPT = Path(__file__).with_suffix(".json")
-STEP = 1e-7  # s
-WARM_UP = 10  # grains of a run that loads libraries
-COLUMNS = {100_000: 400, 1_000_000: 60}  # steps of columns of so many grains
+STEP = 1e-7  # Seconds.
+WARM_UP = 10  # Number of grains of a run that loads libraries.
+COLUMNS = {100_000: 400, 1_000_000: 60}  # Number of steps by number of grains.
 
 
 class Cost(NamedTuple):
-    """Processor time of a run, s, and the memory that it takes, bytes."""
+    """CPU time of a run, s, and its memory, bytes."""
 
     seconds: float
     memory: float
@@ -46,7 +46,7 @@ def scene(grains: int, steps: int) -> lmpchain.Scene:
     """Return a column in which every grain moves from the start."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
     velocity = np.random.default_rng(1).uniform(-1e-4, 1e-4, grains)
-    # Grain N is held.
+    # Grain N is fixed.
     velocity[-1] = 0.0
     return lmpchain.Scene(
         chain=chain,
@@ -57,7 +57,7 @@ def scene(grains: int, steps: int) -> lmpchain.Scene:
 
 
 def inside(grains: int, steps: int) -> Cost:
-    """Run in the package; in a process of its own, whose memory it reads."""
+    """Run by the package in a separate process, whose memory is measured."""
     warnings.simplefilter("ignore")
     engine = lmpchain.engines.Lammps("verlet", step=STEP, diameter="physical")
     lmpchain.simulate(scene(WARM_UP, 1), engine)
@@ -71,7 +71,7 @@ def inside(grains: int, steps: int) -> Cost:
 
 
 def alone(folder: str, steps: int) -> Cost:
-    """Run `lmp`, in a process of its own so that it is its only child."""
+    """Run `lmp` as the only child of a separate process."""
     lmp = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
     command = [lmp, "-in", "in.nodump", "-screen", "none", "-log", "none", "-var", "every"]
     subprocess.run([*command, str(steps)], cwd=folder, check=True)
@@ -87,7 +87,7 @@ def in_process(function, *arguments) -> Cost:
 
 
 def measure(grains: int, steps: int, runs: int) -> dict[str, float]:
-    """Return set-up and loop of both, s, and memory, bytes a grain."""
+    """Return times of set-up and loop of both, s, and memory, bytes per grain."""
     least = {}
     with tempfile.TemporaryDirectory() as folder:
         deck = write_deck(scene(grains, steps), folder, step=STEP).read_text()
@@ -124,7 +124,7 @@ def line(row: dict[str, float]) -> str:
 
 
 def main() -> None:
-    """Measure, print the table and keep the numbers."""
+    """Measure, print the table and store the numbers."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=3)
     given = parser.parse_args()

@@ -1,4 +1,4 @@
-"""What attempts cost that miss their tolerance.
+"""Cost of attempts that miss their tolerance.
 
     python analysis/lost_attempts.py [--repeats 3] [--grains 5000]
 
@@ -34,7 +34,7 @@ TOLERANCE = 1e-6
 
 
 def agitated(grains: int) -> Scene:
-    """Return a column of grains that all move at random and fly."""
+    """Return a column of flying grains that all move at random."""
     velocity = 1e-3 * np.random.default_rng(1).normal(size=grains)
     velocity[-1] = 0.0
     start = Profile(displacement=[0.0] * grains, velocity=velocity.tolist())
@@ -50,7 +50,7 @@ def springs() -> Scene:
 
 @contextmanager
 def unseen() -> Iterator[None]:
-    """Have every attempt run to its end."""
+    """Make every attempt run to its end."""
     looks = monitor.JUDGING
     monitor.JUDGING = JudgingTimes(begin_s=np.inf)  # type: ignore[misc]
     try:
@@ -60,7 +60,7 @@ def unseen() -> Iterator[None]:
 
 
 class Watched(Native):
-    """The native engine, with the runs that it began, and when, s."""
+    """The native engine, with its started runs and their times, s."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class Watched(Native):
 
 
 class Spent(NamedTuple):
-    """Processor time of an answer, s, its last step, s, and where its first attempt ended."""
+    """CPU time of a solution, s, its last step, s, and the end of its first attempt."""
 
     answer_s: float
     step_s: float
@@ -83,7 +83,7 @@ class Spent(NamedTuple):
 
 
 def spend(scene: Scene) -> Spent:
-    """Answer a scene."""
+    """Solve a scene and measure the cost."""
     engine = Watched()
     began = time.process_time()
     answer = simulate(scene, engine, TOLERANCE)
@@ -92,7 +92,7 @@ def spend(scene: Scene) -> Spent:
 
 
 def spend_last(scene: Scene, step_s: float) -> float:
-    """Return the processor time of the first attempt that has the steps of the last, s."""
+    """Return the CPU time of a first attempt with the final steps, s."""
     engine = Native()
     candidate = engine.propose(scene, TOLERANCE)
     steps = round(candidate.steps.per_landing * candidate.step / step_s)
@@ -106,7 +106,7 @@ def spend_last(scene: Scene, step_s: float) -> float:
 
 
 def measure(scene: Scene, count: int) -> tuple[str, ...]:
-    """Return a row of the table from this number of repeats."""
+    """Return a row of the table for this number of repeats."""
     looked = []
     to_the_end = []
     last = []
@@ -127,7 +127,7 @@ def main() -> None:
     parser.add_argument("--grains", type=int, default=5000)
     given = parser.parse_args()
     warnings.simplefilter("ignore")
-    spend(agitated(100))  # compiles
+    spend(agitated(100))  # This call compiles.
     row = measure(agitated(given.grains), given.repeats)
     name = f"{given.grains} grains that all move"
     write_table(TABLES / "lost_attempts.md", COLUMNS, [(name, *row)])

@@ -1,4 +1,4 @@
-"""Breathers in the gap of a dimer: their family, their shape, and where they lose stability.
+"""Breathers in the gap of a dimer: family, shape, and loss of stability.
 
 The lowest optical mode of a dimer between walls softens with its energy, leaves its band and
 becomes a breather, as narrow as it is strong. Floquet multipliers on the unit circle say that it is
@@ -13,7 +13,7 @@ from lmpchain import orbits
 
 
 def dimer(grains: int) -> lmpchain.Chain:
-    """Return masses 3 : 1 between walls, heavy ones at both ends."""
+    """Return a chain of masses 3 : 1 between walls, with heavy grains at both ends."""
     masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
     return lmpchain.Chain(
         grains=grains,
@@ -27,7 +27,7 @@ def dimer(grains: int) -> lmpchain.Chain:
 
 
 def main() -> None:
-    """Follow the breather through the gap; draw its family, its shapes, and its multipliers."""
+    """Continue the breather through the gap; draw its family, shapes and multipliers."""
     given = arguments(__file__, __doc__)
     grains = 43
     chain = dimer(grains)

@@ -1,4 +1,4 @@
-"""An acoustic rectifier: a light sphere near the end of a driven chain, in the gap above the band.
+"""An acoustic rectifier: a light sphere near the end of a chain driven in the gap above the band.
 
 After Boechler, Theocharis and Daraio, Nature Materials 10, 665 (2011). Driven at the end with the
 light sphere, the answer loses its stability in a Neimark-Sacker bifurcation, and the motion that
@@ -14,15 +14,15 @@ from lmpchain import orbits
 from lmpchain.util.plotting import figure
 
 STEEL = lmpchain.Material("steel 316", density=8000.0, youngs_modulus=193e9, poissons_ratio=0.3)
-FREQUENCY = 10.5e3  # Hz, above the band of the chain, near the mode of the light sphere
-STRONGEST = 1.2e-6  # m, amplitude of the drive
+FREQUENCY = 10.5e3  # Hz, above the band of the chain, near the mode of the light sphere.
+STRONGEST = 1.2e-6  # Amplitude of the drive, m.
 
 
 def chain(light: int) -> lmpchain.Chain:
     """Return 19 steel spheres under 8 N, below a driven one, with a light sphere among them."""
     diameter = np.full(20, 19.06e-3)
     diameter[light - 1] = 11.9e-3
-    drag = {"drag": 500.0}  # motions decay in 4 ms
+    drag = {"drag": 500.0}  # Motions decay in 4 ms.
     return lmpchain.Chain(
         grains=20,
         diameter=diameter,
@@ -51,7 +51,7 @@ def transmitted(light: int, amplitude: float, quick: bool) -> tuple[np.ndarray, 
 
 
 def main() -> None:
-    """Follow the answers to the drive at either end; draw them, and spectra of runs."""
+    """Continue the responses to the drive at either end; draw them and spectra of runs."""
     given = arguments(__file__, __doc__)
     modes = lmpchain.theory.modes.eigenmodes(chain(3)).frequency / (2 * np.pi)
     say("upper end of the band", modes[-2] / 1e3, "kHz")

@@ -29,13 +29,13 @@ from lmpchain.util.plotting import COLOURS, figure, look_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-STRENGTH = 0.03  # of the velocities, as a strike number v0*
-PHASE = 0.1  # that the deepest contact advances in a step, rad
-WORK = {"native": 1e9, "lammps": 2e6}  # grain-steps of a run, but no more steps than
+STRENGTH = 0.03  # Size of the velocities as a strike number v0*.
+PHASE = 0.1  # Phase of the deepest contact per step, rad.
+WORK = {"native": 1e9, "lammps": 2e6}  # Largest number of grain-steps of a run.
 STEPS = {"native": 2_000_000, "lammps": 2000}
 RUNS = 3
 THREADS = (1, 2)
-LENGTHS = (1000, 100_000)  # steps of the chains of an ensemble
+LENGTHS = (1000, 100_000)  # Numbers of steps of the chains of an ensemble.
 ENGINES: dict[str, Callable[[float], Any]] = {
     "native verlet": lambda step: Native(integrator="verlet", step=step),
     "native rkn6": lambda step: Native(integrator="rkn6", step=step),
@@ -59,7 +59,7 @@ def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
     deepest = chain.part(grains - 1, grains)
     speed = STRENGTH * chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / mass)
     random = np.random.default_rng(grains).uniform(-1, 1, grains - 1)
-    strike = lmpchain.Profile(velocity=np.append(random * speed, 0.0))  # grain N is held
+    strike = lmpchain.Profile(velocity=np.append(random * speed, 0.0))  # Grain N is fixed.
     step = PHASE * math.sqrt(mass / float(deepest.linear_stiffness[0]))
     return lmpchain.Scene(
         chain=chain, excitation=strike, duration=steps * step, samples=2, grains="1:2"
@@ -67,9 +67,7 @@ def stirred(grains: int, steps: int) -> tuple[lmpchain.Scene, float]:
 
 
 def throughput(name: str, grains: int, share: float) -> Row:
-    """Time the integration of a chain that moves everywhere,
-    for a share of the work of a full run.
-    """
+    """Time the integration of a moving chain, for a fraction of the work of a full run."""
     engine = name.split()[0]
     scene, step = stirred(grains, max(8, int(share * min(WORK[engine] / grains, STEPS[engine]))))
     run = lmpchain.simulate(scene, ENGINES[name](step))
@@ -88,7 +86,7 @@ def throughput(name: str, grains: int, share: float) -> Row:
 
 
 def answer(grains: int) -> Row:
-    """Time a strike on grain 1, from its parameters to the solution with its error estimate."""
+    """Time a whole call for a strike on grain 1, including the error estimate."""
     began = time.perf_counter()
     chain = lmpchain.Chain(grains=grains, material=lmpchain.GLASS, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=8.57e-4)
@@ -104,7 +102,7 @@ def answer(grains: int) -> Row:
 
 
 def many(threads: int, steps: int, realisations: int) -> Row:
-    """Time an ensemble of random chains of 120 grains, everything included."""
+    """Time a whole ensemble of random chains of 120 grains."""
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
     scene = lmpchain.Scene(
         chain=chain, excitation=lmpchain.Impulse(velocity=1e-6), duration=100e-6, samples=2
@@ -117,7 +115,7 @@ def many(threads: int, steps: int, realisations: int) -> Row:
 
 
 def best(rows: list[Row], keys: tuple[str, ...], cost: Callable[[Row], float]) -> list[Row]:
-    """Return the cheapest of the rows that agree in these keys, in their original order."""
+    """Return the cheapest of the rows with equal keys, in their original order."""
     groups: dict[tuple, list[Row]] = defaultdict(list)
     for row in rows:
         groups[tuple(row[key] for key in keys)].append(row)
@@ -129,7 +127,7 @@ def measure(quick: bool) -> dict[str, list[Row]]:
     largest = 4 if quick else 6
     sizes = [10**k for k in range(2, largest + 1)]
     share, runs, chains = (0.01, 1, 50) if quick else (1.0, RUNS, 1000)
-    answer(100), many(1, 100, 2)  # compiles before the timing
+    answer(100), many(1, 100, 2)  # These calls compile before the timing.
     speeds = []
     answers = []
     ensembles = []
@@ -180,7 +178,7 @@ def tables(numbers: dict[str, list[Row]]) -> str:
 
 
 def main() -> None:
-    """Measure, print the tables, save the numbers and draw."""
+    """Measure, print the tables, store the numbers and draw."""
     given = arguments(
         __file__, __doc__, draw="draw the stored numbers again, without a measurement"
     )

@@ -1,5 +1,4 @@
-"""What one impurity, or a pair of them, lets through: transfer matrices, and
-packets of waves in Hertzian chains.
+"""Transmission of one or two impurities: transfer matrices, and packets in Hertzian chains.
 
 One sphere that differs reflects all the more the shorter the wave. Two of them side by side are
 transparent at one frequency, as electrons pass atoms in the Ramsauer-Townsend effect.
@@ -21,7 +20,7 @@ WIDTH = 16.0
 
 
 def with_odd(ratio: float, grains: list[int], total: int = 15) -> lmpchain.Chain:
-    """Return a chain of steel beads in which some diameters are multiplied by this factor."""
+    """Return a chain of steel beads with some diameters multiplied by this factor."""
     return lmpchain.Chain(
         grains=total, **HOST, impurity=[{"grain": n, "diameter": ratio * 1e-3} for n in grains]
     )
@@ -35,9 +34,7 @@ def edge(chain: lmpchain.Chain) -> float:
 def passed(
     engine: str, ratio: float, count: int, share: float, tolerance: float
 ) -> tuple[float, float]:
-    """Return the share of the energy of a packet that passes, and the
-    mean of T over its spectrum.
-    """
+    """Return the transmitted fraction of a packet's energy, and the mean of T over its spectrum."""
     odd = list(range(300, 300 + count))
     chain = with_odd(ratio, odd, 600)
     w = edge(chain)
@@ -58,14 +55,12 @@ def passed(
 
 
 def reflected(chain: lmpchain.Chain, frequency: float) -> float:
-    """Return the share of the energy that is not transmitted, at a frequency over the band edge."""
+    """Return the reflected fraction of the energy, at a frequency relative to the band edge."""
     return 1 - transmission(chain, edge(chain) * np.array([frequency])).transmitted[0]
 
 
 def main() -> None:
-    """Draw the transmitted energy of single and double impurities over
-    frequency, with packets in two engines.
-    """
+    """Draw the transmission of single and double impurities, with packets in two engines."""
     given = arguments(__file__, __doc__)
     picture = figure(7.5, 4)
     axes = picture.subplots(1, 2, sharey=True)
@@ -80,7 +75,8 @@ def main() -> None:
                 frequency, found.transmitted, color=colour, lw=1.5, label=f"diameter × {ratio:g}"
             )
             if count == 2:
-                at = 100 + found.transmitted[100:].argmax()  # the longest waves pass anything
+                # The longest waves pass all impurities.
+                at = 100 + found.transmitted[100:].argmax()
                 peak = minimize_scalar(
                     lambda x, c=chain: reflected(c, x), frequency[[at - 1, at, at + 1]]
                 )

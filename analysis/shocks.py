@@ -1,4 +1,4 @@
-"""Shocks: the edges of dispersive ones, steady ones of damped chains, and rarefactions.
+"""Shocks: edges of dispersive shocks, steady shocks of damped chains, and rarefactions.
 
 After Chong, Geisler, Kevrekidis and Biondini, arXiv:2402.08218 (leading amplitudes beside those of
 Toda's chain and of Korteweg and de Vries), Yang, Biondini, Chong and Kevrekidis, arXiv:2411.17874,
@@ -29,12 +29,12 @@ CHAIN = lmpchain.Chain(
 )
 OVERLAP = float(CHAIN.contacts.overlap[1])
 GAS = Medium(1.5, float(CHAIN.contacts.constant[1]), float(CHAIN.masses[1]))
-SOUND = GAS.sound(OVERLAP)  # grains/s
+SOUND = GAS.sound(OVERLAP)  # Grains/s.
 REST = State(0.0, OVERLAP)
 
 
 def push(chain: lmpchain.Chain, velocity: float, duration: float) -> shock.Shock:
-    """Return the shock of a piston of this velocity, m/s."""
+    """Return the shock of a piston with this velocity, m/s."""
     piston = lmpchain.Drive(shape="piston", velocity=velocity, rise=10 / SOUND, grain=0)
     samples = 4 * chain.grains + 1
     scene = lmpchain.Scene(chain=chain, excitation=piston, duration=duration, samples=samples)
@@ -95,7 +95,7 @@ def draw_train(ax: "Axes", quick: bool) -> None:
 
 
 def draw_steady(ax: "Axes", quick: bool) -> None:
-    """Draw steady shocks of chains with viscous contacts, about the middle of their jumps."""
+    """Draw steady shocks of chains with viscous contacts, relative to the middle of the jump."""
     chain = CHAIN.replace(grains=200 if quick else 600)
     velocity = 0.5 * OVERLAP * SOUND
     duration = chain.grains / GAS.rankine_hugoniot(REST, velocity)[1]
@@ -125,7 +125,7 @@ def draw_steady(ax: "Axes", quick: bool) -> None:
 
 
 def _middle(wave: shock.Shock, share: np.ndarray) -> float:
-    """Return where the jump is half done, last seen from the piston."""
+    """Return the position of half of the jump, seen from the piston."""
     order = np.argsort(wave.contact)
     place = wave.contact[order].astype(float)
     size = share[order]
@@ -135,7 +135,7 @@ def _middle(wave: shock.Shock, share: np.ndarray) -> float:
 
 
 def draw_rarefaction(ax: "Axes", quick: bool) -> None:
-    """Draw a rarefaction from a step against the wave of the characteristics."""
+    """Draw a rarefaction from a step, and the exact wave by characteristics."""
     grains = 300 if quick else 600
     start = grains // 2
     chain = CHAIN.replace(grains=grains, top="free")
@@ -164,7 +164,7 @@ def draw_rarefaction(ax: "Axes", quick: bool) -> None:
 
 
 def main() -> None:
-    """Draw all four."""
+    """Draw all four panels."""
     given = arguments(__file__, __doc__)
     picture = figure(7.5, 7)
     axes = picture.subplots(2, 2)

@@ -1,5 +1,4 @@
-"""Solitary waves of the lattice: shape, tails and speed, exact, by the engines,
-and by the formulae of long waves.
+"""Solitary waves of the lattice: shape, tails and speed, exact, by engines, and for long waves.
 
 A strike sends one through an unloaded chain; under a load they are faster than sound, and the
 faster the higher. The exact ones solve the advance-delay equation of the lattice. Nesterenko's and
@@ -17,9 +16,7 @@ BEADS = {"diameter": 1e-3, "material": "steel", "gravity": 0.0}
 
 
 def behind_a_strike(engine: str, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the velocity of grain 60 of a chain struck with 1 m/s, over its
-    largest, against V t in grains.
-    """
+    """Return the relative velocity of grain 60 after a strike of 1 m/s, against V t in grains."""
     chain = lmpchain.Chain(grains=90, bottom="free", **BEADS)
     unit = (chain.masses[0] / chain.contact_constants[0]) ** 0.4
     strike = lmpchain.Impulse(velocity=1.0)

@@ -1,4 +1,4 @@
-"""How the drag of an absorbing end should grow: largest reflection in the middle of the bands.
+"""Grading of the drag of absorbing boundaries: largest reflection in the middle of the bands.
 
     python analysis/sponges.py [--powers]
 
@@ -47,13 +47,13 @@ def reflected(chain: Chain, grains: int, powers: tuple[int, ...]) -> float:
 
 
 def measure(powers: tuple[int, ...]) -> Iterator[tuple[str, ...]]:
-    """Yield a row of amplitudes a chain, with the best of these powers."""
+    """Yield a row of amplitudes per chain, with the best of these powers."""
     for name, chain in CHAINS.items():
         yield name, *(f"{reflected(chain, grains, powers):.0e}" for grains in LENGTHS)
 
 
 def main() -> None:
-    """Write the table, or print one of each power."""
+    """Write the table, or print the one of each power."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--powers", action="store_true")
     warnings.simplefilter("ignore")

@@ -14,12 +14,12 @@ from figures import finish, prepare_drawing
 from lmpchain.util.files import write_aside
 
 HERE = Path(__file__).parent
-DIGITS = 6  # of the numbers that are kept
+DIGITS = 6  # Digits of stored numbers.
 MAPS = sorted(path.stem for path in (HERE / "maps").glob("[a-z]*.py"))
 
 
 def _short(value: Any) -> Any:
-    """Return numbers rounded to the digits that are kept."""
+    """Return numbers rounded to the stored digits."""
     if isinstance(value, dict):
         return {key: _short(value) for key, value in value.items()}
     if isinstance(value, list | tuple):
@@ -28,7 +28,7 @@ def _short(value: Any) -> Any:
 
 
 def main() -> None:
-    """Measure and draw."""
+    """Measure and draw the maps."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

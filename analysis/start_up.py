@@ -1,4 +1,4 @@
-"""What a user waits for before anything is computed: compiling, once for a machine, and commands.
+"""Waiting times before a computation: compilation, once per machine, and start of commands.
 
 Processor time of whole processes, s, the least of repeats; what is compiled goes into a cache of
 its own, which is empty for each repeat. Writes tables/start_up.md and, of the stages of a run with
@@ -84,7 +84,7 @@ ROWS = (
 
 
 def processor_time(arguments: list[str], cache: Path) -> float:
-    """Return the CPU time of a command with this folder of compiled code, s."""
+    """Return the CPU time of a command with this cache folder, s."""
     # Python stores the byte code of modules, as it does for users.
     environment = dict(os.environ)
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -117,7 +117,7 @@ def stages(cache: Path) -> list[float]:
 
 
 def time_commands(first: int, warm: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table of commands, each from this number of repeats."""
+    """Yield the rows of the table of commands, each with this number of repeats."""
     for name, arguments in COMMANDS.items():
         compiled_s = []
         for _ in range(first):
@@ -137,7 +137,7 @@ def time_stages(first: int, warm: int) -> Iterator[tuple[str, ...]]:
         with tempfile.TemporaryDirectory() as cache:
             compiled_s.append(stages(Path(cache)))
             later_s += [stages(Path(cache)) for _ in range(warm)]
-    # The fastest whole process is taken, so that its stages add up.
+    # The fastest whole process is used, so that its stages add up.
     columns = [min(repeats, key=sum) for repeats in (compiled_s, later_s)]
     for stage, *spent_s in zip(ROWS, *columns, strict=True):
         yield stage, *(f"{each:.2f}" for each in spent_s)

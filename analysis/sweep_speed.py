@@ -1,4 +1,4 @@
-"""Speed of a sweep of random columns: scenes a second, share of the integration, files.
+"""Speed of a sweep of random columns: scenes per second, share of the integration, files.
 
 Arrival times and largest velocities are kept. With one worker the CPU time of the integration and
 its error estimate is set against that of everything; with more, wall time counts, from nothing to
@@ -24,7 +24,7 @@ KEEP = ["arrival_time", "peak_velocity"]
 
 
 def cpu() -> float:
-    """Return user plus system time of this process and its children so far, s."""
+    """Return user plus system time of this process and its children up to now, s."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
 
@@ -44,9 +44,7 @@ def asked(realisations: int, seed: int = 1) -> dict[str, object]:
 
 
 def share(realisations: int) -> tuple[float, float]:
-    """Return CPU time of a sweep in this process, s, and the part of it that is integration and its
-    estimate.
-    """
+    """Return the CPU time of a sweep in this process, s, and the fraction of the integration."""
     inside = [0.0]
     blocks = SteppingRun.blocks
     errors = SteppingRun.errors
@@ -83,7 +81,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        lmpchain.sweep(asked(64, seed=2), folder)  # compiles
+        lmpchain.sweep(asked(64, seed=2), folder)  # This call compiles.
     spent, part = share(arguments.scenes)
     each = f"{1e3 * spent / arguments.scenes:.3f} ms of CPU a scene"
     print(f"one process: {each}, {100 * part:.1f} % of it integration and estimate")

@@ -1,4 +1,4 @@
-"""One long chain on several threads: how many times as fast as on one, with the same bits.
+"""Speed-up of one long chain by several threads, with the same bits.
 
 All grains move: gently, at steps of one length, and so that contacts open all over the chain and
 steps shorten. Times are those of the integration alone, interleaved; the least of several runs
@@ -19,8 +19,8 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
-REACH = 0.3  # omega h
-MORE = 12  # adaptive steps for each one of that length
+REACH = 0.3  # Value of omega h.
+MORE = 12  # Number of adaptive steps for each step of that length.
 
 
 def shaken(grains: int, steps: int) -> lmpchain.Scene:

@@ -15,28 +15,26 @@ from lmpchain.measure import front as measured
 from lmpchain.theory import continuum, front
 
 DELTAS = (1.0, 1.25, 1.5, 2.0, 2.5)
-FURTHER = (1.1, 1.35, 1.7, 1.85)  # for the exponents alone
+FURTHER = (1.1, 1.35, 1.7, 1.85)  # Only for the exponents.
 DEEPEST = 1000
 PER_TAU = 12
-NEXT = 0.34  # of the next order, for Hertz
+NEXT = 0.34  # Exponent of the next order for Hertz's law.
 
 
 def strike(depths: np.ndarray, delta: float) -> lmpchain.Trajectory:
     """Strike a column weakly and record it until the first pulse has passed these grains."""
     deepest = int(depths[-1])
     tau = float(front.peak_time(deepest, delta)) + 8 * deepest ** (1 / 3 - (1 - 1 / delta) / 2)
-    grains = int(continuum.depth(tau, delta)) + 20  # the floor is not reached
+    grains = int(continuum.depth(tau, delta)) + 20  # The wave does not reach the floor.
     recorded = np.union1d(
         depths, depths + 1
-    ).tolist()  # with the next grains, for the work done on them
+    ).tolist()  # The next grains are included for the work done on them.
     scene = weak_scene(grains, tau, int(PER_TAU * tau) + 1, 1e-8, delta, recorded=recorded)
     return lmpchain.simulate(scene, "native", tolerance=1e-8)
 
 
 def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
-    """Return the work that a grain does on the next one up to a time,
-    over the energy of the strike.
-    """
+    """Return the work of a grain on the next one up to a time, relative to the strike's energy."""
     now = run.time <= until
     chain = run.scene.chain
     at = int(np.searchsorted(run.grains, grain))
@@ -48,9 +46,7 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return this work by `theory.front` for a downward wave: 2 sqrt(kappa) times the integral of
-    v^2.
-    """
+    """Return this work by `theory.front`: 2 sqrt(kappa) times the integral of v^2."""
     n = 100
     xi = 1 - 1 / delta
     peak = float(front.peak_time(n, delta))
@@ -58,7 +54,7 @@ def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
     v = front.velocity(n, at, delta)
     last = np.flatnonzero((at > peak) & (v <= 0))[0]
     here = 2 * (n - 0.5) ** (xi / 2) * trapezoid(v[:last] ** 2, at[:last])
-    # The product of the powers of depth.
+    # Product of the powers of depth.
     return here * ((depths - 0.5) / (n - 0.5)) ** (1 / 3 - 2 * front.decay(delta)[0])
 
 
@@ -73,7 +69,7 @@ def main() -> None:
     for place, delta in enumerate(sorted((*deltas, *further))):
         run = strike(depths, delta)
         passed = measured.track(run)
-        if delta <= 2:  # beyond, the asymptotic law is not reached
+        if delta <= 2:  # For larger exponents, the asymptotic law is not reached.
             law = measured.asymptotic(passed.between(deepest // 10, deepest), "amplitude", delta)
             exponents.append((delta, -law.exponent, law.error[0]))
         if delta not in deltas:

@@ -1,4 +1,4 @@
-"""CPU time of an unpredictable scene, compared with its predictable part alone.
+"""CPU time of an unpredictable scene, relative to its predictable part alone.
 
     python analysis/unpredictable.py [--repeats 3]
 
@@ -31,15 +31,15 @@ COLUMNS = (
 
 
 class Ending(NamedTuple):
-    """The answer to a scene as long as it can be predicted; and times as in the table, s."""
+    """The predictable part of a scene's solution, and the times of the table, s."""
 
-    answer: Any  # a trajectory
+    answer: Any  # A trajectory.
     verdict_s: float
     all_s: float
 
 
 def end(scene: Scene) -> Ending:
-    """Run a scene that cannot be predicted to its end."""
+    """Run an unpredictable scene to its predictability horizon."""
     engine = Watched()
     began = time.process_time()
     try:
@@ -47,19 +47,19 @@ def end(scene: Scene) -> Ending:
     except ToleranceNotMet as missed:
         all_s = time.process_time() - began
         answer = missed.trajectory
-    # The second run covers the predictable part alone.
+    # The second run covers only the predictable part.
     return Ending(answer, engine.begun[1] - began, all_s)
 
 
 def time_alone(scene: Scene) -> float:
-    """Return the time of a scene that can be predicted to its end, s."""
+    """Return the time of a predictable scene, s."""
     began = time.process_time()
     simulate(scene, "native", TOLERANCE)
     return time.process_time() - began
 
 
 def measure(count: int) -> Iterator[tuple[str, ...]]:
-    """Yield the rows of the table, each from this number of repeats."""
+    """Yield the rows of the table, each with this number of repeats."""
     column = Chain(grains=300, diameter=1e-3)
     scenes = {
         "near springs": springs(),
@@ -69,7 +69,7 @@ def measure(count: int) -> Iterator[tuple[str, ...]]:
         "300 grains that all move": agitated(300).replace(duration=4e-3),
         "1000 grains that all move": agitated(1000).replace(duration=4e-3),
     }
-    end(springs())  # compiles
+    end(springs())  # This call compiles.
     for name, scene in scenes.items():
         endings = []
         alone_s = []

@@ -1,5 +1,4 @@
-"""What a whole call takes: making a scene, `simulate`, `simulate_many`, and a peer's whole call on
-the same scene.
+"""Time of whole calls: making a scene, `simulate`, `simulate_many`, and another code's call.
 
 The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native
 engine takes besides the integration and its estimate, `auto` the same where it is chosen by the
@@ -26,18 +25,16 @@ import lmpchain
 
 SPEEDS = {"weak": 1e-6, "strong": 8.57e-4}
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
-TOGETHER = 64  # scenes of `simulate_many`
-UNIT = 1e-6  # s, of time for the peer
-MOST_STEPS = 10**5  # that it may take
+TOGETHER = 64  # Number of scenes of `simulate_many`.
+UNIT = 1e-6  # Unit of time of the other code, s.
+MOST_STEPS = 10**5  # Largest number of its steps.
 Solution = tuple[np.ndarray, np.ndarray]
-# A function of the strike velocity and of the peer's tolerance.
+# A function of the strike velocity and of the other code's tolerance.
 Call = Callable[[float, float], Solution]
 
 
 def paper(velocity: float, last_digits: int = 0) -> lmpchain.Scene:
-    """Return the scene of the paper,
-    or one that differs from it in the last digits of the strike.
-    """
+    """Return the scene of the paper, or one that differs in the last digits of the strike."""
     chain = lmpchain.Chain(grains=120, diameter=1e-3)
     strike = lmpchain.Impulse(velocity=velocity * (1 + 1e-12 * last_digits))
     return lmpchain.Scene(chain=chain, excitation=strike, duration=100e-6)
@@ -62,7 +59,7 @@ def rate_of(law: Callable[[float], float]) -> Callable[..., None]:
     def rate(y, dy, strength, length):  # type: ignore[no-untyped-def]
         grains = y.size // 2
         above = 0.0
-        for n in range(grains):  # all but the last, which is held
+        for n in range(grains):  # All grains except the last, which is fixed.
             below = y[n + 1] if n + 1 < grains else 0.0
             push = strength[n] * law(max((y[n] - below) * length[n], -1.0))
             dy[n] = y[grains + n]
@@ -73,8 +70,7 @@ def rate_of(law: Callable[[float], float]) -> Callable[..., None]:
 
 
 def column(velocity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the start of the paper's column, and F_n / m and 1 / eps_n of the contacts below its
-    grains.
+    """Return the start of the paper's column, and F_n / m and 1 / eps_n of the contacts.
 
     Lengths are in units of `velocity` times `UNIT`, times in `UNIT`.
     """
@@ -90,15 +86,13 @@ def column(velocity: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def in_si(found: np.ndarray, velocity: float) -> Solution:
-    """Return displacements and velocities, m and m/s, (T, M) each,
-    from states in the peer's units.
-    """
+    """Convert states of the other code to displacements and velocities, m and m/s, (T, M) each."""
     grains = found.shape[1] // 2
     return found[:, :grains] * (velocity * UNIT), found[:, grains:] * velocity
 
 
 def scipy_calls(law: Callable[[float], float]) -> Call:
-    """Return a whole call of SciPy's DOP853."""
+    """Return a function that makes a whole call of SciPy's DOP853."""
     rate = rate_of(law)
 
     def call(velocity: float, tolerance: float) -> Solution:
@@ -118,7 +112,7 @@ def scipy_calls(law: Callable[[float], float]) -> Call:
 
 
 def numbalsoda_calls(law: Callable[[float], float]) -> Call:
-    """Return a whole call of numbalsoda's DOP853."""
+    """Return a function that makes a whole call of numbalsoda's DOP853."""
     from numbalsoda import dop853, lsoda_sig
 
     rate = rate_of(law)
@@ -153,9 +147,7 @@ def error(found: Solution, truth: lmpchain.Trajectory) -> float:
 
 
 def loosest(call: Call, velocity: float, tolerance: float) -> float:
-    """Return the loosest tolerance of the peer, in factors of two, that meets this one; NaN if none
-    does.
-    """
+    """Return the peer's loosest tolerance that meets this one, by factors of two; else NaN."""
     truth = lmpchain.simulate(paper(velocity), "native", 2e-13)
     for power in range(12, -24, -1):
         asked = tolerance * 2.0**power
@@ -165,7 +157,7 @@ def loosest(call: Call, velocity: float, tolerance: float) -> float:
 
 
 def least(calls: Mapping[str, Callable[[int], object]], repeats: int) -> dict[str, float]:
-    """Return the least time of each call, ms; they take turns."""
+    """Return the least time of each call, ms; calls are made alternately."""
     found = dict.fromkeys(calls, float("inf"))
     for turn in range(repeats):
         for name, call in calls.items():
@@ -199,7 +191,8 @@ def main() -> None:
     for strike, velocity in SPEEDS.items():
         for tolerance in TOLERANCES:
             able = ((peer, loosest(peer, velocity, tolerance)) for peer in peers)
-            peer, asked = next(pair for pair in able if pair[1] > 0)  # the plain one if it can
+            # The plain force is used if it is accurate enough.
+            peer, asked = next(pair for pair in able if pair[1] > 0)
             inside: dict[str, list[float]] = {"native": [], "auto": []}
 
             def answer(

@@ -1,4 +1,4 @@
-"""Work-precision charts of every engine and integrator, with other codes where measured.
+"""Work-precision charts of every engine and integrator, with other codes if measured.
 
 One picture and one file of numbers a scene, and a table: the time to four errors. Between the
 points of a curve it is interpolated as a power law; where the longest step is better already, it is
@@ -79,7 +79,7 @@ def again(name: str, path: Path) -> WorkPrecision:
 
 
 def few(result: WorkPrecision, rows: list[dict[str, Any]]) -> Figure:
-    """Draw the curves that a reader compares: ours, Verlet in LAMMPS, the best other code."""
+    """Draw the main curves: our engines, Verlet in LAMMPS, and the best other code."""
     curves = tuple(
         curve
         for curve in result.curves

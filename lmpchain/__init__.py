@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from .util.lammps_import import load_mpi_before_lammps
 from .util.lazy import attributes, listed
 
-# type checkers and editors read these lines, which never run
+# Type checkers and editors read these lines, which never run.
 if TYPE_CHECKING:
     from . import benchmark as benchmark
     from . import chain as chain
@@ -73,8 +73,8 @@ if TYPE_CHECKING:
     from .trajectory.trajectory import Trajectory as Trajectory
     from .util.version import __version__ as __version__
 
-# imported at the first use of a name: all of them together would take a second, and a command needs
-# few
+# Modules are imported at the first use of a name, because importing all of them takes a second and
+# a command needs only a few.
 _MODULES = {
     "chain.chain": "Chain",
     "chain.damping": "Damping",

@@ -1,4 +1,4 @@
-"""Check of the installation: versions, MPI, LAMMPS, folders, and each engine against a reference.
+"""Check of the installation: versions, MPI, LAMMPS, folders, and each engine.
 
 Every check runs by itself: an exception becomes a fault, a warning becomes a warning.
 """
@@ -67,7 +67,7 @@ class Finding:
     state : "ok", "warning" or "fault"
     found : str
     cure : str
-        What to do, in one line; empty if all is well.
+        Remedy in one line; empty if all is well.
 
     Examples
     --------
@@ -138,7 +138,7 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
 
 
 def compile_all(progress: bool = False) -> None:
-    """Compile the loops of runs and gradients beforehand, for images of machines.
+    """Compile the loops of runs and gradients in advance, for machine images.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def compile_all(progress: bool = False) -> None:
     strong = weak.replace(excitation=Impulse(velocity=1e-2))
     watched = strong.replace(quantities=["peak_velocity", "arrival_time", "peak_force:2"])
     methods = {"rkn4": 8.0, "dop853": 10.0, "gear4": 3.0}
-    # Expected time to compile each on an otherwise idle machine, s.
+    # Jobs with their expected compile time on an otherwise idle machine, s.
     jobs: list[tuple[float, Callable[[], object]]] = [
         *((0.7, partial(addresses, form)) for form in FORMS),
         *(
@@ -184,7 +184,8 @@ def compile_all(progress: bool = False) -> None:
             bar.advance()
             done += seconds
             left -= seconds
-            # A loop that is already compiled takes no time, which predicts the same for the others.
+            # A loop that is already compiled takes no time, which suggests that the others are
+            # compiled too.
             left_s = (compiled_s() - before) / done * left
             if not told and is_long(left_s):
                 told = True
@@ -205,7 +206,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
                 findings.append(finding)
         except Exception as error:
             kind = "" if isinstance(error, LmpchainError) else f"{type(error).__name__}: "
-            # Some errors name their own cure.
+            # Some error messages contain a remedy.
             text = f"{kind}{error}".split(": pip install")[0]
             if isinstance(error, ImportError) and error.name:
                 cure = f"pip install --force-reinstall {error.name.partition('.')[0]}"
@@ -214,7 +215,7 @@ def _findings(name: str, cure: str, run: Check) -> list[Finding]:
 
 
 def _register(name: str, cure: str) -> Callable[[Check], None]:
-    """Register a check, with its name and the cure of its faults."""
+    """Register a check under a name, with the remedy of its faults."""
     return lambda run: _CHECKS.append((name, cure, run))
 
 

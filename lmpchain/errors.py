@@ -7,7 +7,7 @@ import reprlib
 from collections.abc import Iterable
 from typing import Any
 
-SHOWN_LETTERS = 80  # maximum length of a value in a message
+SHOWN_LETTERS = 80  # Largest number of letters of a value in a message.
 
 
 def short(text: object) -> str:

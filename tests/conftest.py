@@ -12,18 +12,18 @@ from helpers.relative import approx
 # The default absolute tolerance of 1e-12 exceeds most energies and lengths of a chain.
 pytest.approx = approx
 
-os.environ["MPLBACKEND"] = "agg"  # no test opens a window
+os.environ["MPLBACKEND"] = "agg"  # No test opens a window.
 # Every test uses one core, because two threads of OpenBLAS would wait for each other.
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # The processes that tests start share the byte code of the package.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
-# Collection creates objects that all stay alive; looking for garbage takes a third of its time.
+# Collection creates objects that all stay alive; garbage collection would take a third of its time.
 gc.disable()
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Exclude all collected tests from later searches for garbage."""
+    """Exclude all collected tests from later garbage collections."""
     gc.freeze()
     gc.enable()
 

@@ -1,4 +1,4 @@
-"""Mutation testing: change the code at random places and see whether the tests of the room notice.
+"""Mutation testing: change the code at random places and check whether the tests notice.
 
     python tests/mutants.py theory measure --number 20 --seed 7
     python tests/mutants.py lmpchain/theory/scattering.py:226:12 --tests tests/theory
@@ -33,7 +33,7 @@ NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "b
 CPU_LIMIT_S = (
     240  # of a process, for a mutant may never end; a busy machine changes nothing about it
 )
-WALL_LIMIT_S = 1800  # for a mutant that waits without end
+WALL_LIMIT_S = 1800  # Limit for a mutant that waits without end.
 OPPOSITES = {
     **{
         ast.Lt: ast.GtE,
@@ -64,9 +64,7 @@ OPPOSITES = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """A node of a program, where it begins and ends (line, byte of the line), and what replaces
-    it.
-    """
+    """A node of a program with its begin and end (line, byte of the line), and its replacement."""
 
     path: str
     begin: tuple[int, int]
@@ -90,7 +88,7 @@ class Mutant:
 
 
 def mutate(node: ast.AST) -> str | None:
-    """Return the source of a changed node, or None if nothing of it is changed."""
+    """Return the source of a changed node; None if nothing can be changed."""
     match node:
         case ast.Compare(left=left, ops=[op, *ops], comparators=right) if type(op) in OPPOSITES:
             changed: ast.AST = ast.Compare(left, [OPPOSITES[type(op)](), *ops], right)
@@ -106,7 +104,7 @@ def mutate(node: ast.AST) -> str | None:
             changed = ast.Constant(value + 1)
         case ast.Constant(value=float(value)):
             changed = ast.Constant(1.2 * value if value else 1.0)
-        case ast.Expr(value=ast.Constant()):  # a docstring
+        case ast.Expr(value=ast.Constant()):  # A docstring.
             return None
         case (
             ast.Expr() | ast.AugAssign() | ast.Raise() | ast.Continue() | ast.Break() | ast.Delete()
@@ -120,9 +118,7 @@ def mutate(node: ast.AST) -> str | None:
 
 
 def walk(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes that run: no annotations, and nothing in an f-string, whose places Python
-    3.11 does not know.
-    """
+    """Yield the nodes that are executed, without annotations and parts of f-strings."""
     yield node
     for name, value in ast.iter_fields(node):
         if name not in ("annotation", "returns", "decorator_list") and not isinstance(
@@ -167,9 +163,7 @@ def draw(places: list[str], number: int, seed: int) -> list[Mutant]:
 
 
 def run_tests(mutant: Mutant | None, tests: list[str]) -> tuple[bool, str]:
-    """Run tests in a copy of the project with a mutant; return whether they pass, and the line
-    that says why not.
-    """
+    """Run tests in a copy of the project with a mutant; return success, and a failure's reason."""
     with tempfile.TemporaryDirectory(prefix="mutant-") as folder:
         copy = Path(folder, "lmpchain")
         # Times of files are copied, so that compiled code stays valid.
@@ -224,7 +218,7 @@ def nearest_first(tests: list[str], module: str) -> list[str]:
 
 
 def main() -> None:
-    """Draw mutants, run the tests of their rooms, and print what survived."""
+    """Draw mutants, run the tests of their rooms, and print the surviving mutants."""
     rooms = sorted(
         path.name for path in (PROJECT / "lmpchain").iterdir() if path.name[0] not in "._"
     )

@@ -1,4 +1,4 @@
-"""Measure how long steps are near openings: OPENING_STEPS.
+"""Measure the step lengths near openings: OPENING_STEPS.
 
 Random scenes whose contacts open are run at some longest steps with other values of each field.
 What counts is the work for a given true error (by the Taylor series in extended precision): steps
@@ -32,20 +32,21 @@ REACHES = {
     "kahan-li8": (0.8, 0.4),
     "dop853": (1.6, 0.8),
 }
-RARELY = 1 / 400  # runs whose estimate may be below half of the error
-MORE = 1.25  # times the least work
-CLEAR, KNOWN = 30.0, 1e-2  # times round-off, and largest error, between which errors count
+RARELY = 1 / 400  # Fraction of runs whose estimate may be below half of the error.
+MORE = 1.25  # Factor on the least work.
+# Multiple of the rounding error, and largest error, between which errors count.
+CLEAR, KNOWN = 30.0, 1e-2
 
 
 class Look(NamedTuple):
-    """One run: its steps times error^(1 / order), and the estimate over the true error."""
+    """One run: its steps times error^(1 / order), and the ratio of estimate and true error."""
 
     work: float
     ratio: float
 
 
 def looks(cases: list[Case], name: str) -> dict[tuple[int, float], Look]:
-    """Return the runs of a method whose errors are known, by scene and step."""
+    """Return the runs of a method with known errors, by scene and step."""
     engine = Native(name)
     order = METHODS[name].order
     found = {}
@@ -95,7 +96,7 @@ def length(
 
 
 def least(cases: list[Case], factors: tuple[float, ...]) -> Row:
-    """Return the row of the least step that crosses an opening.
+    """Return the row of the shortest step that crosses an opening.
 
     Steps near round-off, and the error left.
     """

@@ -27,14 +27,14 @@ from lmpchain.integrators.splittings import RKN6
 from lmpchain.stability.predictability import SEED
 from lmpchain.stability.roundoff import STEP, measured_floor
 
-ENOUGH = 1 / 3  # of the true round-off
-MUCH = 1e-13, 0.01  # true round-off: above what nothing amplifies, below what saturates
-RARE = 1 / 50  # share of the scenes by which two values may differ
+ENOUGH = 1 / 3  # Fraction of the true rounding error.
+MUCH = 1e-13, 0.01  # True rounding errors that are amplified, but not saturated.
+RARE = 1 / 50  # Fraction of the scenes by which two values may differ.
 CHANGES = (*GROWTH.changes, -0.5, 2.0, -2.0)
 
 
 class Look(NamedTuple):
-    """A scene, the evaluations of the force in its run, and what rounding makes of that."""
+    """A scene, the force evaluations in its run, and the amplification of their rounding errors."""
 
     scene: Scene
     evaluations: int
@@ -42,18 +42,18 @@ class Look(NamedTuple):
 
     @property
     def radians(self) -> float:
-        """The phase of the fastest motion."""
+        """Phase of the fastest motion."""
         return self.scene.highest_frequency * self.scene.duration
 
     @property
     def ratio(self) -> float:
-        """The estimate of round-off over the true one, with the constants as they are now."""
+        """Ratio of estimated and true rounding error, with the current constants."""
         amplified = float(amplify_rounding(self.scene, self.evaluations).max())
         return (amplified + native_floor(self.evaluations, self.radians)) / self.rounding
 
 
 def look(scene: Scene) -> Look | None:
-    """Measure the rounding of a run; None if the scene amplifies none, or too much."""
+    """Measure the rounding error of a run; None if it is not amplified, or too much."""
     try:
         rounding = measured_floor(scene, force="exact")
     except RunFailed:
@@ -65,7 +65,7 @@ def look(scene: Scene) -> Look | None:
 
 
 def field(name: str, values: tuple, found: list[Look]) -> Row:
-    """Return the row of a field: of how many scenes the round-off is allowed for."""
+    """Return the row of a field: the fraction of scenes with a sufficient estimate."""
     shipped = getattr(GROWTH, name)
     number = len if name == "changes" else float
     parts = {}

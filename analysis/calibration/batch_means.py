@@ -1,4 +1,4 @@
-"""Measure how batches of time averages are chosen, and the first step: BATCHING, ENERGY_ERRORS.
+"""Measure the choice of batches of time averages, and of the first step: BATCHING, ENERGY_ERRORS.
 
 Sequences whose memory is known (autoregressive ones, over 0 to 4 stretches) have an interval or
 none: BATCHING.resemblance is supported up to where of those with one 93 in 100 cover, from where
@@ -23,13 +23,13 @@ from lmpchain.simulation.batch_means import BATCHING, estimate
 from lmpchain.simulation.time_averages import ENERGY_ERRORS
 
 THRESHOLDS = (0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7)
-COVERED = 0.93  # of intervals of 95 %, scatter and the worst memories included
+COVERED = 0.93  # Required coverage of 95 % intervals, with scatter and the longest correlations.
 PER_STRETCH = 8
-FACTOR = 4.0  # by which an energy error may be off that only sets a first step
+FACTOR = 4.0  # Factor by which an energy error that only sets a first step may be wrong.
 
 
 def sequence(rng: np.random.Generator, stretches: float) -> np.ndarray:
-    """Return means over stretches of an AR(1) sequence with this memory in stretches, (1, S)."""
+    """Return means over stretches of an AR(1) sequence with this correlation length, (1, S)."""
     memory = math.exp(-1 / (stretches * PER_STRETCH)) if stretches else 0.0
     noise = math.sqrt(1 - memory**2) * rng.normal(size=BATCHING.stretches * PER_STRETCH)
     values, _ = lfilter([1.0], [1.0, -memory], noise, zi=[memory * rng.normal()])
@@ -37,7 +37,7 @@ def sequence(rng: np.random.Generator, stretches: float) -> np.ndarray:
 
 
 def resemblance(trials: int) -> Row:
-    """Return the largest correlation of neighbours for which intervals cover."""
+    """Return the largest correlation of neighbours for which intervals cover the mean."""
     rng = np.random.default_rng(1)
     memories = rng.choice([0.0, 0.1, 0.3, 0.6, 1.2, 2.0], trials)
     means = [sequence(rng, memory) for memory in memories]
@@ -55,7 +55,7 @@ def resemblance(trials: int) -> Row:
 
 
 def energy_errors(strengths: int) -> list[Row]:
-    """Return the errors of the energy in units of the phase of a step."""
+    """Return the energy errors in units of the phase per step."""
     wobble, walk, smooth = [], [], []
     for number in range(strengths):
         grains = (8, 20, 38)[number % 3]

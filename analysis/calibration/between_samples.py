@@ -1,4 +1,4 @@
-"""Measure how far off the motion between samples may be.
+"""Measure the error of the motion between samples.
 
 SHAPE.safety, RESOLVED and RESOLVED_BY_DIFFERENCES.
 
@@ -30,13 +30,13 @@ from lmpchain.measure import motion
 from lmpchain.measure.motion import Motion
 from lmpchain.trajectory.between.hermite import SHAPE
 
-DENSE = 0.12  # omega h of the truth
+DENSE = 0.12  # Value of omega h of the reference.
 TOLERANCE = 1e-9
 FRACTION = 0.5
 
 
 def trials(count: int, seed: int) -> Iterator[tuple[Trajectory, Trajectory]]:
-    """Yield trajectories with many samples, and the same with few."""
+    """Yield trajectories with many samples, and the same trajectories with few samples."""
     rng = np.random.default_rng(seed)
     found = 0
     while found < count:
@@ -83,7 +83,7 @@ def read_off(t: Trajectory, equation: int = 1) -> dict[str, tuple[np.ndarray, np
 
 
 def ratios(many: Trajectory, few: Trajectory, equation: int = 1) -> dict[str, float]:
-    """Return the largest true error over the claimed one of every quantity."""
+    """Return the largest ratio of true and stated error of every quantity."""
     true = read_off(many, equation=1)
     seen = read_off(few, equation)
     worst = {}

@@ -23,8 +23,8 @@ from lmpchain import Scene
 from lmpchain.engines.native import Native
 from lmpchain.engines.step_control import PATIENCE
 
-MOST_STEPS = 200_000  # of one run
-PATIENT = 20  # attempts, more than PATIENCE has
+MOST_STEPS = 200_000  # Largest number of steps of a run.
+PATIENT = 20  # Number of attempts, larger than in PATIENCE.
 TOLERANCES = (1e-4, 1e-6, 1e-8)
 
 
@@ -36,12 +36,12 @@ class Story(NamedTuple):
 
     @property
     def ratios(self) -> list[float]:
-        """Each error over that of the previous attempt."""
+        """Ratio of each error to the error of the previous attempt."""
         return [after / before for before, after in pairwise(self.truncations)]
 
     @property
     def turn(self) -> float:
-        """The largest PATIENCE.stalled at which these attempts would be given up."""
+        """The largest PATIENCE.stalled at which these attempts would be stopped."""
         ends = len(self.ratios) - PATIENCE.stalls + 1
         return max((min(self.ratios[k : k + PATIENCE.stalls]) for k in range(ends)), default=0.0)
 
@@ -56,7 +56,7 @@ class Story(NamedTuple):
 
 
 def story(scene: Scene, tolerance: float) -> Story | None:
-    """Try a scene until it is answered, or round-off is too much, or the steps are too many."""
+    """Try a scene until it is solved, rounding dominates, or there are too many steps."""
     engine = Native("rkn6")
     candidate = proposal(engine, scene, tolerance)
     truncations: list[float] = []

@@ -1,4 +1,4 @@
-"""What the calibration scripts share: rows and their table, arguments, runs, true errors."""
+"""Common parts of the calibration scripts: rows and tables, arguments, runs, true errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ ALL_BUT_ONE = 0.99
 
 
 class Row(NamedTuple):
-    """A constant.
+    """A measured constant.
 
     Its value in the code, the value measured, and the interval that the measurement supports.
     """
@@ -110,7 +110,7 @@ class Answer:
 
 
 def answer(engine: Engine, scene: Scene, candidate: Proposal) -> Answer | None:
-    """Run a candidate; None if the run breaks down."""
+    """Run a candidate; return None if the run breaks down."""
     motion = np.zeros((2, scene.samples, scene.recorded.size))
     run = engine.start([scene], candidate)
     try:
@@ -135,7 +135,7 @@ def answer(engine: Engine, scene: Scene, candidate: Proposal) -> Answer | None:
 
 
 def _companions(run: Run) -> tuple[tuple[float, ...], float]:
-    """Return distances of the auxiliary runs from the run, and the lowest r / eps of all."""
+    """Return distances of the auxiliary runs from the main run, and the lowest r / eps of all."""
     if not isinstance(run, SteppingRun):
         return (), 0.0
     peaks = np.where(run.monitor.peaks[0] > 0, run.monitor.peaks[0], 1.0)
@@ -153,13 +153,13 @@ def with_reach(scene: Scene, candidate: Proposal, reach: float) -> Proposal:
 
 
 def sampled(candidate: Proposal, count: int) -> Proposal:
-    """Return a proposal with this number of steps per sample interval."""
+    """Return a proposal with this number of steps per sampling interval."""
     return candidate.with_steps(candidate.steps.sampled.shorten(count))
 
 
 @contextmanager
 def changed(record: Any, **values: object) -> Iterator[None]:
-    """Change fields of a frozen record of constants in every module that knows it by name."""
+    """Change fields of a frozen record of constants in all modules that import it."""
     other = replace(record, **values)
     modules = [module for name, module in sys.modules.items() if name.startswith("lmpchain")]
     with ExitStack() as stack:
@@ -170,7 +170,7 @@ def changed(record: Any, **values: object) -> Iterator[None]:
 
 
 def proposal(engine: Engine, scene: Scene, tolerance: float) -> Proposal | None:
-    """Return the proposal of the engine, or None if it cannot meet the tolerance."""
+    """Return the proposal of the engine; None if it cannot meet the tolerance."""
     try:
         return engine.propose(scene, tolerance)
     except ToleranceNotMet:
@@ -179,7 +179,7 @@ def proposal(engine: Engine, scene: Scene, tolerance: float) -> Proposal | None:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A scene with its true motion, found once.
+    """A scene with its true motion, computed once.
 
     Taylor series in extended precision, independent of all engines.
     """
@@ -208,7 +208,7 @@ class Case:
 
     @property
     def known(self) -> bool:
-        """Whether the reference could be found, and is known to 1e-12."""
+        """Whether the reference exists and is accurate to 1e-12."""
         try:
             return self.reference.error < 1e-12
         except RunFailed:
@@ -222,13 +222,13 @@ def distance(motion: np.ndarray, true: np.ndarray) -> float:
 
 
 def quantile(values: Iterable[float], part: float) -> float:
-    """Return a quantile; NaN of nothing."""
+    """Return a quantile; NaN for an empty list."""
     values = np.array(list(values), dtype=float)
     return float(np.quantile(values, part)) if values.size else math.nan
 
 
 def best(work: Callable[[], object], repeats: int) -> float:
-    """Return the shortest time of some, s."""
+    """Return the shortest of several times, s."""
     times = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -238,7 +238,7 @@ def best(work: Callable[[], object], repeats: int) -> float:
 
 
 def near_best(costs: dict[float, float], within: float = 1.1) -> tuple[float, float, float]:
-    """Return the value of least cost, and the range of values that cost 10 % more at most."""
+    """Return the value of least cost, and the range of values of at most 10 % higher cost."""
     best = min(costs, key=lambda value: costs[value])
     good = [value for value, cost in costs.items() if cost <= within * costs[best]]
     return best, min(good), max(good)
@@ -254,7 +254,7 @@ class Job(NamedTuple):
 
     @property
     def work(self) -> float:
-        """Evaluations of the force in all attempts together.
+        """Number of force evaluations in all attempts together.
 
         Infinite if the tolerance is not met.
         """
@@ -281,7 +281,7 @@ class Job(NamedTuple):
 def row_of_work(
     record: Any, field: str, values: Sequence[float], jobs: Sequence[Job], what: str
 ) -> Row:
-    """Return the row of a field by which steps are chosen.
+    """Return the row of a field that affects the choice of steps.
 
     Supported within 10 % of the least work.
     """
@@ -301,7 +301,7 @@ def row_of_work(
 
 
 def label(record: Any, field: str) -> str:
-    """Return the name of a field of a record as the code has it, such as TRUST.safety."""
+    """Return the name of a field of a record as in the code, such as TRUST.safety."""
     module = sys.modules[type(record).__module__]
     name = next(name for name, value in vars(module).items() if isinstance(value, type(record)))
     return f"{name}.{field}"

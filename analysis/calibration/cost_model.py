@@ -32,15 +32,15 @@ from lmpchain.engines.stepping.time_stepping import EVALUATION_OVERHEAD
 from lmpchain.integrators.kernels.chebyshev import SPAN, terms
 from lmpchain.simulation.api import simulate
 
-FACTOR = 3.0  # between machines, and between a time and its estimate
-PARTS = {  # of `work`: names of its literals, in their order
+FACTOR = 3.0  # Factor between machines, and between a time and its estimate.
+PARTS = {  # Names of the literals of `work` in their order.
     "modes": ("5.5e-11 N^3", "6e-8 N a look"),
     "chebyshev": ("7e-10 (N + 100) a polynomial", "1.3e-8 N a look"),
 }
 
 
 def shaken(grains: int, periods: float, samples: int = 11) -> Scene:
-    """Return a loaded chain whose grains all move, gently."""
+    """Return a loaded chain whose grains all move gently."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
     velocity = 1e-3 * chain.length_scale / chain.time_scale * np.sin(np.arange(grains))
     velocity[chain.movable :] = 0.0
@@ -53,7 +53,7 @@ def shaken(grains: int, periods: float, samples: int = 11) -> Scene:
 
 
 def struck(grains: int, periods: float, samples: int) -> Scene:
-    """Return a loaded chain that is struck on the top, gently, all grains recorded."""
+    """Return a loaded chain with a gentle strike on top, with all grains recorded."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
     return Scene(
         chain=chain,
@@ -64,14 +64,14 @@ def struck(grains: int, periods: float, samples: int) -> Scene:
 
 
 def supported(name: str, shipped: float, measured: float, says: str) -> Row:
-    """Return the row of a time, supported within a factor of three."""
+    """Return the row of a time that is supported within a factor of three."""
     return Row(name, shipped, measured, measured / FACTOR, measured * FACTOR, says)
 
 
 def _stepping(
     engine: Engine, sizes: tuple[int, ...], most: float, repeats: int
 ) -> tuple[float, float]:
-    """Return seconds a grain and force evaluation, with companions, and the overhead in grains."""
+    """Return seconds per grain and evaluation with auxiliary runs, and the overhead in grains."""
     features = []
     times = []
     for grains in sizes:
@@ -95,7 +95,7 @@ def _stepping(
 
 
 def _fitted(features: np.ndarray, times: np.ndarray, shipped: np.ndarray) -> np.ndarray:
-    """Return coefficients that give the times within some 30 %, near the shipped ones."""
+    """Return coefficients that reproduce the times within some 30 %, near the shipped ones."""
 
     def off(logs: np.ndarray) -> np.ndarray:
         told = features @ (shipped * np.exp(logs))
@@ -118,7 +118,7 @@ def _features(name: str, scene: Scene) -> tuple[float, ...]:
 
 
 def _linear(engine: LinearEngine, quick: bool) -> list[Row]:
-    """Return the rows of the literals of `work`, and one of how well shipped ones tell times."""
+    """Return the rows of the literals of `work`, and of the accuracy of the shipped ones."""
     rng = np.random.default_rng(81)
     features = []
     times = []
@@ -222,7 +222,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _formula(quick: bool) -> Row:
-    """Return the row of the closed forms: seconds a value."""
+    """Return the row of the closed forms: seconds per value."""
     engine = Bessel()
     scene = struck(300, 50.0, 31 if quick else 101)
     shipped = (engine.work(scene) - Chebyshev().work(scene)) / (scene.samples * scene.chain.grains)

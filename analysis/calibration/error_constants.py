@@ -24,21 +24,21 @@ from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.native import Native
 from lmpchain.integrators.methods import METHODS
 
-# An error falls with the order of the method between this multiple of the rounding error and this
-# largest error.
+# Errors have the order of the method between this multiple of the rounding error and this largest
+# error.
 CLEAR = 300.0
 LARGEST = 3e-3
-REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # omega h
+REACHES = 2.0 ** -np.arange(-2.0, 6.0)  # Values of omega h.
 
 
 def paper(velocity: float, gravity: float) -> Scene:
-    """Return the paper's column, struck: omega T is 64 at gravity 1."""
+    """Return the paper's struck column: omega T is 64 at gravity 1."""
     chain = Chain(grains=120, diameter=1e-3, gravity=gravity)
     return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=6)
 
 
 def constants(case: Case, name: str) -> list[float]:
-    """Return error / (omega h)^order at omega T = 60, for steps at which that is clear."""
+    """Return error / (omega h)^order at omega T = 60, for steps at which it is constant."""
     method = METHODS[name]
     scene = case.scene
     found = []

@@ -1,4 +1,4 @@
-"""Measure what fits call a solitary wave, SOLITARY, and a weak strike, WEAK_STRIKE.
+"""Measure the thresholds of fits for solitary waves, SOLITARY, and weak strikes, WEAK_STRIKE.
 
 Exact solitary waves of several exponents and speeds, under a load and without, run through uniform
 chains, recorded at few and many samples; so do strikes of loaded chains that are too weak to make
@@ -28,12 +28,12 @@ from lmpchain.theory import soliton
 GRAINS = 80
 START = 20.0
 END = 60.0
-TOO_LITTLE = 0.01  # relative error of peak velocities
+TOO_LITTLE = 0.01  # Relative error of peak velocities.
 DEPTHS = slice(1, 60)
 
 
 def told(trajectory: Trajectory) -> tuple[float, float] | None:
-    """Return the scatter of the height, and how far speed and width are from the exact ones.
+    """Return the scatter of the height, and the deviations of speed and width from the exact wave.
 
     None if nothing passes.
     """
@@ -83,7 +83,7 @@ def _unit(chain: Chain) -> float:
 
 
 def other_waves(quick: bool) -> list[float]:
-    """Return by how much, over the larger threshold, strikes without a solitary wave stand out."""
+    """Return the excess over the larger threshold of strikes without a solitary wave."""
     found = []
     for number in (0.01, 0.3) if quick else (0.01, 0.03, 0.1, 0.3, 1.0):
         for load in (1e-3,) if quick else (1e-3, 1.0):

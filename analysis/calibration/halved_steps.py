@@ -26,22 +26,22 @@ from lmpchain.orbits import mesh as meshes
 from lmpchain.orbits import normal_mode, shooting
 from lmpchain.orbits.shooting import NEWTON
 
-REACHES = (0.8, 0.4, 0.2, 0.1)  # omega h
+REACHES = (0.8, 0.4, 0.2, 0.1)  # Values of omega h.
 METHODS = ("verlet", "rkn4", "rkn6", "kahan-li8")
-CHANGE = 1e-5  # relative, of differences of Taylor series
-KNOWN = 1e-6, 0.3  # errors of gradients, between which they are known and obey an order
-COARSE = (1.6, 1.2, 0.8, 0.6)  # omega h of the orbits whose error is to be found
+CHANGE = 1e-5  # Relative step of differences of Taylor series.
+KNOWN = 1e-6, 0.3  # Range of gradient errors that are known and follow an order.
+COARSE = (1.6, 1.2, 0.8, 0.6)  # Values of omega h of the orbits whose error is measured.
 MARGIN = 1.5
 LOOSE = 10.0
 
 
 def momentum(scene: Scene) -> float:
-    """Return the true momentum of the first grain at the end."""
+    """Return the true final momentum of the first grain."""
     return float(scene.chain.masses[0] * Case(scene).motion[1, -1, 0])
 
 
 def true_gradients(scene: Scene) -> dict[str, np.ndarray]:
-    """Return the derivatives of that momentum by differences of Taylor series."""
+    """Return the derivatives of this momentum by differences of Taylor series."""
     found = {}
     u, v = scene.initial()
     for name, values in (("masses", scene.chain.masses), ("velocity", v)):
@@ -64,7 +64,7 @@ def true_gradients(scene: Scene) -> dict[str, np.ndarray]:
 
 
 def needed(scene: Scene) -> list[float]:
-    """Return the factors that claimed errors of gradients of a scene would need."""
+    """Return the factors that the error estimates of a scene's gradients would need."""
     true = true_gradients(scene)
     factors = []
     for name in METHODS:
@@ -83,7 +83,7 @@ def needed(scene: Scene) -> list[float]:
 
 
 def of_gradients(count: int) -> list[float]:
-    """Return the factors that random scenes need, half of which open contacts."""
+    """Return the factors needed by random scenes, half of which open contacts."""
     factors: list[float] = []
     ranges = {
         "grains": (2, 3, 5),
@@ -105,7 +105,7 @@ def of_gradients(count: int) -> list[float]:
 
 
 def of_orbits(count: int) -> list[float]:
-    """Return the factors that nonlinear normal modes of random chains need."""
+    """Return the factors needed by nonlinear normal modes of random chains."""
     rng = np.random.default_rng(173)
     factors = []
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""Measure when a cut at the light cone pays: CUT.share of the cut, and WINDOW_MIN.
+"""Measure when a cut at the light cone is worthwhile: CUT.share, and WINDOW_MIN.
 
 CUT.share: the time to answer a scene with the grains that the wave reaches over that with all of
 them, for cuts that leave more and more; the largest part that saves anything is measured.
@@ -29,7 +29,7 @@ from lmpchain.scene.facts import CUT
 
 
 def struck(grains: int, periods: float, strike_number: float = 0.01, samples: int = 11) -> Scene:
-    """Return a column that is struck on the top."""
+    """Return a column with a strike on top."""
     chain = Chain(grains=grains, diameter=1e-3)
     velocity = strike_number * chain.length_scale / chain.time_scale
     duration = periods * chain.time_scale
@@ -39,7 +39,7 @@ def struck(grains: int, periods: float, strike_number: float = 0.01, samples: in
 
 
 def through(engine: Engine, scene: Scene, candidate: Proposal) -> None:
-    """Run a scene."""
+    """Run a scene without storing it."""
     run = engine.start([scene], candidate)
     for _ in run.blocks():
         pass
@@ -55,7 +55,7 @@ def _cut(engine: Engine, quick: bool) -> Row:
     for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
         scene = struck(math.ceil(needed / part), periods)
         times = []
-        for worth in (1.1, 0.0):  # always, and never
+        for worth in (1.1, 0.0):  # Always, and never.
             with mock.patch.object(facts, "CUT", dataclasses.replace(CUT, share=worth)):
                 run = partial(fresh, engine, scene)
                 times.append(best(run, repeats))
@@ -77,7 +77,7 @@ def _cut(engine: Engine, quick: bool) -> Row:
 
 
 def fresh(engine: Engine, scene: Scene) -> None:
-    """Answer a scene of which nothing is known yet."""
+    """Solve a scene for which nothing is cached."""
     new = Scene(**scene.given())
     part = engine.part(new)
     through(engine, part, engine.propose(part, 1e-4))

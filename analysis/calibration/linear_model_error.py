@@ -41,15 +41,15 @@ from lmpchain.simulation.api import simulate
 from lmpchain.stability.linear_theory import LINEAR, STEEPEST
 from lmpchain.theory.domain import exponents
 
-SMALL = 0.3  # errors above it saturate
-LOW = 3.0  # an estimate may be below the truth by so much
-DEPTH = 20  # grain whose peak is followed
-MARGIN = 1.5  # over what any scene needs of a bound, for those that were not drawn
-TRUTH = 1e-9  # tolerance of the nonlinear solution
+SMALL = 0.3  # Larger errors saturate.
+LOW = 3.0  # Factor by which an estimate may be below the true error.
+DEPTH = 20  # Grain whose peak is followed.
+MARGIN = 1.5  # Factor on the largest bound that any scene needs, for scenes that were not drawn.
+TRUTH = 1e-9  # Tolerance of the nonlinear solution.
 
 
 def phase_error(scene: Scene) -> PhaseError:
-    """Return the extremes of a linear solution, as a run of the engine evaluates them."""
+    """Return the extremes of a linear solution, evaluated as in a run of the engine."""
     run = Modes().start([scene], Modes().propose(scene, 1.0))
     for _ in run.blocks():
         pass
@@ -57,7 +57,7 @@ def phase_error(scene: Scene) -> PhaseError:
 
 
 def nonlinear(scene: Scene) -> np.ndarray | None:
-    """Return the nonlinear motion (2, T, G); None where it is not known."""
+    """Return the nonlinear motion (2, T, G); None if it is unknown."""
     try:
         run = simulate(scene, Native(), TRUTH)
     except (ToleranceNotMet, RunFailed):
@@ -73,14 +73,14 @@ def linear(scene: Scene) -> np.ndarray:
 
 
 class Held(NamedTuple):
-    """The true error of linear theory in a scene, and what the package says of it."""
+    """The true error of linear theory in a scene, and the package's estimates."""
 
     true: float
     found: PhaseError
 
 
 def held(scenes: list[Scene]) -> list[Held]:
-    """Hold linear theory against the nonlinear motion."""
+    """Compare linear theory with the nonlinear motion."""
     rows = []
     for scene in scenes:
         if not Modes().refuses(scene) and (true := nonlinear(scene)) is not None:
@@ -89,14 +89,14 @@ def held(scenes: list[Scene]) -> list[Held]:
 
 
 class Need(NamedTuple):
-    """What a scene asks of a factor: with the other parts as they are, and alone."""
+    """The factor that a scene requires, with the other parts as they are, and alone."""
 
     beside: float
     alone: float
 
 
 def _part(wanted: float, unit: float, instead: float) -> Need:
-    """Return the factor of `unit` that gives the wanted value, or `instead` if that gives it."""
+    """Return the factor of `unit` that gives the wanted value; `instead` if it is large enough."""
     return Need(0.0 if wanted <= instead else wanted / unit, wanted / unit)
 
 
@@ -106,7 +106,7 @@ def _strays(x: Held) -> Need:
 
 
 def _factor(name: str, shipped: float, needs: list[Need]) -> Row:
-    """Return the row of a factor: fitted on every other scene, held to the rest."""
+    """Return the row of a factor: fitted on every other scene, and tested on the others."""
     fitted = needs[::2]
     other = needs[1::2]
     enough = sum(need.beside <= shipped for need in other)
@@ -120,7 +120,7 @@ def _factor(name: str, shipped: float, needs: list[Need]) -> Row:
 
 
 def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
-    """Return the rows of the factors of bounds, of which the largest has to hold always."""
+    """Return the rows of the factors of bounds, the largest of which must always hold."""
     rows = []
     for name, asking in (("doubt", found), ("steepens", trains)):
         factor = getattr(FACTORS, name)
@@ -147,7 +147,7 @@ def _bounds(found: list[Held], trains: list[Held]) -> list[Row]:
 
 
 def _large(found: list[Held]) -> Row:
-    """Return the row of the bound from which on it is given as 1."""
+    """Return the row of the bound from which the estimate is 1."""
     bounds = [(FACTORS.doubt * x.found.scattered, x.true) for x in found]
     least = min((bound for bound, true in bounds if bound < min(true, 1.0)), default=1.0)
     says = f"least bound that is below the truth, of {len(found)} scenes"
@@ -155,7 +155,7 @@ def _large(found: list[Held]) -> Row:
 
 
 def columns(quick: bool) -> list[Scene]:
-    """Return struck columns of few grains over ten passages, from weak to a strain of 0.99."""
+    """Return struck columns of few grains over ten passages, up to a strain of 0.99."""
     scenes = []
     for exponent in (1.5,) if quick else (1.1, 1.3, 1.5, 1.8, 2.2):
         for grains in (2,) if quick else (2, 3, 4, 8):
@@ -207,7 +207,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _evenly(scenes: list[Scene]) -> Row:
-    """Return the row of evenly.
+    """Return the row of the constant `evenly`.
 
     The fewest looks with which 19 in 20 bounds are within 30 % of those of many looks.
     """
@@ -250,7 +250,7 @@ def _errors(
     found, true = (np.array([run.displacement, run.velocity]) for run in runs)
     try:
         peaks = [track(run).between(DEPTH, DEPTH).amplitude[0] for run in runs]
-    except (InputError, IndexError):  # no front has passed so deep
+    except (InputError, IndexError):  # No front has passed at this depth.
         peaks = []
     return {
         "velocity": float(np.linalg.norm((found - true)[1, -1]) / np.linalg.norm(true[1, -1])),
@@ -261,7 +261,7 @@ def _errors(
 
 
 def _spread(norm: str, delta: float) -> float:
-    """Return by how much a norm grows with depth."""
+    """Return the growth of a norm with depth."""
     return float(DEPTH ** (0.75 * exponents(delta)[0] - 0.5)) if norm == "peak" else 1.0
 
 

@@ -1,4 +1,4 @@
-"""Measure what linear theory says of contacts that may open, and of waves in resonance.
+"""Measure linear theory's predictions of contact openings, and of waves in resonance.
 
 Opening and FEW.
 
@@ -30,7 +30,7 @@ from lmpchain.engines.linear.model_error import LOOKS
 from lmpchain.engines.linear.resonance import FEW
 from lmpchain.errors import InputError
 
-FINER = 16  # evaluations over those of a look
+FINER = 16  # Ratio of the numbers of evaluations.
 # Range of the lowest strain in which a coarse evaluation first reports an opening.
 AROUND = (0.96, 1.04)
 BISECTIONS = 10
@@ -50,7 +50,7 @@ def lowest(scene: Scene, per_radian: float) -> float:
 
 
 def seen(scene: Scene) -> float:
-    """Return the lowest strain as a look sees it over the true one.
+    """Return the ratio of the lowest evaluated strain to the true one.
 
     It says that a contact opens from `opening` on.
     """
@@ -67,12 +67,12 @@ def seen(scene: Scene) -> float:
 
 
 def _open(scenes: list[Scene]) -> Row:
-    """Return the row of opening: what looks may miss of the lowest strain."""
+    """Return the row of `opening`: the part of the lowest strain that evaluations may miss."""
     parts = []
     for scene in scenes:
         try:
             parts.append(seen(scene))
-        except InputError:  # so strong that a law does not hold
+        except InputError:  # The strike is beyond the range of a law.
             continue
     least = min(parts)
     one = quantile(parts, 0.01)

@@ -1,4 +1,4 @@
-"""Measure when samples between steps are interpolated, and how well.
+"""Measure when samples between steps are interpolated, and the accuracy.
 
 INTERPOLATION and ROUNDING.interpolated.
 
@@ -31,12 +31,12 @@ from lmpchain.engines.stepping.rounding import ROUNDING, interpolation_loss
 from lmpchain.engines.stepping.step_choice import INTERPOLATION
 from lmpchain.integrators.steps import Steps
 
-STEPS = 8  # from one sample on which one ends to the next
-REPEATS = 7  # of which the shortest time counts
+STEPS = 8  # Number of steps between landings on samples.
+REPEATS = 7  # Number of repetitions, of which the shortest time counts.
 
 
 def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
-    """Return omega h, the error of samples between steps, and that over the law of its rounding.
+    """Return omega h, the error of samples between steps, and its ratio to the rounding law.
 
     None where it is no larger than that of the samples on which steps end.
     """
@@ -61,7 +61,7 @@ def errors(case: Case, passed: int) -> tuple[float, float, float] | None:
 
 
 def samples(cases: list[Case]) -> Iterator[Row]:
-    """Yield the rows of how far off samples between steps are."""
+    """Yield the rows of the errors of samples between steps."""
     steep = []
     slopes = []
     digits = []
@@ -85,7 +85,7 @@ def samples(cases: list[Case]) -> Iterator[Row]:
 
 
 def column(grains: int, samples: int) -> Scene:
-    """Return a column in which all grains move a little, recorded for some hundred radians."""
+    """Return a column in which all grains move slightly, recorded for some hundred radians."""
     chain = Chain(grains=grains, diameter=1e-3)
     velocity = 1e-6 * np.random.default_rng(34).normal(size=grains)
     velocity[chain.movable :] = 0.0
@@ -96,13 +96,13 @@ def column(grains: int, samples: int) -> Scene:
 
 
 def least_times(works: Sequence[Callable[[], object]]) -> list[float]:
-    """Return the shortest time of each, s; they take turns."""
+    """Return the shortest time of each candidate, s; candidates run alternately."""
     rounds = [[best(work, 1) for work in works] for _ in range(REPEATS)]
     return np.min(rounds, axis=0).tolist()
 
 
 def go_through(engine: Native, scene: Scene, candidate: Proposal) -> None:
-    """Run a candidate and keep nothing."""
+    """Run a candidate without storing it."""
     run = engine.start([scene], candidate)
     for _ in run.blocks():
         pass
@@ -110,7 +110,7 @@ def go_through(engine: Native, scene: Scene, candidate: Proposal) -> None:
 
 
 def evaluations(sizes: Sequence[int]) -> Row:
-    """Return the row of what a sample between steps takes."""
+    """Return the row of the cost of a sample between steps."""
     engine = Native("rkn6")
     over = []
     for grains in sizes:
@@ -132,7 +132,7 @@ def evaluations(sizes: Sequence[int]) -> Row:
 
 
 def landings(sizes: Sequence[int]) -> Row:
-    """Return the row of the least steps from landing to landing."""
+    """Return the row of the least number of steps between landings."""
     engine = Native("rkn6")
     values = (2, 4, 8, 16, 32)
     times = []

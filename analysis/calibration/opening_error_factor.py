@@ -1,4 +1,4 @@
-"""Measure where the first step comes from: FIRST_STEP, and OPENING_STEPS.coarse.
+"""Measure the parameters of the first step: FIRST_STEP, and OPENING_STEPS.coarse.
 
 Random scenes are answered at several tolerances with other values of each field. The work is that
 of all attempts together, in evaluations of the force, in the geometric mean over the scenes. A
@@ -39,7 +39,7 @@ TOLERANCES = (1e-3, 1e-6, 1e-9)
 
 
 def jobs(scenes: list[Scene], *engines: Native, tolerances: tuple = TOLERANCES) -> list[Job]:
-    """Return all scenes by all engines at all tolerances."""
+    """Return all scenes with all engines and all tolerances."""
     return [Job(*each) for each in itertools.product(engines, scenes, tolerances)]
 
 
@@ -74,7 +74,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _safe_strain(quick: bool) -> Row:
-    """Return the row of the strain up to which no contact comes near to opening."""
+    """Return the row of the strain up to which no contact nearly opens."""
     engine = Native("rkn6", adaptive=False)
     count = 30 if quick else 150
     strains = []

@@ -1,4 +1,4 @@
-"""Measure how fast a small change grows in struck columns, and the solitary wave's constants.
+"""Measure the growth rate of a small change in struck columns, and constants of the solitary wave.
 
 The growth: two native runs that begin 1e-13 apart, in columns of 6 to 40 grains, strike numbers
 from MEASURED.opening to MEASURED.flying N and 0.1 to 100 g; decades gained while a pulse runs down
@@ -31,7 +31,7 @@ from lmpchain.stability.predictability import (
     reflection_time,
 )
 
-START, END = 1e-11, 1e-4  # how far apart the runs are where growth is fitted
+START, END = 1e-11, 1e-4  # Distances of the runs between which growth is fitted.
 
 
 def column(
@@ -45,7 +45,7 @@ def column(
 
 
 def decades(scene: Scene) -> float:
-    """Return by how many decades a change grows while a pulse runs down and up."""
+    """Return the growth of a change in decades while a pulse travels down and up."""
     try:
         time, apart = growth(scene, accuracy=1e-9)
     except ToleranceNotMet:
@@ -58,12 +58,12 @@ def decades(scene: Scene) -> float:
 
 
 def law(grains: np.ndarray, most: float, scale: float) -> np.ndarray:
-    """Return the decades that the law gives."""
+    """Return the number of decades by the law."""
     return most * (1 - np.exp(-grains / scale))
 
 
 def shipped() -> tuple[float, float]:
-    """Return the two numbers of the law in the code, found from outside."""
+    """Return the two numbers of the law in the code, inferred from its results."""
     sizes = np.array([6, 12, 24, 40])
     values = [growth_rate(scene := column(int(n), 100.0)) * reflection_time(scene) for n in sizes]
     found, _ = curve_fit(law, sizes, values, [1.0, 10.0])
@@ -148,7 +148,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _end(name: str, shipped: float, values: tuple[float, ...], scenes: object, upper: bool) -> Row:
-    """Return the row of an end of the domain.
+    """Return the row of one end of the law's domain.
 
     Values for which the law holds within a factor of two.
     """
@@ -172,7 +172,7 @@ def _solitary() -> list[Row]:
     velocity = 0.01
     chain = Chain(grains=100, diameter=1e-3, gravity=0.0, bottom="free")
     gamma = float(chain.contact_constants[0] / chain.masses[0])
-    guess = gamma**0.4 * velocity**0.2  # grains a second, nearly
+    guess = gamma**0.4 * velocity**0.2  # Approximate speed in grains per second.
     scene = Scene(
         chain=chain,
         excitation=Impulse(velocity=velocity),
@@ -184,7 +184,8 @@ def _solitary() -> list[Row]:
     peaks = [_peak(run.time, run.velocity[:, column]) for column in (0, 1)]
     speed = (grains[1] - grains[0]) / (peaks[1][0] - peaks[0][0])
     height = peaks[1][1] / velocity
-    # reflection_time = 2 N / (a gamma^0.4 (b v)^0.2): only a b^0.2 is seen from outside
+    # The law is reflection_time = 2 N / (a gamma^0.4 (b v)^0.2), so that only a b^0.2 can be
+    # inferred.
     short = Chain(grains=10, diameter=1e-3)
     here = Scene(chain=short, excitation=Impulse(velocity=velocity), duration=1e-4, samples=2)
     constant = (
@@ -210,7 +211,7 @@ def _solitary() -> list[Row]:
 
 
 def _peak(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return when and how high the largest value is, by a parabola."""
+    """Return time and height of the largest value, by a parabola."""
     place = int(np.argmax(values))
     before, here, after = values[place - 1 : place + 2]
     shift = (before - after) / (before - 2 * here + after) / 2

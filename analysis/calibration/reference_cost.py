@@ -1,4 +1,4 @@
-"""Measure how long the independent reference takes: the constants of `expected_seconds`.
+"""Measure the cost of the independent reference: the constants of `expected_seconds`.
 
 Steps of the Taylor series are counted and timed in random scenes with and without openings. The
 first two are times between steps in units of the fastest contact; the others are the time of a step
@@ -21,11 +21,11 @@ from scipy.optimize import nnls
 from lmpchain import Scene
 from lmpchain.benchmark.reference import ANSWER, COST, _Motion, expected_seconds
 
-FACTOR = 3.0  # within which a time is supported: machines differ
+FACTOR = 3.0  # Factor within which a time is supported, because machines differ.
 
 
 def solved(scene: Scene) -> tuple[int, float, float, float]:
-    """Return the steps of the reference, their mean length, the grains in one, and the time, s."""
+    """Return the reference's steps, their mean length, the grains in one, and the time, s."""
     motion = _Motion(scene)
     seen = []
     own = _Motion._step

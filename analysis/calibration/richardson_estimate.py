@@ -42,12 +42,12 @@ from lmpchain.engines.stepping import auxiliary_runs
 from lmpchain.engines.stepping.auxiliary_runs import FEWEST_STEPS, OPENINGS, TRUST
 from lmpchain.integrators.steps import MANY_STEPS
 
-REACHES = (1.6, 0.8, 0.4, 0.2)  # omega h
+REACHES = (1.6, 0.8, 0.4, 0.2)  # Values of omega h.
 SPLITTINGS = ("rkn4", "rkn6", "kahan-li8")
-KNOWN = 0.1  # errors above it obey no order
-CLEAR = 30.0  # times round-off
-RARE = 0.005  # share of estimates by which two values may differ
-WIDE = 3.0  # over the median estimate of the tightest value
+KNOWN = 0.1  # Larger errors follow no order.
+CLEAR = 30.0  # Multiple of the rounding error.
+RARE = 0.005  # Fraction of estimates by which two values may differ.
+WIDE = 3.0  # Factor on the median estimate of the tightest value.
 
 
 class Look(NamedTuple):
@@ -60,20 +60,20 @@ class Look(NamedTuple):
 
     @property
     def ratio(self) -> float:
-        """The estimate over the true error, with the constants as they are now."""
+        """Ratio of estimate and true error, with the current constants."""
         run = answer(self.engine, self.case.scene, self.candidate)
         return run.error.total / self.error if run else math.nan
 
     @property
     def crossings(self) -> float:
-        """The phase of the fastest motion a grain, or in all where something acts on the chain."""
+        """Phase of the fastest motion per grain, or in total for forced scenes."""
         scene = self.case.scene
         crossed = 1 if scene.excitation.does_work else scene.chain.grains
         return scene.highest_frequency * scene.duration / crossed
 
 
 def look(engine: Native, case: Case, candidate: Proposal, opens: bool | None) -> Look | None:
-    """Hold a run against the truth.
+    """Compare a run with the reference.
 
     None where its error is round-off, beyond all order, or contacts do not fit.
     """
@@ -94,7 +94,7 @@ def looks(
     coarse: bool = False,
     reaches: Sequence[float] = REACHES,
 ) -> list[Look]:
-    """Return runs of the scenes at some steps, whose contacts open, do not, or either."""
+    """Return runs of the scenes at some steps, with openings, without, or either."""
     found = []
     for case, name in itertools.product(cases, names):
         engine = Native(name, adaptive=adaptive)
@@ -153,7 +153,7 @@ def field(record: Any, name: str, values: Iterable[float], found: Sequence[Look]
 
 def edge(name: str, shipped: float, steps: Sequence[float], where: Callable[[Look], float],
          found: Sequence[Look]) -> Row:  # fmt: skip
-    """Return the row of how far the first of these steps estimates are bounds, by place."""
+    """Return the row of the range of steps in which estimates are bounds, by position."""
     places = np.array([where(each) for each in found])
     bounds = np.array([each.ratio >= 1 for each in found])
     parts = {}
@@ -169,7 +169,7 @@ def edge(name: str, shipped: float, steps: Sequence[float], where: Callable[[Loo
 
 
 def cases_of(count: int, seed: int, keep: Callable[[Scene], bool], **ranges: object) -> list[Case]:
-    """Draw scenes whose true motion is known."""
+    """Draw scenes with known true motion."""
     return [case for case in map(Case, drawn(count, seed, keep, **ranges)) if case.known]
 
 
@@ -213,7 +213,7 @@ def main(quick: bool = False) -> list[Row]:
 
 
 def _near(cases: list[Case]) -> Row:
-    """Return the row of how low r / eps may fall while the full order of equal steps holds."""
+    """Return the row of the lowest r / eps at which equal steps keep the full order."""
     found = looks(cases, ("rkn6",), False)
     with changed(OPENINGS, near=-2.0):
         steps = (0.0, -0.25, -0.5, -0.75, -1.0)
@@ -221,7 +221,7 @@ def _near(cases: list[Case]) -> Row:
 
 
 def _returning(count: int, quick: bool) -> list[Row]:
-    """Return the rows of scenes in which waves come back to contacts that opened."""
+    """Return the rows of scenes in which waves return to contacts that have opened."""
     rattling = {"grains": (2, 3, 4, 6), "spans": (5.0, 40.0 if quick else 200.0)}
     cases = cases_of(
         2 * count, 11, lambda s: s.largest_strain > 0.5, strength=(-0.5, 2.0), **rattling
@@ -246,7 +246,7 @@ def _returning(count: int, quick: bool) -> list[Row]:
 
 
 def _fewest(count: int) -> Row:
-    """Return the row of the fewest steps of a run whose companions have longer ones."""
+    """Return the row of the fewest steps of a run whose auxiliary runs have longer ones."""
     calm = {"strength": (-4.0, 0.0), "spans": (0.5, 6.0)}
     scenes = drawn(2 * count, 6, lambda s: s.largest_strain < 0.3, **calm)
     short = map(Case, (scene.replace(samples=2) for scene in scenes))
@@ -270,7 +270,7 @@ def _fewest(count: int) -> Row:
 
 
 def _landings(cases: list[Case]) -> Row:
-    """Return the row of how many steps lie between two samples where companions land on each."""
+    """Return the row of the number of steps at which auxiliary runs land on each sample."""
     found = []
     for case, name, count in itertools.product(cases, ("rkn4", "dop853"), (9, 17, 33, 65)):
         engine = Native(name)

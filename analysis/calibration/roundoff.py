@@ -1,4 +1,4 @@
-"""Measure round-off: of the native engine, of LAMMPS, which keeps heights, and of linear engines.
+"""Measure rounding errors of the native engine, of heights in LAMMPS, and of linear engines.
 
 Runs at steps of rkn6 with omega h = 0.3 against the same steps in extended precision, so that only
 rounding is left; of linear engines, chains of springs against the Taylor series in extended
@@ -32,11 +32,11 @@ from lmpchain.stability.roundoff import floor as predicted_floor
 from lmpchain.stability.roundoff import measured_floor
 from lmpchain.util.arrays import EPSILON
 
-STEP = 0.3  # omega h
+STEP = 0.3  # Value of omega h.
 
 
 def gentle(count: int, seed: int, **ranges: object) -> list[Scene]:
-    """Draw scenes that cannot be chaotic: short, unless weak, and nothing is driven."""
+    """Draw scenes without chaos: short unless weak, and without forcing."""
     return drawn(
         count, seed, **{"driven": 0.0, "grains": (2, 3, 5, 12, 30), "spans": (2.0, 15.0)} | ranges
     )
@@ -53,7 +53,7 @@ def evaluations(scene: Scene) -> int:
 
 
 def radians(scene: Scene) -> float:
-    """Return the phase of the fastest motion at the end."""
+    """Return the total phase of the fastest motion."""
     return scene.highest_frequency * scene.duration
 
 
@@ -74,7 +74,7 @@ def bound(
 def typical(
     name: str, shipped: float, values: list[float], what: str, high: float = 0.75, wide: float = 1.0
 ) -> Row:
-    """Return the row of a typical value: supported from a quarter of the runs on."""
+    """Return the row of a typical value, which a quarter of the runs must exceed."""
     low, middle, most = (quantile(values, share) for share in (0.25, 0.5, high))
     says = (
         f"{what}, {len(values)} runs: quarter {low:.2g}, half {middle:.2g}, {100 * high:g} % "
@@ -84,7 +84,7 @@ def typical(
 
 
 def _native(count: int) -> Row:
-    """Return the row of the random walk of the native engine: its factor, 1 in the code."""
+    """Return the row of the native engine's random walk: its factor, 1 in the code."""
     ratios = [
         measured_floor(scene, force="exact") / native_floor(evaluations(scene), radians(scene))
         for scene in gentle(count, 51)
@@ -94,7 +94,7 @@ def _native(count: int) -> Row:
 
 
 def _phases(count: int) -> Row:
-    """Return the row of ROUNDING.phase: what rounding makes of long runs, less the random walk."""
+    """Return the row of ROUNDING.phase: rounding of long runs in excess of the random walk."""
     weak = {"strength": (-4.0, -0.5), "kinds": ("gravity", "load"), "grains": (2, 3, 5)}
     shifts = []
     for scene in gentle(count, 57, spans=(100.0, 500.0), **weak):
@@ -105,7 +105,7 @@ def _phases(count: int) -> Row:
 
 
 def _flight(count: int) -> Row:
-    """Return the row of ROUNDING.drift: two equal grains fly apart.
+    """Return the row of ROUNDING.drift, from two equal grains that fly apart.
 
     The sum of their displacements is that of one at t = 0.
     """
@@ -127,7 +127,7 @@ def _flight(count: int) -> Row:
 
 
 def _creeping(count: int) -> Row:
-    """Return the row of ROUNDING.reduced: damped springs that a force loads slowly."""
+    """Return the row of ROUNDING.reduced, from slowly loaded damped springs."""
     lost = []
     rng = np.random.default_rng(62)
     while len(lost) < count:
@@ -212,7 +212,7 @@ def _bursts(count: int) -> Row:
 
 
 def _plain(count: int) -> list[Row]:
-    """Return the rows of ROUNDING.plain and STRONG: what the plain form of the force loses."""
+    """Return the rows of ROUNDING.plain and STRONG: the loss of the plain form of the force."""
     lost = []
     strong = []
     ranges = {"kinds": ("gravity", "load"), "exponents": (1.5,)}
@@ -235,7 +235,7 @@ def _plain(count: int) -> list[Row]:
 
 
 def _lammps(count: int) -> list[Row]:
-    """Return the rows of the random walk of LAMMPS: an upper bound and a typical value."""
+    """Return the rows of the random walk in LAMMPS: an upper bound and a typical value."""
     ratios: list[float] = []
     for scene in gentle(count, 54, strength=(-4.0, 2.0), exponents=(1.5,)):
         if Lammps().refuses(scene):
@@ -278,7 +278,7 @@ def _headroom(count: int) -> Row:
 
 
 def _linear(count: int) -> list[Row]:
-    """Return the rows of the round-off of linear engines: factors of their laws, 1 in the code."""
+    """Return the rows of rounding in linear engines: factors of their laws, 1 in the code."""
     scenes = [
         Case(scene)
         for scene in gentle(

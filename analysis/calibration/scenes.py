@@ -1,4 +1,4 @@
-"""Random scenes for the calibration: all exponents, ends, loads and excitations, weak to strong."""
+"""Random scenes for the calibration: all exponents, ends, loads and excitations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def draw(
     driven: float = 0.15,
     samples: int = 11,
 ) -> Scene:
-    """Draw a scene that is accepted.
+    """Draw a valid scene.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def drawn(
 
 
 def trains(count: int, seed: int) -> list[Scene]:
-    """Return long uniform chains in which a packet or a driven wave makes two passages at most."""
+    """Return long uniform chains in which a packet or driven wave makes at most two passages."""
     rng = np.random.default_rng(seed)
     found = list[Scene]()
     while len(found) < count:
@@ -104,7 +104,7 @@ def _chain(rng: np.random.Generator, exponent: float, kind: str, grains: int) ->
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency.
+    """Return the units of length and frequency.
 
     Of the contact at this grain, or in the vacuum of a strike of random speed.
     """

@@ -1,4 +1,4 @@
-"""Measure how long steps may be in struck chains: TRUSTED, FIRST_STEP.safe_strain, and `limit`.
+"""Measure the longest steps in struck chains: TRUSTED, FIRST_STEP.safe_strain, and `limit`.
 
 Loaded chains of 12 grains are struck from v0* = 0.01 to 1e4, and the longest step with which they
 hold is found by bisection (`blow_up`): a run breaks where a grain has more energy than there is. It
@@ -23,7 +23,8 @@ from lmpchain.stability.pre_run import TRUSTED
 from lmpchain.stability.step_limit import blow_up, limit
 
 NUMBERS = np.geomspace(1e-2, 1e4, 7)
-DOCUMENTED = {  # by `limit`: where runs of a hundred periods break, over the law
+# Documented by `limit`: breakdown of runs of a hundred periods, relative to the law.
+DOCUMENTED = {
     "verlet": (0.93, 1.0), "kahan-li6": (0.88, 1.0), "dop853": (0.68, 1.02), "rkn4": (1.3, 1.6),
     "rkn6": (2.5, 3.1),
     "kahan-li8": (1.0, 1.5), "gear4": (1.2, 2.4),
@@ -40,7 +41,7 @@ def loaded(strike_number: float, periods: float, grains: int = 12, exponent: flo
 
 
 def main(quick: bool = False) -> list[Row]:
-    """Return a row for each constant, and one for each range in the docstring of `limit`."""
+    """Return a row for each constant, and for each range in the docstring of `limit`."""
     long = 60 if quick else 300
     numbers = (1.0, 100.0) if quick else NUMBERS
     chains = ((12, 1.5),) if quick else ((12, 1.5), (3, 1.5))

@@ -1,4 +1,4 @@
-"""Measure how a step is shortened after a run that missed: STEP_CONTROL.
+"""Measure the shortening of a step after a missed tolerance: STEP_CONTROL.
 
 Random scenes are answered from a first step that is a few or many times too long, with other values
 of each field. The work is that of all attempts together, in evaluations of the force, in the
@@ -23,7 +23,7 @@ from lmpchain.engines.stepping.step_choice import STEP_CONTROL
 def jobs(
     scenes: list[Scene], names: tuple[str, ...], tolerances: tuple[float, ...], longer: float
 ) -> list[Job]:
-    """Return all of the scenes by all methods, each at one of the tolerances."""
+    """Return all scenes with all methods, each at one of the tolerances."""
     return [
         Job(Native(name), scene, tolerance, longer)
         for name in names

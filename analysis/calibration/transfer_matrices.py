@@ -1,4 +1,4 @@
-"""Measure WARM_UP, the share of every random chain that transfer matrices pass before they count.
+"""Measure WARM_UP, the initial fraction of every random chain that transfer matrices ignore.
 
 The share of modes below some frequencies of Dyson's solvable chains, found in many short ones, is
 held against his exact result; the Lyapunov exponent against that of chains a hundred times as long.
@@ -24,7 +24,7 @@ from lmpchain.theory import dyson
 
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4)
 SHAPES = (1.0, 3.0, 10.0)
-FREQUENCIES = np.array([0.1, 0.3, 0.7, 1.2])  # over the band edge of the mean chain
+FREQUENCIES = np.array([0.1, 0.3, 0.7, 1.2])  # Relative to the band edge of the mean chain.
 CHAINS = 16
 HARDLY = 0.5
 NEARLY = 1.1

@@ -1,4 +1,4 @@
-"""A delay line: bead diameters that let a pulse arrive later by a given time, hardly weaker.
+"""A delay line: bead diameters that delay a pulse by a given time with little loss.
 
 A soft push travels down steel beads under a load. Of 20 beads in the middle each may have 0.8 to
 1.8 times the diameter of the others; the delay wanted is 10 times what a pulse takes from bead to
@@ -51,13 +51,11 @@ LOW = np.full(BEADS, SIZE)
 HIGH = np.full(BEADS, SIZE)
 LOW[PIECE] = 0.8 * SIZE
 HIGH[PIECE] = 1.8 * SIZE
-PRECISION = 0.1  # of the delay, in UNIT: what matters as much as all of the peak
+PRECISION = 0.1  # Error of the delay, in UNIT, with the same weight as the whole peak.
 
 
 class Late:
-    """The squared error of the delay, over its precision, and the squared loss of the peak, of it
-    at first.
-    """
+    """The squared relative error of the delay plus the squared relative loss of the peak."""
 
     dense = True
 
@@ -68,7 +66,7 @@ class Late:
         self.rise = rise
 
     def grains(self, scene: Scene) -> list[int]:
-        """Return the beads of both."""
+        """Return the grains of both objectives."""
         return sorted({*self.arrival.grains(scene), *self.peak.grains(scene)})
 
     def __call__(self, seen: Seen) -> Slopes:
@@ -93,7 +91,7 @@ def seen_at_the_end(scene: Scene) -> Seen:
 
 
 def delay_of_long_waves(diameters: np.ndarray) -> float:
-    """Return by how much longer long waves take than in equal beads, in UNIT."""
+    """Return the additional travel time of long waves over that in equal beads, in UNIT."""
     made = CHAIN.replace(diameter=diameters)
     # Each bead has half a contact on either side.
     stiffness = 2 / (1 / made.linear_stiffness[:-1] + 1 / made.linear_stiffness[1:])
@@ -101,9 +99,7 @@ def delay_of_long_waves(diameters: np.ndarray) -> float:
 
 
 def of_delay(shape: np.ndarray) -> np.ndarray:
-    """Return diameters as much larger, by a factor, as the delay of long waves wants; raises where
-    none is enough.
-    """
+    """Return diameters, scaled by a factor, with this delay of long waves; raise if impossible."""
 
     def with_factor(factor: float) -> np.ndarray:
         diameters = np.full(BEADS, SIZE)
@@ -116,12 +112,12 @@ def of_delay(shape: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Search both ways and draw the pulses, the beads and the search."""
+    """Search with both methods, and draw the pulses, the beads and the search."""
     given = arguments(__file__, __doc__)
     starts, runs = (1, 40) if given.quick else (6, 200)
     plain = seen_at_the_end(SCENE)
     threshold = ArrivalTime(END, 0.5 * float(plain.velocity[:, 0].max()))
-    peak = PeakForce(END, sharpness=1e4)  # of a pulse of 2 N beside the load
+    peak = PeakForce(END, sharpness=1e4)  # The peak of a pulse of 2 N in addition to the load.
     begin = threshold(plain).value
     rise = peak(plain).value - LOAD
     wanted = Late(threshold, peak, begin + DELAY * UNIT, rise)

@@ -1,4 +1,4 @@
-"""A filter: masses of three grains that repeat, and stop one band but let a higher one pass.
+"""A filter: three repeated masses that block one band and transmit a higher one.
 
 Packets of waves of 0.45 and of 0.8 of the highest frequency travel down a uniform chain under a
 load, to twelve cells of three grains, whose masses may be a quarter to three times those of the
@@ -42,14 +42,14 @@ FINE = 2**14
 
 
 def with_cells(factors: np.ndarray) -> Chain:
-    """Return the chain with masses of the cells by these factors."""
+    """Return the chain with the masses of its cells multiplied by these factors."""
     masses = np.full(GRAINS, MASS)
     masses[FIRST:LAST] *= np.tile(factors, CELLS)
     return PLAIN.replace(masses=masses, contact_constants=PLAIN.contact_constants)
 
 
 class Way:
-    """A packet of waves, and what a run and what transfer matrices say of it."""
+    """A packet of waves with its transmission by a run and by transfer matrices."""
 
     def __init__(self, share: float):
         packet = Packet(
@@ -78,23 +78,21 @@ class Way:
         )
 
     def passed(self, factors: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the share of the energy that passes, and its derivatives by the
-        factors, by a run.
-        """
+        """Return the transmitted energy fraction and its derivatives by the factors, by a run."""
         scene = self.scene.replace(chain=with_cells(factors))
         value, by_name, _ = self._energy(scene, range(LAST + 1, GRAINS + 1), ("masses",))
         by_factor = MASS * by_name["masses"][FIRST:LAST].reshape(CELLS, CELL).sum(0)
         return value / self.whole, by_factor / self.whole
 
     def by_formula(self, factors: np.ndarray) -> float:
-        """Return the share that passes, by transfer matrices."""
+        """Return the transmitted fraction by transfer matrices."""
         return float(
             scattering.transmission(with_cells(factors), self.frequency).transmitted @ self.weight
         )
 
 
 def main() -> None:
-    """Find the masses both ways, and draw what passes, and the gap."""
+    """Optimise the masses with both methods, and draw the transmission and the gap."""
     given = arguments(__file__, __doc__)
     stop = Way(STOP)
     through = Way(PASS)

@@ -1,4 +1,4 @@
-"""A shock protector of 20 steel beads: diameters that let least force through to a wall.
+"""A shock protector of 20 steel beads: diameters that minimise the force on a wall.
 
 The first bead strikes at 1 m/s; it and the wall are as they are. The other 19 may have half to one
 and a half times its diameter, and all together no more length than 20 equal ones. Random search has
@@ -80,24 +80,20 @@ def random_beads(rng: np.random.Generator) -> Scene:
 
 
 def composite(materials: list[str], diameters: np.ndarray, duration: float = 4e-3) -> Scene:
-    """Return the scene of beads of these materials, which are slower than steel, before the same
-    wall.
-    """
+    """Return the scene of beads of these softer materials, with the same wall."""
     chain = CHAIN.replace(material=materials, diameter=diameters, bottom_material="steel")
     return SCENE.replace(chain=chain, duration=duration, samples=1 + round(duration * 1e5))
 
 
 def best_of(orders: Iterable[list[str]]) -> tuple[float, list[str]]:
-    """Return the least peak of equal beads in some orders, and the order that has it."""
+    """Return the smallest peak of equal beads over some orders, and the best order."""
     return min(
         (float(wall_force(composite(order, CHAIN.diameters))[1].max()), order) for order in orders
     )
 
 
 def family() -> tuple[float, list[str]]:
-    """Return the least peak of some steel beads, PTFE and steel by turns, and some PTFE beads, and
-    their order.
-    """
+    """Return the smallest peak of steel, alternating and PTFE beads in a row, and their order."""
     orders = []
     for hard in range(1, BEADS):
         for soft in range(BEADS - hard + 1):
@@ -107,9 +103,7 @@ def family() -> tuple[float, list[str]]:
 
 
 def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
-    """Return the least peak of the orders of these numbers, whose binary digits say which beads are
-    PTFE.
-    """
+    """Return the smallest peak over orders given as numbers, whose bits mark PTFE beads."""
     return best_of(
         ["steel", *(("steel", "ptfe")[number >> bead & 1] for bead in range(BEADS - 1))]
         for number in numbers
@@ -117,7 +111,7 @@ def best_of_numbers(numbers: range) -> tuple[float, list[str]]:
 
 
 def every_order() -> None:
-    """Print the lowest peak over all orders of equal beads, and the lowest peak of the family."""
+    """Print the smallest peak over all orders of equal beads, and over the family."""
     count = 2 ** (BEADS - 1)
     some = 2**12
     pieces = [range(first, first + some) for first in range(0, count, some)]
@@ -143,7 +137,7 @@ def every_order() -> None:
 
 
 def evolution(seconds: float) -> tuple[float, Scene, int]:
-    """Return the lowest peak that evolution finds in this CPU time, s, its scene and run count."""
+    """Return the smallest peak by evolution in this CPU time, s, its scene, and the run count."""
     best = (np.inf, SCENE)
     tried = 0
     end = time.process_time() + seconds
@@ -170,7 +164,7 @@ def evolution(seconds: float) -> tuple[float, Scene, int]:
 
 
 def draw_beads(axes: Axes, scene: Scene, height: float, colour: str) -> None:
-    """Draw beads one after the other, and the wall, at a height; light materials in white."""
+    """Draw beads in a row, and the wall, at a height; light materials are white."""
     diameters = 1e3 * scene.chain.diameters
     centres = np.cumsum(diameters) - diameters / 2
     light = scene.chain.masses < 5000 * np.pi / 6 * scene.chain.diameters**3
@@ -181,7 +175,7 @@ def draw_beads(axes: Axes, scene: Scene, height: float, colour: str) -> None:
 
 
 def main() -> None:
-    """Search both ways and draw the forces on the wall and the beads."""
+    """Search with both methods, and draw the forces on the wall and the beads."""
     given = arguments(
         __file__, __doc__, all_orders="run all orders of equal beads, and nothing else"
     )

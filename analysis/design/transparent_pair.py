@@ -1,4 +1,4 @@
-"""Two impurities that a wave passes: their masses by optimisation, against scattering theory.
+"""Two transparent impurities: their masses by optimisation, compared with scattering theory.
 
 A packet of waves travels down a uniform chain under a load; of its energy least shall come back
 from two grains side by side, whose masses may be 1.35 to 3 times those of the others, each on its
@@ -27,7 +27,7 @@ START = 2.2
 
 
 def main() -> None:
-    """Find both masses and draw what passes."""
+    """Find both masses, and draw the transmission."""
     given = arguments(__file__, __doc__)
     plain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0, top_load=1.0)
     m = float(plain.masses[0])
@@ -37,7 +37,7 @@ def main() -> None:
         frequency=omega / (2 * np.pi), width=20.0, grain=125, amplitude=1e-5 * plain.length_scale
     )
     u, v = packet.initial(plain)
-    speed = np.sqrt(k / m) * np.cos(np.arcsin(omega / 2 * np.sqrt(m / k)))  # grains a second
+    speed = np.sqrt(k / m) * np.cos(np.arcsin(omega / 2 * np.sqrt(m / k)))  # Grains per second.
     masses = np.full(GRAINS, m)
     masses[[n - 1 for n in PAIR]] *= START
     chain = plain.replace(masses=masses, contact_constants=plain.contact_constants)

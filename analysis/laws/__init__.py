@@ -1,1 +1,1 @@
-"""Laws of failure of methods and theories that only the maps need, and their measurement."""
+"""Laws for the limits of methods and theories that only the maps use, and their measurement."""

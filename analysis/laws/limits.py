@@ -30,13 +30,15 @@ from lmpchain.theory.modes import Eigenmodes, between
 from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import EPSILON, Array
 
-MOST_PRINTED = 143  # m from which m^m in Eq. (23) as printed is beyond the largest double, 1.8e308
-STEADY = 0.05  # omega h of velocity Verlet: the error of a straight column is then negligible
-BEAD, TAU = 1e-3, 14.5  # the paper's beads, m, and its time of 100 us at g, in the unit of tau
+# Smallest m for which m^m in Eq. (23) as printed exceeds the largest double, 1.8e308.
+MOST_PRINTED = 143
+# Value of omega h of velocity Verlet at which the error of a straight column is negligible.
+STEADY = 0.05
+BEAD, TAU = 1e-3, 14.5  # The paper's beads, m, and its time of 100 us at g in units of tau.
 
 
 def vacuum_power(exponent: float, loaded: bool) -> float:
-    """Return p of g^p, by which the solution after a strike tends to that without gravity.
+    """Return p of g^p, by which the solution after a strike converges to that without gravity.
 
     Overlaps at rest shift every contact: without a load they are ``(m g n / K)^(1/delta)``; under a
     load F gravity changes them by ``n m g / F`` of themselves.
@@ -103,7 +105,7 @@ def buckling(chain: Chain, gauge: float = 0.0) -> Eigenmodes:
     last = chain.movable
     apart = (gauge or chain.contact_lengths) - contacts.overlap
     push = contacts.force / apart
-    push[[0, -1]] = 0.0  # load and walls push along the axis
+    push[[0, -1]] = 0.0  # Load and walls push along the axis.
     return between(push[: last + 1], chain.masses[:last])
 
 
@@ -116,8 +118,7 @@ def dyson_rounding(kappa: ArrayLike, m: ArrayLike) -> Array:
 
 
 def front_of_springs(n: ArrayLike) -> Array:
-    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by
-    its series for large orders.
+    """Return Eq. (11) at T = n - 1/2, ``2 J_nu(nu)`` with nu = 2n - 1, by its asymptotic series.
 
     Abramowitz and Stegun, 9.3.31; right to 1e-15 from n = 500 on.
     """
@@ -139,9 +140,7 @@ def bessel_rounding(n: ArrayLike) -> Array:
 
 
 def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
-    """Return the distance of the solution under each gravity from that
-    without; strike 1 cm/s, load in N.
-    """
+    """Return the distances of solutions under gravity from that without; 1 cm/s, load in N."""
 
     def struck(g: float) -> Trajectory:
         chain = Chain(grains=20, diameter=BEAD, gravity=g, top_load=load, exponent=exponent)
@@ -155,9 +154,7 @@ def from_vacuum(gravity: ArrayLike, exponent: float, load: float) -> Array:
 def weak(
     exponent: float, gravity: float = 9.81, velocity: float | None = None, number: float = 0.3
 ) -> Scene:
-    """Return a column of 30 beads until tau = 14.5, struck at a
-    velocity or with a strike number.
-    """
+    """Return a column of 30 beads until tau = 14.5, with a strike velocity or strike number."""
     chain = Chain(grains=30, diameter=BEAD, gravity=gravity, exponent=exponent)
     speed = number * chain.length_scale / chain.time_scale if velocity is None else velocity
     return Scene(
@@ -167,12 +164,12 @@ def weak(
 
 def from_linear(scene: Scene) -> float:
     """Return the error of linear theory against Eq. (1)."""
-    with warnings.catch_warnings(action="ignore"):  # the error is what is measured
+    with warnings.catch_warnings(action="ignore"):  # The error is the measured quantity.
         return _apart(simulate(scene, "modes", 0.9), simulate(scene, "native", 1e-11))
 
 
 def from_springs(scene: Scene) -> float:
-    """Return the distance of v / v0 from Eq.
+    """Return the distance of v / v0 from linear springs.
 
     (19) for springs at the last sample, over the largest.
     """
@@ -204,9 +201,7 @@ def measured_period(scene: Scene) -> float:
 
 
 def squeezing(strain: float) -> Scene:
-    """Return 10 beads under gravity, struck for an overlap of `strain`
-    diameters of two beads alone.
-    """
+    """Return 10 beads under gravity, struck for an overlap of `strain` diameters of two beads."""
     chain = Chain(grains=10, diameter=BEAD)
     power = chain.exponent + 1
     overlap = strain * BEAD
@@ -219,9 +214,7 @@ def squeezing(strain: float) -> Scene:
 
 
 def squeezed(scene: Scene) -> tuple[float, float]:
-    """Return the largest overlap over the diameter, and the distance of
-    LAMMPS from the native engine.
-    """
+    """Return the largest overlap over the diameter, and the difference of LAMMPS and native."""
     native = simulate(scene, "native", 1e-11)
     contacts = scene.chain.contacts
     overlap = (
@@ -232,8 +225,7 @@ def squeezed(scene: Scene) -> tuple[float, float]:
 
 
 def bent(chain: Chain, gauge: float, offset: Array, duration: float, samples: int = 40) -> Array:
-    """Return the largest distance from the axis of a bent column at rest
-    in LAMMPS, (samples + 1,) m.
+    """Return the largest distance from the axis of a bent column in LAMMPS, (samples + 1,) m.
 
     Parameters
     ----------
@@ -267,7 +259,7 @@ def growth(chain: Chain, gauge: float, offset: float = 1e-15) -> float:
     shape = np.append(modes.shape[:, -1], np.zeros(chain.grains - chain.movable))
     duration = 8 / float(modes.frequency[-1])
     distance = bent(chain, gauge, offset * shape / np.abs(shape).max(), duration)
-    return float(np.arccosh(distance[-1] / distance[0]) / duration)  # it starts from rest
+    return float(np.arccosh(distance[-1] / distance[0]) / duration)  # The column starts from rest.
 
 
 def _apart(trajectory: Trajectory, other: Trajectory) -> float:

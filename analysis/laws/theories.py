@@ -9,11 +9,11 @@ from lmpchain.theory.continuum import chi, depth
 from lmpchain.theory.domain import exponents, real, require
 from lmpchain.util.arrays import Array
 
-SLOWEST_TAIL = {0.01: 3.3, 0.001: 6.1, 0.0001: 8.5}  # of `behind_front`
+SLOWEST_TAIL = {0.01: 3.3, 0.001: 6.1, 0.0001: 8.5}  # Constants of `behind_front`.
 
 
 def uniform_law(gradient: float, travelled: float, width: float = 0.0) -> float:
-    """Return the first-order error of Eq.
+    """Return the first-order error of Eq. (6) in a column.
 
     (6), all contacts as stiff as that below the displaced grain.
 
@@ -67,7 +67,7 @@ def uniform_reach(error: float, gradient: float) -> float:
 
 
 def bessel_law(contrast: float, tau: float) -> float:
-    """Return the error of the engine "bessel", all contacts as stiff as the first, after a strike.
+    """Return the error of the engine "bessel" after a strike, with contacts as stiff as the first.
 
     Norm: that of the package. Early, contact 2 is harder by the contrast than assumed: tau^4
     contrast / 24 (Taylor series); exp(-tau^2/4), fitted, stands for the further terms. Late, the
@@ -87,7 +87,7 @@ def bessel_law(contrast: float, tau: float) -> float:
     '0.0084'
     """
     early = tau**4 / 24 * np.exp(-(tau**2) / 4)
-    front = max(tau - 0.51 * np.cbrt(tau), 2.0)  # before, nothing has been passed
+    front = max(tau - 0.51 * np.cbrt(tau), 2.0)  # Earlier, the wave has passed no grain.
     late = (front**2 / 4 - front / 2) * 1.071 / 1.274 / np.cbrt(front)
     return float(contrast * (early + late))
 
@@ -153,8 +153,7 @@ def _airy_lag(tau: float, exponent: float) -> float:
 
 
 def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
-    """Return the error of Eq. (30) at depth h below a driven top (Hertz):
-    phase omega^3 sqrt(h) / 12.
+    """Return the error of Eq. (30) at depth h below a driven top: phase omega^3 sqrt(h) / 12.
 
     The difference of the wave numbers, k^3 / 24 with k = omega / h^(1/6), summed up from the top.
     At the first grains, where no wavelength fits in, it is less: what is measured is lower by 0.01
@@ -169,7 +168,7 @@ def harmonic_law(frequency: ArrayLike, h: ArrayLike) -> Array:
 
 
 def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
-    """Return the time tau after which the error of Eq. (35) at depth h is below this value (Hertz).
+    """Return the time tau after which Eq. (35) at depth h has less than this error (Hertz).
 
     Norm: relative error of the displacement of one grain after a strike on grain 1. The top sends
     down no wave above its own band edge, omega = 2, and the slowest of them lags behind the light
@@ -192,7 +191,7 @@ def behind_front(h: ArrayLike, error: float = 0.01) -> Array:
 
 
 def phase_velocity(wavelength: ArrayLike) -> Array:
-    """Return the phase velocity of the chain relative to the continuum, sin(x)/x.
+    """Return the ratio of phase velocities of chain and continuum, sin(x)/x.
 
     Here x = pi / wavelength in grains.
     From omega = 2 sqrt(kappa) sin(k/2). It is 1 % lower at 12.8 grains and 10 % at 4.0.

@@ -18,11 +18,11 @@ from lmpchain.theory.domain import real
 from lmpchain.trajectory.trajectory import Trajectory
 from lmpchain.util.arrays import Array
 
-BEAD = 1e-3  # m
-WEAK = 1e-9  # strike number at which Eq. (1) is Eq. (3)
-EDGE = 8.5  # standard deviations of a Gaussian beyond which it counts as 0
-SAMPLES = 20  # a unit of tau
-PERIODS = 4  # over which a phase is averaged
+BEAD = 1e-3  # Diameter, m.
+WEAK = 1e-9  # Strike number at which Eq. (1) agrees with Eq. (3).
+EDGE = 8.5  # Standard deviations beyond which a Gaussian counts as 0.
+SAMPLES = 20  # Samples per unit of tau.
+PERIODS = 4  # Periods over which a phase is averaged.
 
 
 def column(
@@ -33,7 +33,7 @@ def column(
     gravity: float = 9.81,
     load: float = 0,
 ) -> Scene:
-    """Return a column of glass beads for a time tau, sampled 20 times a unit of it.
+    """Return a column of glass beads for a time tau, with 20 samples per unit of tau.
 
     Parameters
     ----------
@@ -103,9 +103,7 @@ def bessel_error(load: float, tau: float) -> tuple[float, float]:
 
 
 def local_error(tau: float) -> float:
-    """Return the error of Eq. (7) after a displacement of grain 1,
-    Euclidean over grains, at tau.
-    """
+    """Return the error of Eq. (7) after a displacement of grain 1, as L2 norm, at tau."""
     grains = int(1.3 * continuum.depth(tau)) + 20
     unit = WEAK * Chain(grains=grains, diameter=BEAD).length_scale
     scene = _at_its_end(column(Displacement(displacement=unit, grain=1), tau, grains))
@@ -184,9 +182,7 @@ def driven(frequency: float, tau: float = 150.0) -> tuple[Array, Complex]:
 
 
 def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
-    """Return wavelengths in grains and phase velocities over the
-    continuum's, (G,) each; see `driven`.
-    """
+    """Return wavelengths in grains and relative phase velocities, (G,) each; see `driven`."""
     h, motion = driven(frequency, tau)
     number = -np.diff(np.angle(motion)) % (2 * np.pi)
     return 2 * np.pi / number, frequency / (h[:-1] + 0.5) ** (1 / 6) / number
@@ -195,28 +191,26 @@ def phase_velocities(frequency: float, tau: float = 150.0) -> tuple[Array, Array
 def harmonic_error(frequency: float, tau: float = 150.0) -> tuple[Array, Array]:
     """Return depths and the error of `theories.harmonic_law` for a driven top, (G,) each."""
     h, motion = driven(frequency, tau)
-    mode = continuum.mode(np.append(0.5, h), frequency).conj()  # the paper's comes in from below
+    mode = continuum.mode(np.append(0.5, h), frequency).conj()  # The paper's wave comes from below.
     return h, np.abs(mode[1:] / mode[0] / motion - 1)
 
 
 def fronts(tau: float) -> tuple[Array, Array, Array]:
-    """Return grains, arrival times of the largest velocity and its widths
-    at half height in tau, (G,).
-    """
+    """Return grains, arrival times of the largest velocity, and half-height widths in tau, (G,)."""
     scene = column(WEAK, tau, int(continuum.depth(1.2 * tau)) + 30)
     front = track(theory(scene, "chebyshev"))
     return front.grain, front.time / scene.chain.time_scale, front.width / scene.chain.time_scale
 
 
 def theory(scene: Scene, engine: str) -> Trajectory:
-    """Return the solution of a theory, whatever its distance from Eq. (1)."""
+    """Return the solution of a theory, whatever its model error is."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return simulate(scene, engine, 0.999)
 
 
 def _at_its_end(scene: Scene) -> Scene:
-    """Return the scene, recorded at its end only."""
+    """Return the scene recorded at its end only."""
     return Scene(**scene.given() | {"samples": 2})
 
 

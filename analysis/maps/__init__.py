@@ -1,3 +1,1 @@
-"""Where methods fail, one map a module: `measure(quick)` returns
-numbers, `draw(numbers)` a figure.
-"""
+"""Maps of the limits of methods; in each module `measure` returns numbers, and `draw` a figure."""

@@ -25,9 +25,7 @@ WIDTH = 2.2346 / 4 ** (1 / 3)
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return errors over depth and time, and over width and time; phase
-    velocities; the front over depth.
-    """
+    """Return errors over depth, time and width, phase velocities, and the front over depth."""
     far = 40.0 if quick else 150.0
     times, h, impulse = impulse_error(far, 41 if quick else 76)
     h = h[::2]

@@ -1,4 +1,4 @@
-"""What leaving damping out changes, over strike and A omega, after 20, 100 and 500 grains."""
+"""Effect of neglecting damping over strike and A omega, after 20, 100 and 500 grains."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from lmpchain.benchmark.comparison import error
 from lmpchain.benchmark.reference import Reference
 from lmpchain.util.plotting import figure
 
-PASSED = (20, 100, 500)  # grains that the front has passed
-LOAD = 0.01  # N, on glass beads of 1 mm
+PASSED = (20, 100, 500)  # Number of grains that the front has passed.
+LOAD = 0.01  # Load, N, on glass beads of 1 mm.
 LEVELS = (0.01, 0.1)
 
 
@@ -75,7 +75,7 @@ def percent(level: float) -> str:
 
 
 def draw(data: dict[str, Any]) -> Figure:
-    """Draw a map a distance: white lines are measured, dashed ones the law."""
+    """Draw a map per distance: white lines are measured, dashed ones are the law."""
     distances = list(data["error"])
     picture = figure(7.5, 3.6)
     panels = picture.subplots(1, len(distances), sharey=True, squeeze=False)[0]

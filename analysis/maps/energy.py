@@ -1,4 +1,4 @@
-"""Energy over a million steps and more: conserved by splittings, drifting with other methods."""
+"""Energy over a million steps or more: conserved by splittings, drifting with other methods."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from lmpchain.util.plotting import look_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-WORK = 0.03  # omega h per force evaluation, so that all methods do equal work
-PERIODS = 1e5  # of the band edge: a million steps and more for every method
-SHORT = 100  # periods for the error against the step, before chaos separates the runs
-SAMPLES = 201  # samples in these
-THINNED = 10  # every tenth sample of a long run is stored
-STEPS = {  # omega h where the error is a power law
+WORK = 0.03  # Value of omega h per force evaluation, so that all methods do equal work.
+PERIODS = 1e5  # Periods of the band edge, a million steps or more for every method.
+SHORT = 100  # Periods for the error against the step, before chaos separates the runs.
+SAMPLES = 201  # Number of samples in these runs.
+THINNED = 10  # Every tenth sample of a long run is stored.
+STEPS = {  # Values of omega h at which the error is a power law.
     "verlet": (0.02, 0.2),
     "rkn4": (0.04, 0.16),
     "rkn6": (0.2, 0.6),
@@ -100,9 +100,7 @@ def runge_kutta(
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return relative errors of the energy over time, their trends, and
-    their spread against the step.
-    """
+    """Return relative energy errors over time, their trends, and their scatter against the step."""
     scene = hot(4)
     edge = scene.chain.band_edge
     periods = 2e3 if quick else PERIODS
@@ -178,7 +176,7 @@ def _over_time(ax: Any, data: dict[str, Any], styles: dict[str, dict[str, str]])
     ax.plot([], [], color="0.2", lw=1, ls="--", label="drift predicted for a weak wave")
     height = -math.inf
     for name in sorted(ends, key=ends.__getitem__):
-        height = max(height + 0.75, math.log10(ends[name]))  # labels must not overlap
+        height = max(height + 0.75, math.log10(ends[name]))  # Labels must not overlap.
         text = f"{name}, {data['long'][name]['steps'] / 1e6:.2g}"
         ax.annotate(text, (1.03, 10**height), xycoords=("axes fraction", "data"), va="center",
                     color=styles[name]["color"], annotation_clip=False)  # fmt: skip

@@ -1,4 +1,4 @@
-"""Extreme overlaps, gauges and orders: where engines and functions lose digits, and the laws."""
+"""Extreme overlaps, gauges and orders: loss of accuracy of engines and functions, and laws."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def _dyson(m: float) -> tuple[float, float, float]:
-    """Return the largest error of Eq.
+    """Return the largest error of Eq. (23).
 
     (23) within 3 standard deviations, its law, and the printed form's.
     """
@@ -71,7 +71,7 @@ def _dyson(m: float) -> tuple[float, float, float]:
 
 
 def draw(data: dict[str, Any]) -> Figure:
-    """Draw a panel a limit: laws are lines, points are measured."""
+    """Draw a panel per limit: laws are lines, measurements are points."""
     picture = figure(7.5, 7.5)
     panels = picture.subplots(2, 2).ravel()
     for axes, panel in zip(panels, (_overlaps, _bending, _weights, _functions), strict=True):

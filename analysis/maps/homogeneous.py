@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHADES = tuple(COLOURS.values())
-DEEP = 1000  # grain at the centre of the wide initial disturbances
+DEEP = 1000  # Grain at the centre of wide initial disturbances.
 LEVELS = (0.01, 0.1)
 XI = 1 / 3
 
@@ -86,7 +86,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def draw_boundaries(plane: Axes, first: float, last: float, background: str = "white") -> None:
-    """Draw how far a wave travels from a grain until Eq. (6) fails, between two grains."""
+    """Draw the distance from a grain at which Eq. (6) fails, between two grains."""
     grains = np.geomspace(first, last, 60)
     travelled = np.geomspace(1, 100, 150)
     law = np.log10([[uniform_law(XI / n, T) for n in grains] for T in travelled])
@@ -111,7 +111,7 @@ def draw_boundaries(plane: Axes, first: float, last: float, background: str = "w
 
 def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
     widths = np.array(data["width"])
-    shown = np.where(widths > 0, widths, 0.5)  # one grain
+    shown = np.where(widths > 0, widths, 0.5)  # One grain.
     fine = np.geomspace(1, data["far"][-1], 200)
     for level, colour in zip(LEVELS, SHADES, strict=False):
         laws = np.array([[uniform_law(XI / DEEP, T, s) for T in fine] for s in widths])

@@ -1,4 +1,4 @@
-"""Four limits of scenes and theories, each with the law that predicts it."""
+"""Four limits of scenes and theories, each with its predicting law."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def draw(data: dict[str, Any]) -> Figure:
-    """Draw a panel a limit: laws are lines, points are measured."""
+    """Draw a panel per limit: laws are lines, measurements are points."""
     picture = figure(7.5, 7.5)
     panels = picture.subplots(2, 2).ravel()
     for axes, panel in zip(panels, (_vacuum, _fields, _springs, _periods), strict=True):

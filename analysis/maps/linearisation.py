@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DURATION, GRAINS, EARTH, TAU = 100e-6, 120, 9.81, 14.555  # s, -, m/s2, 100 us on Earth
-OPENS = 8.501  # v0* from which contact 1 of a Hertzian column opens
+DURATION, GRAINS, EARTH, TAU = 100e-6, 120, 9.81, 14.555  # In s, -, m/s2, and 100 us on Earth.
+OPENS = 8.501  # Strike number v0* from which contact 1 of a Hertzian column opens.
 NAMES = {
     "velocity": "velocities at the end",
     "displacement": "displacements, all samples",
@@ -106,7 +106,7 @@ def draw(data: dict[str, Any]) -> Figure:
 
 
 def draw_boundaries(plane: Axes, least: float, most: float, background: str = "white") -> None:
-    """Draw where linear theory fails over strike and gravity, between two of these."""
+    """Draw the boundary of linear theory over strike and gravity, between two of these."""
     gravity = np.array([least, most])
     for name, number, style in (
         ("1 %", strike_number_at(0.01, "velocity"), "--"),

@@ -1,4 +1,4 @@
-"""Order of every method through opening contacts, with fixed and with adaptive steps."""
+"""Order of every method through opening contacts with fixed and adaptive steps."""
 
 from __future__ import annotations
 
@@ -21,14 +21,12 @@ ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive]
 # The slope is fitted below this product of step and frequency; other methods are fitted from the
 # first point on.
 ASYMPTOTIC = {"gear4": 0.02}
-RUNS = {"dop853": 120}  # for an error; of the others 40
-FLOOR = 3e-13  # error below which round-off contributes
+RUNS = {"dop853": 120}  # Number of runs for an error; other methods have 40.
+FLOOR = 3e-13  # Rounding contributes to errors below this one.
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return the errors of a strong strike on 30 beads, in which three
-    contacts open, against the step.
-    """
+    """Return the errors of a strong strike on 30 beads, with three openings, against the step."""
     scene = lmpchain.Scene(
         chain=lmpchain.Chain(grains=30, diameter=1e-3, exponent=EXPONENT),
         excitation=lmpchain.Impulse(velocity=8.57e-3),
@@ -65,7 +63,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 
 def labelled(name: str, reach: list[float], error: list[float]) -> str:
-    """Return a method's name with its order of convergence, where three errors or more show one.
+    """Return a method's name with its order of convergence, if three errors or more show one.
 
     They are those of short steps above round-off.
     """

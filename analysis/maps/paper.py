@@ -1,4 +1,4 @@
-"""The paper's figures on the maps: Figs. 1, 5 on linear theory, 2, 8 and 9 on the others."""
+"""The paper's figures on the maps: Figs. 1 and 5 on linear theory, 2, 8 and 9 on the others."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ SCENES = {
     "Fig. 5, g": "fig5_1g",
     "Fig. 5, g / 10": "fig5_0.1g",
 }
-MOVED, TIMES = 50, (1, 5, 10, 12)  # Fig. 2
-LAMBDA = 0.5  # Fig. 8
-BOX = {"facecolor": "w", "lw": 0, "pad": 0.6}  # behind words that lines pass
+MOVED, TIMES = 50, (1, 5, 10, 12)  # Fig. 2.
+LAMBDA = 0.5  # Fig. 8.
+BOX = {"facecolor": "w", "lw": 0, "pad": 0.6}  # Background of labels that lines pass.
 POINT = {"marker": "o", "ls": "none", "color": COLOURS["vermilion"], "ms": 6}
 
 

@@ -23,13 +23,13 @@ LENGTHS = (10, 20, 40)
 TOLERANCES = (1e-9, 1e-6, 1e-3)
 NAMES = ("$10^{-9}$", "$10^{-6}$", "$10^{-3}$")
 CHANGE = 1e-13
-SHOWN = 16  # decades, all that double precision has
-MOST = 12  # decades of growth after which two runs are uncorrelated
-HOLDS = 30.0, 50.0  # strike numbers between which the law is valid; the second is per grain
+SHOWN = 16  # Decades that double precision has.
+MOST = 12  # Decades of growth after which two runs are uncorrelated.
+HOLDS = 30.0, 50.0  # Strike numbers between which the law is valid; the second one is per grain.
 
 
 def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 126) -> Scene:
-    """Return a column whose top grain is struck, m/s, for some time, s."""
+    """Return a column with a strike on top, m/s, for a duration, s."""
     chain = Chain(grains=grains, material="glass", diameter=1e-3)
     return Scene(
         chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=samples
@@ -37,9 +37,7 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return the decades of growth for strikes x times, each length, and
-    predicted predictability times.
-    """
+    """Return decades of growth over strike, time and length, and predicted horizons."""
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:
@@ -60,9 +58,7 @@ def measure(quick: bool) -> dict:
 
 
 def draw(data: dict) -> Figure:
-    """Draw growth as colours over strike x time, with measured and
-    predicted predictability times.
-    """
+    """Draw growth as colours over strike and time, with measured and predicted horizons."""
     panels = data["panels"]
     velocities = np.array(data["velocities"])
     times = 1e3 * np.array(data["times"])

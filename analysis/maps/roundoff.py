@@ -1,4 +1,4 @@
-"""Round-off error against the strike, for both engines and several lengths of column.
+"""Rounding error against the strike, for both engines and several lengths of column.
 
 Every point is a run held against the same steps in extended precision; every line is the law.
 Columns of glass beads of 1 mm under g, struck at the top, until the wave is at the floor.
@@ -42,7 +42,7 @@ def scene(grains: int, strike: float) -> Scene:
 
 
 def measure(quick: bool) -> dict:
-    """Return round-off floors, measured at some strikes and predicted at many."""
+    """Return rounding floors, measured at some strikes and predicted at many."""
     strikes = np.logspace(-5, 2, 3 if quick else 7)
     many = np.logspace(-5.5, 2.5, 33)
     panels = []

@@ -16,15 +16,15 @@ from lmpchain.util.plotting import figure
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PERIODS = 100  # of the band edge, the duration of every run; of two struck grains in the vacuum
+PERIODS = 100  # Duration in periods of the band edge, or of two struck grains in the vacuum.
 LOADED = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1e-3}
-STEEP = 1.05  # growth factor per step at which every run breaks down
+STEEP = 1.05  # Growth factor per step at which every run breaks down.
 LINE = {"color": "0.2", "lw": 1.5}
 BEYOND = "the same for where its oscillators grow by 5 % a step"
 
 
 def struck(number: float) -> lmpchain.Scene:
-    """Return a loaded chain that is struck at the top with this strike number."""
+    """Return a loaded chain struck at the top with this strike number."""
     chain = lmpchain.Chain(**LOADED)
     impulse = lmpchain.Impulse(velocity=number * chain.length_scale / chain.time_scale)
     duration = PERIODS * 2 * np.pi / chain.band_edge
@@ -32,7 +32,7 @@ def struck(number: float) -> lmpchain.Scene:
 
 
 def vacuum(velocity: float) -> lmpchain.Scene:
-    """Return the chain without its load, struck with this velocity in m/s."""
+    """Return the chain without its load, struck with this velocity, m/s."""
     chain = lmpchain.Chain(**LOADED | {"top_load": 0.0})
     impulse = lmpchain.Impulse(velocity=velocity)
     frequency = lmpchain.Scene(chain=chain, excitation=impulse, duration=1.0).highest_frequency
@@ -40,7 +40,7 @@ def vacuum(velocity: float) -> lmpchain.Scene:
 
 
 def steep(method: Method) -> float:
-    """Return omega h at which an oscillator grows by 5 % a step."""
+    """Return the omega h at which an oscillator grows by 5 % per step."""
     return float(next(y for y in np.arange(0.01, 20, 0.01) if method.growth(y) > STEEP))
 
 

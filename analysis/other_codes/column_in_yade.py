@@ -1,4 +1,4 @@
-"""A column in Yade, in the Python that Yade brings: `yade -n -x -j 1 column_in_yade.py FOLDER`.
+"""A column in Yade's own Python: `yade -n -x -j 1 column_in_yade.py FOLDER`.
 
 The folder holds `column.npz`, which `with_yade.py` writes. Each line of the input names a number of
 steps and their length, s; the answer goes to `end.npz`, and a line with its name to the output.
@@ -25,7 +25,7 @@ from yade import (
 
 
 def build(column, step):
-    """Make the scene anew: Hertz contacts without damping and friction; the last grain is held."""
+    """Make the scene: Hertz contacts without damping and friction; the last grain is fixed."""
     O.reset()
     glass = FrictMat(
         young=float(column["modulus"]), poisson=float(column["ratio"]), frictionAngle=0.0
@@ -58,7 +58,7 @@ def heights():
 
 
 def solve(column, steps, step):
-    """Return heights and velocities at the end, and processor time of all steps, s."""
+    """Return final heights and velocities, and the CPU time of all steps, s."""
     build(column, step)
     # Contacts are detected in the first step, which counts as set-up and is not timed.
     O.run(1, True)
@@ -73,7 +73,7 @@ def solve(column, steps, step):
 
 
 def main():
-    """Answer until the input ends."""
+    """Process requests until the input ends."""
     folder = Path(sys.argv[-1])
     column = dict(np.load(folder / "column.npz"))
     for line in sys.stdin:

@@ -18,7 +18,7 @@ CPU_USE = re.compile(r"^(\S+)% CPU use", re.MULTILINE)
 
 
 def heights(scene: Scene) -> Array:
-    """Return the heights at rest, (N,) m: summed in extended precision, grain 1 at 0."""
+    """Return the heights at rest, (N,) m: sums in extended precision, with grain 1 at 0."""
     d = scene.chain.diameters.astype(np.longdouble)
     return np.append(
         0.0, -np.cumsum((d[:-1] + d[1:]) / 2 - scene.chain.equilibrium_overlap)
@@ -77,7 +77,7 @@ def run(command: list[str], deck: str, scene: Scene) -> tuple[Array, Array, floa
 
 
 def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answer:
-    """Run a deck of velocity Verlet, with the fields steps, step, gravity and mobile."""
+    """Run a deck of velocity Verlet with the fields steps, step, gravity and mobile."""
     chain = problem.scene.chain
     steps = round(problem.scene.duration / step)
     text = deck.format(steps=steps, step=step, gravity=chain.gravity, mobile=chain.movable)
@@ -86,7 +86,7 @@ def solve(command: list[str], deck: str, problem: Problem, step: float) -> Answe
 
 
 def steps(problem: Problem) -> list[float]:
-    """Return steps that divide the duration, s, from the longest."""
+    """Return steps that divide the duration, s, longest first."""
     return [
         problem.scene.duration / count for count in (int(100 * 2 ** (k / 2)) for k in range(21))
     ]

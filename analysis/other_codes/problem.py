@@ -1,4 +1,4 @@
-"""A scene as an ODE problem for general solvers, and the answer that every code returns.
+"""A scene as an ODE problem for general solvers, and the common form of solutions.
 
 Displacements and velocities in units of the largest excursion and of the time scale of the chain,
 so that a weak wave keeps all its digits and tolerances mean the same in every scene. Only the state
@@ -48,7 +48,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Code:
-    """One code with its settings, run at a series of parameters: a line of the chart.
+    """One code with its settings, run at a series of parameters: a curve of the chart.
 
     Attributes
     ----------
@@ -127,29 +127,29 @@ class Problem:
 
     @property
     def duration(self) -> float:
-        """In units of time."""
+        """Duration in units of time."""
         return self.scene.duration / self.time
 
     @property
     def start(self) -> Array:
-        """State at the start, (2M,)."""
+        """Initial state, (2M,)."""
         moving = self.scene.chain.movable
         u, v = self.scene.initial()
         return np.concatenate((u[:moving] / self.length, v[:moving] * (self.time / self.length)))
 
     @property
     def closer(self) -> Array:
-        """See above, (M,)."""
+        """Overlaps in excess of rest, (M,)."""
         return self.length / self.scene.chain.equilibrium_overlap
 
     @property
     def strength(self) -> Array:
-        """See above, (M,)."""
+        """Strengths of the contacts, (M,)."""
         chain = self.scene.chain
         return chain.equilibrium_force * (self.time**2 / (chain.masses[0] * self.length))
 
     def answer(self, state: Array, seconds: float, force_evaluations: int | None = None) -> Answer:
-        """Convert a state (2M,) to SI units, with the held grain."""
+        """Convert a state (2M,) to SI units, with the fixed grain."""
         u, v = np.pad(np.reshape(state, (2, -1)), ((0, 0), (0, 1)))
         return Answer(u * self.length, v * (self.length / self.time), seconds, force_evaluations)
 
@@ -212,5 +212,5 @@ def fill_rate(y, rate, table):
 def _relative_force(s):
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
-    u += 0.5 * ((s - 2.0 * u) - u * u)  # restores the digits lost in 1 + s
+    u += 0.5 * ((s - 2.0 * u) - u * u)  # This step restores the digits lost in 1 + s.
     return u * (3.0 + u * (3.0 + u))

@@ -1,4 +1,4 @@
-"""Time against true error of other codes and the native engine, on one scene and machine.
+"""Time against true error of other codes and the native engine on one scene and machine.
 
 Every code gets the whole chain and is asked for the state at the end; compiling and setting up are
 left out, and each time is the smallest of several. Where the chain is much longer than the wave
@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import os
 
-os.environ["OPENBLAS_NUM_THREADS"] = "1"  # one core for all codes; must precede the import of NumPy
+# One core for all codes; the variable must be set before NumPy is imported.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 import argparse
 import json
@@ -36,7 +37,7 @@ HERE = Path(__file__).parent
 OTHERS = "scipy", "numbalsoda", "heyoka", "lammps", "liggghts", "yade"
 CUTTABLE = "scipy", "numbalsoda", "heyoka"
 TARGETS = 1e-3, 1e-6, 1e-9, 1e-12
-LEAST_RUNS, LEAST_S = 3, 0.2  # runs of each point, and for how long
+LEAST_RUNS, LEAST_S = 3, 0.2  # Least number of runs of each point, and least total time, s.
 # Runs longer than the first limit are not repeated; a code stops after a run above the second.
 LONG_S = 2.0
 LAST_S = 8.0
@@ -50,7 +51,7 @@ YARDSTICK_S = 0.2
 
 
 def fastest(code: Code, problem: Problem, parameter: float) -> Answer:
-    """Return the answer with the smallest times of several runs, after one to warm up."""
+    """Return the fastest of several runs, after one to warm up."""
     answer = code.solve(problem, parameter)
     again = []
     begin = perf_counter()
@@ -72,7 +73,7 @@ def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, An
             answer = fastest(code, problem, parameter)
         except (
             lmpchain.LmpchainError
-        ) as reason:  # a step beyond stability, a tolerance out of reach
+        ) as reason:  # The step is unstable, or the tolerance unreachable.
             gaps.append(str(reason).strip().splitlines()[-1])
             continue
         row = {"code": code.name, "parameter": parameter, "error": error(answer, solution),
@@ -124,12 +125,12 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
         "versions": versions,
         "reference_error": solution.error,
         "rows": rows,
-        "rows_cut": rows_cut,  # the chain cut by hand
+        "rows_cut": rows_cut,  # The chain cut by hand.
     }
 
 
 def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[str, Any]:
-    """Run discrete element codes for a file that is there, beside the codes in it.
+    """Run discrete element codes for an existing file, in addition to its codes.
 
     LAMMPS takes turns with each, in processor time, so that a busy machine serves: the ratio, times
     what a step took in LAMMPS then, is the time of a step.
@@ -161,7 +162,7 @@ def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[
 
 
 def table(result: dict[str, Any]) -> str:
-    """Return the time to each error, and the fastest other code over the native engine."""
+    """Return the time to each error, and the ratio of the fastest other code to native."""
     points = _by_code(result["rows"])
     whole = [{**row, "seconds": row["whole_s"]} for row in points.get(TO_TOLERANCE, [])]
     chosen = points.get(TO_TOLERANCE, [])

@@ -1,4 +1,4 @@
-"""Grain-steps a second of velocity Verlet in native, LAMMPS (several settings) and LIGGGHTS.
+"""Grain-steps per second of velocity Verlet in native, LAMMPS (several settings) and LIGGGHTS.
 
 All contacts stay shut. The first line is how many square roots a second this machine takes, which
 bounds the native engine with the plain force: one root a grain and step.
@@ -26,13 +26,13 @@ GRAINS = 120, 1000, 10_000
 # polynomial force.
 SPEED = 0.05
 FAINT = 1e-9
-STEP = 0.02  # over the time scale
+STEP = 0.02  # Relative to the time scale.
 # Grain-steps of a run. Runs are short, because other processes disturb long ones.
 NATIVE_WORK = 2e7
 DEM_WORK = 1e6
 NATIVE_RUNS = 40
 DEM_RUNS = 7
-ROOTS, REPEATS = 1024, 10_000  # numbers, which fit into the L1 cache, and passes over them
+ROOTS, REPEATS = 1024, 10_000  # Numbers that fit into the L1 cache, and number of passes over them.
 TUNED = "atom_modify map array sort 0 0\nneighbor 1e-4 bin\nneigh_modify once yes"
 
 
@@ -44,7 +44,7 @@ def _roots(values, times):
 
 
 def roots_per_second() -> float:
-    """Return the peak rate of square roots of doubles on one core, packed, from the L1 cache."""
+    """Return the peak rate of double square roots on one core, vectorised, from the L1 cache."""
     values = np.full(ROOTS, 2.0)
     _roots(values, 1)
 
@@ -57,7 +57,7 @@ def roots_per_second() -> float:
 
 
 def everywhere(grains: int, work: float, speed: float) -> lmpchain.Scene:
-    """Return a scene in which every grain moves from the start, of `work` grain-steps."""
+    """Return a scene of `work` grain-steps in which every grain moves from the start."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
     velocity = (
         np.random.default_rng(1).uniform(-1, 1, grains)
@@ -73,7 +73,7 @@ def everywhere(grains: int, work: float, speed: float) -> lmpchain.Scene:
 
 
 def native(grains: int, force: str, speed: float) -> tuple[float, str]:
-    """Return grain-steps a second, and the form of the force."""
+    """Return grain-steps per second, and the form of the force."""
     scene = everywhere(grains, NATIVE_WORK, speed)
     step = STEP * scene.chain.time_scale * (1 + 1e-9)
     runs = [
@@ -87,7 +87,7 @@ def native(grains: int, force: str, speed: float) -> tuple[float, str]:
 def discrete(
     grains: int, command: list[str], text: Callable[[Problem], str]
 ) -> tuple[float, np.ndarray]:
-    """Return grain-steps a second, and the displacements at the end."""
+    """Return grain-steps per second, and the final displacements."""
     problem = Problem(everywhere(grains, DEM_WORK, SPEED))
     step = STEP * problem.time
     answers = [dem.solve(command, text(problem), problem, step) for _ in range(DEM_RUNS)]
@@ -103,7 +103,7 @@ def _hertz_history(problem: Problem) -> str:
 
 
 def ways() -> dict[str, tuple[list[str], Callable[[Problem], str]]]:
-    """Return the programs and what makes their decks."""
+    """Return the programs with the functions that make their decks."""
     programs = {}
     for name, pair in (("granular", granular), ("gran/hertz/history", _hertz_history)):
         programs[f"LAMMPS {name}"] = [LMP], lambda p, pair=pair: deck(pair(p))

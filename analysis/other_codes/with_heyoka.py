@@ -24,7 +24,7 @@ from lmpchain import RunFailed
 GUARDED = 8
 SWITCH = 1e-7
 ORDERS = 3, 4, 5, 6, 8, 10, 12, 14, 16, 18
-INLINED_GRAINS = 200  # longer chains would take too long to compile to straight-line code
+INLINED_GRAINS = 200  # Longer chains would take too long to compile to straight-line code.
 # Strike number below which (1 + s)^(3/2) - 1 loses too many digits for the tightest tolerances.
 WEAK = 0.1
 

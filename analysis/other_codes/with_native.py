@@ -12,8 +12,8 @@ import lmpchain
 from lmpchain.integrators.methods import METHODS
 
 TO_TOLERANCE = "native to a tolerance, with estimate"
-COUNTS = [round(8 * 2 ** (k / 4)) for k in range(53)]  # steps, to 65 536
-TOLERANCES = [10 ** (-k / 4) for k in range(8, 57)]  # 1e-2 to 1e-14
+COUNTS = [round(8 * 2 ** (k / 4)) for k in range(53)]  # Numbers of steps, up to 65 536.
+TOLERANCES = [10 ** (-k / 4) for k in range(8, 57)]  # 1e-2 to 1e-14.
 
 
 def _at_step(integrator: str, problem: Problem, step: float) -> Answer:
@@ -36,7 +36,7 @@ def _answer(run: lmpchain.Trajectory, seconds: float, whole: float) -> Answer:
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return every integrator, and the engine's own choice with and without its error estimate."""
+    """Return every integrator, and the engine's own choice with and without error estimate."""
     steps = [problem.scene.duration / count for count in COUNTS]
     own = version("lmpchain")
     given = [Code(f"native {name}", own, steps, partial(_at_step, name)) for name in METHODS]

@@ -14,8 +14,8 @@ from problem import TOLERANCES, Answer, Code, Problem, fill_rate
 from lmpchain import RunFailed
 
 MOST_STEPS = 10**7
-LSODA_GRAINS = 1000  # LSODA allocates a dense 2 M x 2 M matrix in any case
-LSODA_LEAST = 3e-14  # below, it fails with many messages
+LSODA_GRAINS = 1000  # LSODA always allocates a dense 2 M x 2 M matrix.
+LSODA_LEAST = 3e-14  # With smaller tolerances it fails with many messages.
 
 
 @numba.cfunc(lsoda_sig)
@@ -45,7 +45,7 @@ def _lsoda(y, table, end, tolerance):
 def _solve(run, problem: Problem, tolerance: float) -> Answer:
     table = problem.table()
     y = problem.start
-    run(np.zeros(2), np.array([1.0, 0.0, 1.0, 1.0, 0.0]), 0.01, 0.1)  # one grain: only compiles
+    run(np.zeros(2), np.array([1.0, 0.0, 1.0, 1.0, 0.0]), 0.01, 0.1)  # One grain, to compile only.
     begin = perf_counter()
     states, success = run(y, table, problem.duration, tolerance)
     seconds = perf_counter() - begin

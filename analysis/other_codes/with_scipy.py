@@ -13,7 +13,7 @@ from scipy.integrate import ode, solve_ivp
 
 from lmpchain import RunFailed
 
-LEAST = 2.3e-14  # relative tolerance below which solve_ivp warns and takes this one
+LEAST = 2.3e-14  # Relative tolerance below which solve_ivp warns and uses this value.
 
 
 @numba.njit
@@ -39,7 +39,7 @@ def _ode(y, table, end, tolerance):
 def _solve(run, problem: Problem, tolerance: float) -> Answer:
     table = problem.table()
     y = problem.start
-    _rate(0.0, y, table)  # compiles
+    _rate(0.0, y, table)  # This call compiles.
     table[1] = 0
     begin = perf_counter()
     state, success = run(y, table, problem.duration, tolerance)
@@ -50,7 +50,7 @@ def _solve(run, problem: Problem, tolerance: float) -> Answer:
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return both interfaces."""
+    """Return both interfaces as codes."""
     both = {"solve_ivp": _solve_ivp, "ode": _ode}
     return [Code(f"SciPy {name} DOP853", scipy.__version__, TOLERANCES, partial(_solve, run))
             for name, run in both.items()]  # fmt: skip

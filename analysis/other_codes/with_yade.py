@@ -27,7 +27,7 @@ SCRIPT = Path(__file__).with_name("column_in_yade.py")
 
 
 class Column:
-    """A problem in a process of Yade, which ends with it.
+    """A problem in a Yade process, which ends with this object.
 
     Velocities half a step before the start are those of the start: grains must be struck at rest.
     """
@@ -81,7 +81,7 @@ class Column:
 
 
 def codes(problem: Problem) -> list[Code]:
-    """Return Yade."""
+    """Return Yade as a code."""
     about = subprocess.run([YADE, "--version"], capture_output=True, text=True).stdout
     version = re.search(r"\d{4}\.\d+\w*", about)
     column = Column(problem)

@@ -1,4 +1,4 @@
-"""Engines against a reference solution: errors, and speed against accuracy."""
+"""Comparison of engines with a reference solution: errors, and work-precision curves."""
 
 from ..util.lazy import attributes, listed
 

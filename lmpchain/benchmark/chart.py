@@ -21,7 +21,7 @@ from ..util.plotting import (
     window,
 )
 
-# Errors below this multiple of the error of the reference are not accurate enough.
+# Engine errors below this multiple of the reference error are not meaningful.
 KNOWN = 10.0
 
 
@@ -63,10 +63,10 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     return indices
 
 
-ROOM = 0.75  # of the width of axes: names of marks further right stand on their left
-NAMES_WIDTH = 30  # letters below the axes of the times, which are narrow
-LABELLED = 5  # curves in colour, those that reach the target soonest
-TARGET = 1e-6  # error
+ROOM = 0.75  # Names of marks beyond this fraction of the axes' width stand on the left of the mark.
+NAMES_WIDTH = 30  # Number of letters that fit below the narrow axes of the times.
+LABELLED = 5  # Number of curves in colour: those that reach the target error soonest.
+TARGET = 1e-6  # Target error.
 FRONT = "#F0E442"
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 LAMMPS: dict[str, Any] = {
@@ -83,7 +83,7 @@ def draw(
     result: Any, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
 ) -> Axes:
     """Draw error against time and force evaluations, and times to one error."""
-    # A figure made here has room for the legend below the axes, where there are no curves.
+    # A new figure has room for the legend below the axes, away from the curves.
     axes, below = _figure(result) if ax is None else (ax, None)
     over_time, *rest = panels(axes)
     curves: dict[str, list[Mapping[str, Any]]] = {
@@ -112,7 +112,7 @@ def draw(
 
 
 def _figure(result: Any) -> tuple[list[Axes], Axes]:
-    """Return the axes of a figure of its own, and those below with the cheapest ways."""
+    """Create a figure; return its axes, and the axes below for the table of cheapest engines."""
     picture = window(14.0, 8.6)
     rooms = picture.subplot_mosaic(
         [["time", "evaluations", "bars"], ["ways"] * 3],
@@ -182,7 +182,7 @@ def _draw_errors(
     curves: Mapping[str, Iterable[Mapping[str, Any]]],
     styles: Mapping[str, dict[str, Any]],
 ) -> None:
-    """Draw errors against a cost: the Pareto front, curves in grey, those with a style above."""
+    """Draw errors against a cost: the Pareto front, grey curves, and styled curves above them."""
     floor = KNOWN * result.reference.error
     ax.set(xscale="log", yscale="log")
     ax.grid(color="0.94", lw=0.6)
@@ -194,7 +194,7 @@ def _draw_errors(
         best = zip(*(pairs[index] for index in front(pairs)), strict=True)
         band: dict[str, Any] = {"lw": 9, "alpha": 0.5, "zorder": 0.5, "solid_capstyle": "round"}
         ax.plot(*best, color=FRONT, label="Pareto front", **band)
-    # One entry in the legend for all grey curves: names with _ have none.
+    # All grey curves share one legend entry: matplotlib omits names that start with _.
     unnamed = _name_of_grey(curves, styles)
     alone = []
     for name, points in lines.items():
@@ -212,7 +212,7 @@ def _draw_errors(
         longest = _pairs((vars(point) for point in curve.points if point.longest), cost)
         if longest and curve.name in styles:
             ax.plot(*longest[0], "o", ms=14, mfc="none", mec=styles[curve.name]["color"], mew=1.2)
-    # Errors below this floor are as much those of the reference as those of the engine.
+    # Errors below this floor may come from the reference as well as from the engine.
     ax.set_ylim(floor / 4, min(ax.get_ylim()[1], 5))
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(
@@ -248,7 +248,7 @@ def _name_of_grey(
 
 
 def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
-    """Draw engines that have a single point each (error, cost, name), and label groups of them."""
+    """Draw engines with a single point each (error, cost, name), and label groups of them."""
 
     def height(point: tuple[float, float, str]) -> int:
         return round(2 * math.log10(max(point[0], LEAST_ERROR)))
@@ -308,7 +308,7 @@ def _pairs(points: Iterable[Mapping[str, Any]], cost: str) -> list[tuple[float, 
 
 
 def _style(curve: Any) -> dict[str, Any]:
-    """Return the look of a curve that leads."""
+    """Return the line style of a curve on the Pareto front."""
     if curve.to_tolerance:
         return {"color": "black", "marker": "*", "ms": 8, "lw": 1.8, "zorder": 4}
     return look_of(curve.integrator) | {"ms": 5.5, "lw": 1.8, "zorder": 3}

@@ -32,7 +32,7 @@ __dir__ = listed(__name__)
 
 
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
-    """Return the relative errors of displacement and velocity.
+    """Return the relative errors of displacement and velocity, each relative to its largest value.
 
     Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|``
     of any grain of the chain at any time of the run. It is NaN where the trajectory is.
@@ -57,7 +57,7 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
 
 
 def error(trajectory: Trajectory, reference: Reference) -> float:
-    """Return the relative error of a trajectory, the larger of the two of `errors`.
+    """Return the relative error of a trajectory: the larger of the errors that `errors` returns.
 
     Parameters
     ----------
@@ -118,11 +118,11 @@ class ComparisonRow:
     engine, integrator : str
     equation : int
     error, error_displacement, error_velocity : float
-        As `error` and `errors` give them.
+        Errors as returned by `error` and `errors`.
     expected_error : float
         `Trajectory.error_estimate.total`, the engine's own estimate.
     integration_s, compile_s : float
-        s; compilation, the first time, is no part of the integration.
+        Times, s; compilation at the first call is not part of the integration.
     steps, force_evaluations : int
     """
 
@@ -148,7 +148,7 @@ class Comparison(Shown, Tabular):
     reference : Reference
     trajectories : tuple of Trajectory
     rows : tuple of Row
-        One a trajectory, in the same order.
+        One row for each trajectory, in the same order.
     lossless : Row, optional
         The chain without its damping: its error is what leaving damping out changes, and what was
         expected of it is `Scene.damping_effect`.
@@ -277,7 +277,7 @@ def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
     )
 
 
-WIDEST = 60  # grains of the wave that are shown
+WIDEST = 60  # Largest number of grains shown.
 # Offsets of names from their markers in points; neighbours alternate above and below.
 NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
 
@@ -303,7 +303,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
             answer.velocity[-1, visible] / unit,
             linestyle="none",
             marker=class_of(answer.engine).style[1],
-            # Markers become smaller so that none hides another one.
+            # Markers become smaller so that no marker hides another.
             markersize=7.5 - 3.5 * index / max(1, count - 1),
             markerfacecolor="none",
             markeredgewidth=1.3,

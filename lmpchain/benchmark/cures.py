@@ -1,4 +1,4 @@
-"""The longest step with which an integrator reaches an error, and what heights add in LAMMPS."""
+"""Find the longest step with which an integrator reaches an error, and the rounding of heights."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ MOST_INTEGRATORS = 3
 
 @dataclass(frozen=True)
 class Search:
-    """How the longest step is looked for.
+    """Settings of the search for the longest step.
 
     Attributes
     ----------
     cost_s : float
-        Longest run that is tried, s.
+        Longest expected time of a run to try, s.
     growth : float
-        Most by which the number of steps grows at once.
+        Largest factor by which the number of steps grows between two runs.
     room : float
-        Share of an error at which the next step aims.
+        Fraction of the target error at which the next step aims.
     better : float
-        Factor on the error that counts as an improvement.
+        An error below this multiple of the best one counts as an improvement.
     patience : int
-        Runs in a row without one, after which round-off dominates.
+        Consecutive runs without an improvement after which rounding error dominates.
     """
 
     cost_s: float = 3.0
@@ -54,22 +54,22 @@ SEARCH = Search()
 
 
 class Cure(NamedTuple):
-    """A step of an integrator that reaches an error.
+    """A step with which an integrator reaches an error.
 
     Attributes
     ----------
     target : float
     integrator : str
     step_s : float
-        s; NaN if no step reaches it in a run of some seconds.
+        Time step, s; NaN if no step reaches the error in a run of some seconds.
     steps : int
-        Of the run.
+        Number of steps of the run.
     error : float
-        Measured, of the native engine with this step; NaN if there is none.
+        Measured error of the native engine with this step; NaN without a step.
     heights : float
-        Round-off of heights that LAMMPS is expected to add; NaN where it has no such integrator.
+        Expected rounding error of heights in LAMMPS; NaN if LAMMPS lacks the integrator.
     diameter : str
-        With which that is so: "physical", or "gauge" where the physical one leaves too much.
+        Diameter for this rounding: "physical", or "gauge" if the physical one is too coarse.
     """
 
     target: float
@@ -105,7 +105,7 @@ def height_round_off(
 
     The `gauge` is the diameter with which grains are drawn, m, 0 for the physical one.
     """
-    # Both damped methods make the steps of velocity Verlet.
+    # Both damped methods use the step sequence of velocity Verlet.
     name = "verlet" if integrator == LAGGED.name else integrator
     if name not in Lammps.integrators:
         return math.nan
@@ -187,7 +187,7 @@ def _fewest_steps(
         cost = engine.cost(scene, method, steps * scene.intervals)
         if cost > SEARCH.cost_s or (stalled > SEARCH.patience and not coarse):
             return None
-    # The last jump was too long, so this tries one step less far.
+    # The last extrapolation was too optimistic, so this attempt moves by a single step.
     fewer = max(steps_for(steps, target), failing + 1)
     return fewer if fewer < steps and measure(fewer) <= target else steps
 

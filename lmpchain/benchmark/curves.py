@@ -30,7 +30,7 @@ def machine() -> str:
 
 @dataclass(frozen=True)
 class CurvePoint(ComparisonRow):
-    """Error and cost of one engine at one step or tolerance, the least time of several runs.
+    """Error and cost of one engine at one step or tolerance; the time is the least of several runs.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class CurvePoint(ComparisonRow):
         Time in the chart, s: of the integration, with that of the error estimate where a tolerance
         was asked for.
     step_s : float
-        s.
+        Time step, s.
     grain_steps_per_s : float
         Force evaluations times computed grains, per second of integration.
     longest : bool
@@ -68,19 +68,19 @@ class Choice(NamedTuple):
     Attributes
     ----------
     target : float
-        Error that is asked for.
+        Requested error.
     engine, integrator : str
         The engine is empty if none reaches it.
     step_s : float
-        s; NaN for a solution without steps.
+        Time step, s; NaN for a solution without steps.
     error : float
-        That it has; NaN if there is none.
+        Error of the choice; NaN without a choice.
     seconds : float
-        As `CurvePoint.seconds`.
+        Time as in `CurvePoint.seconds`.
     to_tolerance : bool
-        Whether the engine chose the step itself, and its time is that with the error estimate.
+        Whether the engine chose the step itself, so that its time includes the error estimate.
     why : str
-        Why there is none.
+        Reason why no choice exists.
     """
 
     target: float
@@ -110,7 +110,7 @@ WITHOUT = "{}, without the estimate"
 
 @dataclass(frozen=True)
 class EngineCurve:
-    """The points of one engine and integrator, from the cheapest on.
+    """The points of one engine and integrator, cheapest first.
 
     Attributes
     ----------
@@ -125,12 +125,12 @@ class EngineCurve:
 
     @property
     def to_tolerance(self) -> bool:
-        """Whether the engine chose the steps itself, to a tolerance."""
+        """Whether the engine chose the steps itself to meet a tolerance."""
         return self.points[0].tolerance is not None
 
     @property
     def name(self) -> str:
-        """Engine, and integrator or "to a tolerance"."""
+        """Engine, and its integrator or "to a tolerance"."""
         choice = "to a tolerance" if self.to_tolerance else self.integrator
         return ", ".join(filter(None, (self.engine, choice)))
 
@@ -147,10 +147,10 @@ class WorkPrecision(Shown, Tabular):
     dropped : int
         Points left out because their error is below ten times that of the reference.
     left_out : tuple of str
-        Engines that cannot solve the scene, and why.
+        Engines that cannot solve the scene, with the reasons.
     versions : dict of str
     machine : str
-        Processor, and cores that could be used.
+        Processor and number of available cores.
     """
 
     scene: Scene
@@ -163,11 +163,11 @@ class WorkPrecision(Shown, Tabular):
 
     @property
     def points(self) -> list[CurvePoint]:
-        """All points, curve by curve."""
+        """All points of all curves."""
         return [point for curve in self.curves for point in curve.points]
 
     def cheapest(self, engine: str = "") -> list[Choice]:
-        """Return the cheapest measured point for each of some errors: 1e-3, 1e-6, 1e-9, 1e-12.
+        """Return the cheapest measured point for each of the errors 1e-3, 1e-6, 1e-9 and 1e-12.
 
         Parameters
         ----------
@@ -208,7 +208,7 @@ class WorkPrecision(Shown, Tabular):
         return align(self.ways())
 
     def ways(self) -> list[Sequence[str]]:
-        """Return the rows of the table of `best`."""
+        """Return the rows of the table that `best` aligns."""
         rows: list[Sequence[str]] = [("to reach", "engine", "step", "error", "time", "")]
         for pair in zip(self.cheapest(), self.cheapest("lammps"), strict=True):
             for choice, name in zip(pair, ("none", "lammps"), strict=True):
@@ -253,7 +253,7 @@ class WorkPrecision(Shown, Tabular):
     def plot(
         self, ax: Axes | Sequence[Axes] | None = None, others: Sequence[Mapping[str, Any]] = ()
     ) -> Axes:
-        """Draw error against time, five curves in colour, others in grey, and return the axes.
+        """Draw error against time, five curves in colour and the others in grey; return the axes.
 
         Parameters
         ----------

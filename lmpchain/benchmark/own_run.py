@@ -1,4 +1,4 @@
-"""True error of a run, separated into step and rounding error, and steps that reduce it."""
+"""True error of a user's run, split into step and rounding error, and steps that reduce it."""
 
 from __future__ import annotations
 
@@ -32,22 +32,22 @@ from .truth import as_trajectory, truth
 
 __dir__ = listed(__name__)
 
-UNKNOWN_METHOD = "unknown"  # integrator of a dump
-ARRIVAL = 0.1  # of a travel time, by which it may be uncertain at most
+UNKNOWN_METHOD = "unknown"  # Integrator of a dump, which does not name it.
+ARRIVAL = 0.1  # Largest uncertainty of an arrival, as a fraction of the travel time.
 
 
 @dataclass(frozen=True)
 class DigitLimits:
-    """When digits explain how far a run is from the same steps in displacements.
+    """Limits within which rounding explains how far a run is from a native run with the same steps.
 
     Attributes
     ----------
     printed : float
-        Times the last digit that was written.
+        Multiple of the last printed digit.
     heights : float
-        Times the bound on the round-off of heights: reflections amplify it up to tenfold.
+        Multiple of the bound on the rounding of heights: reflections amplify it up to tenfold.
     amplified : float
-        Error of a reference from which on the scene amplifies rounding.
+        Error of a reference above which the scene counts as one that amplifies rounding.
     """
 
     printed: float = 2.0
@@ -59,7 +59,7 @@ DIGITS = DigitLimits()
 
 
 class ArrivalError(NamedTuple):
-    """Error of the arrival of the front: relative to its travel time, s, and at which grain."""
+    """Error of the arrival of the front relative to its travel time, the time, s, and the grain."""
 
     relative: float
     seconds: float
@@ -73,7 +73,7 @@ class Cause(NamedTuple):
     ----------
     name : str
     error : float
-        Relative, as the error of the run is.
+        Relative error, as for the run.
     why : str
     """
 
@@ -84,7 +84,7 @@ class Cause(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class RunCheck(Shown):
-    """The true error of a run, its causes, and the steps that reach smaller errors.
+    """The true error of a run, its causes, and steps that reach smaller errors.
 
     Errors are relative to the largest motion of any grain at any time of the run.
 
@@ -93,12 +93,12 @@ class RunCheck(Shown):
     subject : str
         File, folder or engine.
     error, error_displacement, error_velocity : float
-        Against the reference; `error` is the larger of the other two. Of a deck, what is expected.
+        Errors against the reference; `error` is the larger of the other two. For a deck, expected.
     error_energy : float
         Largest difference of the energy above rest, relative to the largest energy; NaN if
         grains that move were not recorded, or if the ground depends on the time.
     arrival : Arrival or None
-        Of the front of the velocity; None where no front passes or samples do not resolve it.
+        Arrival error of the velocity front; None if no front passes or is resolved by samples.
     integrator : str
     step_s, steps : float, int
         Largest step, s, and the number of steps, which is higher where they adapt; 0 of a solution
@@ -106,7 +106,7 @@ class RunCheck(Shown):
     limit_s : float
         Longest stable step of the integrator on the chain at rest, s; infinite without load.
     causes : tuple of Cause
-        Equation or step, and digits.
+        Causes of the error: equation or step, and digits.
     cures : tuple of Cure
     reference : Reference
     """
@@ -206,7 +206,7 @@ def check(
     units: str | Sequence[float] | None = None,
     progress: bool = False,
 ) -> RunCheck:
-    """Measure the true error of a run and how much of it comes from time step and rounding.
+    """Measure the true error of a run and its parts from the time step and from rounding.
 
     The error is that against a Taylor series in extended precision. A native run with the
     integrator and the step of the run, in displacements, has its error of the step and not its
@@ -306,7 +306,9 @@ def _read(
     elif is_dump(run):
         if scene is None:
             cure = "make it from the dump, lmpchain new scene.toml --from DUMP"
-            raise InputError.at("scene", f"is missing; a dump does not say what it is of: {cure}")
+            raise InputError.at(
+                "scene", f"is missing, and a dump does not contain its scene: {cure}"
+            )
         return Trajectory.from_dump(run, scene, units=units)
     else:
         answer = Trajectory.load(run)
@@ -318,7 +320,7 @@ def _read(
 
 
 def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[Cause, ...]]:
-    """Return integrator, step, s, and causes of the error of an answer."""
+    """Return the integrator, the step, s, and the causes of the error of a trajectory."""
     scene = answer.scene
     cost = answer.cost
     wrong = error(answer, solution)
@@ -329,7 +331,7 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
         engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
-        why = "expected round-off of double precision; displacements are held, not heights"
+        why = "expected round-off of double precision; displacements are stored, not heights"
         return engine.integrator, cost.step_s, (step, Cause("digits", rounding, why))
     pairs = _possible_steps(answer)
     twins = [(twin_run(scene, *pair), *pair) for pair in pairs]
@@ -354,7 +356,7 @@ def _possible_steps(answer: Trajectory) -> list[tuple[str, float]]:
     runs = deck_steps(composed)
     # A deck of lmpchain with a composed method takes several LAMMPS steps per time step.
     if answer.scene.chain.damped:
-        # With fix nve, which most users take.
+        # The default of most users is fix nve.
         pairs.append((LAGGED.name, answer.cost.step_s))
     elif answer.cost.steps % (runs * (answer.time.size - 1)) == 0:
         pairs.append((composed.name, runs * answer.cost.step_s))
@@ -386,7 +388,7 @@ def _digits(
 ) -> Cause:
     """Return the rounding error of a run, from its distance to a native run with the same step."""
     if distance == math.inf:
-        return Cause("digits", 0.0, "cannot be told apart, as the same steps break down")
+        return Cause("digits", 0.0, "unknown, because a native run with the same steps breaks down")
     scene = answer.scene
     digit, speed_digit = (
         float(answer.provenance.get(f"{name}_digit", 0.0)) for name in ("displacement", "velocity")
@@ -400,7 +402,7 @@ def _digits(
     heights *= max(1.0, solution.error / DIGITS.amplified)
     if distance <= DIGITS.printed * printed and printed > heights:
         places = max(1, round(-math.log10(min(printed, 0.1))))
-        why = _few_digits(f"the dump has some {places} digits of the largest motion")
+        why = _few_digits(f"the dump has about {places} digits of the largest motion")
     elif distance <= DIGITS.heights / HEIGHTS.typical * heights:
         why = "round-off of heights, which LAMMPS holds"
         if answer.provenance.get("diameter") != "gauge":
@@ -409,7 +411,7 @@ def _digits(
         return Cause(
             "another cause",
             distance,
-            f"so far is it from {integrator} at this step, more than digits explain: it was run "
+            f"a difference from {integrator} at this step beyond round-off: it was run "
             "with another step or integrator, in single precision, or with forces that the scene "
             "lacks",
         )
@@ -429,7 +431,7 @@ def _record(
     step: float,
     causes: tuple[Cause, ...],
 ) -> RunCheck:
-    """Return the record of a run, or of one that breaks down."""
+    """Return the record of a run, also of a run that broke down."""
     displacement = velocity = math.inf
     energy_error = math.nan
     arrival = None
@@ -471,12 +473,12 @@ def _energy_error(answer: Trajectory, true: Trajectory) -> float:
 
 
 def _arrival(answer: Trajectory, true: Trajectory) -> ArrivalError | None:
-    """Return the largest error of the travel time of the front, where samples resolve it."""
+    """Return the largest error of the front's travel time where samples resolve the front."""
     try:
         tracked, exact = (front.track(run) for run in (answer, true))
     except InputError:
         return None
-    # A grain is skipped if another maximum may be its front.
+    # A grain is skipped if a different maximum may be its front.
     clear = exact.time_error <= ARRIVAL * exact.time
     grains, here, there = np.intersect1d(tracked.grain, exact.grain[clear], return_indices=True)
     times = exact.time[clear][there]

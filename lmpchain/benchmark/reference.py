@@ -20,23 +20,23 @@ __dir__ = listed(__name__)
 
 Long = np.longdouble
 Longs = NDArray[np.longdouble]
-EXTENDED = float(np.finfo(Long).eps)  # spacing of the numbers of the reference at 1
+EXTENDED = float(np.finfo(Long).eps)  # Spacing of the numbers of the reference near 1.
 # Smaller motion counts as rest; a smaller relative step would not advance the time.
 NEGLIGIBLE = 1e-6 * EXTENDED
 # Relative tolerances of the reference for laws by formula, and of the run that shows its error.
 SCIPY_TOLERANCES = (1e-13, 1e-12)
-# Longest step of this reference in radians of the fastest motion.
+# Longest step of SciPy's reference in radians of the fastest motion.
 MOST_RADIANS = 1.0
-# Cost of this reference: evaluations of the force per radian, and s for each and for a grain in it.
+# Cost of SciPy's reference: force evaluations per radian, s per evaluation, and s per grain in it.
 SCIPY_EVALUATIONS = 100
 SCIPY_CALL_S = 1e-4
 SCIPY_GRAIN_S = 2e-7
-# Error that both runs share: equilibrium, rounded steps, and rounding of the result.
+# Error that both runs have in common: equilibrium, rounded steps, and rounding of the result.
 SHARED = 50 * EXTENDED + EPSILON
 
 
 class TaylorSettings(NamedTuple):
-    """Order of the power series in time, and local error of a step."""
+    """Settings of the Taylor method: order of the power series in time, local error of a step."""
 
     order: int
     tolerance: float
@@ -49,7 +49,7 @@ CHECK = TaylorSettings(24, 10 * EXTENDED)
 
 @dataclass(frozen=True)
 class ReferenceCost:
-    """Cost of a reference; analysis/calibration/reference_cost.py.
+    """Cost model of a reference; its constants are from analysis/calibration/reference_cost.py.
 
     Attributes
     ----------
@@ -81,11 +81,11 @@ class Reference:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     displacement, velocity : (T, N) arrays
-        Of every grain, recorded or not; from equilibrium, positive downward; m and m/s.
+        Motion of every grain, recorded or not, from equilibrium, positive downward; m and m/s.
     error : float
-        Its own error, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
+        Error of the reference, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
         Description of the method.
     largest : (2,) array, optional
@@ -102,7 +102,7 @@ class Reference:
 
     @property
     def scale(self) -> Array:
-        """Largest displacement and speed, to which errors are relative, (2,) m and m/s, or 1."""
+        """Scales of relative errors, (2,): the largest displacement, m, and speed, m/s, or 1."""
         sampled = np.array([np.abs(self.displacement).max(), np.abs(self.velocity).max()])
         largest = sampled if self.largest is None else self.largest
         return np.where(largest > 0, largest, 1.0)
@@ -190,7 +190,7 @@ def expected_seconds(scene: Scene) -> float:
 
 
 def _solve_by_scipy(scene: Scene) -> Reference:
-    """Solve Eq. (1) with a law by formula by SciPy's DOP853, in double precision.
+    """Solve Eq. (1) with the law of a formula by SciPy's DOP853, in double precision.
 
     The error is ten times the difference to a run at ten times the tolerance, because both
     lose the order of the method where a force has a kink.
@@ -205,7 +205,7 @@ def _solve_by_scipy(scene: Scene) -> Reference:
 
 
 def _equations(scene: Scene) -> Callable[[float, Array], Array]:
-    """Return the function of time, s, and state, (2N,) m and m/s, that gives its rates."""
+    """Return the right-hand side: a function of time, s, and state, (2N,) m and m/s."""
     chain = scene.chain
     excitation = scene.excitation
     wave = excitation.waveform
@@ -248,7 +248,7 @@ def _equations(scene: Scene) -> Callable[[float, Array], Array]:
 
 
 def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
-    """Return displacements and velocities, (T, N) m and m/s, and the largest at any time, (2,)."""
+    """Return displacements and velocities, (T, N) m and m/s, and their maxima at any time, (2,)."""
     # Only this reference needs SciPy's integrators, whose import takes a tenth of a second.
     from scipy.integrate import solve_ivp
 
@@ -350,7 +350,7 @@ class _Motion:
         self.knots = np.array(self.wave.corners if self.wave else (), dtype=Long) / self.time
 
     def solve(self, series: TaylorSettings) -> tuple[Array, Array]:
-        """Return displacement and velocity, (2, T, N), and the largest at any time, (2,).
+        """Return displacement and velocity, (2, T, N), and their maxima at any time, (2,).
 
         In m and m/s.
         """
@@ -388,16 +388,16 @@ class _Motion:
         """Return the grains that move, widened on either side by the reach of a series."""
         moving = before.start + np.flatnonzero(state[:, before].any(axis=0))
         if self.wave:
-            # A grain with an applied force counts even while it rests.
+            # A grain with an applied force counts as moving even while it rests.
             first = state.shape[1] - 1 if self.from_below else self.pushed or 0
             moving = np.union1d(moving, first).astype(int)
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
-        # A series moves two orders per grain, and one if forces depend on velocities.
+        # Each grain costs two orders of the series, or one order if forces depend on velocities.
         reach = order if self.viscosity.any() else order // 2
         return slice(max(0, first - reach), min(state.shape[1], last + 1 + reach))
 
     def _shut(self, overlap: Longs, grains: slice, tolerance: float) -> NDArray[np.bool_]:
-        """Return contacts with a noticeable force; others are negligible for one unit of time."""
+        """Return a mask of contacts whose force is not negligible for one unit of time."""
         contacts = _contacts(grains)
         impulse = self.push[contacts] * (1 + self.viscosity[contacts])
         return impulse * np.maximum(overlap, 0) ** self.delta > tolerance
@@ -405,7 +405,7 @@ class _Motion:
     def _series(
         self, t: Long, state: Longs, grains: slice, series: TaylorSettings
     ) -> tuple[Longs, Longs]:
-        """Return the coefficients of displacements (order + 1, n) and overlaps (..., n + 1)."""
+        """Return coefficients of displacements (order + 1, n) and overlaps (..., n + 1)."""
         order = series.order
         contacts = _contacts(grains)
         closer = self.closer[contacts]
@@ -461,7 +461,7 @@ class _Motion:
         return x, y
 
     def _imposed(self, t: Long, order: int) -> Longs:
-        """Return the coefficients of the imposed motion or force, in m or N, (order + 1,)."""
+        """Return the series coefficients of the imposed motion, m, or force, N, (order + 1,)."""
         wave = self.wave
         k = np.arange(order + 1, dtype=Long)
         assert wave
@@ -489,7 +489,7 @@ class _Motion:
         for k in (order - 1, order):
             last = np.abs(x[k]).max()
             if last > 0:
-                # The terms of this order in displacement and in velocity.
+                # These are the terms of this order in displacement and in velocity.
                 displacement = (tolerance / last) ** (1 / Long(k))
                 velocity = (tolerance / (k * last)) ** (1 / Long(k - 1))
                 step = min(step, displacement, velocity)
@@ -535,7 +535,7 @@ class _Motion:
 
 
 def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
-    """Return amplitudes of imposed sines, and frequencies as exact as in the scene, rad/s."""
+    """Return amplitudes and frequencies, rad/s, of imposed sines, as exact as in the scene."""
     wave = excitation.waveform
     if wave is None or wave.spline is not None:
         return []
@@ -549,7 +549,7 @@ def _exact_sines(excitation: Any) -> list[tuple[Long, Long]]:
 
 
 def _contacts(grains: slice) -> slice:
-    """Return the contacts of these grains, on both sides of each."""
+    """Return the slice of contacts on both sides of these grains."""
     return slice(grains.start, grains.stop + 1)
 
 
@@ -565,7 +565,7 @@ def _first_root(gap: Longs, end: Long) -> Long:
     for _ in range(60):
         height = np.maximum(_at(gap, at), 0)
         rate = _at(slope, at)
-        # The root of the lower bound height + rate z - bend z^2 / 2.
+        # This is the root of the lower bound height + rate z - bend z^2 / 2.
         root = np.sqrt(rate**2 + 2 * bend * height)
         ahead = (rate + root) / bend if rate > 0 else 2 * height / ((root - rate) or 1)
         at += ahead
@@ -575,12 +575,12 @@ def _first_root(gap: Longs, end: Long) -> Long:
 
 
 def _slope(series: Longs) -> Longs:
-    """Return the derivative of power series."""
+    """Return the coefficients of the derivative of power series."""
     return series[1:] * np.arange(1, len(series)).reshape(-1, *[1] * (series.ndim - 1))
 
 
 def _bend(series: Longs, end: Long) -> Long:
-    """Return an upper bound, above 0, of the second derivative between 0 and `end`."""
+    """Return a positive upper bound of the second derivative of a series between 0 and `end`."""
     # The constant 1e-200 is negligible beside any occurring number, and avoids division by 0.
     return _at(np.abs(_slope(_slope(series))), end) + 1e-200
 
@@ -594,5 +594,5 @@ def _at(series: Longs, tau: Longs | Long) -> Any:
 
 
 def _motion_at(x: Longs, tau: Longs | Long) -> Longs:
-    """Return displacements and velocities after tau."""
+    """Return displacements and velocities at the time tau within a step, from their series."""
     return np.array([_at(x, tau), _at(_slope(x), tau)])

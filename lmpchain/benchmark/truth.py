@@ -1,4 +1,4 @@
-"""The solution for true errors: the reference, or a tight native run of a long scene."""
+"""Reference solution for true errors: Taylor series, or a tight native run of a long scene."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from .reference import Reference, expected_seconds, reference
 
 __dir__ = listed(__name__)
 
-LONGEST_S = 60.0  # expected time of the independent reference
-TIGHTEST = 1e-11  # a tolerance that the native engine reaches on ordinary scenes
+LONGEST_S = 60.0  # Longest expected time of the independent reference, s.
+TIGHTEST = 1e-11  # Tolerance that the native engine reaches on ordinary scenes.
 
 
 def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> Reference:
-    """Return the reference solution, by the native engine if Taylor series took over a minute.
+    """Return the reference solution, from the native engine if Taylor series need over a minute.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
 
 
 def _solve_tightly(scene: Scene, tolerance: float, progress: bool) -> tuple[Trajectory, float]:
-    """Return a native run at a hundredth of the tolerance, or at the tolerance, and its name."""
+    """Return a native run at a hundredth of the tolerance, or at it, and the tolerance met."""
     tight = max(tolerance / 100, TIGHTEST)
     try:
         return simulate(scene, "native", tight, progress=progress), tight
@@ -70,7 +70,7 @@ def _solve_tightly(scene: Scene, tolerance: float, progress: bool) -> tuple[Traj
 
 
 def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:
-    """Return a reference solution as the trajectory of a scene, of the grains that it records.
+    """Return a reference solution as a trajectory with the recorded grains of its scene.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def as_trajectory(scene: Scene, solution: Reference) -> Trajectory:
     )
 
 
-# Points of a trace at each of which the steps of the reference end.
+# Largest number of trace points; the steps of the reference end at each point.
 MOST_POINTS = 2000
 
 
@@ -147,7 +147,7 @@ def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
 
 
 def _change(scene: Scene, thinner: Scene, tolerance: float) -> str:
-    """Return a sentence with the difference of two scenes in runs of the native engine."""
+    """Return a sentence about the difference between native runs of two scenes."""
     try:
         with warnings_aside():
             whole, part = (simulate(each, "native", tolerance) for each in (scene, thinner))

@@ -1,4 +1,4 @@
-"""The chain at rest: materials, contact law, grains, walls, and patterns of grains."""
+"""The chain at rest: materials, contact law, grains, walls and patterns of grains."""
 
 from ..util.lazy import attributes, listed
 

@@ -15,7 +15,7 @@ import numpy as np
 from ..util.arrays import EPSILON, Array
 from ..util.compilation import compiled_once
 
-ITERATIONS = 200  # upper bound; about ten are needed
+ITERATIONS = 200  # Upper bound on the number of iterations; about ten are needed.
 
 
 def band_edges(diagonal: Array, coupling: Array) -> Array:

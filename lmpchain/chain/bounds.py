@@ -102,7 +102,7 @@ def bounds(
             overlap=law.overlap(top_load + weight, softest),
             law=law,
         )
-        # The comparison is false for NaN.
+        # The comparison is false if a value is NaN.
         computable = extremes.frequency(extremes.overlap) ** 2 < LIMITS.stiffness_over_mass
         return extremes if computable else None
     # Python floats raise an exception on overflow and on division by 0.

@@ -132,7 +132,7 @@ class Chain(ChainPicture, Checked):
             yield from self._extremes()
 
     def _falls(self) -> Iterator[tuple[str, str]]:
-        """Yield faults of chains in which a grain would fall or touches nothing."""
+        """Yield faults of chains in which a grain would fall or has no contact."""
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             cure = 'use bottom = "wall", or more grains'
             yield "grains", f"a single grain that is held, or touches nothing: {cure}"
@@ -145,17 +145,17 @@ class Chain(ChainPicture, Checked):
             yield "load_grain", f"must be a grain that the load can press, {cure}"
 
     def _tiny_forces(self) -> Iterator[tuple[str, str]]:
-        """Yield forces whose squares are no numbers."""
+        """Yield forces that are so small that their squares underflow."""
         for key in ("gravity", "top_load"):
             if 0 < getattr(self, key) < LIMITS.least_force:
                 bound = f"must be 0, or at least {LIMITS.least_force:g} in SI units"
                 yield key, f"{bound}: below, squares of overlaps underflow"
 
     def _extremes(self) -> Iterator[tuple[str, str]]:
-        """Yield numbers that cannot be computed with, and contacts compressed too much."""
+        """Yield properties outside the floating-point range, and extreme compressions."""
         if self.bounds and self.bounds.compression <= LIMITS.compression:
             return
-        # before gigabytes of arrays are made of a column that could not stand
+        # This check comes before gigabytes of arrays are derived for an impossible column.
         if self._kinds:
             # This bound ignores a load that acts below grain 1.
             load = self.top_load if self.load_grain == 1 else 0.0
@@ -165,7 +165,7 @@ class Chain(ChainPicture, Checked):
                 contact = f"a contact is compressed by at least {bound:.2g}"
                 yield "diameter", too_compressed(contact)
                 return
-        # numbers that overflow are faults
+        # Numbers that overflow are reported as faults below.
         with np.errstate(all="ignore"):
             computable = self.equilibrium.computable(self.movable)
             compression = self.equilibrium.compression
@@ -181,7 +181,7 @@ class Chain(ChainPicture, Checked):
             yield "diameter", too_compressed(contact)
 
     def _remarks(self) -> Iterator[str]:
-        # bounds are known at once; arrays are derived only where these do not settle it
+        # Bounds are cheap; arrays are derived only if the bounds do not decide.
         compression = 0.0
         if self.law.power == 1.5 and not (
             self.bounds and self.bounds.compression <= LIMITS.hertz_compression
@@ -190,7 +190,7 @@ class Chain(ChainPicture, Checked):
         yield from remarks(self.diameter, compression)
 
     def _misfits(self) -> Iterator[tuple[str, str]]:
-        """Yield arguments of contradictory lengths or kinds, for which no arrays can be derived."""
+        """Yield arguments whose lengths or kinds contradict each other."""
         lengths = {
             "diameter": (self.diameter, self.grains),
             "masses": (self.given_masses, self.grains),
@@ -198,7 +198,7 @@ class Chain(ChainPicture, Checked):
         }
         if isinstance(self.material, tuple) and len(self.material) != self.grains:
             number = f"not {len(self.material)}"
-            yield "material", f"must be one or {self.grains} (one a grain), {number}"
+            yield "material", f"must be one or {self.grains} (one per grain), {number}"
         for key, (value, length) in lengths.items():
             if isinstance(value, np.ndarray) and len(value) != length:
                 yield key, f"must have {length} entries for {self.grains} grains, not {len(value)}"
@@ -217,9 +217,9 @@ class Chain(ChainPicture, Checked):
         if not isinstance(law, Law):
             return
         if law.of_ground:
-            yield "law.force", "depends on u or t: a contact law is one of the overlap o"
+            yield "law.force", "depends on u or t: a contact law may only depend on the overlap o"
         if law.onset == 0:
-            yield "law.force", "jumps where it should only bend: make the jump a ramp of some width"
+            yield "law.force", "has a jump: replace it by a ramp of finite width"
         if "k" in law.given and self.given_contact_constants is not None:
             yield "contact_constants", "are given by law.k, too: give one of them"
         for key, value in law.given.items():
@@ -234,7 +234,10 @@ class Chain(ChainPicture, Checked):
         constants = self.given_wall_constants
         for name, end, material in zip(("top", "bottom"), ends, materials, strict=True):
             if material is not None and end != "wall":
-                yield f"{name}_material", f'is that of a wall; there is none unless {name} = "wall"'
+                yield (
+                    f"{name}_material",
+                    f'describes a wall, but there is none unless {name} = "wall"',
+                )
         if constants is None:
             return
         if len(constants) != 2 or any(
@@ -248,7 +251,7 @@ class Chain(ChainPicture, Checked):
 
     @cached_property
     def _kinds(self) -> Kinds | None:
-        """The few kinds of grains of a chain that needs no arrays; None if grains are listed."""
+        """The few kinds of grains of a chain without listed grains; None if grains are listed."""
         if (
             isinstance(self.diameter, float)
             and isinstance(self.material, Material)
@@ -260,10 +263,10 @@ class Chain(ChainPicture, Checked):
 
     @cached_property
     def bounds(self) -> Bounds | None:
-        """Bounds on all grains and contacts; None where only arrays can tell."""
+        """Bounds on all grains and contacts; None if they would require arrays."""
         if self._kinds is None or self.given_wall_constants is not None:
             return None
-        # For other laws, the growth of the force with the constant is known from arrays only.
+        # For other laws, only arrays show how the force grows with the constant.
         if self.law.power is None:
             return None
         planes: list[Any] = [wall for wall in (self.top_material, self.bottom_material) if wall]
@@ -275,7 +278,7 @@ class Chain(ChainPicture, Checked):
         return np.full(self.grains, self.of_material(prop))
 
     def of_material(self, prop: str, drawn: Array | None = None) -> Array:
-        """Return a property of the material of the grains, (..., N), or (1,) if all share it.
+        """Return a property of the grains' materials, (..., N), or (1,) if all grains share it.
 
         Values that were drawn, (..., N), take the place of that of all grains but impurities.
         """
@@ -294,7 +297,7 @@ class Chain(ChainPicture, Checked):
     def law(self) -> ContactLaw:
         """The force of a contact as a function of its overlap."""
         law = self.given_law or power_law(self.given_exponent)
-        # A power is computed by the faster and more accurate forms of its own.
+        # Power laws have a faster and more accurate implementation.
         return power_law(law.as_exponent) if isinstance(law, Law) and law.as_exponent else law
 
     @property
@@ -323,34 +326,38 @@ class Chain(ChainPicture, Checked):
         """Raise `InputError` if the force from the ground depends on the time, or bends at rest."""
         if self.ground is not None and (self.ground.kinks(0.0) == 0).any():
             cure = "use a native run"
-            raise InputError.at("chain.ground", f"{what} knows no kink at rest: {cure}")
+            raise InputError.at("chain.ground", f"{what} does not support a kink at rest: {cure}")
         if self.ground_in_time:
             cure = "leave t out of its formula"
-            raise InputError.at("chain.ground", f"{what} knows no stiffness in time: {cure}")
+            raise InputError.at(
+                "chain.ground", f"{what} does not support a stiffness that changes in time: {cure}"
+            )
 
     def refuse_ground(self, what: str) -> None:
-        """Raise `InputError` if there is a force from the ground, of which `what` knows nothing."""
+        """Raise `InputError` if the ground exerts a force, which `what` does not support."""
         if self.ground is not None:
             cure = "leave it out, as chain.replace(ground=None) does"
-            raise InputError.at("chain.ground", f"{what} knows no ground: {cure}")
+            raise InputError.at(
+                "chain.ground", f"{what} does not support a force from the ground: {cure}"
+            )
 
     @property
     def exponent(self) -> float:
-        """The exponent delta of a power law; `InputError` if the law is another one."""
+        """The exponent delta of a power law; raises `InputError` for other laws."""
         return self.law.power_of("an exponent")
 
     def _compared(self) -> list[str]:
-        # the law says it
+        # The law already contains the exponent.
         return [key for key in self.arguments if key != "exponent"]
 
     @cached_property
     def equilibrium(self) -> Equilibrium:
-        """All that follows from the grains at rest."""
+        """Masses, diameters and contacts of the chain at rest."""
         return derive_chain(self)
 
     @property
     def contacts(self) -> Contacts:
-        """All contacts, those with walls included."""
+        """All contacts of the chain, including those with walls."""
         return self.equilibrium.contacts
 
     @property
@@ -365,7 +372,7 @@ class Chain(ChainPicture, Checked):
 
     @property
     def contact_lengths(self) -> Array:
-        """Mean diameter of the grains of every contact, (N+1,) m; at a wall, of its one grain."""
+        """Mean diameter of the two grains of each contact, (N+1,) m; at walls, of one grain."""
         return self.equilibrium.contact_lengths
 
     @property
@@ -380,14 +387,14 @@ class Chain(ChainPicture, Checked):
 
     @cached_property
     def depths(self) -> Array:
-        """How far below grain 1 the centre of every grain rests, (N,) m."""
+        """Depth of every grain's centre below the centre of grain 1 at rest, (N,) m."""
         # Distances between centres: mean diameters minus overlaps, without the walls.
         distances = (self.contact_lengths - self.contacts.overlap)[1:-1]
         return read_only(np.append(0.0, np.cumsum(distances)))
 
     @property
     def equilibrium_force(self) -> Array:
-        """Force that every contact between grains carries at rest, (N-1,) N."""
+        """Force of every contact between grains at rest, (N-1,) N."""
         return self.contacts.force[1:-1]
 
     @property
@@ -397,34 +404,34 @@ class Chain(ChainPicture, Checked):
 
     @property
     def linear_stiffness(self) -> Array:
-        """Stiffness between grains at rest, delta K_n eps_n^(delta-1) of a power, (N-1,) N/m."""
+        """Stiffness between grains at rest, (N-1,) N/m; delta K_n eps_n^(delta-1) for a power."""
         return self.contacts.stiffness[1:-1]
 
     @cached_property
     def compressed(self) -> bool:
-        """Whether contacts are stiff at rest, by a force or a bond; else it is a sonic vacuum."""
+        """Whether contacts are stiff at rest, by a force or a bond; False in a sonic vacuum."""
         return self.gravity > 0 or self.top_load > 0 or self.law.bonds
 
     @cached_property
     def loose_grains(self) -> int:
-        """How many grains at the top only touch, above the load and without weight; 0 if none."""
+        """Number of grains above the load that only touch, without weight; 0 if there are none."""
         if self.law.bonds:
             return 0
         return self.load_grain - 1 if self.top_load > 0 and self.gravity == 0 else 0
 
     @property
     def linearisable(self) -> bool:
-        """Whether every grain that moves is pressed at rest, so that weak waves are linear."""
+        """Whether every moving grain is pressed at rest, so that weak waves are linear."""
         return self.compressed and not self.loose_grains
 
     def refuse_loose(self, what: str) -> None:
-        """Raise `InputError` if grains only touch, of which `what`, a linear theory, is not."""
+        """Raise `InputError` if grains only touch, because `what` is a linear theory."""
         if self.loose_grains:
             raise InputError.at("chain.load_grain", f"{what} is linear, and {self.loose}")
 
     @property
     def loose(self) -> str:
-        """Why nothing of grains that only touch is linear, and what to do."""
+        """The reason why grains that only touch have no linear motion, and the remedy."""
         if self.loose_grains == 1:
             return "grain 1 only touches grain 2: let the load act on grain 1"
         last = self.loose_grains
@@ -432,38 +439,38 @@ class Chain(ChainPicture, Checked):
 
     @property
     def wall_load(self) -> float:
-        """Force of the top wall on grain 1 at rest, N; 0 without a wall or if it only touches."""
+        """Force of the top wall on grain 1 at rest, N; 0 without a wall or without a load."""
         return self.top_load if self.top == "wall" and self.load_grain == 1 else 0.0
 
     @property
     def constant_load(self) -> float:
-        """Constant force on the grain that the load acts on, N; 0 if a wall presses instead."""
+        """Constant force on the loaded grain, N; 0 if a wall exerts the load instead."""
         return self.top_load - self.wall_load
 
     @cached_property
     def damped(self) -> bool:
-        """Whether contacts or a drag take energy."""
+        """Whether contacts or a drag dissipate energy."""
         return self.damping.acts
 
     @property
     def conservative(self) -> bool:
-        """Whether contacts and weight alone accelerate the grains, without damping or a ground."""
+        """Whether only contacts and weight accelerate the grains, without damping or a ground."""
         return not self.damped and self.ground is None
 
     def refuse_damping(self, what: str) -> None:
-        """Raise `InputError` if the chain has damping, of which `what` knows nothing."""
+        """Raise `InputError` if the chain has damping, which `what` does not support."""
         if self.damped:
             cure = "leave it out, as chain.replace(damping=None) does"
-            raise InputError.at("chain.damping", f"{what} knows no damping: {cure}")
+            raise InputError.at("chain.damping", f"{what} does not support damping: {cure}")
 
     @cached_property
     def contact_viscosity(self) -> Array:
-        """Time A over which every contact relaxes, walls included, (N+1,) s; 0 without damping."""
+        """Relaxation time A of every contact, walls included, (N+1,) s; 0 without damping."""
         return self.damping.times(self.grains)
 
     @cached_property
     def drag(self) -> Array:
-        """Rate gamma at which every grain alone comes to rest, (N,) 1/s; 0 without damping."""
+        """Drag rate gamma of every grain, (N,) 1/s; 0 without damping."""
         return self.damping.rates(self.grains)
 
     @cached_property
@@ -473,11 +480,11 @@ class Chain(ChainPicture, Checked):
 
     @property
     def held_weight(self) -> float:
-        """Weight of grain N where the bottom is fixed, N; 0 otherwise."""
+        """Weight of grain N if the bottom is fixed, N; 0 otherwise."""
         return float(self.masses[-1] * self.gravity) if self.bottom == "fixed" else 0.0
 
     def part(self, first: int, last: int) -> Chain:
-        """Return grains first ... last as a chain: the same motion until a wave reaches its ends.
+        """Return grains first ... last as a chain that moves equally until a wave reaches its ends.
 
         Grains above become a load on grain `first`, and grain `last` is held unless the chain ends
         with it. Masses and constants are kept, and so are forces and overlaps if `first` is 1, else
@@ -517,16 +524,16 @@ class Chain(ChainPicture, Checked):
         if last < self.grains:
             fields["bottom"] = "fixed"
             fields.pop("bottom_material", None)
-        # a part of a valid chain is valid
+        # A part of a valid chain is valid.
         piece = make_unchecked(Chain, **fields)
-        # the contacts of a whole chain need no second derivation, which would take as long as the
-        # run of a short one
+        # The contacts of the whole chain are reused, because a second derivation would take as long
+        # as a short run.
         if first == 1 and last < self.grains <= min(FEW_GRAINS, 8 * last):
             return with_derived(piece, equilibrium=self.equilibrium.above(last))
         return piece
 
     def _check_part(self, first: int, last: int) -> None:
-        """Raise `InputError` unless these grains can be a chain."""
+        """Raise `InputError` unless these grains can form a chain."""
         if not 1 <= index(first) <= index(last) <= self.grains or (
             first == last and self.grains > 1
         ):
@@ -537,7 +544,7 @@ class Chain(ChainPicture, Checked):
             raise InputError.at("part", f"would have two loads, of weight and on top: {cure}")
 
     def first_of_part(self, grain: int) -> int:
-        """Return the grain with which a part begins that is to hold this one.
+        """Return the first grain of the smallest allowed part that contains this grain.
 
         Between grain 1 and the load on a lower grain, those above would press besides.
         """
@@ -545,9 +552,9 @@ class Chain(ChainPicture, Checked):
         return 1 if two_loads else grain
 
     def _load_of(self, first: int, last: int) -> dict[str, Any]:
-        """Return load and loaded grain of `part`."""
+        """Return the load of the chain that `part` returns, and the loaded grain."""
         loaded = self.load_grain - first + 1
-        # the weight of the grains above presses on, without their motion
+        # The weight of the grains above acts as a constant load.
         if first > 1 and (loaded <= 1 or self.top_load == 0):
             return {"top_load": self._force_on(first), "load_grain": 1}
         moves = self.load_grain <= last - (last < self.grains)
@@ -588,17 +595,17 @@ class Chain(ChainPicture, Checked):
 
     @property
     def fastest_rate(self) -> float:
-        """Band edge or, if that is faster, the decay that damping makes of it, 1/s."""
+        """The band edge or the decay rate that damping makes of it, whichever is faster, 1/s."""
         return self.damping.fastest_rate(self.band_edge)
 
     @cached_property
     def load_over_mass(self) -> float:
-        """Largest force at rest of the contact above a grain over the mass of the grain, m/s2."""
+        """Largest ratio of the force at rest above a grain to the mass of the grain, m/s2."""
         return float((self.contacts.force[:-1] / self.masses).max())
 
     @property
     def _first(self) -> int:
-        """Number of the contact below grain 1, or of the one above if grain 1 is alone.
+        """Number of the contact below grain 1, or above grain 1 if that is the only grain.
 
         Where grains only touch above the load, it is that below the grain which the load presses.
         """
@@ -606,19 +613,19 @@ class Chain(ChainPicture, Checked):
 
     @property
     def length_scale(self) -> float:
-        """Overlap eps_1 of the contact below grain 1 at rest, m; below the load if grains touch."""
+        """Overlap eps_1 at rest below grain 1, or below the load if upper grains only touch, m."""
         return float(self.contacts.length[self._first])
 
     @property
     def time_scale(self) -> float:
-        """Unit of the paper's tau, sqrt(m_1 / k_1), s (infinite in the sonic vacuum)."""
+        """Unit of time of the paper, sqrt(m_1 / k_1), s; infinite in the sonic vacuum."""
         k = float(self.contacts.stiffness[self._first])
         return float(np.sqrt(self.masses[self.loose_grains] / k)) if k > 0 else np.inf
 
     def excess_energy(
         self, displacement: Array, velocity: Array, wall: Array | None = None
     ) -> Array:
-        """Return the energy above that at rest, (...) J: kinetic, contacts, ground, load, weight.
+        """Return the energy above rest, (...) J: kinetic, contacts, ground, load, weight.
 
         It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
 
@@ -631,7 +638,7 @@ class Chain(ChainPicture, Checked):
         """
         self.refuse_moving_ground("the energy above rest")
         kinetic = 0.5 * (self.masses * velocity**2).sum(-1)
-        # grains at rest, as before a strike: nothing is in the contacts
+        # If all grains are at rest positions, as before a strike, contacts have no excess energy.
         if wall is None and not np.any(displacement):
             return kinetic
         contacts = self.contacts.energy(Contacts.closer(displacement, wall)).sum(-1)

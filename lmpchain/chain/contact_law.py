@@ -1,4 +1,4 @@
-"""The contact law: the force of a contact as a function of its overlap, and what follows from it.
+"""The contact law: contact force as a function of overlap, and derived functions.
 
 ========  ============  ==================================================
 symbol    variable      meaning
@@ -25,14 +25,15 @@ from numpy.typing import NDArray
 from ..errors import InputError
 from ..util.arrays import Array
 
-# A function of overlap and constant, numbers or arrays, and of the sequence of parameters.
+# A formula is a function of overlap and constant, numbers or arrays, and of a sequence of
+# parameters.
 Formula = Callable[[Any, Any, Any], Any]
-# Strain below which 11 terms of the energy's series have all digits.
+# Below this strain, 11 terms of the energy's series are accurate to rounding.
 SERIES_BELOW = 0.02
 
 
 class RestingContacts(Protocol):
-    """What a law reads of `Contacts`: arrays (..., N+1) at rest, and which contacts there are."""
+    """The part of `Contacts` that a law reads: arrays (..., N+1) at rest, and existing contacts."""
 
     @property
     def constant(self) -> Array: ...  # noqa: D102
@@ -50,7 +51,7 @@ class RestingContacts(Protocol):
 
 @dataclass(frozen=True)
 class ContactLaw(ABC):
-    """The force of a contact as a function of its overlap: `PowerForce`, or a `Law` of a user.
+    """Contact force as a function of the overlap: `PowerForce`, or a `Law` of a user.
 
     The formulas of (o, K, p) take arrays; p are the `parameters`.
 
@@ -75,11 +76,11 @@ class ContactLaw(ABC):
 
     @property
     def power(self) -> float | None:
-        """The exponent of a power of the overlap; None for any other law."""
+        """The exponent of a power law; None for any other law."""
         return None
 
     def power_of(self, what: str) -> float:
-        """Return the exponent of a power law; raise `InputError` for others, which `what` needs."""
+        """Return the exponent of a power law, which `what` requires, or raise `InputError`."""
         if self.power is None:
             fault = f"{what} holds for powers of the overlap only, not for {self.name}"
             raise InputError.at("chain.law", f"{fault}: give an exponent instead")
@@ -99,7 +100,7 @@ class ContactLaw(ABC):
 
     @property
     def given_constant(self) -> Array | None:
-        """The constants of contacts that the law itself gives, N/m^delta; else None."""
+        """The constants of contacts given by the law itself, N/m^delta; None if it gives none."""
         return None
 
     def kinks(self, constant: Any) -> Array:
@@ -107,25 +108,25 @@ class ContactLaw(ABC):
         return np.zeros((1, *np.shape(constant)))
 
     def kept_at_rest(self, overlap: Any, constant: Any) -> list[Any]:
-        """Return further values at rest that the compiled force reads."""
+        """Return additional values at rest that the compiled force reads."""
         return []
 
     @property
     def bonds(self) -> bool:
-        """Whether contacts are stiff at rest without any load: they pull as they open."""
+        """Whether contacts are stiff at rest without any load, because they also pull."""
         return False
 
     def of(self, numbers: Any) -> ContactLaw:
-        """Return the law of some of the contacts that have parameters of their own."""
+        """Return the law of a selection of contacts, with their parameters."""
         return self
 
     @property
     def form(self) -> Any:
-        """A key that is equal for laws that differ in the values of parameters only."""
+        """A key that is equal for laws that differ only in parameter values."""
         return self
 
     def joined(self, laws: Sequence[ContactLaw]) -> ContactLaw:
-        """Return the law of many chains, whose laws of one `form` are given."""
+        """Return the common law of many chains, given their laws of one `form`."""
         return self
 
     def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
@@ -136,7 +137,7 @@ class ContactLaw(ABC):
         return contacts.force > 0
 
     def length(self, contacts: RestingContacts) -> Array:
-        """Return the change of the overlap that is no longer weak, (..., N+1) m.
+        """Return the change of overlap at which a wave is no longer weak, (..., N+1) m.
 
         It is the overlap at rest, where a contact opens.
         """
@@ -156,7 +157,7 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
-        """Return the largest stiffness at overlaps up to this one, N/m."""
+        """Return the largest stiffness at any overlap up to this value, N/m."""
 
     @abstractmethod
     def overlap(self, force: Any, constant: Any) -> Any:
@@ -164,14 +165,14 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def approach(self, energy: Any, constant: Any) -> Any:
-        """Return the overlap at which a contact without load at rest holds this energy, m."""
+        """Return the overlap at which a contact without load at rest stores this energy, m."""
 
     @abstractmethod
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
-        """Return an upper bound of the overlap change at this energy above rest, (..., N+1) m."""
+        """Return an upper bound on the overlap change at this energy above rest, (..., N+1) m."""
 
     def bend(self, contacts: RestingContacts) -> Any:
-        """Return k'(eps) l / k(eps) at rest, l of `length`: delta - 1 for a power."""
+        """Return k'(eps) l / k(eps) at rest, where l is `length`; for a power law, delta - 1."""
         overlap = np.where(contacts.pressed, contacts.overlap, 1.0)
         length = np.where(contacts.pressed, self.length(contacts), 0.0)
         stiffness = np.where(contacts.pressed, contacts.stiffness, 1.0)
@@ -194,11 +195,11 @@ class ContactLaw(ABC):
 
     @abstractmethod
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
-        """Return by how much more contacts overlap under this additional force, m."""
+        """Return the increase of overlaps under an additional force, m."""
 
     @property
     def elastic_share(self) -> float:
-        """Mean share of the contacts in the energy of an uncompressed chain (virial theorem).
+        """Mean fraction of an uncompressed chain's energy in its contacts (virial theorem).
 
         For other laws than powers it is that of weak motions.
         """
@@ -209,7 +210,7 @@ class ContactLaw(ABC):
 
 
 class PowerForce(ContactLaw):
-    """The force K o^delta of a closed contact.
+    """The power law: force K o^delta of a closed contact.
 
     Parameters
     ----------
@@ -237,7 +238,7 @@ class PowerForce(ContactLaw):
         return 4 / 3 * modulus * radius**0.5 * length ** (1.5 - self.onset)
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
-        """Return the stiffness at this overlap, which is the largest up to it, N/m."""
+        """Return the stiffness at this overlap, N/m, which is the largest stiffness up to it."""
         return self.stiffness(overlap, constant)
 
     def overlap(self, force: Any, constant: Any) -> Any:
@@ -245,7 +246,7 @@ class PowerForce(ContactLaw):
         return (force / constant) ** (1 / self.onset)
 
     def approach(self, energy: Any, constant: Any) -> Any:
-        """Return the overlap at which a contact without force at rest holds this energy, m.
+        """Return the overlap at which a contact without force at rest stores this energy, m.
 
         Its energy is ``K r^(delta+1) / (delta+1)``.
         """
@@ -253,21 +254,21 @@ class PowerForce(ContactLaw):
         return (power * energy / constant) ** (1 / power)
 
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
-        """Return an upper bound on how far overlaps exceed those at rest, m.
+        """Return an upper bound on the increase of overlaps from rest, m.
 
         A contact holds at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
         """
         of_law = self.approach(energy, contacts.constant)
-        # Without energy and stiffness the second is no number, which fmin passes over.
+        # Without energy and stiffness the second bound is NaN, which fmin ignores.
         return np.fmin(of_law, np.sqrt(2 * energy / contacts.stiffness))
 
     def bend(self, contacts: RestingContacts) -> float:
-        """Return delta - 1."""
+        """Return delta - 1, see `ContactLaw.bend`."""
         return self.onset - 1
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
-        # Below s = -1 the contact is open, and has lost all of its force at rest.
+        # Below s = -1 the contact is open, and its force at rest is lost completely.
         s = r / np.where(contacts.pressed, contacts.overlap, np.inf)
         relative = np.expm1(self.onset * np.log1p(np.where(s > -1, s, 0.0)))
         change = contacts.force * np.where(s > -1, relative, -1.0)
@@ -283,7 +284,7 @@ class PowerForce(ContactLaw):
         s = r / np.where(contacts.pressed, contacts.overlap, 1.0)
         y = np.log1p(np.where(s > -1, s, 0.0))
         exact = np.where(s > -1, np.expm1(power * y), -1.0) / power - s
-        # the two terms cancel for small s: sum the binomial series instead
+        # The two terms cancel for small s, so the binomial series is summed instead.
         series = np.zeros_like(s)
         for k in range(11, 1, -1):
             series = (power - k + 1) / k * s * (1 + series)
@@ -291,7 +292,7 @@ class PowerForce(ContactLaw):
         return np.where(contacts.pressed, contacts.force * contacts.overlap * scaled, loose)
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
-        """Return by how much more one contact overlaps under this additional force, m."""
+        """Return the increase of the overlap of a contact under an additional force, m."""
         if contacts.pressed:
             return contacts.overlap * np.expm1(np.log1p(force / contacts.force) / self.onset)
         return self.overlap(force, contacts.constant)
@@ -311,5 +312,5 @@ def _power_curvature(overlap: Any, constant: Any, exponent: Any) -> Any:
 
 @cache
 def power_law(exponent: float) -> PowerForce:
-    """Return the power law of an exponent; every chain asks for one, and most for the same."""
+    """Return the power law with this exponent; the cache serves chains of equal exponents."""
     return PowerForce(exponent)

@@ -1,4 +1,4 @@
-"""The contacts of chains: forces, overlaps, stiffnesses and energies by their law."""
+"""The contacts of chains: forces, overlaps, stiffnesses and energies."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ..util.arrays import Array, read_only
 from ..util.lazy import cached_property
 from .contact_law import ContactLaw
 
-# grains of a chain: up to here all contacts are known sooner than those of some parts
+# Up to this number of grains, deriving all contacts takes less time than deriving parts.
 FEW_GRAINS = 10**4
-# factor on the largest strain: a contact that opens is softer than at rest
+# Safety factor on the largest strain, because a contact that opens is softer than at rest.
 OPENING_MARGIN = 1.05
 
 
 def pair_value(values: Array) -> Array:
-    """Return 1 / (1/a + 1/b) of neighbours in a row of B bodies, (..., B-1): their E* or R*.
+    """Return 1 / (1/a + 1/b) of neighbours in a row of B bodies, (..., B-1), for E* and R*.
 
     A plane has an infinite radius.
     """
@@ -36,7 +36,7 @@ def reduced(upper: Number, lower: Number) -> Number:
 
 
 def pair_slopes(values: Array) -> tuple[Array, Array]:
-    """Return d(log of `pair_value`) / d(log a), (..., B-1), of the upper body, and of the lower."""
+    """Return d(log of `pair_value`) / d(log a), (..., B-1), by upper and by lower body."""
     pair = pair_value(values)
     return pair / values[..., :-1], pair / values[..., 1:]
 
@@ -85,7 +85,7 @@ class Contacts:
 
     @classmethod
     def at_rest(cls, constant: Array, force: Array, law: ContactLaw) -> Contacts:
-        """Return contacts with these constants, N/m^delta, that carry these forces at rest, N."""
+        """Return contacts with these constants, N/m^delta, and these forces at rest, N."""
         # Without a wall the constant is 0, and 0 / 0 would be NaN.
         overlap = law.overlap(force, np.where(constant > 0, constant, 1.0))
         if law.bonds:
@@ -100,7 +100,7 @@ class Contacts:
 
     @cached_property
     def exists(self) -> NDArray[np.bool_]:
-        """Whether there are two bodies, (..., N+1) bool."""
+        """Whether a contact has two bodies, (..., N+1) bool; there may be no wall."""
         return read_only(self.constant > 0)
 
     @cached_property
@@ -115,17 +115,17 @@ class Contacts:
 
     @cached_property
     def bend(self) -> Array:
-        """Return `ContactLaw.bend` of the contacts at rest, (..., N+1); 0 if they carry nothing."""
+        """Return `ContactLaw.bend` of the contacts at rest, (..., N+1); 0 without a force."""
         return np.where(self.pressed, self.law.bend(self), 0.0)
 
     def of(self, numbers: int | np.integer | slice | NDArray[np.intp] | None) -> Contacts:
-        """Return these contacts of one chain, or the contacts of these of many chains."""
-        # Of many chains, the first axis is that of the chains.
+        """Return a selection of these contacts, or of these chains."""
+        # The first axis of the arrays of many chains numbers the chains.
         return Contacts(self.law.of(numbers), *(values[numbers] for values in self.arrays))
 
     def above(self, grain: int) -> Contacts:
-        """Return the contacts above a grain that is held from now on."""
-        # there is no wall below the grain that is held
+        """Return the contacts above a grain that is from now on fixed."""
+        # There is no wall below the fixed grain.
         arrays = (read_only(np.append(values[:grain], 0.0)) for values in self.arrays)
         return Contacts(self.law.of(slice(grain + 1)), *arrays)
 
@@ -143,12 +143,13 @@ class Contacts:
 
     @staticmethod
     def closer(displacement: Array, wall: Array | None = None, base: Array | None = None) -> Array:
-        """Return by how much every overlap exceeds that at rest, (..., N+1) m.
+        """Return the increase of every overlap from rest, (..., N+1) m.
 
         The top wall and the base, the bottom wall, are at (...) m, by default where they rest.
         """
         u = np.asarray(displacement)
-        # filled in place: numpy's diff of a row with two ends would copy long records twice
+        # The array is filled in place, because numpy's diff with two ends would copy long records
+        # twice.
         closer = np.empty((*u.shape[:-1], u.shape[-1] + 1))
         closer[..., 0] = 0.0 if wall is None else wall
         closer[..., 0] -= u[..., 0]
@@ -170,7 +171,7 @@ class Contacts:
 
         It is accurate in relative terms for the weakest waves.
         """
-        # most of a long chain rests, and powers take most of the time
+        # Most of a long chain rests, and the powers are the most expensive part.
         if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():
             energy = np.zeros(r.shape)
             energy[:, moves] = self.of(np.flatnonzero(moves)).energy(r[:, moves])
@@ -178,7 +179,7 @@ class Contacts:
         return self.law.energy_change(self, r)
 
     def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
-        """Return the largest overlap, m, of two bodies that meet alone at a speed, (N+1,) m/s.
+        """Return the largest overlap, m, in a collision of two bodies at a speed, (N+1,) m/s.
 
         The sum of their inverse masses is (N+1,) 1/kg; where it is 0 nothing meets.
         """
@@ -188,11 +189,11 @@ class Contacts:
         return np.where(meets, self.law.approach(energy, constant), 0.0)
 
     def squeezed_by(self, force: float) -> float:
-        """Return by how much more one contact overlaps under this additional force, m."""
+        """Return the increase of the overlap of a contact under an additional force, m."""
         return float(self.law.squeezed_by(self, force))
 
     def approach_bound(self, energy: float | Array) -> Array:
-        """Return an upper bound on how far each overlap exceeds that at rest, (..., N+1) m.
+        """Return an upper bound on the increase of each overlap from rest, (..., N+1) m.
 
         The bound is rigorous: no contact can hold more than the whole conserved energy above rest,
         (...) J.
@@ -201,24 +202,25 @@ class Contacts:
             return np.where(self.exists, self.law.approach_bound(self, energy), 0.0)
 
     def overlap_bound(self, energy: float | Array) -> Array:
-        """Return an upper bound of each overlap for this energy above rest, (..., N+1) m."""
+        """Return an upper bound on each overlap for this energy above rest, (..., N+1) m."""
         return self.overlap + self.approach_bound(energy)
 
     def strain_bound(self, approach: Array) -> Array:
-        """Return a bound on the strains by one on each approach, (..., N+1) m; see `Scene`."""
-        # A loose contact has no strain; where there is none, neither moves.
+        """Return a bound on strains from bounds on approaches, (..., N+1) m; see `Scene`."""
+        # A loose contact has no strain. A missing contact has no approach.
         strain = approach / np.where(self.pressed, self.length, 1.0)
         bounded = (self.pressed == self.exists).all(-1)
-        # The result for one chain is a number, not an array without axes.
+        # The result for one chain is a number, not an array of dimension 0.
         return np.where(bounded, OPENING_MARGIN * strain.max(-1), np.inf)[()]
 
 
 def together(contacts: Sequence[Contacts]) -> Contacts:
-    """Return the contacts of R chains of one length as one, (R, N+1), for compiled loops."""
+    """Return the contacts of R chains of equal length as arrays (R, N+1), for compiled loops."""
     if len(contacts) == 1:
-        # views of the arrays of this chain
+        # These are views of the arrays of this chain.
         return contacts[0].of(np.newaxis)
     rows = map(np.array, zip(*(chain.arrays for chain in contacts), strict=True))
-    # Read-only like those of one chain, because numba compiles again for writable arrays.
+    # The arrays are read-only like those of one chain, because numba compiles again for writable
+    # arrays.
     law = contacts[0].law.joined([chain.law for chain in contacts])
     return Contacts(law, *map(read_only, rows))

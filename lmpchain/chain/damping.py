@@ -38,7 +38,7 @@ from .contact_law import power_law
 from .contacts import Contacts, pair_value
 from .materials import Material, one_material, sphere_mass
 
-# Relative error of a step of the rebound; the sum of these errors stays below 1e-12.
+# Relative error of a step of the rebound; the sum over all steps stays below 1e-12.
 COLLISION_ERROR = 1e-13
 # Above this ratio of A to the collision time, two spheres practically stick together.
 STICKS = 1e6
@@ -94,7 +94,7 @@ class Damping(Checked):
         return self.longest_time * omega**2 + self.largest_drag
 
     def fastest_rate(self, omega: float) -> float:
-        """Return the larger of omega, rad/s, and its decay rate A omega^2 + gamma, 1/s.
+        """Return the larger of omega and its decay rate A omega^2 + gamma, 1/s.
 
         The larger one limits the steps of explicit methods.
         """
@@ -105,7 +105,7 @@ class Damping(Checked):
         return self.decay_rate(omega) * time / 2
 
     def effect(self, omega: float, duration: float) -> float:
-        """Return an estimate of the relative change of a solution without damping, at most 1.
+        """Return an estimate of the relative change of a solution by damping, at most 1.
 
         It is exp(x) - 1 with x = (A omega^2 + gamma) T / 2, in linear theory and relative to the
         largest damped motion: in the time T a mode of frequency omega decays by exp(-x), and all
@@ -128,7 +128,7 @@ class Damping(Checked):
         return math.expm1(min(self.decay(omega, duration), math.log(2.0)))
 
     def misfits(self, grains: int) -> Iterator[tuple[str, str]]:
-        """Yield faults of arrays whose length does not fit this number of grains."""
+        """Yield faults of arrays whose length does not match this number of grains."""
         for key, values, length in (
             ("viscoelastic", self.viscoelastic, grains - 1),
             ("drag", self.drag, grains),
@@ -217,19 +217,19 @@ def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing:
 
 
 def _cut(values: float | Array, first: int, last: int) -> float | Array:
-    """Return the values numbered first ... last, or the common value."""
+    """Return the values numbered first ... last, or the value that all share."""
     return values[first - 1 : last] if isinstance(values, np.ndarray) else values
 
 
 class Pair(NamedTuple):
-    """Two bodies that collide: constant of their contact, N/m^delta, reduced mass, kg, delta."""
+    """Two colliding bodies: constant of their contact, N/m^delta, reduced mass, kg, and delta."""
 
     constant: float
     mass: float
     exponent: float
 
     def time(self, velocity: float) -> float:
-        """Return the unit of time (m v^2 / K)^(1/(delta+1)) / v of a collision at a velocity v, s.
+        """Return the unit of time of a collision at a velocity v, s: (m v^2 / K)^(1/(delta+1)) / v.
 
         A collision lasts about 3 units.
         """
@@ -250,7 +250,7 @@ def two_spheres(materials: Sequence[Material], diameters: Sequence[float], expon
 
 @lru_cache(maxsize=1024)
 def rebound(viscosity: float, exponent: float) -> float:
-    """Return the restitution of two bodies, A in units of `Pair.time`; 0 if they stick.
+    """Return the restitution of two bodies for A in units of `Pair.time`; 0 if they stick.
 
     It is exact to 1e-12, from an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1
     until y returns to 0; the coefficient is the final value of -w.
@@ -275,7 +275,7 @@ def rebound(viscosity: float, exponent: float) -> float:
     parts.terminal = True  # type: ignore[attr-defined]
     parts.direction = -1  # type: ignore[attr-defined]
     options: dict[str, Any] = {"rtol": COLLISION_ERROR, "atol": 1e-3 * COLLISION_ERROR}
-    # A strong viscosity makes the equation stiff, so that implicit steps are longer.
+    # A strong viscosity makes the equation stiff, so that an implicit method is faster.
     method = "DOP853" if viscosity < 100 else "Radau"
     run = solve_ivp(move, (0.0, STICKS), (0.0, 1.0), method=method, events=parts, **options)
     return max(-float(run.y[1, -1]), 0.0)

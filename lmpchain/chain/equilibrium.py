@@ -1,4 +1,4 @@
-"""Equilibrium of chains: all that follows from their grains, of one chain or of many at once."""
+"""Equilibrium of one chain or many chains: forces, overlaps and stiffnesses at rest."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ class Equilibrium:
     Attributes
     ----------
     contacts : Contacts
-        With their forces, overlaps and stiffnesses at rest.
+        Contacts with their forces, overlaps and stiffnesses at rest.
     contact_lengths : (..., N+1) array
-        Mean diameter of the two grains of every contact, at a wall that of the grain, m.
+        Mean diameter of the two grains of every contact, or the grain's diameter at a wall, m.
     diameters, masses : (..., N) arrays
-        m and kg.
+        Diameters and masses, m and kg.
     """
 
     contacts: Contacts
@@ -46,11 +46,11 @@ class Equilibrium:
         return self.contacts.overlap / self.contact_lengths
 
     def dynamical_matrix(self, movable: int) -> tuple[Array, Array]:
-        """Return `Chain.dynamical_matrix` of chains with this number of moving grains."""
+        """Return `Chain.dynamical_matrix` of these chains with this number of moving grains."""
         return dynamical_matrix(self.contacts.stiffness, self.masses[..., :movable])
 
     def computable(self, movable: int) -> NDArray[np.bool_]:
-        """Return whether masses and stiffnesses are numbers that can be computed with, (...)."""
+        """Return whether masses and stiffnesses are within the floating-point range, (...)."""
         diagonal, coupling = self.dynamical_matrix(movable)
         sound = (self.masses > 0).all(-1) & ~np.isnan(self.compression).any(-1)
         for elements in (diagonal, coupling):
@@ -58,7 +58,7 @@ class Equilibrium:
         return np.asarray(sound)
 
     def row(self, number: int) -> Equilibrium:
-        """Return one of many chains."""
+        """Return the equilibrium of one of many chains."""
         return Equilibrium(
             self.contacts.of(number),
             self.contact_lengths[number],
@@ -67,7 +67,7 @@ class Equilibrium:
         )
 
     def above(self, grain: int) -> Equilibrium:
-        """Return grains 1 ... `grain` as a chain whose last grain is held."""
+        """Return grains 1 ... `grain` as a chain whose last grain is fixed."""
         lengths = np.append(self.contact_lengths[:grain], self.diameters[grain - 1])
         contacts = self.contacts.above(grain)
         return Equilibrium(
@@ -76,7 +76,7 @@ class Equilibrium:
 
 
 def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
-    """Return a chain at rest, or R chains like it of which some values were drawn.
+    """Return the equilibrium of a chain, or of R chains with R drawn values of some properties.
 
     A value that all grains share stays one, in a (1,) array, until rows of grains are filled, so
     that a chain of like grains takes little time.
@@ -93,7 +93,8 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
     drawn = drawn or {}
     grains = chain.grains
     rows = next(iter(drawn.values())).shape[:-1] if drawn else ()
-    # an array in any case: a power of a Python float raises where it overflows, and has other bits
+    # An array is used in any case: a power of a Python float raises on overflow and rounds
+    # differently.
     diameter = np.array(drawn.get("diameter", chain.diameter), ndmin=1)
     diameter = with_impurities(diameter, chain.impurity, attrgetter("diameter"), grains)
     density, youngs, poisson = (
@@ -111,10 +112,11 @@ def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equili
     modulus = youngs / (1 - poisson * poisson)
     constants = _contact_constants(chain, modulus, diameter, lengths, given)
     masses = _spread((*rows, grains), mass)
-    # Long doubles, because rounding of the weight of many grains would show in the stiffnesses.
+    # Long doubles are used because rounding of the weight of many grains would affect the
+    # stiffnesses.
     weight = chain.gravity * masses.cumsum(-1, dtype=np.longdouble)
     force = force_at_rest(weight, chain.top_load, chain.load_grain).astype(float)
-    # nothing carries a force where there is no wall
+    # A missing wall carries no force.
     if chain.top != "wall":
         force[..., 0] = 0.0
     if chain.bottom != "wall":
@@ -142,7 +144,7 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
     """
     force = np.zeros((*weight.shape[:-1], weight.shape[-1] + 1), weight.dtype)
     force[..., 1:] = weight
-    # a wall above grain 1 presses with a load on that
+    # A wall above grain 1 transmits a load on grain 1.
     force[..., load_grain if load_grain > 1 else 0 :] += top_load
     return force
 
@@ -150,7 +152,7 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
 def _contact_constants(
     chain: Any, modulus: Array, diameter: Array, lengths: Ends, given: Array | None
 ) -> Ends:
-    """Return the constants of the contact at the top, of those between grains, and at the bottom.
+    """Return the constants of the top contact, the contacts between grains, and the bottom contact.
 
     In N/m^delta; 0 where there is no wall.
 
@@ -178,7 +180,7 @@ def _contact_constants(
         elif chain.given_wall_constants is not None:
             ends.append(chain.given_wall_constants[end])
         elif chain.law.given_constant is not None:
-            # A law that gives its own constant does so at walls, too.
+            # A law with its own constant applies it at walls as well.
             ends.append(_end(between, end))
         else:
             of_grain = _end(modulus, end)
@@ -186,7 +188,7 @@ def _contact_constants(
             radius = reduced(_end(diameter, end) / 2, np.array(math.inf))
             pair = reduced(of_grain, plane)
             constant = chain.law.constant(pair, radius, lengths[end])
-            # The ratio of the constants of a wall and of the next contact is that of Hertz's law.
+            # The ratio of the constants of a wall and of the next contact follows from Hertz's law.
             if given is not None and chain.grains > 1:
                 constant = constant * _end(given / natural, end)
             ends.append(constant)
@@ -202,21 +204,21 @@ def _neighbours(values: Array) -> tuple[Array, Array]:
 
 
 def _end(values: Array, end: int) -> Array:
-    """Return the value of the first (end 0) or last (end -1) grain, (..., 1), or the shared one."""
+    """Return the value of the first (end 0) or last (end -1) grain, (..., 1), or the common one."""
     if values.size == 1:
         return values
     return values[..., :1] if end == 0 else values[..., -1:]
 
 
 def _spread(shape: tuple[int, ...], values: Array) -> Array:
-    """Return rows of these values, or of the one that all grains share."""
+    """Return an array of this shape with these values, or with one common value, in each row."""
     row = np.empty(shape)
     row[...] = values
     return row
 
 
 def _fill(shape: tuple[int, ...], values: Ends) -> Array:
-    """Return rows (..., B) of a value, B - 2 values or one number for them, and a last value."""
+    """Return rows (..., B): one value, B - 2 values (or a common one), and one value."""
     row = np.empty(shape)
     row[..., :1], row[..., 1:-1], row[..., -1:] = values
     return row

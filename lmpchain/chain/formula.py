@@ -1,4 +1,4 @@
-"""Formulas of force laws: a safe parser, derivatives, integrals, and functions made of them.
+"""Formulas of force laws: a safe parser, derivatives, integrals and conversion to functions.
 
 A formula comes from a scene file, perhaps of a stranger. Python's parser turns its text into a
 syntax tree, of which only numbers, names, arithmetic and the functions below are accepted; nothing
@@ -34,14 +34,14 @@ import numpy as np
 
 from ..errors import InputError
 
-# Characters, nested levels and operations of a formula; the size of its numbers.
+# Largest number of characters, nested levels and operations of a formula, and its largest number.
 MAX_LENGTH = 1000
 MAX_DEPTH = 40
 MAX_OPERATIONS = 200
 MAX_NUMBER = 1e100
-# Conditions of min, max, abs and step: every one doubles the branches to look at.
+# Largest number of conditions (min, max, abs, step): each one doubles the branches to examine.
 MAX_CONDITIONS = 6
-# Terms of an expanded formula, and powers that are multiplied out, up to which it is integrated.
+# Largest number of terms of an expanded formula, and largest power multiplied out for integration.
 MAX_TERMS = 200
 MAX_POWER = 12
 
@@ -59,7 +59,7 @@ PRECEDENCE = {"+": 1, "-": 1, "*": 2, "/": 2, "negative": 3, "**": 4}
 
 @dataclass(frozen=True, eq=False)
 class Formula:
-    """An expression of numbers, names, arithmetic and functions; equal ones are one object.
+    """An expression of numbers, names, arithmetic and functions; equal expressions are one object.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Formula:
         first is 0 or more, else the third, or "growth": (1 + s)^p - 1 of s and p, -1 for s < -1.
     parts : tuple of Formula
     value : float or str
-        Of a number or a name.
+        Value of a number, or name.
     """
 
     operation: str
@@ -77,11 +77,11 @@ class Formula:
 
     @property
     def number(self) -> float | None:
-        """The value of a number; None for anything else."""
+        """The value of a formula that is a number; None for any other formula."""
         return self.value if isinstance(self.value, float) else None
 
     def walk(self) -> Iterator[Formula]:
-        """Yield every different part once, parts before the whole."""
+        """Yield every distinct part once, each before the expressions that contain it."""
         seen: set[Formula] = set()
         waiting = [(self, False)]
         while waiting:
@@ -97,11 +97,11 @@ class Formula:
 
     @property
     def names(self) -> list[str]:
-        """Names of variables and parameters, in the order in which they are computed."""
+        """Names of variables and parameters in the order of their evaluation."""
         return [str(node.value) for node in self.walk() if node.operation == "name"]
 
     def rebuilt(self, replace: Callable[[Formula], Formula | None]) -> Formula:
-        """Return this formula with parts replaced where `replace` returns another part."""
+        """Return this formula with the parts replaced for which `replace` returns a formula."""
         made: dict[Formula, Formula] = {}
         for node in self.walk():
             other = replace(node)
@@ -123,7 +123,7 @@ class Formula:
 
     @property
     def text(self) -> str:
-        """The formula as it is written in a scene file; reading it gives this formula again."""
+        """The formula as written in a scene file; parsing the text returns this formula."""
         return _print(self)[0]
 
     @property
@@ -143,14 +143,14 @@ class Formula:
         return made[self]
 
     def derivative(self, variable: str) -> Formula:
-        """Return the derivative by a variable; what jumps has the derivatives of its two sides."""
+        """Return the derivative by a variable; jumps of the formula contribute nothing."""
         slopes: dict[Formula, Formula] = {}
         for node in self.walk():
             slopes[node] = _slope(node, [slopes[part] for part in node.parts], variable)
         return slopes[self]
 
     def change(self, variable: str, by: str) -> Formula:
-        """Return by how much the formula grows if a variable grows by `by`.
+        """Return the change of the formula if a variable grows by `by`.
 
         No two values are subtracted that nearly agree, so that the relative accuracy does not
         depend on the size of the change.
@@ -167,7 +167,7 @@ class Formula:
         return changes[self]
 
     def _after(self, variable: str, by: str) -> dict[Formula, Formula]:
-        """Return every part of the formula with a variable increased by `by`."""
+        """Return a dict from every part to the part with a variable increased by `by`."""
         after: dict[Formula, Formula] = {}
         for node in self.walk():
             if node.parts:
@@ -178,7 +178,7 @@ class Formula:
         return after
 
     def without(self, known: Iterable[str], stem: str) -> tuple[Formula, list[Formula]]:
-        """Return the formula with what depends on known names alone under new names, and that.
+        """Replace the parts that depend only on known names by new names; return formula and parts.
 
         The new names are `stem` with a number from 0 on.
         """
@@ -201,19 +201,19 @@ class Formula:
             return name(f"{stem}{parts.index(node)}")
 
         outer = self.rebuilt(replace)
-        # Parts of other known parts are needed by name only if they stand outside of them, too.
+        # A part of another known part needs a name only if it occurs outside of that part as well.
         used = [part for n, part in enumerate(parts) if f"{stem}{n}" in outer.names]
         names = {f"{stem}{parts.index(part)}": name(f"{stem}{n}") for n, part in enumerate(used)}
         return outer.substitute(names), used
 
     def conditions(self, variable: str) -> list[Formula]:
-        """Return the expressions at whose sign changes the formula has kinks in a variable."""
+        """Return the expressions whose changes of sign are kinks of the formula in a variable."""
         found = [_condition(node) for node in self.walk() if node.operation in CONDITIONAL]
         branches = [branch for one in found for branch in _branches(one)]
         return [c for c in dict.fromkeys(branches) if variable in c.names]
 
     def kinks(self, variable: str) -> list[Formula]:
-        """Return where the formula is not smooth in a variable, in terms of the other names.
+        """Return the points at which the formula is not smooth in a variable, as formulas.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class Formula:
         return list(dict.fromkeys(places))
 
     def between_kinks(self, variable: str, at: float) -> Formula:
-        """Return the smooth formula of one variable that holds around a value of it."""
+        """Return the smooth formula of one variable that is valid near a value of the variable."""
         made: dict[Formula, Formula] = {}
         for node in self.walk():
             parts = [made[part] for part in node.parts]
@@ -276,7 +276,7 @@ class Formula:
     def function(
         self, arguments: str, functions: Mapping[str, Any], codes: Mapping[str, str] | None = None
     ) -> Callable[..., Any]:
-        """Return a Python function that computes the formula; equal parts are computed once.
+        """Return a Python function that evaluates the formula and computes equal parts once.
 
         Parameters
         ----------
@@ -300,7 +300,7 @@ class Formula:
                 code = f"_{len(lines) - 1}"
             made[node] = code
         body = "\n".join(lines)
-        # The text was printed from a tree of accepted parts alone.
+        # The source text was printed only from a tree of accepted parts.
         source = f"def formula({arguments}):\n{body}\n    return {made[self]}\n"
         module = compile(source, "<formula of a law>", "exec")
         constants: tuple[Any, ...] = module.co_consts
@@ -318,7 +318,7 @@ _formulas: WeakValueDictionary[Any, Formula] = WeakValueDictionary()
 
 
 def make(operation: str, parts: tuple[Formula, ...] = (), value: float | str = "") -> Formula:
-    """Return the one formula with this operation, these parts and this value."""
+    """Return the unique formula with this operation, these parts and this value."""
     key = operation, parts, value
     formula = _formulas.get(key)
     if formula is None:
@@ -338,7 +338,7 @@ def name(text: str) -> Formula:
 
 ZERO = number(0.0)
 ONE = number(1.0)
-# Operations with a condition, on whose two sides they compute different things.
+# Operations with a condition, which compute different expressions on its two sides.
 CONDITIONAL = ("max", "min", "abs", "step", "select")
 CONSTANT: dict[str, Callable[..., float]] = {
     "+": lambda a, b: a + b,
@@ -365,7 +365,7 @@ CONSTANT: dict[str, Callable[..., float]] = {
 
 
 def build(operation: str, *parts: Formula) -> Formula:
-    """Return an operation on parts, simplified where a number makes that trivial."""
+    """Return an operation on parts, simplified if an operand makes the result trivial."""
     if operation in SIMPLIFIED:
         return SIMPLIFIED[operation](*parts)
     numbers = [part.number for part in parts]
@@ -411,7 +411,7 @@ def subtract(a: Formula, b: Formula) -> Formula:
 
 
 def multiply(a: Formula, b: Formula) -> Formula:
-    """Return a b; where a step is a factor, the other is passed over where that is 0."""
+    """Return a b; if a factor is a step, the other factor is not evaluated where the step is 0."""
     if a is ZERO or b is ZERO:
         return ZERO
     if a is ONE or b is ONE:
@@ -463,7 +463,7 @@ SIMPLIFIED: dict[str, Callable[..., Formula]] = {
 
 
 def parse(text: str) -> Formula:
-    """Return the formula that a text holds.
+    """Return the formula that a text describes.
 
     Raises
     ------
@@ -477,18 +477,18 @@ def parse(text: str) -> Formula:
     if not CHARACTERS.fullmatch(text):
         wrong = next(c for c in text if not CHARACTERS.fullmatch(c))
         hint = ": write ** for a power" if wrong == "^" else ""
-        raise _fault(f"has {wrong!r}, which no formula holds{hint}")
+        raise _fault(f"has the character {wrong!r}, which is not allowed{hint}")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             tree = ast.parse(text.strip(), mode="eval")
     except (SyntaxError, ValueError, RecursionError, MemoryError):
-        raise _fault(f"is no formula: {_short(text)}") from None
+        raise _fault(f"is not a valid formula: {_short(text)}") from None
     left = [MAX_OPERATIONS]
     formula = _read(tree.body, 0, left)
     for node in formula.walk():
         if node.number is not None and not abs(node.number) <= MAX_NUMBER:
-            raise _fault(f"has a number that is too large, or none: {_short(text)}")
+            raise _fault(f"has a number that is too large or undefined: {_short(text)}")
     if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
         raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
     return formula
@@ -522,11 +522,11 @@ def _read(node: ast.AST, depth: int, left: list[int]) -> Formula:
         _check_call(node.func.id, len(node.args))
         return build(node.func.id, *(_read(part, depth + 1, left) for part in node.args))
     kinds = "numbers, names, + - * / ** and functions"
-    raise _fault(f"has {type(node).__name__}: a formula holds {kinds} only")
+    raise _fault(f"has {type(node).__name__}: a formula may contain only {kinds}")
 
 
 def _read_leaf(node: ast.AST) -> Formula | None:
-    """Return a number or a name; None for anything else."""
+    """Return a number or a name as a formula; None for any other node."""
     value = node.value if isinstance(node, ast.Constant) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         if abs(value) > MAX_NUMBER:
@@ -547,14 +547,14 @@ def _check_call(called: str, count: int) -> None:
         raise _fault(f"has the unknown function {_short(called)}: {', '.join(FUNCTIONS)}")
     several = called in ("min", "max")
     if count != 1 if not several else count < 2:
-        raise _fault(f"has {called} of {count} values")
+        raise _fault(f"calls {called} with {count} values")
 
 
 # Printing.
 
 
 def _digits(value: float) -> str:
-    """Return a number that is read as the same one."""
+    """Return the shortest decimal text that is read as the same number."""
     return repr(int(value)) if value.is_integer() and abs(value) < 1e15 else repr(value)
 
 
@@ -572,14 +572,14 @@ def _print(node: Formula) -> tuple[str, int]:
         return f"{node.operation}({', '.join(text for text, _ in printed)})", 5
     if node.operation == "negative":
         text, inner = printed[0]
-        # A sum is enclosed; a product is not, because -a*b and -(a*b) are read alike in value
-        # only, not as the same tree.
+        # A sum is enclosed in brackets; a product is not, because -a*b and -(a*b) have equal
+        # values.
         return f"-({text})" if inner < 4 else f"-{text}", rank
     return _infix(node.operation, rank, *printed), rank
 
 
 def _infix(operation: str, rank: int, first: tuple[str, int], second: tuple[str, int]) -> str:
-    """Return two sides, with their precedence, around an operator, in brackets where needed."""
+    """Return two operands, with their precedence, around an operator, in brackets where needed."""
     left, low = first
     right, high = second
     left_associative = operation != "**"
@@ -593,7 +593,7 @@ def _infix(operation: str, rank: int, first: tuple[str, int], second: tuple[str,
 
 def _in_lepton(node: Formula, parts: list[str]) -> str:
     if node.number is not None:
-        # No blanks and no name of a number enter a deck.
+        # Neither blanks nor names of numbers are allowed in a deck.
         return f"({node.number!r})" if node.number < 0 else repr(node.number)
     if node.operation == "name":
         return str(node.value)
@@ -646,7 +646,7 @@ def _in_python(node: Formula, parts: list[str]) -> str:
 
 
 def _power_in_python(exponent: float | None, base: str, other: str) -> str:
-    """Return a power; products and roots are faster than the power function."""
+    """Return the Python text of a power; products and roots are faster than the power function."""
     if exponent is None or not (2 * exponent).is_integer() or abs(exponent) > 6:
         return f"{base} ** {other}"
     whole = int(abs(exponent))
@@ -659,7 +659,7 @@ def _power_in_python(exponent: float | None, base: str, other: str) -> str:
 
 
 def _slope(node: Formula, slopes: list[Formula], variable: str) -> Formula:
-    """Return the derivative of a formula whose parts have these derivatives."""
+    """Return the derivative of a formula, given the derivatives of its parts."""
     if not node.parts:
         return ONE if node.value == variable else ZERO
     if all(slope is ZERO for slope in slopes):
@@ -707,13 +707,13 @@ def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
     return total
 
 
-# Added to a sum of two roots, which may be 0: far below every other number.
+# Added to a sum of two roots, which may be 0; negligible beside every other number.
 NEARLY_ZERO = number(1e-300)
 TWO = number(2.0)
 
 
 def _change(node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]) -> Formula:
-    """Return the change of a formula whose parts change by these, see `Formula.change`."""
+    """Return the change of a formula, given the changes of its parts, see `Formula.change`."""
     a = node.parts[0]
     da = changes[0]
     ends = after[node]
@@ -751,7 +751,7 @@ def _change_of_power(
     base, exponent = node.parts
     p = exponent.number
     if p is not None and 0 < p <= 4 and (2 * p).is_integer():
-        # x^p is x x ... sqrt(x).
+        # x^p is a product x x ... sqrt(x).
         factors = [(base, changes[0], after[base])] * int(p)
         if p != int(p):
             root = build("sqrt", base)
@@ -776,7 +776,7 @@ def _change_of_power(
 def _change_across(
     node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]
 ) -> Formula:
-    """Return the change of an operation with a condition, which may be on the other side after."""
+    """Return the change of a conditional operation whose condition may change its sign."""
     condition = _condition(node)
     above, below = _sides(node.operation, node.parts)
     if node.operation == "abs":
@@ -793,7 +793,7 @@ def _change_across(
 
 
 def _condition(node: Formula) -> Formula:
-    """Return the expression that is 0 or more on the first branch of a conditional operation."""
+    """Return the expression that is at least 0 on the first branch of a conditional operation."""
     if node.operation == "max":
         return subtract(*node.parts)
     if node.operation == "min":
@@ -802,7 +802,7 @@ def _condition(node: Formula) -> Formula:
 
 
 def _sides(operation: str, parts: Sequence[Formula]) -> tuple[Formula, Formula]:
-    """Return both branches of a conditional operation: condition 0 or more, and below 0."""
+    """Return both branches of a conditional operation: condition at least 0, and below 0."""
     if operation == "abs":
         return parts[0], negative(parts[0])
     if operation == "step":
@@ -811,7 +811,7 @@ def _sides(operation: str, parts: Sequence[Formula]) -> tuple[Formula, Formula]:
 
 
 def _branches(condition: Formula) -> list[Formula]:
-    """Return the smooth formulas that a condition with conditions of its own can be."""
+    """Return the smooth formulas that a condition can become if it contains conditions itself."""
     found = {condition}
     smooth = []
     while found:
@@ -829,13 +829,13 @@ def _replaced(formula: Formula, old: Formula, new: Formula) -> Formula:
     return formula.rebuilt(lambda node: new if node is old else (None if node.parts else node))
 
 
-# Integrals: sums of products, by the rules of every textbook.
+# Integrals of sums of products, by textbook rules.
 
-Term = tuple[float, dict[Formula, float]]  # a factor, and powers of formulas
+Term = tuple[float, dict[Formula, float]]  # A factor, and exponents by formula.
 
 
 def _inside(low: float, high: float) -> float:
-    """Return a number between two, of which one may be infinite."""
+    """Return a number between two numbers, one of which may be infinite."""
     if low == -math.inf:
         return high - 1.0 - abs(high) if high < math.inf else 0.0
     return low + 1.0 + abs(low) if high == math.inf else (low + high) / 2
@@ -877,7 +877,7 @@ def _expand(node: Formula, variable: str) -> list[Term] | None:
 
 
 def _sum(operation: str, sides: list[list[Term] | None]) -> list[Term] | None:
-    """Return the terms of a sum or difference of terms, or of their negative."""
+    """Return the terms of a sum or a difference of two lists of terms, or the negated terms."""
     first, last = sides[0], sides[-1]
     if first is None or last is None:
         return None
@@ -901,14 +901,14 @@ def _times(left: list[Term], right: list[Term] | None) -> list[Term] | None:
 
 
 def _raised(base: Formula, terms: list[Term], exponent: float) -> list[Term] | None:
-    """Return a power of terms: of one factor by factor, of a few multiplied out, or as a whole."""
+    """Return a power of a sum of terms: factor by factor, multiplied out, or as a single factor."""
     whole = exponent.is_integer()
     if len(terms) == 1:
         factor, powers = terms[0]
         plain = all(e == 1 for e in powers.values()) and len(powers) <= 1
         if (factor > 0 and plain) or (whole and factor != 0):
             return [(factor**exponent, {b: e * exponent for b, e in powers.items()})]
-    # A power of a linear term is integrated as such.
+    # A power of a linear term is integrated without expanding it.
     if whole and 1 < exponent <= MAX_POWER and not _is_linear(base):
         product: list[Term] | None = [(1.0, {})]
         for _ in range(int(exponent)):
@@ -918,20 +918,20 @@ def _raised(base: Formula, terms: list[Term], exponent: float) -> list[Term] | N
 
 
 def _is_linear(base: Formula) -> bool:
-    """Return whether a formula of one variable is linear in it."""
+    """Return whether a formula of one variable is linear in this variable."""
     names = base.names
     return not names or names[0] not in base.derivative(names[0]).names
 
 
 def _linear(node: Formula, variable: str) -> tuple[float, float] | None:
-    """Return a and b of a + b x with b other than 0; None for anything else."""
+    """Return a and b of a + b x if b is not 0; None for any other formula."""
     slope = node.derivative(variable).number
     offset = node.value_at(variable, 0.0)
     return (offset, slope) if slope and math.isfinite(offset) else None
 
 
 def _integrate(powers: dict[Formula, float], variable: str) -> Formula | None:
-    """Return the integral of a product of powers."""
+    """Return the integral of a product of powers; None if no rule applies."""
     x = name(variable)
     degree = powers.pop(x, 0.0)
     powers = _one_exponential(powers)
@@ -961,7 +961,7 @@ def _power_integral(base: Formula, exponent: float) -> Formula:
 
 
 def _one_exponential(powers: dict[Formula, float]) -> dict[Formula, float]:
-    """Return a product in which all exponential functions are one."""
+    """Return a product in which all exponential functions are merged into one."""
     exponentials = {base: e for base, e in powers.items() if base.operation == "exp"}
     if not exponentials:
         return powers
@@ -973,7 +973,7 @@ def _one_exponential(powers: dict[Formula, float]) -> dict[Formula, float]:
 
 
 def _shifted(inner: Formula, linear: tuple[float, float], degree: int, exponent: float) -> Formula:
-    """Return the integral of x^n L^p with L = a + b x, by powers of L alone."""
+    """Return the integral of x^n L^p with L = a + b x as a sum of powers of L."""
     a, b = linear
     total: Formula = ZERO
     for j in range(degree + 1):
@@ -983,7 +983,7 @@ def _shifted(inner: Formula, linear: tuple[float, float], degree: int, exponent:
 
 
 def _by_parts(operation: str, inner: Formula, slope: float, degree: int, x: Formula) -> Formula:
-    """Return the integral of x^n f(L), in which f is a function with known integrals."""
+    """Return the integral of x^n f(L) by parts, for a function f with known integrals."""
     total: Formula = ZERO
     sign = 1.0
     factor = 1.0
@@ -994,7 +994,7 @@ def _by_parts(operation: str, inner: Formula, slope: float, degree: int, x: Form
         term = multiply(power(x, number(float(j))), primitive)
         sign *= turned
         total = add(total, multiply(number(sign * factor), term))
-        # The next term integrates the primitive itself, with the other sign.
+        # The next term contains the integral of the primitive, with the opposite sign.
         factor *= j
         sign = -sign
     return total
@@ -1006,7 +1006,8 @@ def _log_cosh(inner: Formula) -> Formula:
     return add(size, build("log", multiply(number(0.5), add(ONE, decays))))
 
 
-# Of a function of L: its integral by L without the sign, the function that this is, and the sign.
+# Maps function f(L) to its integral over L without the sign, the function of that integral, and the
+# sign.
 PRIMITIVES: dict[str, Callable[[Formula], tuple[Formula, str, float]]] = {
     "exp": lambda inner: (build("exp", inner), "exp", 1.0),
     "sin": lambda inner: (build("cos", inner), "cos", -1.0),

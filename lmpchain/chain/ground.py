@@ -1,4 +1,4 @@
-"""Forces from the ground: a spring on every grain, whose stiffness may depend on the time.
+"""Forces from the ground: a spring on every grain, whose stiffness may depend on time.
 
 The force ``F(u, t)`` pulls a grain back, ``m phi'' = ... - F(phi, t)``. It is 0 at ``u = 0``, so
 that grains rest where they would without a ground.
@@ -32,14 +32,17 @@ MOST_PIECES = 256
 
 
 def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
-    """Yield why a law cannot be that of the ground under this number of grains."""
+    """Yield the reasons why a law cannot describe the ground under this number of grains."""
     if not isinstance(law, Law) or not law.of_ground:
-        fault = "depends on the overlap o: the force from the ground is one of the displacement u"
+        fault = "depends on the overlap o, but the ground acts by the displacement u"
         yield "ground.force", f"{fault} and the time t"
         return
     for key, value in law.given.items():
         if isinstance(value, tuple) and len(value) != grains:
-            yield f"ground.{key}", f"must be one number, or {grains}, one a grain, not {len(value)}"
+            yield (
+                f"ground.{key}",
+                f"must be one number, or {grains}, one per grain, not {len(value)}",
+            )
     bends = law.formula.conditions("t")
     if bends:
         fault = f"bends where {bends[0].text} = 0"
@@ -61,7 +64,7 @@ def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
 
 
 def _rests(law: Law) -> bool:
-    """Return whether the force is 0 at u = 0, whatever the time."""
+    """Return whether the force is 0 at u = 0 at all times."""
     if law.formula.substitute({"u": 0.0}) is ZERO:
         return True
     kinds = {len(value) for value in law.given.values() if isinstance(value, tuple)} or {1}
@@ -84,13 +87,13 @@ def onset(law: Law) -> float:
 
 
 def is_spring(law: Law) -> bool:
-    """Return whether every grain is pulled back in proportion to its displacement, at all times."""
+    """Return whether the ground force on every grain is linear in its displacement, at any time."""
     slope = law.formula.derivative("u")
     return not {"u", "t"} & {*slope.names} and bool(np.all(law.stiffness(0.0, 0.0) >= 0))
 
 
 def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
-    """Return the largest size of the stiffness of every grain, (N,) or () N/m.
+    """Return the largest absolute stiffness of every grain, (N,) or () N/m.
 
     Parameters
     ----------
@@ -101,7 +104,7 @@ def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
         And from t = 0 to this time, s, at 65 times.
     """
     times = MOMENTS * duration if "t" in law.formula.names else np.zeros(1)
-    # Grains with parameters of their own are looked at together, one time after the other.
+    # Grains with individual parameters are evaluated together, one time after the other.
     alike = not any(np.ndim(value) for value in law.parameters)
     places = PLACES[:, None] * displacement
     largest: Any = 0.0
@@ -152,13 +155,13 @@ def join_contacts(force: Array, pull: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class GroundKernel:
-    """What the native engine compiles of a formula, the same for all values of its parameters.
+    """A ground formula prepared for compilation, equal for all values of its parameters.
 
     Attributes
     ----------
     force : Formula
     codes : dict
-        Where the parameters are, in an array with a column for each body.
+        Index expression of each parameter in an array with a column for each body.
     """
 
     force: Formula
@@ -166,7 +169,7 @@ class GroundKernel:
 
 
 def kernel_of(law: Law) -> GroundKernel:
-    """Return what the native engine compiles."""
+    """Return the ground formula in the form that the native engine compiles."""
     return _kernel(law.formula, tuple(law.names))
 
 

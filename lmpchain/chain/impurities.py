@@ -1,4 +1,4 @@
-"""Grains of a chain that differ from the others."""
+"""Impurities: grains of a chain that differ from the others."""
 
 from __future__ import annotations
 
@@ -61,8 +61,11 @@ def misfits(
                 f"there is no grain {impurity.grain}: the chain has {grains}",
             )
         elif impurity.grain in [other.grain for other in impurities[:place]]:
-            yield f"impurity.{place}.grain", f"names grain {impurity.grain} a second time"
-        # Contact constants would have to change with the impurity, but they are given.
+            yield (
+                f"impurity.{place}.grain",
+                f"repeats grain {impurity.grain}: give each impurity once",
+            )
+        # A contact constant would have to change with the impurity, but the constants are given.
         elif constants_given and (impurity.diameter or impurity.material):
             yield (
                 f"impurity.{place}",
@@ -88,13 +91,13 @@ def with_impurities(
 
 
 class Kinds(NamedTuple):
-    """The kinds of grains of a chain: the common grain, and every impurity.
+    """The kinds of grains of a chain: the common grain and every impurity.
 
     Attributes
     ----------
     materials : list of Material
     diameters, masses : list of float
-        m and kg.
+        Diameters and masses, m and kg.
     """
 
     materials: list[Material]

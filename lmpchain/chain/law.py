@@ -31,23 +31,23 @@ from .contact_law import ContactLaw, RestingContacts
 from .formula import MAX_NUMBER, ZERO, Formula, add, build, name, negative, number, parse
 
 FORMULA_VARIABLES = ("o", "u", "t")
-# The power of the overlap with which a smooth force is said to set in: no contact opens.
+# Onset exponent that a smooth force is given, because its contacts never open.
 SMOOTH = 1.5
-# Derivatives that are compared on both sides of a kink.
+# Number of derivatives compared on both sides of a kink.
 COMPARED = 4
-# Distance to a kink, over its overlap, at which a fractional power is measured.
+# Distance to a kink, relative to its overlap, at which a fractional exponent is measured.
 NEAR_KINK = 1e-6
-# Sizes of overlaps among which a rest is looked for, m.
+# Overlaps between which an equilibrium is searched, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
-# Forces, N, and energies, J, that are as large as can be.
+# Upper bound for forces, N, and energies, J.
 LARGEST = 1e300
 # Relative distance from a value at which it counts as reached.
 CLOSE = 1e-6
 # Iterations after which bisection alone has found a root between two of these sizes.
 BISECTIONS = 64
-# Lengths of the stiffness's own change up to which a kink is near.
+# A kink is near within this multiple of the length over which the stiffness changes.
 FAR = 4.0
-# A length for laws without one, as a linear spring, m.
+# Length scale of laws without one, such as a linear spring, m.
 LONGEST = 1.0
 NUMPY: dict[str, Any] = {
     **{
@@ -62,19 +62,19 @@ NUMPY: dict[str, Any] = {
 }
 
 
-# Lengths of pieces of an integral over the distance of their begin to a kink, and their number.
+# Growth factor of the pieces of an integral away from a kink, and largest number of pieces.
 GROWTH = 16.0
 MOST_PIECES = 20
-# Forces of an integral that are computed together.
+# Number of forces of an integral that are computed at once.
 VALUES_AT_ONCE = 100_000
-# Iterations of a solution: bisection alone ends in fewer.
+# Largest number of iterations of a solution; bisection alone needs fewer.
 ITERATIONS = 2000
-# Overlaps, over the largest one, at which the largest stiffness is looked for.
+# Overlaps, relative to the largest one, at which the largest stiffness is searched.
 PARTS = np.linspace(0.0, 1.0, 33)[1:]
 
 
 def _smooth_rule(size: int = 24) -> Array:
-    """Return nodes from 0 to 1 and weights of an integration, (2, size).
+    """Return nodes from 0 to 1 and weights of a quadrature rule, (2, size).
 
     Gauss's nodes crowd at both ends by a step of order 4, so that roots there are integrated too.
     """
@@ -90,7 +90,7 @@ NODES, WEIGHTS = _smooth_rule()
 def solve_growing(
     function: Callable[[Array], Array], slope: Callable[[Array], Array], target: Any, start: Any
 ) -> Array:
-    """Return the x >= 0 at which a function that grows from 0 has this value, infinite if none has.
+    """Return the x >= 0 at which a function that grows from 0 has this value; infinite if none.
 
     Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
     """
@@ -118,7 +118,7 @@ def solve_growing(
 
 
 class Law(ContactLaw):
-    """The force of a contact, or of a spring to the ground, by a formula.
+    """The force of a contact, or of a spring to the ground, given by a formula.
 
     Two laws are equal if their formulas, as printed, and their parameters are.
 
@@ -176,7 +176,7 @@ class Law(ContactLaw):
         object.__setattr__(self, "formula", formula)
         object.__setattr__(self, "given", given)
         arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
-        # A ground law has the time in the place of the constant of a contact.
+        # In a ground law the time replaces the constant of a contact.
         variables = "u, t, p" if self.of_ground else "o, k, p"
         force, stiffness, curvature = (
             part.function(variables, NUMPY, arguments) for part in _derived(formula)
@@ -193,7 +193,7 @@ class Law(ContactLaw):
 
     @property
     def kernel(self) -> LawKernel:
-        """What the native engine compiles, the same for all values of the parameters."""
+        """The law prepared for compilation, equal for all values of the parameters."""
         return _kernel(self.formula, tuple(self.names))
 
     def kinks(self, constant: Any) -> Array:
@@ -220,21 +220,21 @@ class Law(ContactLaw):
 
     @property
     def names(self) -> list[str]:
-        """Names of the parameters but k, in the order of `parameters`."""
+        """Names of the parameters except k, in the order of `parameters`."""
         return [key for key in self.given if key != "k" or self.of_ground]
 
     @property
     def text(self) -> str:
-        """The formula as it is printed; reading it gives the same law."""
+        """The formula as text; parsing it gives the same law."""
         return self.formula.text
 
     @property
     def of_ground(self) -> bool:
-        """Whether it is the law of a ground, of the displacement and the time."""
+        """Whether the law describes a ground, as a function of displacement and time."""
         return any(key in self.formula.names for key in ("u", "t"))
 
     def _change(self, rest: Array, r: Array, constant: Array) -> Array:
-        """Return F(rest + r) - F(rest), with all digits of weak waves, N."""
+        """Return F(rest + r) - F(rest) without loss of relative accuracy for small r, N."""
         with np.errstate(all="ignore"):
             change = self.kernel.change(rest, r, constant, self.parameters)
         return np.broadcast_to(change, np.broadcast_shapes(np.shape(rest), np.shape(r)))
@@ -248,7 +248,7 @@ class Law(ContactLaw):
         return np.sign(r) * total
 
     def _nodes(self, rest: Array, r: Array, constant: Array) -> Iterator[tuple[Array, Array]]:
-        """Yield places s between 0 and r, and their weights, (n, ...), of an integral over them.
+        """Yield quadrature nodes s between 0 and r, and their weights, (n, ...).
 
         Pieces end at kinks, and grow with the distance to them.
         """
@@ -278,7 +278,7 @@ class Law(ContactLaw):
         return self._integral(contacts.overlap, r, contacts.constant)
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
-        """Return by how much more contacts overlap under this additional force, m."""
+        """Return the increase of overlaps under an additional force, m."""
         return solve_growing(
             lambda r: self.force_change(contacts, r),
             lambda r: self.stiffness(contacts.overlap + r, contacts.constant),
@@ -287,14 +287,14 @@ class Law(ContactLaw):
         )
 
     def _numbers(self, contact: int, constant: float = 1.0) -> dict[str, float]:
-        """Return the parameters of one contact."""
+        """Return the parameters of one contact by name."""
         values = {"k": constant}
         for key, value in self.given.items():
             values[key] = value[contact] if isinstance(value, tuple) else value
         return values
 
     def _onset(self) -> float:
-        """Return the lowest power of the distance to a kink with which the force bends there."""
+        """Return the lowest power of the distance to any kink at which the two sides differ."""
         # A parameter of its own in each contact may change the power: extreme contacts show it.
         arrays = [value for value in self.given.values() if isinstance(value, tuple)]
         contacts = {0} | {f(value) for value in arrays for f in (np.argmin, np.argmax)}
@@ -321,7 +321,7 @@ class Law(ContactLaw):
         if "k" in self.given:
             return np.asarray(self.given["k"])
         if "k" in self.formula.names:
-            raise InputError.at("k", "is not given: name it, as a chain does")
+            raise InputError.at("k", "is not given: pass it as an argument")
         return 1.0
 
     def _filled(self, function: Any, overlap: Any, constant: Any) -> Any:
@@ -334,7 +334,7 @@ class Law(ContactLaw):
         return values if np.shape(values) == shape else np.broadcast_to(values, shape)
 
     def force(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the force at an overlap, N; of a ground at a displacement, and a time, s."""
+        """Return the force at an overlap, N; of a ground law, at a displacement and a time, s."""
         return self._filled(super().force, overlap, constant)
 
     def stiffness(self, overlap: Any, constant: Any = None) -> Any:
@@ -342,11 +342,11 @@ class Law(ContactLaw):
         return self._filled(super().stiffness, overlap, constant)
 
     def curvature(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the derivative of the stiffness by the overlap, N/m2."""
+        """Return the second derivative of the force by the overlap, N/m2."""
         return self._filled(super().curvature, overlap, constant)
 
     def overlap(self, force: Any, constant: Any = None) -> Any:
-        """Return the overlap at which a contact rests under this force, m.
+        """Return the overlap at which a contact is at rest under this force, m.
 
         It is 0 without a force, if that of the law is 0 there and does not fall.
 
@@ -360,7 +360,7 @@ class Law(ContactLaw):
         forces, *others = (np.ravel(column).astype(float) for column in columns)
         contacts, inverse = np.unique(np.array(others), axis=1, return_inverse=True)
         overlaps = np.zeros(forces.size)
-        # The contacts of a long chain have one constant and many forces.
+        # The contacts of a long chain share one constant but have many forces.
         order = np.argsort(inverse.ravel(), kind="stable")
         ends = np.searchsorted(inverse.ravel()[order], np.arange(contacts.shape[1] + 1))
         for number_, values in enumerate(contacts.T):
@@ -370,7 +370,7 @@ class Law(ContactLaw):
         return overlaps.reshape(shape)[()]
 
     def _rest(self, forces: Array, constant: float) -> Array:
-        """Return the overlaps under some forces of contacts of one kind, (C,) m."""
+        """Return the overlaps of equal contacts under given forces, (C,) m."""
         places, values = self._sampled(constant)
         low, high = np.zeros((2, forces.size))
         at_zero = self.force(0.0, constant), self.stiffness(0.0, constant)
@@ -396,11 +396,11 @@ class Law(ContactLaw):
         if count:
             fault = f"has {count} equilibria under {force:g} N: change load or gravity"
         else:
-            fault = f"has no equilibrium under {force:g} N: its force does not grow through that"
+            fault = f"has no equilibrium under {force:g} N: its force does not reach this value"
         return InputError.at("law", f"{fault} ({self.text})")
 
     def _refined(self, low: Array, high: Array, forces: Array, constant: float) -> Array:
-        """Return where between two overlaps the force has these values, by Newton's method."""
+        """Return the overlaps in a bracket at which the force has these values (Newton)."""
         x = (low + high) / 2
         for _ in range(BISECTIONS):
             off = self.force(x, constant) - forces
@@ -409,7 +409,7 @@ class Law(ContactLaw):
             with np.errstate(all="ignore"):
                 step = x - off / self.stiffness(x, constant)
             new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
-            # Rounding may throw the last step out of the bracket.
+            # Rounding may move the last step out of the bracket.
             new = np.where(np.abs(off) <= 4 * EPSILON * np.abs(forces), x, new)
             if not (np.abs(new - x) > 2 * EPSILON * np.abs(x)).any():
                 return new
@@ -421,14 +421,14 @@ class Law(ContactLaw):
         kinks = self.kinks(constant)
         kinks = kinks[np.abs(kinks) < LARGEST]
         places = np.unique(np.concatenate((-SIZES, [0.0], SIZES, kinks)))
-        # Forces beyond all numbers are as large as can be.
+        # Infinite forces are replaced by the largest allowed force.
         values = np.clip(self.force(places, constant), -LARGEST, LARGEST)
         sound = ~np.isnan(values)
         return places[sound], values[sound]
 
     @cached_property
     def _shape(self) -> tuple[bool, bool, bool]:
-        """Whether contacts pull, whether the force never falls, and whether it is stiff at rest."""
+        """Whether contacts pull, whether the force is non-decreasing, and whether contacts bond."""
         pulls, grows, bonds = False, True, True
         parameters = np.array([np.ravel(p) for p in np.broadcast_arrays(*self.parameters)])
         constant = float(np.max(self.given.get("k", 1.0)))
@@ -448,7 +448,7 @@ class Law(ContactLaw):
 
     @property
     def pulls(self) -> bool:
-        """Whether contacts have a force where there is a gap."""
+        """Whether contacts exert a force across a gap."""
         return self._shape[0]
 
     @property
@@ -458,7 +458,7 @@ class Law(ContactLaw):
 
     @property
     def as_exponent(self) -> float | None:
-        """The exponent of a law that is a power as the chain itself has it; None for others."""
+        """The exponent if the formula equals the chain's built-in power law; None otherwise."""
         if "k" in self.given or self.formula.operation != "*":
             return None
         constant, raised = self.formula.parts
@@ -469,7 +469,7 @@ class Law(ContactLaw):
 
     @property
     def given_constant(self) -> Array | None:
-        """The constants of contacts that the law itself gives; else None."""
+        """The constants of contacts given by the law itself; None if it gives none."""
         k = self.given.get("k")
         return None if k is None else np.array(k, ndmin=1)
 
@@ -477,23 +477,24 @@ class Law(ContactLaw):
         """Return the law with parameters of all contacts, walls included, (N+1,) arrays."""
         if not any(isinstance(value, np.ndarray) for value in self.parameters):
             return self
-        # A wall has those of the contact next to it; one grain has only walls.
+        # A wall contact has the parameters of the contact next to it; a single grain has only
+        # walls.
         index = np.clip(np.arange(grains + 1) - 1, 0, max(grains - 2, 0))
         return self.of(index)
 
     def of(self, numbers: Any) -> Law:
-        """Return the law of some of the contacts that have parameters of their own."""
+        """Return the law of a selection of contacts, with their parameters."""
         return self.with_parameters(
             value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
         )
 
     @property
     def form(self) -> Any:
-        """A key that is equal for laws that differ in the values of parameters only."""
+        """A key that is equal for laws that differ only in parameter values."""
         return self.formula, tuple(self.names), self.onset
 
     def joined(self, laws: Sequence[ContactLaw]) -> Law:
-        """Return the law of many chains, with a row of every parameter for each chain."""
+        """Return the common law of many chains, with a row of every parameter for each chain."""
         rows = []
         for values in zip(*(law.parameters for law in laws), strict=True):
             width = max(map(np.size, values))
@@ -501,7 +502,7 @@ class Law(ContactLaw):
         return self.with_parameters(map(read_only, rows))
 
     def part(self, first: int, last: int) -> Law:
-        """Return the law of grains `first` to `last` of the chain."""
+        """Return the law of grains `first` to `last` of a chain."""
         if not any(isinstance(value, tuple) for value in self.given.values()):
             return self
         return self.replace(
@@ -520,14 +521,14 @@ class Law(ContactLaw):
         )
 
     def pressed(self, contacts: RestingContacts) -> NDArray[np.bool_]:
-        """Return whether a contact is stiff at rest, and no kink is there, (..., N+1)."""
+        """Return whether a contact is stiff at rest, and not at a kink of its force, (..., N+1)."""
         stiff = contacts.exists & (contacts.stiffness > 0) & np.isfinite(contacts.stiffness)
         for kink in self.kinks(contacts.constant):
             stiff &= contacts.overlap != kink
         return stiff
 
     def length(self, contacts: RestingContacts) -> Array:
-        """Return the change of the overlap that is no longer weak, (..., N+1) m.
+        """Return the change of overlap at which a wave is no longer weak, (..., N+1) m.
 
         It is the distance to the nearest kink or, if that is far, the change by which the slope or
         the bend of the stiffness would change all of it.
@@ -543,7 +544,7 @@ class Law(ContactLaw):
             step = 1e-3 * np.fmin(length, np.fmin(1 / bend, LONGEST))
             ends = [self.curvature(contacts.overlap + side * step, constant) for side in (-1, 1)]
             twist = np.sqrt(np.abs(ends[1] - ends[0]) / (4 * step * k))
-            # Before a kink, powers of the distance to it bend as well.
+            # Below a kink, fractional powers of the distance to it also change the stiffness.
             far = FAR if len(kinks) else 1.0
             return np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
 
@@ -560,7 +561,7 @@ class Law(ContactLaw):
         return np.nanmax(values, axis=0)
 
     def approach(self, energy: Any, constant: Any) -> Any:
-        """Return the size of the overlap at which a contact holds this energy, m.
+        """Return the largest change of overlap at which a contact stores this energy, m.
 
         The energy is that above rest without a load.
         """
@@ -569,13 +570,13 @@ class Law(ContactLaw):
         if self.bonds:
             rest = rest + self.overlap(np.zeros(energy.shape), constant)
         closed = rest + self._extent(energy, constant, rest, 1.0)
-        # A pull that ends, or falls, may hold less energy however far the contact is stretched.
+        # An attraction that ends or decreases may store less energy at any stretch of the contact.
         if not (self.pulls and self._shape[1]):
             return closed
         return np.maximum(closed, self._extent(energy, constant, rest, -1.0))
 
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
-        """Return an upper bound on how far overlaps differ from those at rest, m.
+        """Return an upper bound on the change of overlaps from rest, m.
 
         Without a force that never falls there is none: energy may come from other contacts.
         """
@@ -592,7 +593,7 @@ class Law(ContactLaw):
         return bound
 
     def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
-        """Return by how much a contact is closed (side 1) or stretched that holds this energy.
+        """Return the closing (side 1) or stretch (side -1) at which a contact has this energy, m.
 
         It is infinite for an energy without a bound, as that of a forced motion.
         """
@@ -627,7 +628,7 @@ class Law(ContactLaw):
         constant: float | None = None,
         contact: int = 0,
     ) -> str:
-        """Return force or energy of one contact in the language of LEPTON, with all numbers in.
+        """Return force or energy of one contact as a LEPTON formula with all numbers inserted.
 
         Parameters
         ----------
@@ -659,12 +660,12 @@ class Law(ContactLaw):
             energy = formula.integral(variable)
             if energy is None:
                 fault = f"has no energy in closed form: {self.text}"
-                raise InputError.at("force", f"{fault}; LAMMPS needs one, the native engine not")
+                raise InputError.at("force", f"{fault}; use the native engine, which needs none")
             formula = energy
         return formula.substitute({variable: parse(overlap)}).lepton
 
     def table(self) -> dict[str, Any]:
-        """Return formula and parameters as a scene file has them."""
+        """Return formula and parameters as a table of a scene file."""
         return {"force": self.text} | {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in self.given.items()
@@ -702,7 +703,7 @@ class Law(ContactLaw):
 
 @dataclass(frozen=True, eq=False)
 class LawKernel:
-    """Functions of one formula that do not depend on the values of its parameters.
+    """Functions derived from one formula that do not depend on the values of its parameters.
 
     Attributes
     ----------
@@ -711,11 +712,11 @@ class LawKernel:
         names are ``o``, ``k``, ``_p0`` ... of the parameters, and ``_q0`` ... of what is kept at
         rest.
     codes : mapping
-        Where these names are in an array with a column for each contact: ``given[0, n]`` is o.
+        Index expression of each name in an array with a column per contact: ``given[0, n]`` is o.
     change : function
-        Of (o, r, k, p): the change of the force.
+        Function of (o, r, k, p) for the change of the force.
     kept : list of functions
-        Of (o, k, p): what is kept at rest.
+        Functions of (o, k, p) for the values stored at rest.
     """
 
     force_change: Formula
@@ -727,7 +728,7 @@ class LawKernel:
 
 @cache
 def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
-    # No parameter of a user begins with an underscore: one may be called r.
+    # No parameter of a user begins with an underscore, but one may be called r.
     own = [f"_p{n}" for n in range(len(names))]
     renamed = formula.substitute(dict(zip(names, map(name, own), strict=True)))
     force, stiffness, _ = _derived(renamed)
@@ -746,14 +747,14 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
 
 @cache
 def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
-    """Return force, stiffness and curvature; 0 where there is no contact, whose constant is 0."""
+    """Return force, stiffness and curvature, set to 0 for missing contacts, whose constant is 0."""
     force = formula
     if "o" not in formula.names:
         stiffness = force.derivative("u")
         return force, stiffness, stiffness.derivative("u")
     if force.substitute({"k": 0.0}) is not ZERO:
         force = build("select", negative(name("k")), ZERO, force)
-    # An infinite stiffness times a constant of 0 would be no number.
+    # An infinite stiffness times a constant of 0 would be NaN.
     stiffness = build("select", negative(name("k")), ZERO, force.derivative("o"))
     return force, stiffness, stiffness.derivative("o")
 
@@ -763,9 +764,9 @@ def _misfits(
 ) -> Iterable[tuple[str, str]]:
     """Yield missing, unknown and misnamed parameters of a formula."""
     if "o" in names and ("u" in names or "t" in names):
-        yield "force", "has o, of a contact, beside u or t, of the ground: use one kind"
+        yield "force", "contains both o (of a contact) and u or t (of the ground): use one kind"
     if "o" not in names and "u" not in names:
-        yield "force", "depends on no overlap o and no displacement u"
+        yield "force", "depends on neither the overlap o nor the displacement u"
     if "force" in needed:
         yield "force", "has a parameter named force: give it another name"
     for key in needed:
@@ -780,7 +781,7 @@ def _misfits(
 
 
 def _number(key: str, value: Any) -> float | tuple[float, ...]:
-    """Return one number, or a tuple of them."""
+    """Return a parameter value as a number, or as a tuple of numbers."""
     try:
         array = np.asarray(value)
         sound = array.dtype.kind in "iuf" and array.ndim <= 1 and array.size > 0
@@ -826,7 +827,7 @@ def bend_powers(
 
 
 def _bend_at(formula: Formula, kink: float, variable: str) -> float:
-    """Return the lowest power of the distance to a kink that differs on its two sides.
+    """Return the lowest power of the distance to a kink in which its two sides differ.
 
     0 is a jump of the force, 1 one of the stiffness.
     """
@@ -852,12 +853,12 @@ KEPT_FIELDS = (*ContactLaw.__dataclass_fields__, "formula", "given")
 
 
 def _law(value: Any) -> Any:
-    """Return the law that a dict describes, and others as they are."""
+    """Return a law from its table in a scene file; return other values unchanged."""
     if isinstance(value, Mapping):
         return Law.from_table(value)
     if not isinstance(value, ContactLaw):
         cure = 'use lmpchain.Law("k*max(o, 0)**1.5"), or {"force": "k*max(o, 0)**1.5"}'
-        raise ValueError(f"is no law (got {shown(value)}): {cure}")
+        raise ValueError(f"is not a law (got {shown(value)}): {cure}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""Laws of the literature, of contacts and of the ground, each a `Law` made of a formula.
+"""Contact and ground laws of the literature, each written as a `Law`.
 
 Without k, contacts have the constants of the chain; a ground needs its stiffness.
 """
@@ -32,7 +32,7 @@ def hertz(k: Any = None) -> Law:
 
 
 def power(exponent: Any, k: Any = None) -> Law:
-    """Return ``k o^exponent`` of a closed contact; one exponent, or one for each contact.
+    """Return ``k o^exponent`` of a closed contact, with one exponent or one for each contact.
 
     Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001), section 1.11; exponents below
     1 are those of Herbold and Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
@@ -57,7 +57,7 @@ def power(exponent: Any, k: Any = None) -> Law:
 
 
 def fput(alpha: Any = 0.0, beta: Any = 0.0, k: Any = None) -> Law:
-    """Return ``k o - alpha o^2 + beta o^3``: springs of Fermi, Pasta, Ulam and Tsingou.
+    """Return ``k o - alpha o^2 + beta o^3``, the spring of Fermi, Pasta, Ulam and Tsingou.
 
     Their alpha belongs to the extension of a bond, which is -o (Los Alamos report LA-1940, 1955).
 
@@ -93,7 +93,7 @@ def toda(b: Any, k: Any = None) -> Law:
 
 
 def bilinear(tension: Any, k: Any = None) -> Law:
-    """Return a spring of stiffness k when pressed and ``tension k`` when stretched.
+    """Return a spring with stiffness k in compression and ``tension k`` in tension.
 
     Shaw and Holmes, J. Sound Vib. 90, 129 (1983).
 
@@ -136,7 +136,7 @@ def softening(length: Any, k: Any = None) -> Law:
 
 
 def dmt(pull: Any, reach: Any, k: Any = None) -> Law:
-    """Return Hertz's force minus a constant pull, which a gap takes away over some reach, m.
+    """Return Hertz's force minus an adhesive pull that decreases to 0 over a given gap, m.
 
     Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 314 (1975). Their pull ends at
     once; here it falls linearly over the reach, because a jump of the force has no order.

@@ -13,7 +13,7 @@ from ..errors import shown
 from ..util.suggestions import did_you_mean
 from ..util.validation import Checked, Positive, Real
 
-# Least plausible values; smaller ones are probably given in GPa or g/cm3.
+# Smaller values are implausible; they are probably given in GPa or g/cm3.
 LEAST_MODULUS = 1e6  # Pa
 LEAST_DENSITY = 100.0  # kg/m3
 

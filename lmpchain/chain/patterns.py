@@ -21,7 +21,7 @@ from .chain import Chain
 from .materials import GLASS, OneMaterial, OneOrManyMaterials, one_material
 
 __dir__ = listed(__name__)
-IN_FILES = ("cell", "taper")  # keys of a scene file that define materials and diameters
+IN_FILES = ("cell", "taper")  # Keys of a scene file that define materials and diameters.
 
 
 def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
@@ -157,7 +157,7 @@ def periodic(
 
 
 def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
-    """Return a chain that repeats a cell of grains, like `cell` and `taper` in a scene file.
+    """Return a chain that repeats a cell of grains, as `cell` and `taper` do in a scene file.
 
     Parameters
     ----------
@@ -296,8 +296,8 @@ def _shrunk(diameters: Array, taper: float) -> Array:
         diameters = diameters * (1 - taper) ** np.arange(diameters.size, dtype=float)
         volumes = diameters**3
     unsound = np.flatnonzero(~((volumes > 0) & (volumes < np.inf)))
-    # The error names `taper`, because a mass of 0 or infinity would be reported as a fault of
-    # `masses`.
+    # The error names `taper`, because otherwise a mass of 0 or infinity would be reported as a
+    # fault of `masses`.
     if unsound.size:
         last = int(unsound[-1])
         width = f"grain {last + 1} would be {diameters[last]:.2g} m wide"
@@ -325,7 +325,7 @@ class _Cell(_Pattern):
 
     @property
     def _lengths(self) -> dict[str, int]:
-        """Number of listed diameters, materials and counts."""
+        """Numbers of listed diameters, materials and counts."""
         materials = self.materials if isinstance(self.materials, tuple) else (self.materials,)
         return {
             "diameters": np.size(self.diameters),
@@ -341,7 +341,7 @@ class _Cell(_Pattern):
     def _faults(self) -> Iterator[tuple[str, str]]:
         for key, length in self._lengths.items():
             if length not in (1, self.kinds):
-                yield key, f"must be one or {self.kinds} (one a kind), not {length}"
+                yield key, f"must be one or {self.kinds} (one per kind), not {length}"
 
 
 class CellGrain(Checked):
@@ -366,7 +366,7 @@ def _cell(value: Any) -> tuple[CellGrain, ...]:
 
 
 class _Repeated(Checked):
-    """A cell, the material and diameter of grains without their own, and the taper."""
+    """A repeated cell with a default material, a default diameter and a taper."""
 
     grains: Annotated[Whole, Field(ge=1, le=10**8)]
     cell: Annotated[tuple[CellGrain, ...], BeforeValidator(_cell)] = (CellGrain(),)
@@ -383,7 +383,7 @@ class _Repeated(Checked):
                 yield key, "is missing; add it, or give every grain of the cell its own"
 
     def by_grain(self) -> dict[str, Any]:
-        """Return material and diameter of the chain: one value, or one for each grain."""
+        """Return material and diameter of the chain, either common or one for each grain."""
         materials = [grain.material or self.material or GLASS for grain in self.cell]
         widths = [grain.diameter or self.diameter for grain in self.cell]
         kind = np.arange(self.grains) % len(self.cell)
@@ -392,6 +392,6 @@ class _Repeated(Checked):
         even = not self.taper and len(set(widths)) == 1
         return {
             "material": materials[0] if alike else tuple(materials[k] for k in kind.tolist()),
-            # A uniform chain needs no arrays.
+            # A uniform chain needs only one diameter.
             "diameter": widths[0] if even else diameters,
         }

@@ -12,7 +12,7 @@ from ..util.plotting import Axes, chart, finish, prefixed
 
 # Longest chain whose arrays are computed only for display in a notebook.
 DETAILED_GRAINS = 1_000_000
-DRAWN_POINTS = 2000  # maximum number of points in a curve
+DRAWN_POINTS = 2000  # Largest number of points of a curve.
 
 
 class ChainPicture(Shown):

@@ -1,4 +1,4 @@
-"""Limits of a chain: floating-point range, Hertz's law, and plausible values."""
+"""Limits on chains: floating-point range, validity of Hertz's law, and plausible values."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def beyond_hertz(compression: float) -> str:
 
 
 def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
-    """Yield remarks on implausible diameters, m, and on a large overlap over diameter."""
+    """Yield remarks on implausible diameters, m, and on a large ratio of overlap to diameter."""
     widest = diameter if isinstance(diameter, float) else diameter.max()
     if widest > LIMITS.usual_diameter:
         yield f"diameter: {widest:g} m is wide for a grain; diameters are in metres (1 mm is 1e-3)"
@@ -68,7 +68,7 @@ def remarks(diameter: float | Array, compression: float) -> Iterator[str]:
 def least_compression(
     kinds: Kinds, grains: int, top_load: float, gravity: float, law: ContactLaw
 ) -> float:
-    """Return a lower bound on the largest overlap over diameter of a long chain, without arrays.
+    """Return a lower bound on the largest relative overlap of a long chain, without arrays.
 
     The bound is 0 for a chain with affordable arrays.
     """

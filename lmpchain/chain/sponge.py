@@ -1,4 +1,4 @@
-"""Absorbing boundaries: layers of grains at an end of a chain with a drag that grows gently.
+"""Absorbing boundaries: layers of grains at an end of a chain, with gradually increasing drag.
 
 The reflection of linear waves is exact: displacement and force are propagated upward from the last
 grain, and decomposed into the two waves of the periodic chain above the layer. The drag of grain j,
@@ -59,7 +59,7 @@ NOT_PRESSED = "contacts there carry no force at rest, so no wave is linear: give
 
 
 class Layer(NamedTuple):
-    """The last S grains of a chain, counted away from it, and the cell of the chain before them.
+    """The last S grains of a chain, counted away from it, and the chain's cell in front of them.
 
     Attributes
     ----------
@@ -141,12 +141,12 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     for mass, spring in zip(inertia[::-1], before[::-1], strict=True):
         force = force - mass * displacement
         displacement = displacement + force / spring
-        # Only the ratio of displacement and force matters, so both are normalised.
+        # Only the ratio of displacement and force matters, so that both are normalised.
         size = np.abs(displacement) + np.abs(force / spring)
         displacement = displacement / size
         force = force / size
-    # Transfer matrix of one cell without losses; it has determinant 1, and its eigenvectors are the
-    # two waves.
+    # The transfer matrix of a cell without losses has determinant 1; its eigenvectors are the two
+    # waves.
     a = np.ones(frequency.shape)
     b = np.zeros(frequency.shape)
     c = np.zeros(frequency.shape)
@@ -224,13 +224,13 @@ def add(chain: Chain, top: int, bottom: int) -> Chain:
         if end == "top":
             drag[:size] += gamma[::-1]
         else:
-            # A held grain has no drag.
+            # A fixed grain has no drag.
             drag[longer.movable - gamma.size : longer.movable] += gamma
     return longer.replace(damping=Damping(viscoelastic=longer.damping.viscoelastic, drag=drag))
 
 
 def _remark(end: str, size: int, ending: Layer, drag: Array) -> None:
-    """Warn if a large part of a wave is reflected."""
+    """Warn if a large fraction of a wave is reflected."""
     share = float(np.abs(reflection(ending, drag, ending.middle)).max() ** 2)
     if share > GRADING.remarked:
         warn(
@@ -241,7 +241,7 @@ def _remark(end: str, size: int, ending: Layer, drag: Array) -> None:
 
 
 def _values_of_all(chain: Chain) -> dict[str, Any]:
-    """Return the fields of a chain that have one value for all grains or contacts, or lists."""
+    """Return the fields of a chain with a common value or a list for grains or contacts."""
     fields = chain.given()
     keys = ("material", "diameter", "masses", "contact_constants")
     lists = {key: fields[key] for key in keys if key in fields}
@@ -249,7 +249,7 @@ def _values_of_all(chain: Chain) -> dict[str, Any]:
 
 
 def _longer(chain: Chain, sizes: dict[str, int], cells: dict[str, int]) -> Chain:
-    """Return a chain that continues its pattern by these numbers of grains."""
+    """Return a chain whose pattern is continued by these numbers of grains."""
     top = sizes["top"]
 
     def go_on(values: Any) -> Any:

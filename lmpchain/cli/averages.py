@@ -1,4 +1,4 @@
-"""The command `averages`: time averages of a scene with intervals, beyond predictability."""
+"""The command `averages`: time averages of a scene with confidence intervals."""
 
 from __future__ import annotations
 

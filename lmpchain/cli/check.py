@@ -1,4 +1,4 @@
-"""The command `check`: how wrong a run or a dump is, and how wrong a deck will be."""
+"""The command `check`: the true error of a run or dump, or the expected error of a deck."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command line: parse the arguments of a verb, run its function, and report faults.
+"""The command line: parses the arguments of a verb, runs its function and reports faults.
 
 Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of
 --max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.
@@ -29,18 +29,18 @@ from .run import resume, run, run_folder, sweep
 from .shell import SHELLS, PrintCompletion, PrintManual
 from .verbs import GROUPS, VERBS
 
-# Most objects that a command makes at its start live to its end. Python's default frequency of
+# Most objects that a command creates at its start live to its end. Python's default frequency of
 # garbage collection, and the collection at exit, would take a quarter of the time of a short run.
 OBJECTS_BETWEEN_LOOKS = 20_000
-# The threads of NumPy spin for 2^26 cycles before they sleep, which costs a twentieth of that time
-# on each core.
+# Threads of OpenBLAS spin for 2^26 cycles before they sleep. This value shortens the wait to a
+# twentieth on each core.
 BRIEF_WAITING = "OPENBLAS_THREAD_TIMEOUT", "20"
 
 
 # If memory is limited, as by `ulimit -v`, OpenBLAS requests memory for its threads for ever.
-SMALL_MEMORY = 2**32  # bytes
+SMALL_MEMORY = 2**32  # Bytes.
 ONE_THREAD = "OPENBLAS_NUM_THREADS", "1"
-HELP_WIDTH = 78  # columns
+HELP_WIDTH = 78  # Columns.
 PURPOSE = (
     "Waves in columns of Hertzian grains: LAMMPS and a native integrator, side by side, each with "
     "an estimate of its own error. All quantities are in SI units. Begin with `lmpchain new "
@@ -69,7 +69,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         Arguments without the name of the program; those of the process by default.
     """
     gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
-    # A file name may have letters that the encoding of the output lacks.
+    # A file name may contain letters that the encoding of the output lacks.
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
@@ -79,7 +79,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         os.environ.setdefault(*ONE_THREAD)
     if mpi.count_processes() > 1 and not _uses_ranks(argv):
         if mpi.is_launched() and not mpi.is_first():
-            # The first process does all the work.
+            # Rank 0 does all the work.
             return 0
         mpi.leave()
         return _run(argv)
@@ -100,12 +100,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return _run(argv)
     finally:
-        # Without this call the other ranks would wait for ever.
+        # Without this call the other ranks would wait forever.
         shutdown_workers(world)
 
 
 def _uses_ranks(argv: Sequence[str] | None) -> bool:
-    """Return whether a command runs a scene in LAMMPS, which all processes of mpirun can share."""
+    """Return whether a command runs a scene in LAMMPS, which may use all processes of mpirun."""
     with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere), redirect_stderr(nowhere):
         try:
             arguments = _parser().parse_args(argv)
@@ -126,7 +126,7 @@ def _uses_ranks(argv: Sequence[str] | None) -> bool:
 
 
 def _run(argv: Sequence[str] | None) -> int:
-    """Run the command line; end in silence if the reader of a pipe closes it, as `head` does."""
+    """Run the command line; exit silently if the reader of a pipe closes it, as `head` does."""
     try:
         code = _main(argv)
         for stream in (sys.stdout, sys.stderr):
@@ -141,7 +141,7 @@ def _run(argv: Sequence[str] | None) -> int:
             # The rest of the buffers goes to the null device at exit.
             with suppress(AttributeError, OSError, ValueError):
                 os.dup2(nowhere, stream.fileno())
-        # This is the exit code in a shell of a program that SIGPIPE ends.
+        # A shell reports this exit code for a program that SIGPIPE ends.
         return 128 + signal.SIGPIPE
     except OSError as error:
         # The disk behind stdout may be full.
@@ -172,7 +172,7 @@ def _main(argv: Sequence[str] | None) -> int:
         complain(str(error))
         return 1
     except BrokenPipeError:
-        # BrokenPipeError is an OSError but no fault: `_run` ends in silence.
+        # BrokenPipeError is an OSError but not a fault: `_run` exits silently.
         raise
     except OSError as error:
         complain(str(error))
@@ -193,16 +193,16 @@ def _main(argv: Sequence[str] | None) -> int:
 
 
 def _describe_rest(arguments: argparse.Namespace) -> str:
-    """Return a sentence about the files that a stopped command has left."""
+    """Return a sentence about the files that a stopped command has left behind."""
     from ..simulation.folder_files import is_run, resume_command
 
     if arguments.command is sweep:
-        return f"what is done is kept in {arguments.output}; the same command continues from there"
+        return f"finished scenes are kept in {arguments.output}; repeat the command to continue"
     folder = run_folder(arguments)
     if folder and is_run(folder):
-        return f"to go on: {resume_command(folder)}"
+        return f"continue with: {resume_command(folder)}"
     hint = (
-        "; with -o FOLDER/ what is done is kept and can be resumed"
+        "; with -o FOLDER/ a stopped run is kept and can be resumed"
         if arguments.command is run
         else ""
     )
@@ -228,7 +228,7 @@ def _show_warning(message: Warning | str, *_: Any) -> None:
 
 
 def _show_help(_: argparse.Namespace) -> int:
-    """Print the help, and return the exit code of wrong input because a command is missing."""
+    """Print the help and return the exit code for wrong input, because a command is missing."""
     _parser().print_help()
     return 2
 

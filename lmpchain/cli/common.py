@@ -1,4 +1,4 @@
-"""Steps of several commands: reading scenes, checking output paths, writing results."""
+"""Steps that several commands share: reading scenes, checking output paths, writing results."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from ..util.suggestions import either
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
-STANDARD = "-"  # in place of the name of a file: standard input, or standard output
-STDOUT = Path("/dev/stdout")  # path that `output` returns for it
+STANDARD = "-"  # Stands for standard input or standard output in place of a file name.
+STDOUT = Path("/dev/stdout")  # Path that `output` returns for standard output.
 PICTURES = (".png", ".pdf", ".svg")
-MESSAGE_WIDTH = 80  # columns of an error message on a terminal
-# Standard output of a command that writes data there; its text goes to standard error.
+MESSAGE_WIDTH = 80  # Columns of an error message on a terminal.
+# Standard output of a command that writes data; the text of the command goes to standard error.
 _data: ContextVar[TextIO | None] = ContextVar("data", default=None)
 KIND_STYLES = {"error": "bold red", "fault": "bold red", "warning": "bold yellow", "ok": "green"}
 
@@ -82,7 +82,7 @@ def collect(*checks: Callable[[], Any]) -> list[Any]:
 
 
 def read_scene(path: str) -> Scene:
-    """Return the scene of a file, or of standard input, whose files lie in the current folder."""
+    """Return the scene of a file, or of standard input with files in the current folder."""
     from ..scene.scene import Scene
 
     if path != STANDARD:
@@ -94,7 +94,7 @@ def read_scene(path: str) -> Scene:
 
 @contextmanager
 def data_apart(arguments: argparse.Namespace) -> Iterator[None]:
-    """Send the text of a command to standard error if it writes data to standard output."""
+    """Send the text of a command to standard error if its data go to standard output."""
     written = [getattr(arguments, name, None) for name in ("json", "output", "new_scene")]
     if STANDARD not in written:
         yield
@@ -138,7 +138,7 @@ def output(
 
     if name == STANDARD:
         if not stream:
-            raise InputError.at(name, "is standard output, which takes text alone: name a file")
+            raise InputError.at(name, "is standard output, which only accepts text: name a file")
         return STDOUT
     path = expanded(name)
     source = expanded(scene)
@@ -150,7 +150,7 @@ def output(
         raise InputError.at(name, "is the file that is read; name another file")
     if not path.parent.is_dir():
         raise InputError.at(name, f"there is no folder {path.parent}; make it first")
-    # The folder must accept a new file, because outputs are written beside and then renamed.
+    # The folder must accept a new file, because outputs are written beside the target and renamed.
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):
         raise InputError.at(name, "you may not write there; choose another place")
@@ -171,7 +171,7 @@ def _check_file(name: str, path: Path, example: str) -> None:
 
 
 def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Callable[[], Any]]:
-    """Return the checks for `gather` of the paths of picture and numbers; None if not asked for."""
+    """Return checks of the paths of picture and numbers, for `collect`; None for unused options."""
     return (
         lambda: (
             arguments.output and output(arguments.output, source, PICTURES, force=arguments.force)
@@ -181,7 +181,7 @@ def check_outputs(arguments: Any, source: str) -> tuple[Callable[[], Any], Calla
 
 
 def check_numbers(arguments: Any, source: str) -> Path | None:
-    """Return the checked path of the numbers, `STDOUT` for "-"; None if they are not asked for."""
+    """Return the checked path of the numbers, `STDOUT` for "-", or None without this option."""
     if not arguments.json:
         return None
     return output(arguments.json, source, force=arguments.force, stream=True)
@@ -193,7 +193,7 @@ def beside(path: str, suffix: str) -> str:
 
 
 def write_json(data: dict[str, Any], path: Path, what: str = "numbers") -> None:
-    """Write numbers as JSON to a path that `output` has checked, and print where they are."""
+    """Write numbers as JSON to a path that `output` has checked, and print the path."""
     import json
 
     from ..util.files import write_aside
@@ -206,7 +206,7 @@ def write_json(data: dict[str, Any], path: Path, what: str = "numbers") -> None:
 
 
 def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: Any) -> None:
-    """Write numbers and picture of a result to paths that `output` has checked, if any."""
+    """Write the numbers and the picture of a result to paths that `output` has checked, if any."""
     if numbers:
         write_json(result.to_json(*arguments), numbers)
     if picture:
@@ -214,7 +214,7 @@ def keep(result: Any, numbers: Path | None, picture: Path | None, *arguments: An
 
         from ..util.plotting import save
 
-        # A command opens no window.
+        # A command must not open a window.
         matplotlib.use("agg")
         save(result.plot(*arguments), picture, overwrite=True)
         print(f"picture: {picture}")

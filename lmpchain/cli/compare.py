@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..stability.result import Stability
     from ..trajectory.trajectory import Trajectory
 
-SHORT_S = 2.0  # runs that take less are run again
+SHORT_S = 2.0  # Runs shorter than this time are repeated, s.
 
 
 def compare(arguments: argparse.Namespace) -> int:
@@ -87,7 +87,7 @@ def compare(arguments: argparse.Namespace) -> int:
 
 
 def _able(names: list[str], scene: Scene) -> tuple[list[str], dict[str, str]]:
-    """Return the engines that can solve a scene, and the main reason why each other one cannot.
+    """Return the engines that support a scene, and the main reason against each other engine.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def _names(given: str | None) -> list[str]:
 def _run_engines(
     scene: Scene, tolerances: dict[str, float], budget_s: float
 ) -> tuple[list[Trajectory], list[str], list[str]]:
-    """Run every engine; return the trajectories, the failures and the remarks.
+    """Run every engine; return the trajectories, the failures and the warnings.
 
     An engine that would exceed the budget, in s, gets ten times its tolerance in `tolerances`,
     again and again, and is left out if none below 1 is within the budget, which holds for all
@@ -176,7 +176,7 @@ def _run_engines(
 
 
 def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajectory:
-    """Return the answer of an engine, with the time of the fastest of several short runs.
+    """Return the trajectory of an engine, with the time of the fastest of several short runs.
 
     Short runs are repeated: the first one also loads what was compiled.
     """
@@ -194,7 +194,7 @@ def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajecto
 
 
 def _lossless(scene: Scene, tolerance: float, budget_s: float) -> Trajectory | None:
-    """Return the answer of a damped scene without its damping, if some engine can solve it."""
+    """Return the run of a damped scene without its damping, if an engine supports it."""
     from ..engines.cost_model import TooLong, budget
     from ..simulation.api import simulate
 
@@ -209,7 +209,7 @@ def _lossless(scene: Scene, tolerance: float, budget_s: float) -> Trajectory | N
 
 
 def _quickest(scene: Scene, name: str, tolerance: float) -> float:
-    """Return the time of the fastest of several integrations, s."""
+    """Return the time of the fastest of several runs, s."""
     from ..benchmark.bench import repeat
     from ..simulation.api import simulate
 
@@ -218,7 +218,7 @@ def _quickest(scene: Scene, name: str, tolerance: float) -> float:
 
 
 def workprec(arguments: argparse.Namespace) -> int:
-    """Chart the speed of every engine and integrator against its accuracy on a scene."""
+    """Plot the cost of every engine and integrator against its accuracy on a scene."""
     json = arguments.json or (arguments.output and beside(arguments.output, ".json"))
     scene, picture, numbers = collect(
         lambda: read_scene(arguments.scene),
@@ -236,7 +236,7 @@ def workprec(arguments: argparse.Namespace) -> int:
 
 
 def stability(arguments: argparse.Namespace) -> int:
-    """Find where methods fail on a scene."""
+    """Find the step sizes at which methods become unstable on a scene."""
     scene, picture, numbers = collect(
         lambda: read_scene(arguments.scene),
         *check_outputs(arguments, arguments.scene),
@@ -249,7 +249,7 @@ def stability(arguments: argparse.Namespace) -> int:
 
 
 def _show(result: WorkPrecision | Stability, numbers: Path | None, picture: Path | None) -> None:
-    """Print the table of a result and the engines left out; write numbers and picture."""
+    """Print the table of a result and the omitted engines; write numbers and picture."""
     print(result.table())
     for reason in result.left_out:
         print(f"left out: {reason}")
@@ -261,7 +261,7 @@ def _show_finding(finding: Finding) -> None:
 
 
 def doctor(arguments: argparse.Namespace) -> int:
-    """Check the installation and print finding by finding; a fault sets the exit code."""
+    """Check the installation and print each finding; a fault sets the exit code."""
     path = check_numbers(arguments, "")
     from ..doctor import compile_all, diagnose
 

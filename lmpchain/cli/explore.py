@@ -1,4 +1,4 @@
-"""The command `explore`: a page with a slider for each key, through precomputed runs."""
+"""The command `explore`: an HTML page with a slider for each key of a scene."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from ..errors import InputError, shown
 from .common import STANDARD, collect, on_terminal, output, read_scene
 from .read import PAGES
 
-RUNS_OF_KEY = 15  # of a key whose number of values is not named
+RUNS_OF_KEY = 15  # Number of values of a key for which none is given.
 FORM = "KEY=LOW:HIGH[:N][:log], such as excitation.velocity=1e-6:1e-1:25:log"
 
 
 def explore(arguments: argparse.Namespace) -> int:
-    """Write a page with sliders that go through runs of a scene."""
+    """Write a page with sliders that select among precomputed runs of a scene."""
     scene, path, *axes = collect(
         lambda: read_scene(arguments.scene),
         lambda: output(arguments.output, arguments.scene, PAGES, force=arguments.force),
@@ -54,7 +54,7 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
     import numpy as np
 
     values = (np.geomspace if log else np.linspace)(low, high, count)
-    # A range whose two ends are whole numbers has whole values.
+    # A range with two integer ends gets integer values.
     if all(word.lstrip("+-").isdecimal() for word in bounds[:2]):
         whole = np.unique(values.round().astype(int)).tolist()
         if log or len(whole) < count or np.allclose(values, whole):
@@ -63,7 +63,7 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
 
 
 def _count(key: str, word: str) -> int:
-    # A number of runs with more digits is refused anyway.
+    # A number with more digits is rejected later in any case.
     count = int(word[:9]) if word.isdecimal() else 0
     if count < 2:
         raise InputError.at(key, f"the number of runs must be from 2 (got {shown(word)})")

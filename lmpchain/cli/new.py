@@ -1,4 +1,4 @@
-"""The command `new`: write a commented example scene, and its file of an instrument if any."""
+"""The command `new`: write a commented example scene, with its measured data file if any."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..util.tables import wrap
 from .common import STDOUT, beside, collect, output, written
 
-# Examples, and what each of them shows.
+# Names of the examples and their summaries.
 EXAMPLES = {
     "column": "glass beads under gravity, struck on the top one",
     "striker": "a ball of PTFE strikes a precompressed row of steel balls",
@@ -27,9 +27,9 @@ EXAMPLES = {
 
 
 DEFAULT_EXAMPLE = "column"
-# Examples with a file of an instrument, which is written beside the scene.
+# Examples with measured data, which are written to a file beside the scene.
 WITH_DATA = ("hammer", "vibrometer")
-# Options that a run of LAMMPS may leave open.
+# Options for information that a LAMMPS run may lack.
 OF_RUNS = (
     *("material", "young", "poisson", "density", "diameter", "timestep", "duration", "samples"),
     "units",
@@ -37,7 +37,7 @@ OF_RUNS = (
 
 
 def new(arguments: argparse.Namespace) -> int:
-    """Write a commented scene with its file of an instrument, or the scene of a run of LAMMPS."""
+    """Write a commented example with its data file, or the scene of a LAMMPS run."""
     name = arguments.new_scene
     if arguments.run:
         if arguments.example:
@@ -62,17 +62,17 @@ def new(arguments: argparse.Namespace) -> int:
 
 
 def _write_example(example: str, path: Path, data: Path | None, name: str) -> None:
-    """Write an example and its file of an instrument, if any; print what follows."""
+    """Write an example and its data file, if any, and print the next steps."""
     from ..util.files import write_aside
     from ..util.templates import render
 
     if path == STDOUT:
-        # The comments name the file that the reader of the text will make.
+        # The comments name the file to which the reader will save the text.
         name = "scene.toml"
     quoted = shlex.quote(name)
     names: dict[str, Any] = {"scene": quoted, "stem": shlex.quote(beside(name, ""))}
     if data:
-        # The file lies in the folder of the scene. TOML quotes texts as JSON does.
+        # The file is in the folder of the scene. TOML quotes strings as JSON does.
         names |= {"data": data.name, "quoted_data": json.dumps(data.name, ensure_ascii=False)}
         with write_aside(data, overwrite=True) as aside:
             aside.write_text(render(f"examples/{example}.csv"), encoding="utf-8")
@@ -89,7 +89,7 @@ def _write_example(example: str, path: Path, data: Path | None, name: str) -> No
 
 
 def _from_run(arguments: argparse.Namespace, path: Path) -> int:
-    """Write the scene of a user's own run of LAMMPS, and say what was understood."""
+    """Write the scene of a user's own LAMMPS run, and print how the run was interpreted."""
     from ..scene.lammps_column import RunOptions
     from ..scene.scene import Scene
     from ..trajectory.dump_frames import is_dump
@@ -113,7 +113,7 @@ def _from_run(arguments: argparse.Namespace, path: Path) -> int:
 
 
 def _new(name: str, suffix: str, force: bool) -> Path:
-    """Return the path of a file to write; a file that is there is replaced only by force."""
+    """Return the path of a new file; an existing file is replaced only with `force`."""
     path = output(name, "", (suffix,), force=True, stream=True)
     if path != STDOUT and path.exists() and not force:
         raise InputError.at(name, "is there already: name another file, or add --force")

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def orbit(arguments: argparse.Namespace) -> int:
-    """Continue a nonlinear mode up to an energy, or the response to a drive up to a value."""
+    """Continue a nonlinear normal mode up to an energy, or a driven response up to a value."""
     scene, (name, until), picture, numbers = collect(
         lambda: read_scene(arguments.scene),
         lambda: _read_goal(arguments),
@@ -41,11 +41,11 @@ def orbit(arguments: argparse.Namespace) -> int:
 
 
 def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
-    """Return the continuation parameter and its last value; an empty name for a mode."""
+    """Return the continuation parameter and its final value; the name is empty for a mode."""
     mode = arguments.mode is not None and arguments.energy is not None
     if mode == (arguments.follow is not None):
         cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
-        raise InputError.at("orbit", f"is a mode or the answer to a drive: {cure}")
+        raise InputError.at("orbit", f"follows a mode or the response to a drive: {cure}")
     if mode:
         return "", 0.0
     name, _, value = arguments.follow.partition("=")

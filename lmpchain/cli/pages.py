@@ -1,4 +1,4 @@
-"""The command `docs`, which opens the pages of the documentation."""
+"""The command `docs`: open the documentation."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 
 from ..errors import LmpchainError
 
-SOURCES = Path(__file__).parent.parent.parent / "docs"  # of a checkout; a wheel has none
+SOURCES = Path(__file__).parent.parent.parent / "docs"  # Only in a checkout.
 
 
 def docs(arguments: argparse.Namespace) -> int:
-    """Open the built pages in a browser, and print where they are."""
+    """Open the built documentation in a browser, and print its location."""
     page = SOURCES / "build" / "index.html"
     if not page.is_file():
         build = f"pip install -e '.[docs]' && sphinx-build {SOURCES} {SOURCES / 'build'}"

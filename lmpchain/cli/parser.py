@@ -1,4 +1,4 @@
-"""Argument parser that reports faults like all commands."""
+"""Argument parser that reports faults in the same format as all commands."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, **options)
-        # Earlier spellings of options, which are still accepted.
+        # Earlier spellings of options that are still accepted.
         self.renamed: Mapping[str, str] = {}
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Report unknown arguments here, because the options of the command are known only here."""
+        """Report unknown arguments here, because only this parser has the command's options."""
         if args is not None:
             args = [self._current_spelling(each) for each in args]
         arguments, unknown = super().parse_known_args(args, namespace)
@@ -55,10 +55,10 @@ class Parser(argparse.ArgumentParser):
 
 
 class ShowVersion(argparse.Action):
-    """Option that shows the version, which is looked up only on demand."""
+    """Option that shows the version; the version is looked up only on demand."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print the version and end."""
+        """Print the version and exit."""
         from importlib.metadata import version
 
         print(f"lmpchain {version('lmpchain')}")

@@ -1,4 +1,4 @@
-"""The command `plan`: cost and error of each engine on a scene, and the speed of this machine."""
+"""The command `plan`: expected cost and error of each engine, and calibration of this machine."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .common import check_numbers, collect, keep, read_scene
 
 
 def plan(arguments: argparse.Namespace) -> int:
-    """Print the proposals of the engines for a scene and the choice; calibrate the cost model."""
+    """Print the engines' proposals for a scene and the choice; calibrate the cost model."""
     if arguments.scene is None and not arguments.calibrate:
         raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
     if arguments.scene is None and arguments.json:

@@ -1,4 +1,4 @@
-"""Commands that evaluate a saved run: fit, dyson, export, report."""
+"""Commands that evaluate a saved run: `fit`, `dyson`, `export`, `report`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ TABLES = (".csv", ".txt")
 
 
 def dyson(arguments: argparse.Namespace) -> int:
-    """Print Eq. (22) for a run, beside its mean over chains with random stiffness."""
+    """Print Eq. (22) for a run, and its mean over chains with random stiffness."""
     from ..disorder.averages import at_the_end
     from ..measure.dyson import orders, sums
 
@@ -56,7 +56,7 @@ def export(arguments: argparse.Namespace) -> int:
         lambda: _places(arguments.velocity, "velocity"),
         lambda: _places(arguments.displacement, "displacement"),
     )
-    # Without a choice all recorded grains are exported.
+    # Without a selection all recorded grains are exported.
     source: Trajectory | TraceTable = run
     if force or velocity or displacement or arguments.energies:
         from ..measure.traces import gather as gather_traces
@@ -77,7 +77,7 @@ def export(arguments: argparse.Namespace) -> int:
 
 
 def _places(text: str | None, key: str, words: Sequence[str] = ()) -> list[int | str]:
-    """Return the grain numbers, and the names from `words`, in a text such as "1,5"."""
+    """Return grain numbers and names from `words` in a text such as "1,5"."""
     places: list[int | str] = []
     for entry in filter(None, map(str.strip, (text or "").split(","))):
         if entry not in words and not entry.isdecimal():
@@ -131,7 +131,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         run = load(path)
     else:
         run = Trajectory.from_dump(path, read_scene(scene), axis=axis, units=arguments.units)
-    # A run folder has no samples yet if its run has just begun.
+    # A run folder has no samples yet if its run has just started.
     if run.time.size < 2:
         raise InputError.at(
             path, "has too few samples yet: go on with the run, or run the scene anew"

@@ -1,4 +1,4 @@
-"""Commands that solve scenes: run, resume, sweep; and deck, which writes LAMMPS input."""
+"""Commands that solve scenes: `run`, `resume`, `sweep`; and `deck`, which writes LAMMPS input."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
-    """Return the engine with the options of the command line, None for "auto"."""
+    """Return the engine with the options of the command line; None for "auto"."""
     from ..simulation.choice import engine_for
 
     names = ("integrator", "step", "threads", "diameter", "ranks", "template", "include")
@@ -42,10 +42,11 @@ def _engine_with_options(arguments: argparse.Namespace) -> Engine | None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Solve a scene and save the trajectory, in a file or in a run folder."""
+    """Solve a scene and save the trajectory in a file or a run folder."""
     if arguments.scene == STANDARD and not arguments.output:
         raise InputError.at(
-            "output", "name the file of the run with -o: standard input has no name"
+            "output",
+            "is missing: name the file of the run with -o, because the scene has no file name",
         )
     name = arguments.output or beside(arguments.scene, ".nc")
     # A name that ends in / is a folder, even if it does not exist yet.
@@ -126,7 +127,7 @@ def resume(arguments: argparse.Namespace) -> int:
 
 
 def run_folder(arguments: argparse.Namespace) -> str | None:
-    """Return the run folder of a command, None if it has none."""
+    """Return the run folder of a command; None if it has none."""
     if "folder" in arguments:
         return arguments.folder
     name = getattr(arguments, "output", None)
@@ -152,14 +153,14 @@ def _new_folder(name: str, force: bool) -> Path:
     if not force:
         raise InputError.at(
             name,
-            f"holds a run already: go on with it, {resume_command(name)}, replace it with --force, "
+            f"contains a run: continue it, {resume_command(name)}, replace it with --force, "
             "or name another folder",
         )
     return check_replaceable(name)
 
 
 def _new_file(name: str, scene: str, force: bool) -> Path:
-    """Return the path of a file to write; an earlier run is replaced only by force."""
+    """Return the path of a new file; an existing run is replaced only with `force`."""
     path = output(name, scene, force=True)
     if path.exists() and not force:
         raise InputError.at(
@@ -175,7 +176,7 @@ def _report(
     numbers: Path | None,
     save: bool = False,
 ) -> int:
-    """Run, print the summary, write its numbers if asked for, and return the exit code."""
+    """Run, print the summary, write its numbers if requested, and return the exit code."""
     from ..simulation.run_folder import Stopped
 
     missed = ""
@@ -194,8 +195,7 @@ def _report(
     if save:
         trajectory.save(path, overwrite=True)
     print(_summary(trajectory, tolerance, path))
-    # A named engine that solves another equation than Eq. (1) has already warned of its model
-    # error.
+    # A named engine whose equation differs from Eq. (1) has already warned of its model error.
     met = not missed and trajectory.error_estimate.model <= tolerance
     if numbers:
         write_json(_numbers(trajectory, tolerance, met, path), numbers)
@@ -262,7 +262,7 @@ def _summary(trajectory: Trajectory, tolerance: float, path: Path) -> str:
 
 
 def deck(arguments: argparse.Namespace) -> int:
-    """Write a LAMMPS input that `lmp` runs by itself."""
+    """Write a LAMMPS input that `lmp` can run on its own."""
     scene, _ = collect(
         lambda: read_scene(arguments.scene), lambda: check_tolerance(arguments.tolerance)
     )
@@ -290,7 +290,7 @@ def deck(arguments: argparse.Namespace) -> int:
 
 
 def sweep(arguments: argparse.Namespace) -> int:
-    """Solve the missing scenes of a sweep, and print how many failed."""
+    """Solve the missing scenes of a sweep, and print the number of failures."""
     from ..sweeps.run import sweep
 
     if mpi.count_idle():
@@ -310,7 +310,7 @@ def sweep(arguments: argparse.Namespace) -> int:
     )
     reasons = [reason for reason in results["reason"].to_numpy().flat if reason]
     total = results["reason"].size
-    print(f"{total - len(reasons)} of {total} scenes are answered in {folder}")
+    print(f"{total - len(reasons)} of {total} scenes are solved in {folder}")
     if reasons:
-        complain(f"{len(reasons)} scenes have no answer, the first because: {reasons[0]}")
+        complain(f"{len(reasons)} scenes failed, the first because: {reasons[0]}")
     return 1 if reasons else 0

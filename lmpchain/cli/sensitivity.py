@@ -1,4 +1,4 @@
-"""The command `sensitivity`: how an answer of a saved run depends on the grains."""
+"""The command `sensitivity`: derivatives of a result of a saved run by grain parameters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 from ..errors import InputError
 from .common import STANDARD, check_outputs, collect, keep, read_scene
 
-# Option of the command after --sigma-, parameter, and description.
+# Uncertain parameters: option after --sigma-, name of the parameter, description.
 UNCERTAIN = {
     "diameter": ("diameters", "diameter"),
     "youngs-modulus": ("youngs_modulus", "Young's modulus"),
@@ -20,7 +20,7 @@ UNCERTAIN = {
 
 
 def sensitivity(arguments: argparse.Namespace) -> int:
-    """Rank the parameters by their influence on an answer of a saved run."""
+    """Rank the parameters of a saved run by their influence on a result."""
     from ..design import sensitivities
 
     scene, picture, numbers, _ = collect(

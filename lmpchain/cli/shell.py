@@ -1,4 +1,4 @@
-"""Options that print what a shell installs: completion of commands, and the manual page."""
+"""Options that print text for a shell: the completion script and the manual page."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from typing import Any
 from .common import complain
 
 SHELLS = ("bash", "zsh", "tcsh")
-# Letters in the names of values that are files or folders, such as SCENE.toml and FOLDER/.
+# Marks of metavars whose values are files or folders, such as SCENE.toml and FOLDER/.
 OF_FILES = (".", "FILE", "FOLDER", "DUMP")
 
 
 class PrintCompletion(argparse.Action):
-    """Option that prints the script by which a shell completes commands, options and files."""
+    """Option that prints the completion script of a shell for commands, options and files."""
 
     def __call__(self, parser: argparse.ArgumentParser, _: Any, shell: Any, *__: Any) -> None:
-        """Print the script and end; shtab is imported here, because it is optional."""
+        """Print the script and exit; shtab is imported here because it is optional."""
         try:
             import shtab
         except ModuleNotFoundError:
             complain("--print-completion: requires shtab: pip install 'lmpchain[completion]'")
             parser.exit(1)
         commands = _commands(parser)
-        # shtab leaves out what the help does not show, and the help lists the commands by groups.
+        # shtab omits actions that the help does not show, and the help lists commands by groups.
         commands.help = "command"
         for command in commands.choices.values():
             for action in command._actions:
@@ -39,23 +39,23 @@ class PrintManual(argparse.Action):
     """Option that prints the manual page, which `man` shows."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
-        """Print the page and end."""
+        """Print the page and exit."""
         sys.stdout.write("\n".join(_manual(parser)) + "\n")
         parser.exit()
 
 
 def _commands(parser: argparse.ArgumentParser) -> Any:
-    """Return the action that chooses the command; its `choices` are the parsers of the commands."""
+    """Return the argparse action that selects the command; its `choices` are the subparsers."""
     return next(each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
 
 
 def _is_file(action: argparse.Action) -> bool:
-    """Return whether a file or a folder is the value of an argument."""
+    """Return whether the value of an argument is a file or a folder."""
     return isinstance(action.metavar, str) and any(part in action.metavar for part in OF_FILES)
 
 
 def _manual(parser: argparse.ArgumentParser) -> Iterator[str]:
-    """Yield the lines of the manual page, in the language of `man`."""
+    """Yield the lines of the manual page in the roff format of `man`."""
     yield '.TH LMPCHAIN 1 "" "lmpchain" "User Commands"'
     yield ".SH NAME"
     yield r"lmpchain \- waves in columns of Hertzian grains"
@@ -64,7 +64,7 @@ def _manual(parser: argparse.ArgumentParser) -> Iterator[str]:
     yield r".RI [ options ] " + '" " COMMAND " " ' + r"[ arguments ]"
     yield ".SH DESCRIPTION"
     for paragraph in (parser.description or "").split("\n\n"):
-        # A group of commands is a list, whose lines stay as they are.
+        # A group of commands is a list, whose line breaks are preserved.
         listed = "\n  " in paragraph
         yield from (
             (".PP", ".nf", *map(_plain, paragraph.splitlines()), ".fi")
@@ -97,7 +97,7 @@ def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
 
 
 def _plain(text: str) -> str:
-    """Return text as `man` takes it; a point at the beginning of a line is no request."""
+    """Return text escaped for `man`, so that a leading point is not a request."""
     escaped = " ".join(text.split(" ")).replace("\\", r"\e").replace("-", r"\-")
     lines = (rf"\&{line}" if line.startswith((".", "'")) else line for line in escaped.splitlines())
     return "\n".join(lines)

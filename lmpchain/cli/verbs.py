@@ -1,4 +1,4 @@
-"""Verbs of the command line, with their arguments as `argparse` takes them."""
+"""Verbs of the command line with their arguments in the form of `argparse`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .sensitivity import UNCERTAIN, sensitivity
 
 
 def _duration(text: str) -> float:
-    """Return H:MM:SS, or seconds, as seconds."""
+    """Convert H:MM:SS, or a number of seconds, to seconds."""
     match = re.fullmatch(r"(?:(\d+):([0-5]\d):)?(\d+(?:\.\d+)?)", text, re.ASCII)
     hours, minutes, seconds = match.groups() if match else (None, None, 0)
     total = 3600 * int(hours or 0) + 60 * int(minutes or 0) + float(seconds)
@@ -36,7 +36,7 @@ def _duration(text: str) -> float:
     return total
 
 
-# Names and options, as `add_argument` of argparse accepts them.
+# Names and options in the form of `add_argument` of argparse.
 Argument = tuple[tuple[str, ...], dict[str, Any]]
 
 
@@ -92,7 +92,7 @@ MAX_WALL = _argument(
     metavar="H:MM:SS",
     type=_duration,
     help="run folders only: after this time (or so many seconds), save and stop with exit code 75; "
-    "lmpchain resume continues. Leave some seconds to the time limit of the queue",
+    "lmpchain resume continues the run. Stay some seconds below the time limit of the queue",
 )
 TEMPLATES = (
     _argument(
@@ -103,10 +103,10 @@ TEMPLATES = (
 DUMP_UNITS = _argument(
     "--units",
     metavar="STYLE",
-    help="for a dump: unit style of LAMMPS, or its units LENGTH,TIME,MASS in m, s, kg (default: "
-    "what the dump says, or si)",
+    help="for a dump: LAMMPS unit style, or the units LENGTH,TIME,MASS in m, s, kg (default: "
+    "those named in the dump, or si)",
 )
-# What a dump or an input may leave open, for `new --from`.
+# Information that a dump or an input may lack, for `new --from`.
 OF_A_RUN = (
     _argument("--material", metavar="NAME", help="with --from: material of the grains"),
     *(
@@ -114,9 +114,9 @@ OF_A_RUN = (
         for key, text in {
             "young": "Young's modulus in Pa, in place of a material",
             "poisson": "Poisson's ratio, in place of a material",
-            "density": "kg/m3, if the run has no masses",
+            "density": "density in kg/m3, if the run has no masses",
             "timestep": "time step in s, if the run does not have it",
-            "duration": "s, if the run does not have it",
+            "duration": "duration in s, if the run does not have it",
         }.items()
     ),
     _argument(
@@ -124,12 +124,14 @@ OF_A_RUN = (
         dest="diameter",
         metavar="X",
         type=float,
-        help="with --from: m, if the run has no radii",
+        help="with --from: diameter of the grains in m, if the run has no radii",
     ),
-    _argument("--samples", metavar="N", type=int, help="with --from: samples of the scene"),
+    _argument(
+        "--samples", metavar="N", type=int, help="with --from: number of samples of the scene"
+    ),
     DUMP_UNITS,
 )
-# A saved run, or a dump with its scene.
+# Arguments for a saved run, or for a dump with its scene.
 RUN = (
     _argument(
         "run",
@@ -140,14 +142,14 @@ RUN = (
     _argument(
         "--axis",
         choices=["x", "y", "z"],
-        help="for a dump: along which the column stands (default: seen)",
+        help="for a dump: axis of the column (default: detected)",
     ),
     DUMP_UNITS,
 )
 VERBS = {
     "new": Verb(
         new,
-        "write a commented example scene, which the other commands read",
+        "write a commented example scene, as input of the other commands",
         "new striker.toml --example striker",
         (
             _argument(
@@ -164,8 +166,8 @@ VERBS = {
                 dest="run",
                 metavar="FILE",
                 nargs="+",
-                help="make the scene of your own run of LAMMPS, from its dump, its input or data "
-                "file, or from a dump and its input; these are read and not executed",
+                help="make a scene from your own LAMMPS run: its dump, its input or data "
+                "file, or a dump and its input; files are read and never executed",
             ),
             *OF_A_RUN,
             _argument("--force", action="store_true", help="replace the file if it is there"),
@@ -202,7 +204,7 @@ VERBS = {
                 "--step",
                 metavar="S",
                 type=float,
-                help="longest time step, s; then no tolerance is enforced",
+                help="longest time step, s; without enforcing a tolerance",
             ),
             _argument(
                 "--diameter",
@@ -251,7 +253,7 @@ VERBS = {
                 metavar="S",
                 type=float,
                 default=30.0,
-                help="longest expected time of an engine, s, or else its tolerance is loosened "
+                help="longest expected time of an engine, s; beyond it, its tolerance is relaxed "
                 "(default: 30)",
             ),
             PICTURE,
@@ -274,7 +276,7 @@ VERBS = {
             _argument(
                 "--engine",
                 metavar="E",
-                help="what it would take in this engine, such as lammps, by each of its "
+                help="show the cost of this engine, such as lammps, for each of its "
                 "integrators (default: all engines)",
             ),
             NUMBERS,
@@ -304,20 +306,20 @@ VERBS = {
                 "--time",
                 metavar="S",
                 type=float,
-                help="for how long, s, warm-up included (default: the duration of the scene)",
+                help="total time, s, including the warm-up (default: the duration of the scene)",
             ),
             _argument(
                 "--warm-up",
                 metavar="S",
                 type=float,
-                help="left out at the beginning, s (default: a fifth of the time)",
+                help="time left out at the beginning, s (default: a fifth of the total)",
             ),
             _argument(
                 "--copies",
                 metavar="R",
                 type=int,
                 default=1,
-                help="chains that begin a little apart and are averaged together, on all cores "
+                help="number of slightly different chains that are averaged together, on all cores "
                 "(default: 1)",
             ),
             _argument(
@@ -335,16 +337,21 @@ VERBS = {
     ),
     "orbit": Verb(
         orbit,
-        "periodic orbits of the chain: a linear mode up to an energy, or the answer to a drive",
+        "find periodic orbits: a linear mode up to an energy, or the response to a drive",
         "orbit scene.toml --mode 1 --energy 1e-9 -o orbit.png",
         (
             SCENE,
-            _argument("--mode", metavar="K", type=int, help="number of the mode, the lowest is 1"),
+            _argument(
+                "--mode",
+                metavar="K",
+                type=int,
+                help="number of the mode, counted from 1 by frequency",
+            ),
             _argument("--energy", metavar="E", type=float, help="energy above rest, J"),
             _argument(
                 "--follow",
                 metavar="NUMBER=UNTIL",
-                help="the answer to the drive of the scene, from there to this value of "
+                help="follow the response to the drive of the scene up to this value of "
                 "drive.frequency, drive.amplitude, damping.drag, chain.top_load ...",
             ),
             _argument(
@@ -362,7 +369,7 @@ VERBS = {
     ),
     "sensitivity": Verb(
         sensitivity,
-        "rank the influence of each grain on an answer of a saved run",
+        "rank the influence of each grain on a quantity of a saved run",
         "sensitivity run.nc --answer peak_force:10 --sigma-diameter 0.01 -o sensitivity.png",
         (
             _argument("run", metavar="RUN.nc|SCENE.toml", help="saved run, or a scene file"),
@@ -373,7 +380,7 @@ VERBS = {
                 help="peak_force:CONTACT, momentum:GRAINS, energy:GRAINS, kinetic_energy:GRAINS "
                 "(such as 3-9) or arrival_time:GRAIN@VELOCITY",
             ),
-            # Each parameter that may be uncertain has an option.
+            # Each uncertain parameter has an option.
             *(
                 _argument(
                     f"--sigma-{name}",
@@ -428,7 +435,7 @@ VERBS = {
     ),
     "dyson": Verb(
         dyson,
-        "compute the weighted velocities of Eq. (22), and their mean over random chains",
+        "compute the weighted velocities of Eq. (22) and their mean over random chains",
         "dyson run.nc --m 1,5,20 -o dyson.png",
         (
             *RUN,
@@ -474,8 +481,8 @@ VERBS = {
             _argument(
                 "--contact-force",
                 metavar="N,wall",
-                help="force that a sensor in each of these grains shows, the mean of its two "
-                "contacts, and of walls: wall (the bottom one, if there is one), top, bottom",
+                help="force of a sensor in each of these grains (mean of its two contacts) "
+                "or walls: wall (the bottom one, if there is one), top, bottom",
             ),
             _argument("--velocity", metavar="N,N,...", help="velocity of these grains"),
             _argument("--displacement", metavar="N,N,...", help="displacement of these grains"),
@@ -487,7 +494,7 @@ VERBS = {
             _argument(
                 "--above-rest",
                 action="store_true",
-                help="forces above those at rest, as piezoelectric sensors show them",
+                help="write forces relative to rest, as piezoelectric sensors do",
             ),
         ),
         renamed={"--energy": "--energies"},
@@ -501,24 +508,24 @@ VERBS = {
                 "run",
                 metavar="DUMP_OR_RUN",
                 nargs="?",
-                help="LAMMPS dump, or what lmpchain run saved: a file or a folder",
+                help="LAMMPS dump, or file or folder of lmpchain run",
             ),
             _argument(
                 "--scene",
                 metavar="SCENE.toml",
-                help="what the dump is of; a saved run knows its own",
+                help="scene of the dump; a saved run contains its scene",
             ),
             DUMP_UNITS,
             _argument(
                 "--deck",
                 metavar="FOLDER",
-                help="in place of a run: what lmpchain deck wrote, edited or not, before it runs",
+                help="instead of a run: folder of lmpchain deck, edited or not, before its run",
             ),
             _argument(
                 "--tolerance",
                 metavar="X",
                 type=float,
-                help="exit code 1 if the error is above it (default: none is)",
+                help="return exit code 1 if the error is larger (default: never)",
             ),
             NUMBERS,
             FORCE,
@@ -547,7 +554,7 @@ VERBS = {
     ),
     "explore": Verb(
         explore,
-        "write a page whose sliders go through runs of a scene, made beforehand",
+        "write a page with sliders over precomputed runs of a scene",
         "explore scene.toml --over excitation.velocity=1e-6:1e-1:25:log -o explore.html",
         (
             SCENE,
@@ -556,11 +563,15 @@ VERBS = {
                 metavar="KEY=LOW:HIGH[:N][:log]",
                 action="append",
                 required=True,
-                help="a slider: key of the scene file, its range in SI units, how many runs "
-                "(15 if left out), and log for equal ratios; several for several sliders",
+                help="a slider: key of the scene file, range in SI units, number of runs "
+                "(default: 15), and log for equal ratios; repeat for more sliders",
             ),
             _argument(
-                "-o", "--output", metavar="PAGE.html", required=True, help="page to write, to 2 MB"
+                "-o",
+                "--output",
+                metavar="PAGE.html",
+                required=True,
+                help="page to write, up to 2 MB",
             ),
             FORCE,
             TOLERANCE,
@@ -568,7 +579,7 @@ VERBS = {
     ),
     "workprec": Verb(
         workprec,
-        "work-precision chart of every engine and integrator on a scene",
+        "draw a work-precision chart of all engines and integrators on a scene",
         "workprec scene.toml --budget 30 -o chart.png",
         (
             SCENE,
@@ -577,7 +588,7 @@ VERBS = {
                 metavar="S",
                 type=float,
                 default=60.0,
-                help="about how long it may take, s (default: 60)",
+                help="approximate total time, s (default: 60)",
             ),
             _argument(
                 "-o",
@@ -610,12 +621,12 @@ VERBS = {
                 "--workers",
                 metavar="P",
                 type=int,
-                help="processes of this machine (default: one a core)",
+                help="number of processes on this machine (default: one per core)",
             ),
             _argument(
                 "--scheduler",
                 metavar="ADDRESS",
-                help="of a Dask scheduler whose workers solve the scenes",
+                help="address of a Dask scheduler whose workers solve the scenes",
             ),
         ),
     ),
@@ -629,7 +640,7 @@ VERBS = {
             _argument(
                 "--compile",
                 action="store_true",
-                help="compile first all that runs need: for clusters and images",
+                help="compile everything that runs need: for clusters and images",
             ),
         ),
     ),

@@ -1,4 +1,4 @@
-"""Gradients of the answer of a run with respect to the parameters of a chain."""
+"""Gradients of a result of a run with respect to the parameters of a chain."""
 
 from ..util.lazy import attributes, listed
 

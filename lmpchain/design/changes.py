@@ -1,4 +1,4 @@
-"""Scenes with other parameters, by the names that gradients know."""
+"""Scenes with other values of the parameters that gradients are computed for."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMBERS = ("top_load", "gravity", "amplitude", "frequency")
 
 
 def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
-    """Return the scene with these parameters, by the names that `gradient` knows.
+    """Return the scene with these parameter values, by the parameter names of `gradient`.
 
     Raises
     ------
@@ -46,7 +46,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
         number = float(value[0]) if name in NUMBERS else value
         match name:
             case "displacement" | "velocity":
-                # the other of the two stays as the excitation gives it
+                # A state that is not given remains as the excitation sets it.
                 displacement, velocity = scene.initial()
                 start = Profile(displacement=displacement, velocity=velocity)
                 scene = scene.replace(excitation=start.replace(**{name: value}))
@@ -76,10 +76,10 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
 
 
 def _materials(chain: Chain, moduli: Array) -> tuple[Material, ...]:
-    """Return the material of every grain with another modulus (N,), Pa."""
+    """Return the materials of the grains with other Young's moduli (N,), Pa."""
     material = chain.material
     materials = material if isinstance(material, tuple) else (material,) * chain.grains
     pairs = list(zip(materials, moduli.tolist(), strict=True))
-    # a checked copy takes long, and few of the grains differ as a rule
+    # A checked copy is slow, and few grains differ as a rule.
     copies = {pair: pair[0].replace(youngs_modulus=pair[1]) for pair in dict.fromkeys(pairs)}
     return tuple(copies[pair] for pair in pairs)

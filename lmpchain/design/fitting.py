@@ -1,4 +1,4 @@
-"""Scenes fitted to measured traces, and the uncertainty of their parameters."""
+"""Fits of scenes to measured traces, with the uncertainty of their parameters."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ NAMES_OF_TRACES = {
     "force": "force above rest",
     "contact": "force above rest",
 }
-BIAS = 0.05  # error of an estimate by the steps, in standard deviations
+BIAS = 0.05  # Largest error of an estimate by the time steps, in standard deviations.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit(Fitted, Tabular):
-    """A fitted scene, and the uncertainty of its parameters.
+    """A fitted scene with the uncertainty of its parameters.
 
     Attributes
     ----------
     scene : Scene
     names : list of str
-        Of the K numbers that were fitted.
+        Names of the K fitted parameters.
     estimate : (K,) array
         A factor where entries of one parameter differ and change together, else in the unit of the
         parameter.
     covariance : (K, K) array
     chi_square : float
-        Sum of squares of the residuals, over the noise.
+        Sum of squared residuals over the noise.
     freedom : int
-        Measured values less K.
+        Number of measured values minus K.
     values : dict
         Parameters of the scene by name.
     bias : (K,) array
-        Estimated error of the estimate by the length of the steps.
+        Estimated error of the estimate caused by the step length.
     """
 
     scene: Scene
@@ -65,11 +65,11 @@ class Fit(Fitted, Tabular):
 
     @property
     def error(self) -> Array:
-        """Standard deviations, (K,)."""
+        """Standard deviations of the fitted parameters, (K,)."""
         return np.sqrt(np.diag(self.covariance))
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the fitted numbers with their errors and units; factors have no unit."""
+        """Yield the fitted parameters with errors and units; factors have no unit."""
         symbols = self._problem.symbols
         for name, value, error, unit in zip(
             self.names, self.estimate.tolist(), self.error.tolist(), symbols, strict=True
@@ -77,12 +77,12 @@ class Fit(Fitted, Tabular):
             yield FittedNumber("traces", name, value, error, unit=unit)
 
     def notes(self) -> Iterator[str]:
-        """Yield a sentence on the goodness of fit and the source of the noise."""
+        """Yield a sentence on the goodness of fit and the source of the noise level."""
         noise = "" if self._problem.noisy else "; the noise is that of the residuals"
         yield f"chi square: {self.chi_square:.5g} of {self.freedom}{noise}"
 
     def profile(self, name: str, reach: float = 3.0, points: int = 13) -> tuple[Array, Array]:
-        """Return values of one number, (points,), and how much chi square grows, others refitted.
+        """Return values of a parameter and the increases of chi square, with the others refitted.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ class Fit(Fitted, Tabular):
         problem = self._problem
         index = self.names.index(name)
         others = np.arange(self.estimate.size) != index
-        # others begin where they would lie if residuals were linear
+        # The other parameters start at their values in a linear model of the residuals.
         along = self.covariance[:, index] / self.covariance[index, index]
         offsets = np.linspace(-reach, reach, points) * self.error[index]
         growth = np.zeros(points)
@@ -109,7 +109,7 @@ class Fit(Fitted, Tabular):
         return self.estimate[index] + offsets, growth
 
     def posterior(self, samples: int = 10000, walkers: int = 32, seed: int = 0) -> Array:
-        """Return draws (S, K) from the posterior with flat priors, by the sampler of `emcee`.
+        """Return samples (S, K) of the posterior with flat priors, drawn by `emcee`.
 
         It must be installed; D. Foreman-Mackey, D. W. Hogg, D. Lang and J. Goodman, Publ. Astron.
         Soc. Pacific 125, 306 (2013).
@@ -124,7 +124,7 @@ class Fit(Fitted, Tabular):
         walkers = max(walkers, 2 * count + 2)
 
         def log_probability(estimate: Array) -> float:
-            # a scene that cannot be has no probability
+            # An invalid scene has probability 0.
             try:
                 return -0.5 * problem.chi_square(problem.free(estimate))
             except (InputError, RunFailed):
@@ -132,7 +132,8 @@ class Fit(Fitted, Tabular):
 
         sampler = emcee.EnsembleSampler(walkers, count, log_probability)
         sampler.random_state = np.random.RandomState(seed).get_state()
-        # walkers begin where linear theory of errors has them: hardly any are thrown away
+        # Walkers start in the Gaussian of the linear error theory, so that hardly any samples are
+        # discarded.
         start = rng.multivariate_normal(self.estimate, self.covariance, walkers)
         steps = -(-samples // walkers)
         state = sampler.run_mcmc(start, max(50, steps // 10))
@@ -141,7 +142,7 @@ class Fit(Fitted, Tabular):
         return np.asarray(sampler.get_chain(flat=True))[:samples]
 
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
-        """Draw measured and fitted values against time, and return the axes.
+        """Plot measured and fitted values against time, and return the axes.
 
         One axes for every unit of the traces: a list of them, of which so many may be given, where
         there are several.
@@ -175,7 +176,7 @@ class Fit(Fitted, Tabular):
 
     def _columns(self) -> Iterator[NamedColumn]:
         fitted = self._problem.predict(self._problem.free(self.estimate))
-        # traces may have times of their own: a row a value
+        # Traces may have different times, so each value has a row.
         rows = [
             (k, time, place, measured, prediction)
             for k, (traces, values) in enumerate(zip(self._problem.traces, fitted, strict=True), 1)
@@ -197,7 +198,7 @@ def _check_reach(scene: Scene, latest: float) -> None:
 
 
 def _check_noise(traces: Sequence[Traces]) -> None:
-    """Raise `InputError` unless traces of several units say how uncertain each is."""
+    """Raise `InputError` unless all traces of different units have a given noise."""
     units = {FIELD_UNITS[trace.field] for trace in traces}
     if len(units) > 1 and any(trace.noise is None for trace in traces):
         weights = f"of each trace, as squares of {' and '.join(sorted(units))} cannot be added"
@@ -207,7 +208,7 @@ def _check_noise(traces: Sequence[Traces]) -> None:
 def fit(
     traces: Traces | Sequence[Traces], scene: Scene, parameters: Mapping[str, Any] | Sequence[str]
 ) -> Fit:
-    """Return the scene that fits measured traces best, with the covariance of its parameters.
+    """Fit a scene to measured traces; return it with the covariance of its parameters.
 
     Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown
     number. Steps are halved until they add less than a twentieth of a standard deviation to every
@@ -261,19 +262,19 @@ def fit(
     def attempt(halvings: int) -> HalvedAnswer[_Estimate]:
         nonlocal theta
         problem.looks = first * 2**halvings
-        # each from the estimate at longer steps, which is near
+        # Each fit starts from the estimate at longer steps, which is close.
         theta = problem.minimise(theta)
         estimate = _estimate(problem, theta)
         allowed = BIAS * np.sqrt(np.diag(estimate.covariance)) + 1e-9
         return HalvedAnswer(estimate, float((estimate.bias / allowed).max()))
 
-    # Eight answers at most: no step is short enough for chaos, and each halving doubles the cost.
+    # At most eight attempts: no step suffices for chaos, and each halving doubles the cost.
     best, excess = halve(attempt, 8)
     if excess > 1:
         message = "the steps change the estimates however short they are: use a shorter time"
         raise ToleranceNotMet(message)
     estimates = problem.estimates(theta)
-    # the end of a trace is known with the time of its strike only
+    # The end of a trace in the scene is known only after the strike time is fitted.
     for name, value in zip(problem.names, estimates, strict=True):
         if name.startswith("trigger"):
             for trace in measured:
@@ -294,7 +295,7 @@ def fit(
 
 
 class _Estimate(NamedTuple):
-    """The uncertainty of relative changes (K,) that fit best, and their error by the steps (K,)."""
+    """Uncertainty of the fitted relative changes (K,), and their error by the time steps (K,)."""
 
     covariance: Array
     square: float
@@ -303,7 +304,7 @@ class _Estimate(NamedTuple):
 
 
 def _estimate(problem: Problem, theta: Array) -> _Estimate:
-    """Return the uncertainty of relative changes, and their error by a run of half the steps."""
+    """Return the uncertainty of relative changes, and their error from a run at half the steps."""
     residuals, jacobian = problem.residuals(theta, True)
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
@@ -313,7 +314,7 @@ def _estimate(problem: Problem, theta: Array) -> _Estimate:
     inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)
     freedom = residuals.size - theta.size
     square = float(residuals @ residuals)
-    # noise that is not given is as large as the residuals show it
+    # Noise that is not given is estimated from the residuals.
     if not problem.noisy:
         problem.variance = max(square, np.finfo(float).tiny) / max(freedom, 1)
     problem.looks *= 2

@@ -31,18 +31,18 @@ from .objectives import Objective, Seen
 
 @dataclass(frozen=True)
 class GradientRuns:
-    """Runs of which gradients, and the values of an optimum, are made.
+    """Settings of runs for gradients, with the values of an optimum.
 
     Attributes
     ----------
     look : float
-        Turn of the fastest motion between two looks of a dense objective at most, rad.
+        Largest phase of the fastest motion between two evaluations of a dense objective, rad.
     turn : float
-        Turn of the fastest motion in a step of an optimisation at most, rad.
+        Largest phase of the fastest motion in a step of an optimisation, rad.
     halvings : int
-        How often steps are halved at most.
+        Largest number of halvings of the steps.
     nearby : float
-        Ratio of the steps of the third run that an answer is compared with.
+        Step ratio of the third run, with which an answer is compared.
     """
 
     look: float = 0.25
@@ -56,20 +56,20 @@ RUNS = GradientRuns()
 
 @dataclass(frozen=True, eq=False)
 class Gradient(Mapping[str, Array]):
-    """An objective and its derivatives by name of the parameters.
+    """An objective and its derivatives by parameter name.
 
     Attributes
     ----------
     value : float
     gradients : dict
-        Arrays (P,) by name: per kg, per N/m^delta and so on.
+        Derivatives (P,) by parameter name: per kg, per N/m^delta and so on.
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
         The largest error relative to the largest derivative by the same kind of parameter. Where
         these are nothing but round-off, relative to the terms that they are the sum of.
     value_error : float
-        Of the value, in its unit.
+        Estimated error of the value, in its unit.
     step_s : float
     integrator : str
     """
@@ -93,16 +93,16 @@ class Gradient(Mapping[str, Array]):
 
 
 def looks_of(scene: Scene, objective: Objective, finer: int = 1) -> int:
-    """Return the number of times after t = 0 of an objective: samples, or a multiple of them."""
+    """Return the number of evaluation times of an objective after t = 0."""
     looks = scene.intervals
-    # a peak or a crossing may lie between two samples
+    # A peak or a crossing may be between two samples.
     if objective.dense:
         looks *= finer * max(1, math.ceil(scene.sampling_phase / RUNS.look))
     return looks
 
 
 class Answer(NamedTuple):
-    """A value, its derivatives by all inputs or by name, and the run that they are of."""
+    """A value with its derivatives, by all inputs or by name, and the run behind it."""
 
     value: float
     slopes: Any
@@ -110,7 +110,7 @@ class Answer(NamedTuple):
 
 
 class GradientTask(NamedTuple):
-    """An objective of a scene, the names of parameters, and how the scene is integrated."""
+    """An objective of a scene, parameter names, and the integration of the scene."""
 
     scene: Scene
     objective: Objective
@@ -119,7 +119,7 @@ class GradientTask(NamedTuple):
     adaptive: bool = False
 
     def solve(self, step: float, finer: int = 1) -> Answer:
-        """Return the value and its derivatives by all inputs, by steps of this length at most.
+        """Return the value and its derivatives by all inputs, with steps of at most this length.
 
         Raises
         ------
@@ -134,7 +134,8 @@ class GradientTask(NamedTuple):
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)
         slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
-        # derivatives by the motion at t = 0 are needed of all grains, or of those that it reaches
+        # Derivatives by the initial motion are needed for all grains, otherwise for the grains that
+        # the wave reaches.
         everywhere = not {"displacement", "velocity"}.isdisjoint(self.names)
         inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
         zero = np.zeros(scene.chain.grains)
@@ -152,7 +153,7 @@ class GradientTask(NamedTuple):
 
 
 def shortens(scene: Scene, method: AnyMethod) -> bool:
-    """Return whether steps are shorter where contacts open or close, even if that is not asked for.
+    """Return whether steps are shortened where contacts open or close, possibly by default.
 
     There the stiffness of a viscous contact, by which small changes creep, has a vertical tangent:
     derivatives by equal steps would be of order delta only.
@@ -168,7 +169,7 @@ def at_step(
     step: float,
     adaptive: bool = False,
 ) -> Answer:
-    """Return the value and its derivatives by name, by steps of this length at most.
+    """Return the value and its derivatives by name, with steps of at most this length.
 
     Raises
     ------
@@ -187,7 +188,7 @@ def refine(
     first: float,
     answers: int,
 ) -> Any:
-    """Halve steps until the error of an answer, which runs with other steps show, is allowed.
+    """Halve steps until the estimated error of an answer is within its tolerance.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ def refine(
     def attempt(halvings: int) -> HalvedAnswer[Any]:
         nonlocal before
         finer = 2 ** (halvings + 1)
-        # the answer of one attempt is what the next is compared with
+        # The answer of one attempt is the reference for the next.
         coarse = before
         announce(
             2 ** (halvings + 1) * spent_s,
@@ -225,7 +226,8 @@ def refine(
         judgement = judge(answer, [coarse])
         if excess(judgement) <= 1:
             run = answer.run
-            # few steps between two looks do not divide them in another ratio: take shorter ones
+            # Few steps between two evaluation times cannot be halved evenly, so shorter steps are
+            # used.
             few = run.steps <= 2 * (run.time.size - 1)
             step = run.step / RUNS.nearby if few else run.step * RUNS.nearby
             judgement = judge(answer, [coarse, solve(step, finer)])
@@ -235,7 +237,7 @@ def refine(
 
 
 def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gradient:
-    """Return a gradient with its errors, from answers with other steps and from round-off."""
+    """Return a gradient with its errors, from answers with different steps and from rounding."""
     scene = task.scene
     value, inputs, run = answer
     evaluations = run.steps * task.method.evaluations
@@ -251,7 +253,7 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
         )
         size = float(np.abs(slope).max())
         sum_of_terms = float(np.abs(params.pull(scene, terms, name)).max())
-        # a derivative that is nothing but round-off: its terms cancel
+        # The terms of this derivative cancel to rounding error.
         if size <= floor * sum_of_terms:
             size = sum_of_terms
         gradients[name] = slope
@@ -265,14 +267,14 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
 
 
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
-    """Return the sizes of the terms whose sums are the derivatives of a value by all inputs.
+    """Return the sums of the absolute terms of a value's derivatives by all inputs.
 
     Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
     motion or a drive adds.
     """
     present = params.inputs(scene)
     pairs = list(zip(inputs, present, strict=True))
-    # masses, constants and forces come first, initial motion and drive after them
+    # Masses, constants and forces come first, then initial motion and drive.
     total = abs(value) + sum(float(np.abs(slope) @ np.abs(x)) for slope, x in pairs[3:])
     return Inputs(
         *(
@@ -282,7 +284,7 @@ def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
     )
 
 
-MOST_STEPS = 1e9  # of a run
+MOST_STEPS = 1e9  # Largest number of steps of a run.
 
 
 def _method(
@@ -292,7 +294,7 @@ def _method(
     integrator: str | None,
     adaptive: bool,
 ) -> AnyMethod:
-    """Return the method that is asked for, or the best; raises `InputError` if it cannot do it."""
+    """Return the given method, or the best one; raise `InputError` if it is unsuitable."""
     by_default = "rkn4" if objective.dense else "rkn6"
     chosen = integrator or method_for(scene, names, by_default).name
     if chosen not in DIFFERENTIABLE:
@@ -385,5 +387,5 @@ def gradient(
     if step or answer.error <= tolerance:
         return answer
     raise ToleranceNotMet(
-        f"the gradient is known to {answer.error:.2g} only; use a shorter time or less accuracy"
+        f"the error of the gradient is {answer.error:.2g}; use a shorter time or a larger tolerance"
     )

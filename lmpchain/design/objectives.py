@@ -1,4 +1,4 @@
-"""Objectives: numbers of a motion, with their derivatives by the motion and the chain.
+"""Objectives: scalar functions of a motion, with derivatives by the motion and the chain.
 
 An objective looks at some grains at times that are equal parts of the duration: at the samples of
 the scene or, where it is `dense`, so often that the fastest motion turns by a quarter of a radian
@@ -26,11 +26,11 @@ class Seen(NamedTuple):
     ----------
     scene : Scene
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
-        Numbers from 1.
+        Grain numbers, from 1.
     displacement, velocity : (T, G) arrays
-        m and m/s, positive downward.
+        Motion, m and m/s, positive downward.
     """
 
     scene: Scene
@@ -40,7 +40,7 @@ class Seen(NamedTuple):
     velocity: Array
 
     def slopes(self, value: float) -> Slopes:
-        """Return a value with derivatives of 0, to be filled in."""
+        """Return a value with derivatives of 0, for the caller to fill in."""
         chain = self.scene.chain
         contacts = np.zeros((3, chain.grains + 1))
         motion = (np.zeros(self.displacement.shape), np.zeros(self.velocity.shape))
@@ -58,10 +58,10 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        By the motion in view.
+        Derivatives by the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
-        By masses, and by constants, forces at rest and viscosities of all contacts, where the
-        objective itself has them.
+        Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
+        objective itself depends on them.
     """
 
     value: float
@@ -79,13 +79,13 @@ class ContactForce(NamedTuple):
     Attributes
     ----------
     value : (T,) array
-        N.
+        Force, N.
     by_closer, by_closing : (T,) arrays
-        By the approach of the two bodies, m, and its rate, m/s.
+        Derivatives by the approach of the two bodies, m, and its rate, m/s.
     by_force, by_constant, by_viscosity : (T,) arrays
-        By the force at rest, N, the constant, N/m^delta, and the viscosity, s.
+        Derivatives by the force at rest, N, the constant, N/m^delta, and the viscosity, s.
     grains : list of int
-        One or two that it joins.
+        One or two grains of the contact.
     """
 
     value: Array
@@ -121,7 +121,7 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     by_force = np.zeros(closer.shape)
     by_constant = overlap**delta + viscous / law.constant
     if law.force > 0:
-        # the overlap at rest is (F / K)^(1/delta)
+        # The overlap at rest is (F / K)^(1/delta).
         by_force = by_closer * law.overlap / (delta * law.force)
         by_constant = by_constant - by_closer * law.overlap / (delta * law.constant)
     return ContactForce(
@@ -139,10 +139,10 @@ def quadrature(size: int) -> Array:
     """Return the weights (size,) of the trapezoidal rule with Gregory's corrections of order 6."""
     weight = np.ones(size)
     weight[[0, -1]] = 0.5
-    # backward differences at either end, as far as they do not overlap
+    # Backward differences are applied at both ends, up to an order at which they do not overlap.
     for k, gregory in enumerate((1 / 12, 1 / 24, 19 / 720, 3 / 160, 863 / 60480), 1):
         if 2 * k < size:
-            # the k-th difference has alternating binomial coefficients
+            # The k-th difference has alternating binomial coefficients.
             change = [gregory * (-1) ** j * math.comb(k, j) for j in range(k + 1)]
             weight[: k + 1] -= change
             weight[-k - 1 :] -= change[::-1]
@@ -150,20 +150,20 @@ def quadrature(size: int) -> Array:
 
 
 class Objective(Protocol):
-    """A number that a motion gives, and its derivatives by the motion and the chain."""
+    """A scalar function of a motion, with its derivatives by the motion and the chain."""
 
     @property
     def dense(self) -> bool:
-        """Whether the number depends on the motion between the samples, too."""
+        """Whether the value also depends on the motion between samples."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains whose motion counts; raises `InputError` if there is no such value."""
+        """Return the grains that the value depends on; raises `InputError` if they do not exist."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
 
 
-AHEAD = 1e-100  # m/s: of a grain far ahead of a wave, which falls off faster than any power there
+AHEAD = 1e-100  # Speed of a grain far ahead of a wave, m/s.
 
 
 def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
@@ -176,15 +176,15 @@ def _check_grains(scene: Scene, grains: Sequence[int]) -> Sequence[int]:
 
 
 def _check_still(scene: Scene, contact: int) -> None:
-    """Raise `InputError` if this contact is with a wall that moves."""
+    """Raise `InputError` if this contact is with a moving wall."""
     if contact == 0 and scene.excitation.wall is not None:
-        message = "cannot look at the contact with a wall that moves: use other grains"
+        message = "cannot depend on the contact with a moving wall: use other grains"
         raise InputError.at("objective", message)
 
 
 @dataclass(frozen=True)
 class PeakForce:
-    """The peak force at a contact, N, that at rest included: a smooth maximum over time.
+    """The peak force at a contact, N, including the force at rest: a smooth maximum over time.
 
     The mean of the force F over time with weights F^sharpness is below the peak by some
     1 / (2 sharpness) of it, 0.5 % where the sharpness is 100.
@@ -217,10 +217,10 @@ class PeakForce:
         """Return the smooth maximum and its derivatives."""
         force = contact_force(view, self.contact)
         largest = force.value.max()
-        # a contact that stays open: the derivative by all is 0
+        # If the contact stays open, all derivatives are 0.
         if largest <= 0:
             return view.slopes(0.0)
-        # a viscous contact pulls before it opens: no peak
+        # A viscous contact pulls before it opens; negative forces are excluded from the maximum.
         share = np.maximum(force.value, 0.0) / largest
         weight = quadrature(share.size) * share**self.sharpness
         weight /= weight.sum()
@@ -241,7 +241,7 @@ class PeakForce:
 
 @dataclass(frozen=True)
 class _AtTime:
-    """A sum over a group of grains at one of the samples.
+    """A sum over a group of grains at one sample.
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ class _AtTime:
 
 
 class KineticEnergy(_AtTime):
-    """The kinetic energy of a group of grains at one of the samples, J."""
+    """The kinetic energy of a group of grains at one sample, J."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the energy and its derivatives."""
@@ -281,7 +281,7 @@ class KineticEnergy(_AtTime):
 
 
 class Energy(_AtTime):
-    """The energy of a group of grains above rest at one of the samples, J.
+    """The energy of a group of grains above rest at one sample, J.
 
     As `measure.energy.shares` divides it: kinetic energy, half the energy of contacts with other
     grains, less the work that load and weight do as they give way, and all of those with walls.
@@ -291,7 +291,7 @@ class Energy(_AtTime):
         """Return the group and its neighbours."""
         group = super().grains(scene)
         _check_still(scene, 0 if 1 in group else 1)
-        # the energy of a contact depends on both of its grains
+        # The energy of a contact depends on both of its grains.
         near = {other for grain in group for other in (grain - 1, grain, grain + 1)}
         return sorted(near & set(range(1, scene.chain.grains + 1)))
 
@@ -306,7 +306,8 @@ class Energy(_AtTime):
         v = view.velocity[look]
         u = np.zeros(chain.grains)
         u[at] = view.displacement[look]
-        # half of a contact belongs to either grain, all of one with a wall
+        # Each grain of a contact has half of its energy; a wall contact belongs entirely to its
+        # grain.
         share = np.zeros(chain.grains + 1)
         np.add.at(share, at, inside / 2)
         np.add.at(share, at + 1, inside / 2)
@@ -314,7 +315,7 @@ class Energy(_AtTime):
         closer = contacts.closer(u)
         energy = share * contacts.energy(closer)
         change = share * contacts.force_change(closer)
-        # derivative by -log(K), at a force at rest that stays as it is
+        # This is the derivative by -log(K) at a fixed force at rest.
         delta = chain.law.power_of("the derivative of an energy")
         softer = np.where(contacts.pressed, (energy - closer * change) / delta, -energy)
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))
@@ -328,7 +329,7 @@ class Energy(_AtTime):
 
 
 class Momentum(_AtTime):
-    """The momentum of a group of grains at one of the samples, kg m/s, positive downward."""
+    """The momentum of a group of grains at one sample, kg m/s, positive downward."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the momentum and its derivatives."""
@@ -343,7 +344,7 @@ class Momentum(_AtTime):
 
 @dataclass(frozen=True)
 class ArrivalTime:
-    """The time at which a grain first moves as fast as a threshold, s.
+    """The time at which the speed of a grain first reaches a threshold, s.
 
     Between the times looked at, the velocity is the cubic through the four nearest ones.
 
@@ -371,16 +372,16 @@ class ArrivalTime:
         if not above.size or above[0] == 0:
             reason = f"is never faster than {np.abs(v).max():.3g} m/s: use another threshold"
             if above.size:
-                reason = "has that velocity at once: use another threshold"
+                reason = "has that velocity at t = 0: use another threshold"
             elif np.abs(v).max() < AHEAD:
                 reason = "is reached by no wave: record for longer"
             raise InputError.at("velocity", f"grain {self.grain} {reason}")
-        # the crossing lies between the second and the third time, except at the ends
+        # The crossing is between the second and the third time, except at the ends.
         first = int(np.clip(above[0] - 2, 0, v.size - 4))
         near = v[first : first + 4]
         step = view.time[1]
         nodes = np.arange(4.0)
-        # Lagrange's polynomials of the four nearest times
+        # Lagrange polynomials of the four nearest times.
         basis = []
         for k in range(4):
             others = np.delete(nodes, k)
@@ -389,7 +390,7 @@ class ArrivalTime:
         end = above[0] - first
         at = brentq(lambda t: cubic(t) - self.velocity, end - 1, end, xtol=1e-14)
         slopes = view.slopes(float((first + at) * step))
-        # a larger velocity of a neighbour brings the crossing forward
+        # A larger velocity near the crossing makes the crossing earlier.
         rate = cubic.deriv()(at) / step
         slopes.velocity[first : first + 4, view.column(self.grain)] = [-b(at) / rate for b in basis]
         return slopes
@@ -397,7 +398,7 @@ class ArrivalTime:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Half the sum of squares of the differences from traces at the samples of the scene.
+    """Half the sum of squared differences from measured traces at the samples of the scene.
 
     Parameters
     ----------
@@ -437,7 +438,7 @@ class Misfit:
 
 @dataclass(frozen=True)
 class DriveWork:
-    """The work that a driven grain 1 takes, J, beyond that against the forces at rest.
+    """The work done by the drive of grain 1, J, in addition to the work against forces at rest.
 
     Its kinetic energy at the end, less that at t = 0, and the force of the contact below it times
     its velocity, over the times looked at by the trapezoidal rule with Gregory's corrections at the
@@ -480,7 +481,7 @@ class DriveWork:
 
 @dataclass(frozen=True, eq=False)
 class Function:
-    """Any function of the samples that returns its own derivatives.
+    """An arbitrary function of the samples that returns its own derivatives.
 
     Parameters
     ----------
@@ -499,6 +500,6 @@ class Function:
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the value and the derivatives that the function gives."""
+        """Return the value and the derivatives that the user's function computes."""
         value, displacement, velocity = self.function(view.time, view.displacement, view.velocity)
         return view.slopes(float(value))._replace(displacement=displacement, velocity=velocity)

@@ -30,7 +30,7 @@ from .objectives import Objective
 
 
 def fingerprint(*values: Any) -> str:
-    """Return a hash that differs where any of these values does.
+    """Return a hash that differs if any of these values differs.
 
     Of a function it is of what it computes: its code, what that refers to in its own module, its
     defaults and what it has taken from the function around it, but not of its name or its place.
@@ -44,10 +44,10 @@ def fingerprint(*values: Any) -> str:
 
 
 def _pieces(value: Any, around: tuple[int, ...]) -> Iterator[bytes]:
-    """Yield all that a value is made of, in order; `around` are the objects that hold it."""
+    """Yield the contents of a value in order; `around` are the objects that contain it."""
     kind = type(value)
     yield f"{kind.__module__}.{kind.__qualname__}".encode()
-    # a function may refer to itself
+    # A function may refer to itself.
     if id(value) in around:
         return
     inside = (*around, id(value))
@@ -65,7 +65,7 @@ def _pieces(value: Any, around: tuple[int, ...]) -> Iterator[bytes]:
 
 
 def _contents(value: Any) -> tuple[list[Any], bool]:
-    """Return the contents of a container, function or object, and whether their order counts."""
+    """Return the contents of a container, function or object, and whether their order matters."""
     if isinstance(value, Mapping):
         return list(value.items()), False
     if isinstance(value, Set):
@@ -75,7 +75,7 @@ def _contents(value: Any) -> tuple[list[Any], bool]:
     if isinstance(value, partial):
         return [value.func, value.args, value.keywords], True
     if hasattr(value, "py_func"):
-        # compiled by numba
+        # A function compiled by numba.
         return [value.py_func], True
     if isinstance(value, MethodType):
         return [value.__self__, value.__func__], True
@@ -111,17 +111,17 @@ Constraint = Callable[[Values], tuple[float, Mapping[str, Array]]]
 
 @dataclass(frozen=True, eq=False)
 class Optimum(Tabular):
-    """The best scene of an optimisation, and the values on the way to it.
+    """The best scene of an optimisation, with the values of all its runs.
 
     Attributes
     ----------
     scene : Scene
     value, error : float
-        Of the objective, and the estimated error of the value.
+        Value of the objective, and its estimated error.
     values : dict
         Parameters by name.
     history : list of arrays
-        The value of every run, one array a start.
+        Values of all runs, one array per start.
     runs : int
         Number of runs with gradients.
     """
@@ -134,13 +134,13 @@ class Optimum(Tabular):
 
     @property
     def runs(self) -> int:
-        """Number of runs with gradients."""
+        """Number of gradient runs."""
         return sum(map(len, self.history))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the best value so far over the runs, a line a start, and return the axes."""
+        """Draw the best value so far over the number of runs, a line per start; return the axes."""
         ax = chart(ax, "runs", "best value")
-        # the value is the least or the largest of all runs, but for its error
+        # The value is the extreme of all runs, apart from its error.
         lowest = min(values.min() for values in self.history)
         highest = max(values.max() for values in self.history)
         minimised = abs(self.value - lowest) <= abs(self.value - highest)
@@ -158,7 +158,7 @@ class Optimum(Tabular):
 
 
 class _Box:
-    """Parameters that may change, as numbers from 0 to 1 between their bounds."""
+    """Bounded parameters, scaled to numbers from 0 to 1."""
 
     def __init__(self, scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]):
         faults = [
@@ -167,7 +167,7 @@ class _Box:
             if name not in bounds
         ]
         faults += [
-            ("bounds", f"{shown(name)} is none of the parameters")
+            ("bounds", f"{shown(name)} is not one of the parameters")
             for name in bounds
             if name not in names
         ]
@@ -205,7 +205,7 @@ class _Box:
         return dict(zip(self.names, np.split(entries, self.sizes[1:-1]), strict=True))
 
     def slopes(self, by_name: Mapping[str, Array]) -> Array:
-        """Return derivatives by the numbers from 0 to 1: 0 by parameters that are not named."""
+        """Return derivatives by the scaled numbers; parameters without a derivative get 0."""
         entries = np.concatenate(
             [
                 np.broadcast_to(by_name.get(name, np.zeros(1)), (size,))
@@ -216,7 +216,7 @@ class _Box:
 
 
 class Start(NamedTuple):
-    """A finished start: its least value, the parameters there, and the values of all its runs.
+    """A finished start: its best value, the parameters there, and the values of all its runs.
 
     The value has the sign of a minimisation; parameters are numbers from 0 to 1.
     """
@@ -227,7 +227,7 @@ class Start(NamedTuple):
 
 
 class _Exhausted(Exception):
-    """A start has had its runs."""
+    """Raised when a start has used all its runs."""
 
 
 def optimise(
@@ -245,7 +245,7 @@ def optimise(
     folder: str | PathLike[str] | None = None,
     progress: bool = False,
 ) -> Optimum:
-    """Return the scene that makes an objective least, or largest.
+    """Return the scene that minimises or maximises an objective.
 
     SciPy's L-BFGS-B, or SLSQP where there are constraints, goes down from the scene itself and from
     points of a Latin hypercube, by exact gradients of runs with rkn4. One start comes after
@@ -326,7 +326,7 @@ def optimise(
             bar.describe(f"starts, best {sign * min(start.value for start in finished):.6g}")
     best = min(finished, key=lambda start: start.value)
     if not np.isfinite(best.value):
-        raise RunFailed("no start came to an answer: use narrower bounds")
+        raise RunFailed("no start converged: use narrower bounds")
     values = box.values(best.at)
     optimum = changed(scene, values)
     value, error, _ = _value(optimum, objective, tolerance)
@@ -334,7 +334,7 @@ def optimise(
 
 
 class _Value(NamedTuple):
-    """An objective, its error, and the turn of the fastest motion in the longest step, rad."""
+    """An objective, its error, and the phase of the fastest motion in the longest step, rad."""
 
     value: float
     error: float
@@ -342,7 +342,7 @@ class _Value(NamedTuple):
 
 
 def _value(scene: Scene, objective: Objective, tolerance: float) -> _Value:
-    """Return an objective, its error, and how long steps may be for this relative tolerance."""
+    """Return an objective, its error, and the longest step for this relative tolerance."""
     method = method_for(scene, (), "rkn4")
     fastest = scene.highest_frequency
 
@@ -360,7 +360,7 @@ def _value(scene: Scene, objective: Objective, tolerance: float) -> _Value:
 
 
 class _Descent(NamedTuple):
-    """An optimisation, whatever its start.
+    """An optimisation problem without its starting point.
 
     Attributes
     ----------
@@ -370,9 +370,9 @@ class _Descent(NamedTuple):
     sign : float
         -1 to maximise.
     runs : int
-        Most runs.
+        Largest number of runs.
     turn : float
-        Of the fastest motion in a step, rad.
+        Phase of the fastest motion in a step, rad.
     """
 
     box: _Box
@@ -383,7 +383,7 @@ class _Descent(NamedTuple):
     turn: float
 
     def solve(self, at: Array) -> tuple[float, Array]:
-        """Return the value to minimise and its derivatives; infinity without an answer."""
+        """Return the value to minimise and its derivatives; infinity if the run fails."""
         method = method_for(self.box.scene, self.box.names, "rkn4")
         try:
             scene = changed(self.box.scene, self.box.values(at))
@@ -394,13 +394,13 @@ class _Descent(NamedTuple):
         return self.sign * value, self.sign * self.box.slopes(by_name)
 
     def allows(self, at: Array) -> bool:
-        """Return whether a point satisfies all constraints within rounding of the optimiser."""
+        """Return whether a point satisfies all constraints within rounding."""
         values = self.box.values(at)
         return all(constraint(values)[0] >= -1e-6 for constraint in self.constraints)
 
 
 def _descend(descent: _Descent, begin: Array) -> Start:
-    """Return the least value of a start, its point, and the values of all runs."""
+    """Minimise from one start; return the best value, its point, and the values of all runs."""
     from scipy.optimize import minimize
 
     box = descent.box
@@ -412,14 +412,14 @@ def _descend(descent: _Descent, begin: Array) -> Start:
         nonlocal best, scale
         if len(history) == descent.runs:
             raise _Exhausted
-        # SLSQP may leave its bounds by round-off
+        # SLSQP may violate its bounds by rounding.
         at = np.clip(at, 0.0, 1.0)
         result, slopes = descent.solve(at)
         history.append(result)
         # A failed run gets a value far above all others, which are of the order of 1.
         if not np.isfinite(result):
             return 1e3, slopes
-        # tolerances of the optimisers are absolute: the first value is their unit
+        # Tolerances of the optimisers are absolute, so values are scaled by the first one.
         scale = scale or abs(result) or 1.0
         if result < best.value and descent.allows(at):
             best = Start(result, at.copy(), best.history)
@@ -450,7 +450,7 @@ def _descend(descent: _Descent, begin: Array) -> Start:
 
 
 class _StartStore:
-    """The folder that keeps finished starts."""
+    """The folder in which finished starts are stored."""
 
     def __init__(self, folder: str | PathLike[str], task: str, size: int):
         self.path = make_folder(folder) / "starts.json"
@@ -458,7 +458,7 @@ class _StartStore:
         self._size = size
 
     def read(self) -> list[Start]:
-        """Return the starts that are finished; raises `InputError` if they are of another task."""
+        """Return the finished starts; raises `InputError` if they belong to a different task."""
         if not self.path.exists():
             return []
         try:
@@ -486,7 +486,7 @@ class _StartStore:
         return starts
 
     def write(self, starts: list[Start]) -> None:
-        """Write all starts that are finished."""
+        """Write all finished starts."""
         rows = [
             {"value": value, "at": at.tolist(), "history": history.tolist()}
             for value, at, history in starts

@@ -1,4 +1,4 @@
-"""Parameters of a chain and its excitation, and how the motion depends on them.
+"""Parameters of a chain and its excitation, and the derivatives of the motion's inputs by them.
 
 The motion depends on masses, contact constants K_n, forces at rest
 ``F_n = F_top + g (m_1 + ... + m_n)`` and on the excitation. Displacements are from equilibrium,
@@ -42,12 +42,12 @@ UNITS = {
     VISCOSITY: "s",
     DRAG: "1/s",
 }
-# parameters that are inputs of the motion themselves
+# Parameters that are themselves inputs of the motion.
 DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raises `InputError` for those that are unknown or have no derivative."""
+    """Return the names; raises `InputError` if a name is unknown or has no derivative."""
     check_scene(scene)
     scene.chain.refuse_ground("a derivative")
     scene.chain.law.power_of("a derivative")
@@ -69,17 +69,17 @@ def _refuse(scene: Scene, name: str) -> str:
         return "has no derivative in a scene whose base is driven: drive the top"
     match name:
         case "top_load" | "gravity" if not chain.compressed:
-            return "has no derivative in a chain that nothing presses: give it a load or gravity"
+            return "has no derivative in a chain without compression: add a load or gravity"
         case "top_load" if chain.top == "wall" and chain.load_grain == 1 and chain.top_load == 0:
-            return "has no derivative at 0, where the top wall only touches: give it a load"
+            return "has no derivative at 0, where the top wall only touches: give a top_load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
         case "wall_constants" if not chain.wall_constants.any():
             return 'there is no wall: use top or bottom = "wall"'
         case "amplitude" | "frequency" if getattr(course, name, None) is None:
-            return "is that of a sine or a burst that drives or pushes, which this scene has not"
+            return "belongs to a sine or burst of a drive or force, which this scene lacks"
         case "drive" | "force" if course is None or course.kind != name or course.times is None:
-            return f"is the samples of a {name} along points, which this scene has not"
+            return f"contains the samples of a {name} through points, which this scene lacks"
         case "drive" | "force" if course and course.interpolation == "pchip":
             cure = 'use interpolation = "linear" or "spline"'
             return f"has no derivative everywhere where a curve is kept monotone: {cure}"
@@ -94,7 +94,7 @@ def unit(scene: Scene, name: str) -> str:
 
 
 def values(scene: Scene, name: str) -> Array:
-    """Return the parameters of this name as they are in the scene, (P,)."""
+    """Return the values of the parameters with this name in the scene, (P,)."""
     chain = scene.chain
     if name == "youngs_modulus":
         return chain.by_grain("youngs_modulus")
@@ -110,7 +110,7 @@ def values(scene: Scene, name: str) -> Array:
 
 
 def inputs(scene: Scene) -> Inputs:
-    """Return all inputs of the motion as they are in the scene."""
+    """Return all inputs of the motion for the scene."""
     chain = scene.chain
     course = _course(scene)
     return Inputs(
@@ -125,7 +125,7 @@ def inputs(scene: Scene) -> Inputs:
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
-    """Return derivatives by the parameters of this name, (P,), from those by all inputs."""
+    """Return derivatives by the parameters of this name, (P,), from derivatives by all inputs."""
     if name in DIRECT:
         return _with_weight(scene.chain, gradient, name)
     return sum(
@@ -135,10 +135,10 @@ def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
 
 
 def _with_weight(chain: Chain, gradient: Inputs, key: str) -> Array:
-    """Return derivatives by inputs of this name, (P,), by way of the forces at rest, too."""
+    """Return derivatives by inputs of this name, (P,), including those through forces at rest."""
     match key:
         case "masses":
-            # Masses act by their inertia, and by their weight on all contacts below.
+            # Masses act through their inertia, and through their weight on all contacts below.
             return gradient.masses + chain.gravity * np.cumsum(gradient.forces[:0:-1])[::-1]
         case "top_load":
             return np.array([gradient.forces[_pressed_by_load(chain)].sum()])
@@ -150,7 +150,7 @@ def _with_weight(chain: Chain, gradient: Inputs, key: str) -> Array:
 
 
 def push(scene: Scene, name: str, change: Array) -> Inputs:
-    """Return the change of all inputs, (D, ...), for changes (D, P) of parameters of this name."""
+    """Return the changes of all inputs, (D, ...), for changes (D, P) of the named parameters."""
     chain = scene.chain
     course = _course(scene)
     sizes = {
@@ -167,7 +167,7 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
     changes = {key: np.zeros((len(change), size)) for key, size in sizes.items()}
     for key, matrix in _dependence(scene, name).items():
         changes[key] = (matrix @ change.T).T
-    # a heavier grain weighs on all contacts below it
+    # The weight of a heavier grain acts on all contacts below it.
     heavier = chain.gravity * np.cumsum(changes["masses"], axis=1)
     weight = heavier + changes.pop("gravity") * np.cumsum(chain.masses)
     forces = np.pad(weight, ((0, 0), (1, 0)))
@@ -176,17 +176,17 @@ def push(scene: Scene, name: str, change: Array) -> Inputs:
 
 
 def _pressed_by_load(chain: Chain) -> slice:
-    """Return the contacts that the load presses, which a wall at the top begins with."""
+    """Return the contacts that carry the load, beginning with the contact of a top wall if any."""
     return slice(chain.load_grain if chain.load_grain > 1 else 0, None)
 
 
 def _course(scene: Scene) -> Drive | Force | None:
-    """Return the excitation if it acts after t = 0."""
+    """Return the excitation if it acts after t = 0, otherwise None."""
     return scene.excitation if isinstance(scene.excitation, (Drive, Force)) else None
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return derivatives of inputs by the parameters of this name, as matrices by input."""
+    """Return the derivatives of inputs by the named parameters, as one matrix per input."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}
@@ -199,7 +199,7 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
         return {"constants": _by_modulus(chain)}
     if name == "diameters":
         fixed = [impurity.grain for impurity in chain.impurity if impurity.mass]
-        # a mass that is given does not follow from the diameter
+        # A given mass does not depend on the diameter.
         follows = ~np.isin(np.arange(chain.grains) + 1, fixed)
         follows &= chain.given_masses is None
         return {
@@ -237,7 +237,7 @@ def _between(chain: Chain) -> sparse.csr_array:
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK by a number of the grains, (N+1, N), from d(log K) by those above and below.
+    """Return dK by a property of the grains, (N+1, N), from d(log K) by upper and lower grain.
 
     What is given does not follow, and a wall's constant that does has the share of its neighbour
     that does not.
@@ -248,7 +248,8 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
     walls = [0, last]
     near = [1, last - 1]
     follow[walls] = float(chain.given_wall_constants is None)
-    # a wall's constant changes with its own bodies, less the share that its neighbour has
+    # A wall constant changes with the grain at the wall, minus its dependence through the next
+    # contact.
     row = np.append(contact, walls)
     source = np.append(contact, near)
     rate = chain.contacts.constant[row] * np.append(follow, follow[walls] * (follow[near] - 1))
@@ -261,11 +262,11 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
 
 
 def _by_viscosity(chain: Chain) -> sparse.csr_array:
-    """Return dA of all contacts by the one number given, (N+1, 1), or those between, (N+1, N-1)."""
+    """Return dA of all contacts by the common value, (N+1, 1), or by values between, (N+1, N-1)."""
     last = chain.grains
     if np.ndim(chain.damping.viscoelastic) == 0:
         return sparse.csr_array(np.ones((last + 1, 1)))
-    # a wall has that of the contact next to it
+    # A wall contact has the viscosity of the contact next to it.
     column = np.clip(np.arange(last + 1) - 1, 0, last - 2)
     return sparse.csr_array((np.ones(last + 1), (np.arange(last + 1), column)))
 
@@ -276,7 +277,7 @@ def _diagonal(entries: Array) -> sparse.csr_array:
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
-    """Return dK/dE, (N+1, N), by E* = 1 / (1/M_above + 1/M_below); a wall has its grain's M."""
+    """Return dK/dE, (N+1, N), from E* = 1 / (1/M_above + 1/M_below); a wall has its grain's M."""
     young = chain.by_grain("youngs_modulus")
     walls = (chain.top_material, chain.bottom_material)
     of_grains = chain.by_grain("plane_strain_modulus")
@@ -300,7 +301,7 @@ def _by_diameter(chain: Chain) -> sparse.csr_array:
     A diameter changes the effective radius of a contact and the mean diameter."""
     diameters = chain.diameters
     upper, lower = pair_slopes(np.concatenate(([np.inf], diameters / 2, [np.inf])))
-    # Share of a grain in the mean diameter at a contact.
+    # Weight of a grain in the mean diameter at a contact.
     share = np.full(chain.grains + 1, 0.5)
     share[[0, -1]] = 1.0
     delta = chain.law.power_of("the derivative by a diameter")

@@ -1,4 +1,4 @@
-"""Sensitivity of an answer to every grain, and its uncertainty for uncertain grains."""
+"""Sensitivity of a result to every grain, and its uncertainty for uncertain grains."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .changes import changed
 from .gradients import Gradient, at_step, gradient, shortens
 from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
 
-ROWS = 12  # of a table
-# Pairs of drawn chains: the scatter is some 5 % off if an answer is far from linear.
+ROWS = 12  # Number of rows of a table.
+# Number of pairs of random chains; the scatter is some 5 % off if the result is far from linear.
 PAIRS = 16
-# SI units; momentum and energy far ahead of a wave are smaller, because they fall off
-# faster than any power.
+# Values below this one (SI units) count as 0. Momentum and energy far ahead of a wave may be
+# smaller, because they decay faster than any power.
 NOTHING = 1e-150
-AT_REST = 1e-9  # of the force at rest, by which one that no wave changes may be rounded
+AT_REST = 1e-9  # Relative rounding of a force at rest.
 # Order of a table: properties of the chain, then loads and excitation.
 CANDIDATES = (
     "diameters",
@@ -45,7 +45,7 @@ CANDIDATES = (
     "amplitude",
     "frequency",
 )
-# parameters that count where they are given in place of diameters and moduli
+# Parameters that replace diameters and moduli if they are given.
 OVERRIDES = ("masses", "contact_constants", "wall_constants")
 UNITS = {
     "peak_force": "N",
@@ -64,19 +64,19 @@ GROUPS: dict[str, type[Energy | KineticEnergy | Momentum]] = {
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity(Tabular):
-    """Changes of an answer with every parameter that it depends on.
+    """Changes of a result with every parameter that it depends on.
 
     Attributes
     ----------
     of, unit : str
-        Name of the answer, and its unit.
+        Name of the result, and its unit.
     gradient : Gradient
-        The answer and its derivatives, with errors.
+        The result and its derivatives, with errors.
     relative : dict
-        By name, the change of the answer for a relative change of each entry, in the unit of the
+        Change of the result by a relative change of each entry, by name, in the unit of the
         answer.
     uncertainty : dict
-        By name, the standard deviation to first order by the uncertainties of its entries alone.
+        Standard deviation to first order by the uncertainties of single parameters, by name.
     deviation : float
         Standard deviation of the answer by all of them, to first order.
     scatter, shift : float
@@ -84,7 +84,7 @@ class Sensitivity(Tabular):
         drawn chains that differ from the scene by as much to either side; NaN where one of them has
         no such answer.
     remark : str
-        That no wave reaches what the answer is about, if so.
+        Remark if no wave reaches the grains of the result; otherwise empty.
     """
 
     of: str
@@ -98,16 +98,16 @@ class Sensitivity(Tabular):
 
     @property
     def value(self) -> float:
-        """The answer."""
+        """Value of the result in the given scene."""
         return self.gradient.value
 
     @property
     def deviation(self) -> float:
-        """Standard deviation of the answer, to first order."""
+        """Standard deviation of the result, to first order."""
         return float(np.sqrt(sum(deviation**2 for deviation in self.uncertainty.values())))
 
     def ranked(self) -> list[tuple[str, float]]:
-        """Return every entry and its change for 1 %, the largest first."""
+        """Return every entry with its change for 1 %, largest change first."""
         entries = [
             (name if change.size == 1 else f"{name} {number}", float(entry) / 100)
             for name, change in self.relative.items()
@@ -116,7 +116,7 @@ class Sensitivity(Tabular):
         return sorted(entries, key=lambda row: -abs(row[1]))
 
     def table(self) -> str:
-        """Return the answer, its largest changes, and its uncertainty, as text."""
+        """Return the result, its largest changes and its uncertainty as text."""
         from ..util.tables import align
 
         size = abs(self.value) or 1.0
@@ -137,7 +137,7 @@ class Sensitivity(Tabular):
             percent = 100 * self.deviation / size
             first = f"{self.deviation:.3g} {self.unit} ({percent:.2g} %)"
             lines.append(f"uncertainty to first order: {first}")
-            beyond = "beyond first order: unknown, as not every drawn chain has an answer"
+            beyond = "beyond first order: unknown, because some random chains have no value"
             if np.isfinite(self.scatter):
                 scatter = f"{self.scatter:.3g} {self.unit}"
                 shift = f"the mean shifted by {self.shift:+.2g}"
@@ -170,12 +170,12 @@ class Sensitivity(Tabular):
         for name, change in self.relative.items():
             if change.size <= 2:
                 continue
-            # a contact is drawn between its two grains
+            # A contact is drawn between its two grains.
             at = np.arange(1, change.size + 1) + (0.5 if name == "contact_constants" else 0.0)
             label = name.replace("_", " ").replace("youngs", "Young's")
             line: dict[str, Any] = {"color": next(colours), "marker": ".", "ms": 3, "lw": 0.9}
             ax.plot(at, change / size, label=label, **line)
-            # nothing is seen of smaller changes
+            # Smaller changes are invisible in the picture.
             last = max(last, *np.flatnonzero(abs(change) > 1e-3 * abs(change).max()), 0)
         ax.axhline(0, color="0.6", lw=0.6, zorder=0)
         ax.set_xlim(0.5, last + 2.5)
@@ -191,7 +191,7 @@ class Sensitivity(Tabular):
 
 
 def objective(of: str) -> tuple[Objective, str]:
-    """Return the objective that a text such as peak_force:40 names, and its unit.
+    """Return the objective that a text such as peak_force:40 describes, and its unit.
 
     Examples
     --------
@@ -219,21 +219,21 @@ def objective(of: str) -> tuple[Objective, str]:
 
 
 def _parameters(scene: Scene) -> list[str]:
-    """Return the parameters of an answer: diameters and moduli, or those given in their place."""
+    """Return the parameters of a result: diameters and moduli, or the ones given instead."""
     fields = scene.chain.given().keys()
     derived = not {"masses", "contact_constants"} <= fields
     names = []
     for name in CANDIDATES:
         if name in OVERRIDES and name not in fields:
             continue
-        # nothing follows from diameters and moduli if masses and constants are given
+        # Diameters and moduli have no effect if masses and constants are given.
         if name in ("diameters", "youngs_modulus") and not derived:
             continue
         try:
             params.check(scene, [name])
         except InputError:
             continue
-        # a relative change of 0 is none
+        # A parameter of value 0 has no relative change.
         if params.values(scene, name).any():
             names.append(name)
     return names
@@ -245,7 +245,7 @@ def sensitivity(
     uncertain: Mapping[str, float] | None = None,
     tolerance: float = 1e-4,
 ) -> Sensitivity:
-    """Return the changes of an answer with every grain and with the excitation.
+    """Return the changes of a result with every grain and with the excitation.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def sensitivity(
 
 
 def _remark(scene: Scene, answer: Objective, value: float) -> str:
-    """Return a remark if no wave reaches the grains of an answer, else an empty text."""
+    """Return a remark if no wave reaches the grains of a result, otherwise an empty text."""
     within = f"within {scene.duration:g} s: record for longer"
     if isinstance(answer, PeakForce):
         rest = float(scene.chain.contacts.force[answer.contact])
@@ -318,7 +318,7 @@ def _draw_pairs(
     relative: Mapping[str, Array],
     uncertain: Mapping[str, float],
 ) -> tuple[float, float]:
-    """Return standard deviation and mean change of an answer beyond first order.
+    """Return the standard deviation and mean change of a result beyond first order.
 
     The chains of a pair differ from the scene by as much, to either side. The odd part of their
     changes, over the linear one, corrects the first order; the even part adds to it.
@@ -329,7 +329,7 @@ def _draw_pairs(
     )
     if first == 0:
         return 0.0, 0.0
-    # the same chains in every call, so that answers can be compared
+    # Every call uses the same random chains, so that results can be compared.
     rng = np.random.default_rng(0)
     method = DIFFERENTIABLE[slopes.integrator]
     adaptive = shortens(scene, method)

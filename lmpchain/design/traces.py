@@ -1,4 +1,4 @@
-"""Measured traces, and their values in a run."""
+"""Measured traces, and the corresponding values in a run."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ class Traces(Shown, Tabular):
 
     @classmethod
     def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **options: Any) -> Traces:
-        """Read the times and a column for each place from the file of an instrument.
+        """Read the times and one column per place from an instrument's file.
 
         Delimiter, decimal comma, lines above the table and units in its header are recognised; what
         was understood is said in one line.
@@ -133,7 +133,7 @@ class Traces(Shown, Tabular):
         return cls(reading.time, places, reading.values, **options)
 
     def grains(self, scene: Scene) -> list[int]:
-        """Return the grains to look at; raises `InputError` if the chain has no such place."""
+        """Return the grains that the traces need; raises `InputError` if the chain lacks one."""
         grains = scene.chain.grains
         first = 0 if self.field == "contact" else 1
         exists = scene.chain.contacts.exists
@@ -156,7 +156,7 @@ def model(
     change: Inputs | None,
     motion: tuple[Array, Array] | None,
 ) -> tuple[Array, Array]:
-    """Return the values of traces in a run at all looks, (T, G), and their changes, (D, T, G).
+    """Return trace values of a run at all its times, (T, G), and their changes, (D, T, G).
 
     Parameters
     ----------
@@ -181,7 +181,7 @@ def model(
         share = 1.0 / len(contacts)
         for contact in (int(number) for number in contacts if scene.chain.contacts.exists[number]):
             force = contact_force(view, contact)
-            # a sensor in a grain shows the mean of its two contacts
+            # A sensor inside a grain measures the mean force of its two contacts.
             values[:, column] += share * (force.value - rest[contact])
             if change is None or motion is None:
                 continue

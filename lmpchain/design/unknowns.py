@@ -1,4 +1,4 @@
-"""Unknowns of a fit, as relative changes, and the residuals that they leave."""
+"""Unknowns of a fit as relative changes, and the residuals of the traces."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from . import parameters as params
 from .changes import changed
 from .traces import Traces, model
 
-TURN = 0.5  # of the fastest motion between two looks at first, rad
-# parameters that may change their sign; others do not fall below a tenth
+TURN = 0.5  # Initial phase of the fastest motion between two evaluation times, rad.
+# Parameters that may change sign; all others stay above a tenth of their value.
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")
 LOWEST = -0.9
 # Smallest relative change of parameters that may vanish.
@@ -27,12 +27,12 @@ MAY_VANISH = (params.VISCOSITY, params.DRAG)
 
 
 class Problem:
-    """The unknowns of a fit, as K relative changes `theta`, and the residuals that they leave.
+    """The unknowns of a fit, as K relative changes `theta`, and the residuals of the traces.
 
     Attributes
     ----------
     names : list of str
-        Of the unknowns: parameters of the scene, then nuisances of the traces.
+        Names of the unknowns: parameters of the scene, then nuisance parameters of the traces.
     units, origin : lists of float
         Estimates are origin + units theta.
     symbols : list of str
@@ -40,9 +40,9 @@ class Problem:
     along : list
         Name and direction, in the unit of the parameter, of every unknown of the scene.
     looks : int
-        Times at which a run is looked at, a step of rkn4 each.
+        Number of evaluation times of a run, with a step of rkn4 each.
     variance : float
-        Of the residuals, where the traces have no noise of their own.
+        Variance of the residuals, if the traces have no given noise.
     """
 
     def __init__(self, scene: Scene, traces: Sequence[Traces], parameters: Mapping[str, Any]):
@@ -63,7 +63,7 @@ class Problem:
 
     @property
     def noisy(self) -> bool:
-        """Whether the noise of every trace is given."""
+        """Whether the noise level of every trace is given."""
         return all(trace.noise is not None for trace in self.traces)
 
     def _add(self, name: str, origin: float, unit: float, symbol: str) -> None:
@@ -73,7 +73,7 @@ class Problem:
         self.symbols.append(symbol)
 
     def _add_nuisances(self, trace: Traces, suffix: str) -> None:
-        """Add time of the strike, gain and offsets of a trace, as far as they are unknown."""
+        """Add strike time, gain and offsets of a trace to the unknowns if they are not known."""
         if trace.trigger:
             self._add("trigger" + suffix, 0.0, trace.time[-1] - trace.time[0], "s")
         if trace.gain:
@@ -84,14 +84,14 @@ class Problem:
                 self._add(f"offset{suffix} {place}", 0.0, size, FIELD_UNITS[trace.field])
 
     def _add_parameter(self, name: str, base: Array, choice: Any) -> None:
-        """Add one factor of all entries of a parameter, or single entries."""
+        """Add a parameter: one factor for all entries, or single entries."""
         symbol = params.unit(self.scene, name)
         if isinstance(choice, str) and choice == "common":
             if not base.any():
                 cure = "begin with a guess above 0" if name in MAY_VANISH else "name entries"
                 raise InputError.at(name, f"is 0 everywhere, which no factor changes: {cure}")
             entries = base[base != 0]
-            # entries that are all alike are estimated in their own unit, others by a factor
+            # Equal entries are estimated in their own unit, unequal entries by a factor.
             alike = bool((entries == entries[0]).all())
             unit = float(entries[0]) if alike else 1.0
             self._add(name, unit, unit, symbol if alike else "")
@@ -103,21 +103,21 @@ class Problem:
             message = f'must be "common", "each" or numbers from 1 to {base.size}'
             raise InputError.at(name, f"{message} (got {shown(choice)})")
         for number in numbers:
-            # an entry that is 0 changes in units of the largest
+            # The unit of an entry of 0 is the largest entry.
             unit = float(base[number - 1]) or float(np.abs(base).max()) or 1.0
             self._add(f"{name} {number}", float(base[number - 1]), unit, symbol)
             self.along.append((name, unit * (np.arange(base.size) == number - 1)))
 
     def estimates(self, theta: Array) -> Array:
-        """Return the numbers in their units."""
+        """Return the unknowns in their units."""
         return np.array(self.origin) + np.array(self.units) * theta
 
     def free(self, estimate: Array) -> Array:
-        """Return the relative changes for numbers in their units."""
+        """Return the relative changes for given values of the unknowns."""
         return (estimate - np.array(self.origin)) / np.array(self.units)
 
     def by_name(self, theta: Array) -> dict[str, Array]:
-        """Return the parameters of the scene."""
+        """Return the parameters of the scene by name."""
         values: dict[str, Array] = {}
         for change, (name, direction) in zip(theta, self.along, strict=False):
             base = values.get(name, params.values(self.scene, name).astype(float))
@@ -125,7 +125,7 @@ class Problem:
         return values
 
     def _directions(self, scene: Scene) -> Inputs:
-        """Return the changes of all inputs with each relative change of the scene."""
+        """Return the changes of all inputs for each unknown of the scene."""
         changes = [params.push(scene, name, direction[None]) for name, direction in self.along]
         return Inputs(*(np.concatenate(inputs) for inputs in zip(*changes, strict=True)))
 
@@ -139,7 +139,7 @@ class Problem:
         run = differentiable(scene, method, scene.duration, self.looks, self.grains)
         if not np.isfinite(run.velocity).all():
             raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s")
-        # nuisances of the traces alone need no tangent of the motion
+        # Nuisance parameters of the traces do not need the tangent of the motion.
         change = self._directions(scene) if derivatives and self.along else None
         motion = None if change is None else run.push(change)
         predictions = []
@@ -147,13 +147,13 @@ class Problem:
         for trace in self.traces:
             values, rates = model(scene, run, trace, change, motion)
             both = np.concatenate((values[None], rates)).transpose(1, 0, 2)
-            # quintic through all looks, in between which traces are measured
+            # A quintic spline through all times of the run gives values at the measured times.
             spline = make_interp_spline(run.time, both, k=5)
             late = theta[index] * self.units[index] if trace.trigger else 0.0
             when = trace.time - late
             inside = np.clip(when, 0.0, scene.duration)
             table = spline(inside)
-            # before the strike nothing depends on anything
+            # Before the strike all values are independent of the unknowns.
             table[when < 0, 1:] = 0.0
             value = table[:, 0]
             jacobian = np.zeros((len(self.names), *value.shape))
@@ -163,7 +163,7 @@ class Problem:
                 rate = spline(inside, 1)[:, 0] * ((when > 0)[:, None])
                 jacobian[index] = -rate * self.units[index]
                 index += 1
-            # each nuisance takes the next of the unknowns, in the order in which they were added
+            # The nuisance parameters follow in the order in which they were added.
             if trace.gain:
                 gain = 1.0 + theta[index]
                 jacobian *= gain
@@ -183,7 +183,7 @@ class Problem:
         return [value for value, _ in self._predict(theta, False)]
 
     def residuals(self, theta: Array, derivatives: bool = False) -> tuple[Array, Array]:
-        """Return all differences over the noise, (R,), and their derivatives, (R, K)."""
+        """Return all residuals over the noise, (R,), and their derivatives, (R, K)."""
         differences = []
         rates = []
         predictions = self._predict(theta, derivatives)
@@ -194,11 +194,11 @@ class Problem:
         return np.concatenate(differences), np.concatenate(rates, axis=1).T
 
     def chi_square(self, theta: Array) -> float:
-        """Return the sum of squares of the residuals, over the noise."""
+        """Return the sum of squared residuals over the noise."""
         return float((self.residuals(theta)[0] ** 2).sum()) / self.variance
 
     def minimise(self, start: Array, free: Any = slice(None)) -> Array:
-        """Return the relative changes of least squares, by Gauss-Newton steps in a trust region.
+        """Return the least-squares relative changes by Gauss-Newton steps in a trust region.
 
         Parameters
         ----------
@@ -217,7 +217,7 @@ class Problem:
         for index, (name, _) in enumerate(self.along):
             if name not in SIGNED:
                 lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
-        # SciPy's limit on the gradient is absolute, which means nothing to residuals in m or m/s
+        # SciPy's limit on the gradient is absolute, so the residuals are scaled first.
         size = 1.0
         if all(trace.noise is None for trace in self.traces):
             size = max(float(np.abs(trace.values).max()) for trace in self.traces) or 1.0

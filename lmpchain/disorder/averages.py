@@ -42,7 +42,7 @@ class Ensemble(StreamedAverages, Tabular):
     realisations : int
         R, the number of chains.
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
         Numbers of the recorded grains.
     displacement, velocity : (T, G) arrays

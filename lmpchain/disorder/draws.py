@@ -71,7 +71,7 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
 def disordered(
     chain: Chain, m: float, rng: np.random.Generator, law: Law = "dyson", of: Of = "stiffness"
 ) -> Chain:
-    """Return a copy of a chain in which every contact or every grain is changed by a random factor.
+    """Return a copy of a chain in which each contact or grain is changed by a random factor.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def change_chain(chain: Chain, factor: Array, of: Of) -> Chain:
 def realisation(
     scene: Scene, m: float, seed: int, index: int = 0, law: Law = "dyson", of: Of = "stiffness"
 ) -> Scene:
-    """Return the scene with realisation number `index` (from 0) of the random chain for this seed.
+    """Return the scene with random chain number `index` (from 0) for this seed.
 
     The realisation depends only on seed and index, not on the number of other ones. Unlike
     `disordered`, this function accepts arbitrarily soft contacts, because rejecting such chains
@@ -166,7 +166,7 @@ def drawn_constants(
     law: Law = "dyson",
     of: Of = "stiffness",
 ) -> Array:
-    """Return the factors on the contact constants of R realisations, (R, N-1)."""
+    """Return factors on the contact constants of R realisations, (R, N-1)."""
     _check_draw(chain, seed, min(indices), of)
     zeta = np.array([_draw(chain, m, seed, index, law, of) for index in indices])
     return _change(chain, zeta, of)
@@ -190,7 +190,7 @@ def _count(chain: Chain, of: Of) -> int:
 
 
 def _change(chain: Chain, zeta: Array, of: Of) -> Array:
-    """Return the factors on contact constants that correspond to random factors zeta."""
+    """Return the factors on contact constants that result from random factors zeta."""
     # At a given force the stiffness is proportional to K^(1/delta).
     return zeta ** chain.law.power_of("disorder of stiffnesses") if of == "stiffness" else zeta
 
@@ -223,7 +223,7 @@ def _fields(chain: Chain, zeta: Array, of: Of) -> dict[str, Any]:
 
 
 def materials_of(chain: Chain) -> list[Material]:
-    """Return the material of each grain, those of impurities included."""
+    """Return the material of each grain, including impurities."""
     material: Any = chain.material
     materials = list(material) if isinstance(material, tuple) else [material] * chain.grains
     for impurity in chain.given().get("impurity", ()):
@@ -241,7 +241,7 @@ def check(*faults: Fault) -> None:
 
 
 def fault_of_whole(key: str, value: object, low: int, most: int = 2**63 - 1) -> Fault:
-    """Return the fault of a value that is not an integer from `low` to `most`, else None."""
+    """Return the fault of a value that is not an integer from `low` to `most`; None if it is."""
     integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if integer and low <= int(value) <= most:  # type: ignore[call-overload]
         return None
@@ -250,7 +250,7 @@ def fault_of_whole(key: str, value: object, low: int, most: int = 2**63 - 1) -> 
 
 
 def fault_of_count(value: object, low: int) -> Fault:
-    """Return the fault of a number of chains in an average, else None."""
+    """Return the fault of a number of chains in an average; None if it is valid."""
     return fault_of_whole("realisations", value, low, MOST_CHAINS)
 
 

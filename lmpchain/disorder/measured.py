@@ -1,4 +1,4 @@
-"""Any measured quantity over random chains, or within the tolerances of what is known of a chain.
+"""Measured quantities of many random chains, or of a chain with tolerances.
 
 A measure is a function of a trajectory that returns a number, an array, or several of them by name.
 """
@@ -59,7 +59,7 @@ class MeasuredEnsemble(Shown, Tabular):
     Attributes
     ----------
     values : (R, ...) array
-        Of each chain.
+        Values of each chain.
     x : array or None
         Coordinate of a curve.
     model_error, solver_error : float
@@ -73,7 +73,7 @@ class MeasuredEnsemble(Shown, Tabular):
 
     @property
     def realisations(self) -> int:
-        """Number of chains, R."""
+        """Number of chains R."""
         return len(self.values)
 
     @property
@@ -115,7 +115,7 @@ class MeasuredEnsemble(Shown, Tabular):
         return np.asarray(skewness / np.sqrt(self.realisations))
 
     def quantile(self, share: float) -> Array:
-        """Return the value below which this share of the chains lies, (...)."""
+        """Return the value below which this fraction of the chains is, (...)."""
         _check_share(share)
         return np.asarray(np.quantile(self.values, share, axis=0))
 
@@ -197,7 +197,7 @@ def _invert_hall(value: float, skewness: Array) -> Array:
 def statistics(
     values: Any, over: str | None = None, x: ArrayLike | None = None
 ) -> MeasuredEnsemble:
-    """Return the statistics of values that were computed elsewhere, as by a sweep.
+    """Return statistics of values that were computed elsewhere, for example by a sweep.
 
     Parameters
     ----------
@@ -254,7 +254,7 @@ def measured_over(
     x: ArrayLike | None = None,
     progress: bool = False,
 ) -> Any:
-    """Measure any quantity of the trajectories of many random chains.
+    """Measure a quantity of the trajectories of many random chains.
 
     Parameters
     ----------
@@ -314,7 +314,7 @@ def within(
     x: ArrayLike | None = None,
     progress: bool = False,
 ) -> Any:
-    """Propagate the tolerances of a chain and its excitation to any measured quantity.
+    """Propagate the tolerances of a chain and its excitation to a measured quantity.
 
     Parameters
     ----------
@@ -392,7 +392,7 @@ def _drawn(
     common: tuple[str, ...],
     rng: np.random.Generator,
 ) -> Scene:
-    """Return a scene whose properties are changed by random amounts of these widths."""
+    """Return a scene whose properties differ by random amounts of these widths."""
     chain = scene.chain
     excitation = scene.excitation
 
@@ -437,7 +437,7 @@ def _gather(
     x: ArrayLike | None,
     progress: bool,
 ) -> Any:
-    """Return the statistics of a quantity of all scenes, a batch of which is run at a time."""
+    """Return the statistics of a quantity of all scenes, which are run in batches."""
     rows: list[Any] = []
     model = solver = 0.0
     with ProgressBar(realisations, "measured", " chains", shown=progress) as bar:
@@ -469,6 +469,6 @@ def _gather(
 
 
 def _check_share(share: float) -> None:
-    """Raise `InputError` unless a quantile is that of a share between 0 and 1."""
+    """Raise `InputError` unless the fraction of a quantile is between 0 and 1."""
     if not 0 < share < 1:
         raise InputError.at("share", f"must be between 0 and 1 (got {shown(share)})")

@@ -20,7 +20,7 @@ from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Spreading(StreamedAverages, Tabular):
-    """Spreading of energy in disordered chains of one scene: means and their standard errors.
+    """Mean spreading of energy in disordered chains of one scene, with standard errors.
 
     The energy of a grain is its kinetic energy, half of the energy of its contacts with other
     grains, and the energy of its contact with a wall.
@@ -32,7 +32,7 @@ class Spreading(StreamedAverages, Tabular):
     m, seed, law, of, engine, equation, realisations
         As for `Ensemble`.
     time : (T,) array
-        s.
+        Times, s.
     second_moment, second_moment_error : (T,) arrays
         Mean square distance of the energy from its centre at t = 0, grains squared.
     participation, participation_error : (T,) arrays
@@ -129,7 +129,7 @@ def spreading(
     of: Of = "stiffness",
     progress: bool = False,
 ) -> Spreading:
-    """Return the spreading of the energy of an excitation, averaged over many disordered chains.
+    """Return the spreading of an excitation's energy, averaged over many disordered chains.
 
     In a random linear chain the second moment grows as t^(3/2) after an impulse and as t^(1/2)
     after a displacement, while the participation remains finite: S. Lepri, R. Schilling and S.

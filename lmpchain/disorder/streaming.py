@@ -88,7 +88,7 @@ class Average:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StreamedAverages(Shown):
-    """Options and errors of averages over disordered chains; `Ensemble` explains them."""
+    """Options and errors of averages over disordered chains; see `Ensemble`."""
 
     scene: Scene
     m: float
@@ -122,7 +122,7 @@ def take_average(
     first: Average,
     progress: bool,
 ) -> tuple[Any, dict[str, Any]]:
-    """Return the average over a number of chains, and its fields of `StreamedAverages`.
+    """Return the average over a number of chains, and its `StreamedAverages` fields.
 
     Parameters
     ----------
@@ -185,15 +185,15 @@ def _add_batch(
     before: Average,
     bar: ProgressBar,
 ) -> Average:
-    """Return the average after adding a batch, with steps that suffice for all its scenes."""
+    """Return the average after adding a batch, with steps short enough for all its scenes."""
     proposals = [engine.propose(engine.part(scene), tolerance) for scene in scenes]
     hardest = max(proposals, key=lambda proposal: proposal.cost_s)
     adaptive = any(proposal.steps.adaptive for proposal in proposals)
     proposal = hardest._replace(steps=hardest.steps._replace(adaptive=adaptive))
 
     def collect(run: Run) -> Average:
-        # Each attempt starts from the previous average, because steps that are too long are
-        # repeated.
+        # Each attempt starts from a copy of the previous average, because attempts with too long
+        # steps are repeated.
         average = deepcopy(before)
         average.add(run, scenes[:count], bar)
         return average

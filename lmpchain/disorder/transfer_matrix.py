@@ -1,4 +1,4 @@
-"""Localisation and density of states of long random linear chains, by transfer matrices.
+"""Localisation and density of states of long random linear chains by transfer matrices.
 
 In the chain m_n u_n'' = k_(n-1) (u_(n-1) - u_n) - k_n (u_n - u_(n+1)), Eq. (3) without its ends,
 the ratio of the force below a grain to its displacement, z_n = k_n (u_n - u_(n+1)) / (m_n u_n),
@@ -38,7 +38,7 @@ from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
 
 PIECE = 2**16  # number of grains drawn at a time
-# Initial fraction of each chain that is not counted, because the ratios still depend on its top
+# Initial fraction of each chain that is ignored, because its ratios still depend on the top grain
 # (analysis/calibration/transfer_matrices.py).
 WARM_UP = 0.1
 # Range of 2 - 2 cos(q), from rest to just below the band edge; q is the wave number in the mean
@@ -60,7 +60,7 @@ class Localisation(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     exponent, error : (F,) arrays
         Mean growth of log|u| from grain to grain, and its standard error.
     """
@@ -91,7 +91,7 @@ class DensityOfStates(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     integrated, error : (F,) arrays
         Fraction of the modes below each frequency, and its standard error.
     """

@@ -1,4 +1,4 @@
-"""The engines, by name."""
+"""The engines by name."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-REGISTRY = {  # module and class, by name
+REGISTRY = {  # Module and class of each engine by name.
     "lammps": ("lammps.engine", "Lammps"),
     "native": ("native", "Native"),
     "modes": ("linear.engine", "Modes"),
@@ -34,9 +34,7 @@ REGISTRY = {  # module and class, by name
     "continuum": ("linear.closed_form", "Continuum"),
 }
 __all__ = ["Engine", "automatic", "get", "names", *(cls for _, cls in REGISTRY.values())]
-DEFAULT = (
-    "native"  # where one engine must do for "auto": for options, and for all scenes of a sweep
-)
+DEFAULT = "native"  # A single engine in place of "auto".
 # Arguments of `simulate` that every engine shares.
 ARGUMENTS = ("engine", "tolerance", "on_miss", "progress", "folder", "max_wall")
 
@@ -57,7 +55,7 @@ def names() -> tuple[str, ...]:
 
 
 def automatic(when: Literal["cheapest", "last"] = "cheapest") -> tuple[str, ...]:
-    """Return the names of the engines that "auto" takes then, see `Engine.auto`."""
+    """Return the names of the engines that "auto" chooses from, see `Engine.auto`."""
     return tuple(name for name in REGISTRY if class_of(name).auto == when)
 
 
@@ -78,12 +76,14 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     if engine not in REGISTRY:
         raise InputError.at("engine", not_among(engine, REGISTRY))
     engine_class = _load(*REGISTRY[engine])
-    # the constructor would name the first wrong option only
+    # The constructor itself would report only the first wrong option.
     parameters = list(signature(engine_class).parameters) if options else []
     if unknown := [key for key in options if key not in parameters]:
-        cure = f"it has {', '.join(parameters)}" if parameters else "it has none: leave it out"
+        cure = (
+            f"it has {', '.join(parameters)}" if parameters else "it has no options: leave it out"
+        )
         no = f"the engine {engine} has no such option"
-        # an argument that all engines have may be misspelt, too
+        # An argument that all engines share may also be misspelt.
         known = (*parameters, *ARGUMENTS)
         raise InputError([(key, f"{no}{did_you_mean(key, known)}; {cure}") for key in unknown])
     return engine_class(**options)
@@ -91,17 +91,17 @@ def get(engine: str | Engine, **options: Any) -> Engine:
 
 @cache
 def plain(name: str) -> Engine:
-    """Return the engine of this name without options, the same one every time."""
+    """Return the engine of this name without options, always the same object."""
     return get(name)
 
 
 def class_of(name: str) -> type[Engine]:
-    """Return the class of an engine, for its attributes; `Engine` for a name that is unknown."""
+    """Return the class of an engine, for its attributes; `Engine` for an unknown name."""
     return _load(*REGISTRY[name]) if name in REGISTRY else Engine
 
 
 def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
-    """Return why an engine cannot do a scene or accumulate its quantities, as (key, reason)."""
+    """Return the reasons why an engine cannot solve a scene or its quantities, as (key, reason)."""
     reasons = engine.refuses(engine.part(scene))
     if scene.chain.damped and not engine.dissipates:
         cure = f"use {_those_that(lambda engine: engine.dissipates)}"
@@ -109,23 +109,24 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
         reasons = [*reasons, ("chain.damping", fault)]
     if scene.chain.ground is not None and not engine.knows_ground:
         cure = f"use {_those_that(lambda engine: engine.knows_ground)}"
-        fault = f"{engine.name} knows no force from the ground: leave the ground out, or {cure}"
+        fault = f"{engine.name} does not support a force from the ground: leave it out, or {cure}"
         reasons = [*reasons, ("chain.ground", fault)]
-    # quantities follow from accelerations, which the two chain equations give
+    # Recorded quantities are computed from accelerations, which only the equations of grains
+    # provide.
     if scene.quantities and not engine.moves_grains:
-        why = f"{engine.name} solves no equation of motion of the grains, which gathering needs"
+        why = f"{engine.name} computes no accelerations of grains, which quantities require"
         cure = f"use {_those_that(lambda engine: engine.moves_grains)}"
         reasons = [*reasons, ("quantities", f"{why}; {cure}")]
     return reasons
 
 
 def brief(engine: str, refusal: str) -> str:
-    """Return the first reason of a refusal, without the name of the engine and the remedy."""
+    """Return the first reason of a refusal without the name of the engine and the remedy."""
     return re.split("; |: ", refusal.removeprefix(f"{engine} "))[0]
 
 
 def _those_that(do: Callable[[Engine], bool]) -> str:
-    """Return in words the engines of "auto" that have some property."""
+    """Return in words the engines of "auto" that have a given property."""
     return either(name for name in (*automatic(), *automatic("last")) if do(plain(name)))
 
 

@@ -1,4 +1,4 @@
-"""The seam: an engine is a way to answer a scene.
+"""Interface of engines: an engine is a method to solve a scene.
 
 Every engine states which equation it solves, predicts the cost and the error of an answer, and
 yields the answer in blocks with an estimate of its own error. `lmpchain.simulation` does the rest
@@ -28,13 +28,13 @@ from ..trajectory.record import LARGEST_ERROR, Block, Cost, ErrorEstimate
 from ..util.arrays import Array
 from ..util.tables import finite
 
-# fields of a proposal in a plan
+# Fields of a proposal in a plan.
 PLAN_COLUMNS = ("engine", "equation", "integrator", "model_error", "solver_error", "active_grains",
            "step", "cost_s", "kept", "why")  # fmt: skip
 
 
 class Proposal(NamedTuple):
-    """An engine's proposal for a scene: steps, cost and expected errors, and the verdict on it.
+    """An engine's proposal for a scene: steps, cost, expected errors, and whether it is chosen.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Proposal(NamedTuple):
     steps : Steps
         Time steps; an exact solution has one step from sample to sample.
     active_grains : int
-        Number of grains that are computed; 0 if the engine has no answer to propose.
+        Number of computed grains; 0 if the engine cannot solve the scene.
     model_error, solver_error : float
         Expected relative errors of the equation and of its numerical solution; NaN if not
         estimated.
@@ -83,27 +83,27 @@ class Proposal(NamedTuple):
 
     @property
     def possible(self) -> bool:
-        """Whether the engine has an answer to propose."""
+        """Whether the engine can solve the scene at all."""
         return self.active_grains > 0
 
     @property
     def step(self) -> float:
-        """Time step, s; of an exact solution, the time between two samples."""
+        """Time step, s; for an exact solution, the time between two samples."""
         return self.steps.step
 
     @property
     def price_s(self) -> float:
-        """Expected time, s; infinite if the proposal is not kept."""
+        """Expected time, s; infinite if the proposal was rejected."""
         return self.cost_s if self.kept else math.inf
 
     def with_steps(self, steps: Steps) -> Proposal:
-        """Return this proposal with other steps and the cost of these steps."""
+        """Return this proposal with a different number of steps and their cost."""
         rate = steps.per_landing / steps.stride
         before = self.steps.per_landing / self.steps.stride
         return self._replace(steps=steps, cost_s=self.cost_s * rate / before)
 
     def record(self) -> dict[str, str]:
-        """Return the choices as text."""
+        """Return the choices of the proposal as text."""
         return {
             key: value if isinstance(value, str) else repr(value)
             for key, value in self.choices.items()
@@ -116,7 +116,7 @@ class Proposal(NamedTuple):
 
 
 class ErrorBudget(NamedTuple):
-    """Estimated error of a run and its parts, as defined for `ErrorEstimate`.
+    """Estimated error of a run with its parts, as defined for `ErrorEstimate`.
 
     A trajectory stores an `ErrorEstimate`, which is at most 2. Step control also needs the parts,
     without this limit.
@@ -162,7 +162,7 @@ class ErrorBudget(NamedTuple):
 
     @property
     def estimate(self) -> ErrorEstimate:
-        """The estimate that a trajectory states, at most `LARGEST_ERROR`."""
+        """The error estimate of a trajectory, at most `LARGEST_ERROR`."""
         return ErrorEstimate(min(self.model, LARGEST_ERROR), min(self.solver, LARGEST_ERROR))
 
     def last_known(self, tolerance: float, time: Array) -> float:
@@ -177,7 +177,7 @@ class ErrorBudget(NamedTuple):
 
 
 class Run(ABC):
-    """A running solution of one scene or of a batch. Close it, also after an error.
+    """A running solution of one scene or of a batch; call `close` in any case, also after an error.
 
     Attributes
     ----------
@@ -189,16 +189,16 @@ class Run(ABC):
 
     @abstractmethod
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer in order, with at most about 0.2 s of work between two blocks."""
+        """Yield the solution in order, with at most about 0.2 s of work between two blocks."""
 
     @property
     @abstractmethod
     def progress(self) -> float:
-        """Part of the work done, 0 to 1."""
+        """Fraction of the work that is done, 0 to 1."""
 
     @abstractmethod
     def errors(self) -> list[ErrorBudget]:
-        """Return the error estimate of every realisation, for the samples so far."""
+        """Return the error estimate of every realisation for the samples computed so far."""
 
     def outlook(self) -> list[ErrorBudget]:
         """Return the error of every realisation, extrapolated to the end of the run."""
@@ -214,19 +214,19 @@ class Run(ABC):
 
     @abstractmethod
     def cost(self) -> Cost:
-        """Return the cost so far."""
+        """Return the cost of the run so far."""
 
     @abstractmethod
     def state(self) -> Mapping[str, Array]:
-        """Return the arrays from which `Engine.start` continues with the same bits."""
+        """Return the arrays from which `Engine.start` continues bit for bit."""
 
     def close(self) -> None:
-        """Release everything; by default there is nothing to release."""
+        """Release all resources; by default there are none."""
         return
 
 
 class Engine(ABC):
-    """A way to answer a scene; its options are constructor arguments and attributes of that name.
+    """A method to solve a scene; its options are constructor arguments and attributes.
 
     Attributes
     ----------
@@ -234,12 +234,12 @@ class Engine(ABC):
     equation : int
         Number in the paper of the equation that the engine solves.
     auto : "never", "cheapest" or "last"
-        When "auto" chooses the engine: never, if it is the cheapest, or if no other engine can do
+        When "auto" chooses the engine: never, if it is the cheapest, or if no other can solve
         the scene.
     style : (str, str)
         Colour and marker of the engine in charts.
     citation : str
-        Reference that a publication cites for answers of this engine, beside this package.
+        Reference that publications with this engine should cite, in addition to this package.
     integrators : tuple of str
         Names of the methods that a user may choose; empty if the engine does not step through time.
     inputs, logs : tuple of str
@@ -247,14 +247,14 @@ class Engine(ABC):
     integrator, step
         Options as given by the user.
     batches : bool
-        Whether a batch of like scenes takes less time than the scenes one by one.
+        Whether a batch of similar scenes takes less time than single runs.
     whole : bool
         Whether the engine needs all grains of a scene, not only those of the light cone.
     suspect : str
         Commands of the user that may change the motion, and what to do about them. Messages on a
         failed estimate name them.
     dissipates : bool
-        Whether the engine solves chains that lose energy.
+        Whether the engine solves chains with damping.
     knows_ground : bool
         Whether the engine solves chains with a force from the ground.
     ranks_of_mpi : bool
@@ -284,25 +284,25 @@ class Engine(ABC):
     step: float | None = None
 
     def methods(self, scene: Scene) -> Sequence[Method]:
-        """Return the methods for a scene; none if the engine does not step through time."""
+        """Return the methods for a scene; an empty list if the engine has no time steps."""
         return ()
 
     @property
     def moves_grains(self) -> bool:
-        """Whether the engine solves an equation of motion of the grains, Eq. (1) or (3)."""
+        """Whether the engine solves an equation of motion of the grains, Eq. (1) or Eq. (3)."""
         return self.equation in (1, 3)
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why the engine cannot do a scene, as (key, reason); by default nothing."""
+        """Return reasons why the engine cannot solve a scene, as (key, reason); by default none."""
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
-        """Return the expected time of trial runs that find the step, s; 0 without trial runs."""
+        """Return the expected time of trial runs for the step, s; 0 without trial runs."""
         return 0.0
 
     @abstractmethod
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose steps with which the answer should meet the tolerance.
+        """Propose steps that are expected to meet the tolerance.
 
         Raises
         ------
@@ -321,7 +321,7 @@ class Engine(ABC):
         """
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> Hashable:
-        """Return a key; scenes of one key have the same answers and errors in a batch as alone.
+        """Return a key; scenes of one key have equal results and errors in a batch and alone.
 
         By default the key is None: the scene is answered alone.
         """
@@ -334,17 +334,17 @@ class Engine(ABC):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
-        """Start a run of one scene, or of a batch of scenes that differ in numbers only."""
+        """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
 
     def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
-        """Return the options that determine the result besides the choices of a proposal.
+        """Return the options that affect the result, besides the choices of a proposal.
 
         For example versions of compilers and libraries; by default nothing.
         """
         return {}
 
     def options(self) -> dict[str, Any]:
-        """Return the constructor arguments that make an equal engine in another process.
+        """Return the constructor arguments of an equal engine for another process.
 
         Raises
         ------
@@ -360,9 +360,9 @@ class Engine(ABC):
     def write_inputs(
         self, scene: Scene, proposal: Proposal, tolerance: float, folder: Path
     ) -> None:
-        """Write the input files with which a proposal runs without this package to a folder."""
+        """Write to a folder the input files that run a proposal without this package."""
         return
 
     def part(self, scene: Scene) -> Scene:
-        """Return the part of a scene that the engine computes: the light cone, or all grains."""
+        """Return the part of a scene that the engine solves: the light cone, or all grains."""
         return scene.fine if self.whole else scene.fine.reached

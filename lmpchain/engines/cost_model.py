@@ -1,4 +1,4 @@
-"""The cost model: how long an answer is expected to take on this machine.
+"""The cost model: expected time of a solution on this machine.
 
 An engine predicts how its work grows with the scene. Two numbers convert work to time: the start-up
 time of every answer (`Engine.start_up_s`), and the slowness of this machine relative to the one on
@@ -24,30 +24,30 @@ from time import process_time
 
 from ..errors import LmpchainError
 
-PATIENCE_S = 30.0  # Work that is expected to take longer is announced.
-# Work whose expected time was too short ends after this multiple of the budget, as CPU time.
+PATIENCE_S = 30.0  # Work with a longer expected time is announced.
+# Underestimated work ends after this multiple of its budget of CPU time.
 OVERRUN = 2
 PLAUSIBLE = 1e4  # Largest plausible factor between this machine and the reference machine.
 
 
 def seconds(engine: str, start_up_s: float, work_s: float) -> float:
-    """Return the expected time of an answer here, s, from its times on the reference machine."""
+    """Return the expected time of a solution here, s, from its times on the reference machine."""
     start, slowness = speed(engine, start_up_s)
     return start + slowness * work_s
 
 
 class TooLong(LmpchainError):
-    """Work that exceeds the budget of its caller, see `budget`."""
+    """Raised for work that exceeds the budget of its caller, see `budget`."""
 
 
-# Largest expected time of work, s, and the CPU time of this process at which work ends, s.
+# Largest expected time of work, s, and the CPU time of this process at which work is stopped, s.
 _limits: ContextVar[tuple[float, float]] = ContextVar("limits", default=(math.inf, math.inf))
 _announced: ContextVar[bool] = ContextVar("work that the caller has announced", default=False)
 
 
 @contextmanager
 def budget(budget_s: float) -> Iterator[None]:
-    """Let `announce` and `check_time` raise `TooLong` for work that exceeds a time, s.
+    """Let `announce` and `check_time` raise `TooLong` for work beyond a time, s.
 
     Within another budget, work may use half of the remaining CPU time, so that another attempt with
     a larger tolerance has some time, too.
@@ -90,7 +90,7 @@ def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
 
 @contextmanager
 def announced(cost_s: float, work: str, cure: str) -> Iterator[None]:
-    """Announce work as a whole, and suppress the announcements of its parts."""
+    """Announce work as a whole and suppress the announcements of its parts."""
     announce(cost_s, work, cure)
     token = _announced.set(True)
     try:
@@ -107,7 +107,7 @@ def check_budget(cost_s: float, work: str) -> None:
 
 
 def check_time() -> None:
-    """Raise `TooLong` if the work has taken far longer than its budget."""
+    """Raise `TooLong` if the work has taken far more time than its budget."""
     limit_s = _limits.get()[1]
     # Without a budget no clock is read.
     if limit_s < math.inf and _cpu_time() > limit_s:
@@ -122,7 +122,7 @@ def _cpu_time() -> float:
 
 
 def in_words(time_s: float) -> str:
-    """Return a time as text, to two digits.
+    """Return a time as text with two digits.
 
     Examples
     --------
@@ -139,8 +139,8 @@ def in_words(time_s: float) -> str:
 
 
 def speed(engine: str, start_up_s: float) -> tuple[float, float]:
-    """Return start-up time, s, and slowness relative to the reference machine."""
-    # An edited or incomplete file must not make an engine the cheapest one for ever.
+    """Return the start-up time, s, and the slowness relative to the reference machine."""
+    # An edited or incomplete file must not make an engine the cheapest one forever.
     start, slowness = measured().get(engine, (start_up_s, 1.0))
     plausible = (
         start_up_s / PLAUSIBLE < start < start_up_s * PLAUSIBLE

@@ -1,4 +1,4 @@
-"""Step control: shorter steps until the tolerance is met, or until it is clear that it cannot be.
+"""Step-size control: shortens steps until the tolerance is met or proves to be unreachable.
 
 Single runs, batches of like scenes and sweeps share it: `next_attempt` judges an attempt by its
 error estimate, `solve_to_tolerance` makes one attempt after another.
@@ -68,7 +68,7 @@ class Patience:
 PATIENCE = Patience()
 # Suggested when no trajectory can be predicted.
 AVERAGES = "averages over time (lmpchain.averages)"
-Collected = TypeVar("Collected")  # of the blocks of a run
+Collected = TypeVar("Collected")  # Type of a collected result of a run.
 
 
 class Attempt(NamedTuple):
@@ -114,7 +114,7 @@ class Attempt(NamedTuple):
 
     @property
     def number(self) -> int:
-        """Number of this attempt, from 1."""
+        """Number of this attempt, counted from 1."""
         return len(self.truncations) + self.breakdowns + 1
 
     def work(self, samples: int) -> str:
@@ -160,7 +160,7 @@ class Outcome(NamedTuple, Generic[Collected]):
 
 
 class _Lost(Exception):
-    """The attempt will miss its tolerance; carries the attempt that follows."""
+    """Raised when an attempt will miss its tolerance; contains the next attempt."""
 
     def __init__(self, following: Attempt):
         self.following = following
@@ -204,7 +204,7 @@ def solve_to_tolerance(
     begin: Callable[[Attempt], Mapping[str, Array] | None] = lambda _: None,
     patient: bool = False,
 ) -> Outcome[Collected]:
-    """Run a scene, or a batch of like scenes, at shorter and shorter steps.
+    """Run a scene, or a batch of similar scenes, with shorter and shorter steps.
 
     The last attempt meets the tolerance, or shows that no steps can. An attempt ends early when its
     error estimate shows that it will miss the tolerance.
@@ -235,7 +235,7 @@ def solve_to_tolerance(
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
-        # A native trial, too, may need far more steps than its first attempt.
+        # A native trial may need far more steps than its first attempt as well.
         cost_s = attempt.proposal.cost_s + attempt.spent_s
         if is_long(cost_s):
             check_budget(cost_s, attempt.work(scenes[0].samples))
@@ -313,7 +313,7 @@ def _worst(errors: Sequence[ErrorBudget]) -> ErrorBudget:
 
 
 def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: Run) -> None:
-    """End a run that will miss its tolerance, if another attempt may meet it.
+    """Stop a run that will miss its tolerance if another attempt may meet it.
 
     Raises
     ------
@@ -348,7 +348,7 @@ def next_attempt(
     patient: bool = False,
     ended: bool = True,
 ) -> tuple[Attempt | None, str]:
-    """Return the next attempt, and why this one missed the tolerance.
+    """Return the next attempt, and the reason why this one missed the tolerance.
 
     Parameters
     ----------
@@ -392,7 +392,7 @@ def next_attempt(
 def _is_worth_repeating(
     best: Proposal, proposal: Proposal, error: ErrorBudget, tolerance: float
 ) -> bool:
-    """Return whether the best earlier attempt is run again, because its samples were not kept.
+    """Return whether to repeat the best earlier attempt, because its samples were not stored.
 
     Shorter steps may have given a larger error by chance. If rounding is the limit, the shortest
     steps are right for the longest time.
@@ -431,7 +431,7 @@ def _stalls(attempt: Attempt) -> bool:
 
 
 def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
-    """Return why an attempt missed its tolerance, and what to do."""
+    """Return the reason why an attempt missed its tolerance, and the remedy."""
     tolerance = attempt.tolerance
     solver = error.estimate.solver
     unknown = " (nothing is known)" if solver == LARGEST_ERROR else ""
@@ -453,7 +453,7 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
 
 
 def _find_horizon(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
-    """Return the time until which amplified rounding leaves room for other errors, s.
+    """Return the time until which the amplified rounding error leaves room for other errors, s.
 
     The time is infinite if it does to the end, or if rounding is too large from the beginning.
     """

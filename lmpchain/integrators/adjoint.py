@@ -1,4 +1,4 @@
-"""Exact derivatives of a run by a kick-drift splitting: its discrete adjoint and its tangent.
+"""Exact derivatives of a run by a kick-drift splitting: discrete adjoint and tangent.
 
 The run is a sequence of kicks and drifts, and the adjoint propagates derivatives with respect to
 the observed motion backward through them. The result is the derivative of the numbers of the run,
@@ -76,14 +76,14 @@ class Pages(NamedTuple):
 
 CHECKPOINTS = Checkpoints()
 PAGES = Pages()
-# Ratio of the largest strain between two checkpoints to that at the checkpoints.
+# Safety factor on the largest strain, which may occur between two checkpoints.
 UNSEEN = 2.0
-# Number of coefficients of `economise` for small strains; 6 for larger ones.
+# Number of coefficients that `economise` needs for small strains; larger strains need 6.
 SHORT = 4
 
 
 class Inputs(NamedTuple):
-    """Inputs of a motion: derivatives with respect to them, or directions (D, ...) of change.
+    """Inputs of a motion, or derivatives by them, or directions (D, ...) of change.
 
     Attributes
     ----------
@@ -132,14 +132,14 @@ class Call(NamedTuple):
 
 
 def make_aligned(rows: int, width: int) -> Array:
-    """Return zeros (rows, width); rows of whole cache lines begin at a cache line."""
+    """Return zeros (rows, width), with rows of whole cache lines aligned to cache lines."""
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
     return memory[skip : skip + rows * width].reshape(rows, width)
 
 
 def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
-    """Return derivatives by the constants and by the forces at rest of contacts, (N+1,) arrays.
+    """Return derivatives by the constants and the forces at rest of all contacts, (N+1,) arrays.
 
     They follow from the sums over p and f, see `kernels.adjoint`; those by constants are at a
     constant force at rest.
@@ -162,7 +162,7 @@ def economise(exponent: float, reach: float) -> Array:
     reach = min(max(reach, 1e-6), 0.02)
     series = poly2cheb(np.cumprod((exponent - k) / (k + 1)) * reach**k)
     terms = SHORT if np.abs(series[SHORT:]).sum() <= 1e-16 * abs(series[0]) else 6
-    # numpy removes zeros at the end.
+    # The function cheb2poly removes trailing zeros.
     coefficients = cheb2poly(series[:terms])
     return np.pad(coefficients, (0, terms - coefficients.size)) / reach ** np.arange(terms)
 
@@ -215,7 +215,7 @@ class DifferentiableRun(ObservedRun):
         """Prepare the contacts for the compiled loops."""
         arrays = self._arrays
         width = self._x.shape[1]
-        # In the backward pass a contact has the place of the body below it.
+        # In the backward pass a contact has the index of the body below it.
         above = make_aligned(3, width)
         above[0, 1:] = arrays.inverse_length[0, :-1]
         above[1, 1:] = arrays.strength[0, :-1]
@@ -288,7 +288,7 @@ class DifferentiableRun(ObservedRun):
         self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of a result by all inputs, from those by the observed motion.
+        """Return the derivatives of a result by all inputs, given those by the observed motion.
 
         Parameters
         ----------
@@ -329,7 +329,7 @@ class DifferentiableRun(ObservedRun):
             tops=np.empty((2, self._longest)),
             room=self._room,
         )
-        # A grain that never moves would move from another initial state.
+        # A grain that never moves would move if the initial state were different.
         pieces = self._pieces
         if everywhere:
             pieces = pieces._replace(windows=np.full_like(pieces.windows, (PAD, width - PAD)))
@@ -416,8 +416,8 @@ class DifferentiableRun(ObservedRun):
 
 
 def _way(chain: Chain, arrays: BatchArrays) -> Way:
-    """Return the kind of backward pass for a chain."""
-    # Steps are undone if no contact can open. Rounding would close or open touching contacts.
+    """Return the type of backward pass for a chain."""
+    # Steps can be undone if no contact opens. Rounding would close or open touching contacts.
     form = arrays.form[0]
     hertz = chain.law.power == 1.5
     if chain.linearisable and not arrays.uncompressed[0]:

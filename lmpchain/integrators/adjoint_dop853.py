@@ -1,4 +1,4 @@
-"""Exact derivatives of a run of a damped chain by DOP853: its discrete adjoint and its tangent.
+"""Exact derivatives of a damped chain's run by DOP853: discrete adjoint and tangent.
 
 As in `adjoint`, the result is the derivative of the numbers of the run, exact up to rounding. The
 run stores checkpoints, from which the backward pass repeats the stages of a few steps and then
@@ -57,12 +57,12 @@ CHECKPOINTS = Dop853Checkpoints()
 
 
 class Followed(NamedTuple):
-    """A run of the native engine: steps up to each observation, checkpoints, observed motion.
+    """A run of the native engine: steps up to each observation, checkpoints and observed motion.
 
     Attributes
     ----------
     steps : list of arrays
-        s.
+        Step lengths, s.
     pieces : kernels.Dop853Pieces
     values : (2, looks+1, G) array
         Displacements, m, and velocities, m/s.
@@ -80,7 +80,7 @@ def follow(
     looks: int,
     grains: NDArray[np.intp],
 ) -> Followed:
-    """Run the march of the native engine, and return what the backward pass needs."""
+    """Run the march of the native engine, and return the data for the backward pass."""
     batch = ChainBatch([scene.replace(samples=looks + 1)])
     run = NativeStepper(batch, method, schedule, {})
     width = batch.arrays.inverse_mass.shape[1]
@@ -109,7 +109,7 @@ def follow(
         calls.append(Noted(ends[:made], every, noted.states[:pieces], noted.windows[:pieces]))
     final = run.watched["first"], run.watched["last"]
     ends = np.concatenate([noted.ends for noted in calls])
-    # A window is widest at the end of a piece.
+    # The window is widest at the end of a piece.
     windows = np.concatenate([*(noted.windows for noted in calls), np.array(final).T])[1:]
     sizes = [noted.ends.size for noted in calls]
     before = np.cumsum(sizes) - sizes
@@ -123,7 +123,7 @@ def follow(
 
 
 class DifferentiableDampedRun(ObservedRun):
-    """A run of a damped chain by DOP853 with its exact derivatives for constant steps.
+    """A run of a damped chain by DOP853 with exact derivatives at constant steps.
 
     Parameters, attributes and methods are those of `adjoint.DifferentiableRun`. With `adaptive`,
     steps are shorter near the opening and closing of contacts.
@@ -164,7 +164,7 @@ class DifferentiableDampedRun(ObservedRun):
         damped.viscosity[self._contacts] = chain.contact_viscosity
         # Held and driven grains have no drag.
         damped.drag[self._bodies] = np.where(mobility[self._bodies] > 0, chain.drag, 0.0)
-        # The correction is one for strains, and the strain of a touching contact is unbounded.
+        # The "corrected" form uses strains, and the strain of a touching contact is unbounded.
         hertz = exponent == 1.5 and not chain.loose_grains
         law = AdjointForce(
             way=int(Way.HERTZ if hertz else Way.OTHER),
@@ -183,12 +183,12 @@ class DifferentiableDampedRun(ObservedRun):
 
     @property
     def _bodies(self) -> slice:
-        """Places of the grains in a row of bodies."""
+        """Slice of the grains in a row of bodies."""
         return slice(PAD, PAD + self.scene.chain.grains)
 
     @property
     def _contacts(self) -> slice:
-        """Places of the contacts in a row of the contacts above the bodies."""
+        """Slice of the contacts in a row of the contacts above the bodies."""
         return slice(PAD, PAD + self.scene.chain.grains + 1)
 
     def _memory(
@@ -205,7 +205,7 @@ class DifferentiableDampedRun(ObservedRun):
         )
 
     def _calls(self) -> list[NDArray[np.intp]]:
-        """Return the first piece of each call, and the one behind its last, (2,) each."""
+        """Return the first piece of each call, and the piece after its last, (2,) each."""
         count = self._pieces.starts.size - 1
         # An imposed force or motion is stored for each stage of a call.
         size = max(1, CHECKPOINTS.steps_of_call // self._longest) if self.imposed else count
@@ -221,7 +221,7 @@ class DifferentiableDampedRun(ObservedRun):
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of a result by all inputs, from those by the observed motion.
+        """Return the derivatives of a result by all inputs, given those by the observed motion.
 
         See `adjoint.DifferentiableRun.pull`.
         """
@@ -240,7 +240,7 @@ class DifferentiableDampedRun(ObservedRun):
         sums = kernels.AdjointSums(
             x, w, power, force, viscosity, mass, drag, np.zeros((stages, width)), *room
         )
-        # A grain that never moves would move from another initial state.
+        # A grain that never moves would move if the initial state were different.
         pieces = self._pieces
         if everywhere:
             pieces = pieces._replace(windows=np.full_like(pieces.windows, (PAD, width - PAD)))

@@ -1,4 +1,4 @@
-"""Chains laid out in memory for the compiled loops."""
+"""Memory layout of chains for the compiled loops."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, address_of_ground
 from .kernels.layout import PAD, WAVE, BatchArrays
 from .kernels.table import aligned_rows, fill_batch, place_bodies
 
-# The plain form of the force loses nothing from this strike number on;
-# analysis/calibration/roundoff.py
+# From this strike number on, the plain form of the force loses no accuracy; see
+# analysis/calibration/roundoff.py.
 STRONG = 1.0
 FORCES = ("auto", "exact", "plain")
-# Overlap, m, of contacts that only touch among pressed contacts. It is far below the rounding of
-# overlaps in a wave, and its powers do not underflow.
+# Overlap, m, given to contacts that only touch among pressed contacts. It is far below the rounding
+# of overlaps in a wave, and its powers do not underflow.
 TOUCHING = 1e-30
 # Distances to a kink, over the scale of the motion, at which its bend is measured.
 SIDES = (-1, -0.5, 0, 0.5, 1)
 # Distance to a kink, m, from which on no motion reaches the kink.
 MOST_DISTANT = 1e100
-# Chains of at most so many bodies are computed as a whole, which costs less than following the
-# wave; analysis/calibration/light_cone.py
+# Chains with at most this number of bodies are computed as a whole, which costs less than tracking
+# the wave; see analysis/calibration/light_cone.py.
 WINDOW_MIN = 14 * PAD
 
 
 class ChainBatch:
-    """A batch of like chains in the memory layout of the compiled loops.
+    """A batch of chains of the same type in the memory layout of the compiled loops.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ChainBatch:
         excitation = scenes[0].excitation
         self.grains = chain.grains
         self.driven = excitation.driven
-        # Scenes of one excitation share their initial values, unless these depend on the chain.
+        # Scenes with the same excitation share initial values, unless these depend on the chain.
         same = not excitation.of_chain and all(s.excitation is excitation for s in scenes)
         self._struck = scenes[:1] if same else scenes
         self.initial = initial or self._initial()
@@ -94,7 +94,7 @@ class ChainBatch:
         acts, reach, wave, knots, pieces, laws = self._impose()
         size = len(scenes)
         damped, viscosity, drag = self._damping()
-        # With a force from the ground, or another one, creep is no multiple of the acceleration.
+        # With a ground or an applied force, creep is not proportional to the acceleration.
         pushed = chain.ground is not None or (wave["body"] < 0).any()
         alike = damped and not (pushed or drag.any() or np.ptp(viscosity, axis=1).any())
         rows = aligned_rows(8 if damped else 5, size, self.grains)
@@ -239,7 +239,7 @@ class ChainBatch:
         u and v are displacements and velocities of grains, (copies, R, N), or (1, R, N) for all
         copies. The window of a long chain contains the grains that move.
         """
-        # A ground may let a wave grow before it is seen: all grains are in the window.
+        # With a ground a wave may grow unnoticed, so all grains are in the window.
         longest = WINDOW_MIN if self.scenes[0].chain.ground is None else sys.maxsize
         return place_bodies(u, v, copies, self.driven, self.arrays, longest)
 
@@ -272,7 +272,7 @@ class ChainBatch:
                 continue
             body = PAD - 1 + scene.excitation.acts_on
             if not scene.excitation.wall and not scene.excitation.driven:
-                # A negative number stands for a force on the body, see `layout.WAVE`.
+                # A negative index denotes a force on the body, see `layout.WAVE`.
                 body = -body
             count = 0 if spline is None else len(spline.x)
             table[real] = wave.amplitude, wave.omega, wave.envelope, wave.end, count, body
@@ -290,7 +290,7 @@ def _nothing_imposed(
 
     The arrays are shared, because no loop writes to them.
     """
-    # No body is acted on: the last one precedes the first one.
+    # No body is forced: the last body precedes the first one.
     reach = np.array([[PAD - 1 + grains, PAD]] * size)
     knots = np.zeros((size, 0))
     return False, reach, np.zeros(size, WAVE), knots, np.zeros((size, 4, 0)), np.zeros(2, np.int64)
@@ -307,7 +307,8 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
     if powers and not loose and not _touches_base(contacts):
         return overlap, force, constant, stiffness
     if not powers:
-        # The length is the distance to a kink, and the force, which is not read, that of a spring.
+        # The length is the distance to a kink. The force is not used, and is set to that of a
+        # spring.
         distance = np.abs(overlap - nearest_kinks(contacts))
         overlap = distance if len(contacts.law.kinks(constant)) else contacts.length
         force = np.where(contacts.pressed, stiffness * overlap, 0.0)
@@ -360,10 +361,10 @@ def parameter_rows(contacts: Contacts) -> Array:
 
 
 def _in_rows(contacts: Contacts, width: int) -> Array:
-    """Return `BatchArrays.parameters` of R chains with a law by formulas, (R, P, W)."""
+    """Return `BatchArrays.parameters` of R chains whose laws are formulas, (R, P, W)."""
     size, count = contacts.overlap.shape
     rows = parameter_rows(contacts)
-    # Places without a contact get parameters, too, because a formula may divide by them.
+    # Places without a contact need parameters as well, because a formula may divide by them.
     ends = np.zeros((size, rows.shape[1], width)) + rows[..., -1:]
     ends[:, :2] = 0.0
     ends[..., PAD - 1 : PAD - 1 + count] = rows
@@ -375,7 +376,7 @@ def _ground_rows(chains: Sequence[Chain], width: int) -> Array:
     if chains[0].ground is None:
         return np.zeros((len(chains), 0, 0))
     rows = np.array([ground.parameter_rows(c.ground, c.grains) for c in chains if c.ground])
-    # Places without a grain get parameters, too, because a formula may divide by them.
+    # Places without a grain need parameters as well, because a formula may divide by them.
     behind = width - PAD - rows.shape[2]
     return np.pad(rows, ((0, 0), (0, 0), (PAD, behind)), mode="edge")
 
@@ -408,7 +409,7 @@ def weakest(exponent: float) -> float:
 
 
 def force_form(scene: Scene, force: str = "auto") -> int:
-    """Return the form of the force: "plain" is fastest, "exact" keeps all digits of weak waves.
+    """Return the form of the force: "plain" is fastest, "exact" is accurate for weak waves.
 
     The error of the plain form is an ulp of the force at rest, which is negligible in strong waves.
     """
@@ -422,10 +423,10 @@ def force_form(scene: Scene, force: str = "auto") -> int:
         return Form.UNCOMPRESSED_POWER if roots is None else roots
     if force == "auto" and scene.largest_strain < weakest(exponent):
         return Form.POLYNOMIAL
-    # The plain form subtracts two forces, and loses digits below an ulp of the force at rest.
+    # The plain form subtracts two forces, which loses digits below an ulp of the force at rest.
     if roots is not None and (force == "plain" or (force == "auto" and _strong(scene))):
         return roots
-    # The correction is one for strains, and the strain of a touching contact is unbounded.
+    # The "corrected" form uses strains, and the strain of a touching contact is unbounded.
     touches = scene.chain.loose_grains or _touches_base(scene.chain.contacts)
     if exponent == 1.5 and not touches:
         return Form.CORRECTED
@@ -437,7 +438,7 @@ def _strong(scene: Scene) -> bool:
     chain = scene.chain
     if not chain.loose_grains:
         return scene.strike_number > STRONG
-    # The strike number of a touching grain is infinite, however gently it strikes others.
+    # The strike number of a touching grain is infinite even if it strikes other grains gently.
     deepest = scene.first_overlaps.max()
     return bool(deepest > (1 + STRONG) * chain.contacts.overlap.max())
 

@@ -34,17 +34,17 @@ class DormandPrince:
 
     @cached_property
     def tables(self) -> tuple[Array, Array, Array, Array]:
-        """Nodes, inner weights of two integrations, weights, inner ones; see `kernels.dop853`."""
+        """Nodes, inner weights squared, weights, and inner weights; see `kernels.dop853`."""
         from scipy.integrate import DOP853
 
-        # a @ a integrates twice, from accelerations to displacements.
+        # The product a @ a integrates twice, from accelerations to displacements.
         a = DOP853.A[:12, :12]
         b = DOP853.B
         return DOP853.C[:12], a @ a, np.array([b @ a, b]), np.array(a)
 
     @cached_property
     def spread(self) -> float:
-        """Root of the sum of the squared weights, some of which are large."""
+        """Root of the sum of squared weights, some of which are large."""
         return float(np.linalg.norm(self.tables[2][1]))
 
     @cached_property
@@ -62,7 +62,7 @@ class DormandPrince:
         return float(abs(1 + 1j * reach * DOP853.B @ slopes))
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains with these step schedules."""
         from .kernels.dop853 import make_work, march, march_by_step
 
         openings = shorten_steps(self.order, batch, schedules)

@@ -1,4 +1,4 @@
-"""Halving of steps until the differences between answers show that they are accurate enough.
+"""Step halving until the differences between results show sufficient accuracy.
 
 Richardson's formula: with steps h and q h a method of order p gives answers that differ by
 
@@ -17,12 +17,12 @@ from typing import Generic, NamedTuple, TypeVar
 
 Answer = TypeVar("Answer")
 
-# Factor on the difference between two answers; analysis/calibration/halved_steps.py
+# Safety factor on the difference between two results; see analysis/calibration/halved_steps.py.
 SAFETY = 2.5
 
 
 class HalvedAnswer(NamedTuple, Generic[Answer]):
-    """An answer with steps of one length, and its error.
+    """A result with steps of one length, and its error.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class HalvedAnswer(NamedTuple, Generic[Answer]):
 
 
 def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnswer[Answer]:
-    """Halve the steps until the error is allowed, and return the most accurate answer.
+    """Halve the steps until the error is allowed, and return the most accurate result.
 
     Rounding or chaos may leave a larger error in all answers.
 
@@ -57,6 +57,6 @@ def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnsw
         if attempt.excess <= 1:
             break
         attempt = solve(halvings)
-        # Rounding may make the last answer worse than an earlier one.
+        # Rounding may make the last result worse than an earlier one.
         best = min(best, attempt, key=lambda attempt: attempt.excess)
     return best

@@ -9,7 +9,7 @@ import numpy as np
 
 from .steps import Steps
 
-if TYPE_CHECKING:  # The properties of a method are known without importing numba.
+if TYPE_CHECKING:  # Numba is not imported at run time.
     from .batch import ChainBatch
 
 
@@ -64,7 +64,7 @@ class Method(Protocol):
 
     @property
     def damping(self) -> tuple[bool, ...]:
-        """Chains that the method solves: False for chains without damping, True for damped ones."""
+        """Whether the method solves damped chains (True) or chains without damping (False)."""
 
     @property
     def error_constant(self) -> float:
@@ -93,10 +93,10 @@ class Method(Protocol):
         """Return the growth factor of an oscillator in a step at omega h = reach."""
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by steps of one kind."""
+        """Return the compiled march of a batch of chains for this type of steps."""
 
 
 def first_growth(growth: Callable[[float], float], more: float) -> float:
-    """Return the first omega h, by thousandths, with a growth above 1 + `more` in a step."""
+    """Return the smallest omega h, in steps of 0.001, with a growth above 1 + `more` per step."""
     grid = np.arange(1, 10000) / 1000
     return float(next(y for y in grid if growth(y) > 1 + more))

@@ -1,4 +1,4 @@
-"""The registry of the methods of time integration, with Gear's and lagged velocity Verlet."""
+"""Registry of the methods of time integration, with Gear's method and lagged velocity Verlet."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class LaggedVerlet:
 
     name: str = "lagged-verlet"
     order: int = 1
-    # The delay of the forces by h / 2 slows a motion down: its phase shifts by omega h / 4.
+    # The delay of the forces by h / 2 slows the motion down: its phase shifts by omega h / 4.
     error_constant: float = 0.25
     reference: str = "LAMMPS, fix nve with velocity-dependent pair forces"
     evaluations: int = 1
@@ -41,18 +41,18 @@ class LaggedVerlet:
 
     @property
     def stability_limit(self) -> float:
-        """Largest omega h of a lossless oscillator.
+        """Largest stable omega h of an undamped oscillator.
 
         Damping lowers it: at the largest h, (omega h)^2 + 2 (A omega^2 + gamma) h = 4.
         """
         return VERLET.stability_limit
 
     def growth(self, reach: float) -> float:
-        """Return the growth of a lossless oscillator in a step at omega h = reach."""
+        """Return the growth of an undamped oscillator in a step at omega h = reach."""
         return VERLET.growth(reach)
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains for these step schedules."""
         from .kernels.damped_verlet import make_work, march
 
         return March(march, make_work, (0.5,), history=2)
@@ -60,7 +60,7 @@ class LaggedVerlet:
 
 @dataclass(frozen=True)
 class Gear:
-    """Gear's predictor-corrector of order 4, the method of the paper, with five values a grain."""
+    """Gear's predictor-corrector of order 4, the method of the paper: five values per grain."""
 
     name: str = "gear4"
     order: int = 4
@@ -91,7 +91,7 @@ class Gear:
         return float(np.abs(np.linalg.eigvals(predict + np.outer(self.corrections, off))).max())
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains for these step schedules."""
         from .kernels.gear import make_work, march
 
         return March(march, make_work, (np.array(self.corrections),), history=3)

@@ -28,7 +28,7 @@ from .steps import Steps
 def hold_steps(
     scene: Scene, step: float | list[Array], looks: int
 ) -> tuple[Array, Array, Array, NDArray[np.intp]]:
-    """Return the steps of a run: K steps with an observation after some of them.
+    """Return the steps of a run: K steps, with observations after some of the steps.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ class ImposedCourse:
 
     @cached_property
     def _basis(self) -> Any:
-        """For each sample, the curve through 1 at this sample and 0 at the others."""
+        """The spline basis: for each sample, a curve that is 1 there and 0 at all others."""
         drive = self.excitation
         if drive.times is None:
             # The motion of a piston for a speed of 1.
@@ -148,29 +148,30 @@ class ImposedCourse:
         )
 
     def pull(self, time: Array, weight: Array, order: int) -> Array:
-        """Return the derivatives (P,) of the sum of weight times value, or rate (order 1)."""
+        """Return the derivatives (P,) of a weighted sum of values, or of rates (order 1)."""
         time = time.ravel()
         weight = weight.ravel()
         if self.waveform.spline is None:
             return self._sine(time, order) @ weight
         piece, powers = self._pieces(time, order)
-        # Sum over pieces first, because the coefficients are as many as the samples squared.
+        # Pieces are summed first, because the number of coefficients is the square of that of
+        # samples.
         count = self._basis.x.size - 1
         by_piece = np.array([np.bincount(piece, weight * power, count) for power in powers])
         return np.tensordot(by_piece, self._basis.c, 2)
 
     def push(self, time: Array, change: Array, order: int) -> Array:
-        """Return the changes (D, ...) of value, or rate (order 1), for changes (D, P)."""
+        """Return the changes (D, ...) of values, or of rates (order 1), for changes (D, P)."""
         if self.waveform.spline is None:
             return np.tensordot(change, self._sine(time, order), 1)
         piece, powers = self._pieces(time, order)
-        # (D, 4, P-1)
+        # Shape (D, 4, P-1).
         coefficients = np.tensordot(change, self._basis.c, (1, 2))
         return np.einsum("k...,dk...->d...", powers, coefficients[:, :, piece])
 
 
 def acting(scene: Scene) -> ImposedCourse | None:
-    """Return the motion or force that is imposed after t = 0, or None."""
+    """Return the motion or force imposed after t = 0, or None."""
     excitation = scene.excitation
     return ImposedCourse(excitation) if isinstance(excitation, (Drive, Force)) else None
 
@@ -181,7 +182,7 @@ class ObservedRun:
     Parameters and attributes are those of `adjoint.DifferentiableRun`.
     """
 
-    _times: Callable[..., Array]  # Times of rows, s.
+    _times: Callable[..., Array]  # Function that returns the times of rows, s.
 
     def __init__(
         self,
@@ -218,7 +219,7 @@ class ObservedRun:
         return self._looks.values[1]
 
     def _path(self, *rows: Any) -> ImposedPath:
-        """Return the imposed motion or force at the times of rows."""
+        """Return the imposed motion or force at the row times."""
         if self.imposed is None:
             return ImposedPath(0, np.empty(0), np.empty(0))
         body = int(self._arrays.wave["body"][0])

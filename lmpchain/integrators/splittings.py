@@ -58,7 +58,7 @@ class Splitting:
 
     @cached_property
     def evaluations(self) -> int:
-        """Force evaluations in a step: the last kick shares one with the next step."""
+        """Number of force evaluations per step; the last kick shares one with the next step."""
         return len(self.drifts)
 
     @cached_property
@@ -79,7 +79,7 @@ class Splitting:
 
     @cached_property
     def adaptive(self) -> bool:
-        """Whether steps can be shorter near openings; a method of order 2 keeps its order there."""
+        """Whether steps can be shortened near openings; methods of order 2 do not need it."""
         return self.order > 2
 
     @property
@@ -93,7 +93,7 @@ class Splitting:
         return half + float(np.sqrt(half**2 - 1)) if half > 1 else 1.0
 
     def march(self, batch: ChainBatch, schedules: Sequence[Steps]) -> March:
-        """Return the compiled march of a batch of chains by steps of these schedules."""
+        """Return the compiled march of a batch of chains for these step schedules."""
         from .kernels import adaptive_splitting, damped_verlet, splitting
 
         if batch.scenes[0].chain.damped:
@@ -113,7 +113,8 @@ class Splitting:
     def _half_trace(self, frequency: Array) -> Array:
         """Half the trace of the one-step matrix of x'' = -omega^2 x at h = 1."""
         square = frequency**2
-        # x and v from (1, 0) and (0, 1). If |half the trace| > 1, one of the two motions grows.
+        # Motions from the initial states (1, 0) and (0, 1). If |half the trace| > 1, one of them
+        # grows.
         x = np.array([np.ones_like(square), np.zeros_like(square)])
         v = np.array([np.zeros_like(square), np.ones_like(square)])
         for b, a in zip(self.kicks, (*self.drifts, 0.0), strict=True):
@@ -134,7 +135,7 @@ def _symmetric(half: list[float], count: int) -> tuple[float, ...]:
 def _composition(substeps: tuple[float, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return kicks and drifts of successive velocity Verlet steps of these lengths."""
     padded = (0.0, *substeps, 0.0)
-    # Half a kick of the step that ends, and half a kick of the step that begins.
+    # Each kick joins half a kick of the step that ends and half a kick of the step that begins.
     kicks = tuple((ending + beginning) / 2 for ending, beginning in pairwise(padded))
     return kicks, substeps
 

@@ -1,4 +1,4 @@
-"""Steppers, which move chains forward in time: the protocol of all engines, and the native one."""
+"""Steppers, which advance chains in time: the common protocol, and the native stepper."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ UNFIT = "the stored state does not fit"
 
 def room_for(*shape: int) -> tuple[Array, Array]:
     """Return arrays for the displacements and velocities of grains, (..., N) each."""
-    # In long rows steppers write no grains at rest, so that the arrays must be zero.
+    # In long rows steppers do not write grains at rest, so the arrays must contain zeros.
     make = np.empty if shape[-1] <= WHOLE_ROWS else np.zeros
     return make(shape), make(shape)
 
 
 class Stepper(Protocol):
-    """A batch of chains that can be moved forward in time."""
+    """A batch of chains that can be advanced in time."""
 
-    stride: int  # Samples from one landing to the next.
-    guessed_rate: float  # Low guess of grains times force evaluations in a second.
+    stride: int  # Number of samples from one landing to the next.
+    guessed_rate: float  # Low estimate of grains times force evaluations per second.
 
     @property
     def ranks(self) -> int:
@@ -49,35 +49,35 @@ class Stepper(Protocol):
 
     @property
     def sample(self) -> int:
-        """The last sample that all chains have reached."""
+        """Number of the last sample that all chains have reached."""
 
     @property
     def steps(self) -> NDArray[Any]:
         """Number of steps of each chain so far, (R,)."""
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Move on to the sample `until`, or by about `max_steps` steps; return the number of steps.
+        """Advance to the sample `until`, or by about `max_steps` steps; return the number of steps.
 
         Samples from `offset` on are written to u and v, (R, B, N) m and m/s, made by `room_for`.
         """
 
     @property
     def progress(self) -> float:
-        """Part of the work done, 0 to 1."""
+        """Fraction of the work that is done, 0 to 1."""
 
     @property
     def own_part(self) -> float:
-        """Part of all steps that were steps of the answer."""
+        """Fraction of all steps that were steps of the main run."""
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which a run continues with the same bits."""
+        """Return the arrays from which a run continues bit for bit."""
 
     def close(self) -> None:
-        """Release everything."""
+        """Release all resources."""
 
 
 class NativeStepper:
-    """A batch of chains in displacements from equilibrium, which threads share.
+    """A batch of chains in displacements from equilibrium, distributed over threads.
 
     Long chains that are fewer than the threads are shared one by one. Auxiliary runs of the same
     chains, with other steps of the same method, are moved in the same compiled call.
@@ -119,7 +119,7 @@ class NativeStepper:
         count = len(self._schedules)
         u = chains.initial[0][None]
         v = chains.initial[1][None]
-        # A state has the bodies of the answer and of the auxiliary runs.
+        # A state contains the bodies of the main run and of the auxiliary runs.
         if state:
             u, v = (
                 np.array(state[name], dtype=float).reshape(count, self._size, chains.grains)
@@ -133,7 +133,8 @@ class NativeStepper:
         march = method.march(chains, self._schedules)
         self._march = march.run
         self._by_step = march.by_step
-        # Each thread moves chains of its own, or all threads share each chain if they are few.
+        # Each thread advances its own chains, or all threads share each chain if there are few
+        # chains.
         sharing = 1
         if march.shared and self._size < threads:
             sharing = min(threads, chains.grains // LEAST_SHARE)
@@ -141,7 +142,7 @@ class NativeStepper:
         self._teams = team(sharing) if sharing > 1 else [ALONE]
         # Each thread that shares a chain has its own state, which differs only in extreme values.
         self._states = [self._state, *(self._state.copy() for _ in self._teams[1:])]
-        # The calling thread is one of the threads.
+        # The calling thread does a part of the work.
         others = shares * len(self._teams) - 1
         self._pool = ThreadPoolExecutor(others) if others else None
         self.balance = np.zeros((count, self._size, 0, 2))
@@ -158,7 +159,7 @@ class NativeStepper:
             self._march(*self._shares[0][0], fields, 0, 0, 0, 0)
 
     def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
-        """Return the part of each thread: arguments of the march, first chain, and end of chains.
+        """Return the work of each thread: arguments of the march, first chain, and end of chains.
 
         `shares` threads divide the chains among them.
         """
@@ -180,7 +181,8 @@ class NativeStepper:
             first, last, sample = (state[name] for name in ("first", "last", "sample"))
             width = self._x.shape[1]
             inside = (first >= PAD) & (first < last) & (last <= width - PAD) & (sample == sample[0])
-            # Steps to a time that is NaN never end. Extreme values may be NaN after a breakdown.
+            # Steps to a time that is NaN would never end. Extreme values may be NaN after a
+            # breakdown.
             fits = bool(inside.all() and np.isfinite(state["done"]).all())
         if not fits:
             raise ValueError(UNFIT)
@@ -194,7 +196,7 @@ class NativeStepper:
         max_steps: int,
         beside: tuple[Array, Array] = (NOTHING, NOTHING),
     ) -> int:
-        """Move on to the sample `until`, or by `max_steps` in each thread.
+        """Advance to the sample `until`, or by `max_steps` in each thread.
 
         Samples from `offset` on are written to u and v, (R, B, N) m and m/s; those of auxiliary
         runs to `beside`, (S, R, B, N).
@@ -214,12 +216,13 @@ class NativeStepper:
                 *(other.result() for other in others),
             ]
         except BaseException:
-            # After any exception, Ctrl-C included, no thread must wait for another one.
+            # After any exception, including Ctrl-C, no thread may wait for another.
             self._teams[0].gate[GIVEN_UP] = 1
             raise
         if len(self._teams) == 1:
             return sum(steps)
-        # Each thread has the extreme values of its own grains; all have made the same steps.
+        # Each thread has the extreme values of its own grains; all threads have made the same
+        # steps.
         strains = [state["least_strain"] for state in self._states]
         self._state["least_strain"] = np.min(strains, axis=0)
         for name in ("largest_approach", "largest_displacement", "largest_speed"):
@@ -227,7 +230,7 @@ class NativeStepper:
         return steps[0]
 
     def fill_by_step(self, u: Array, v: Array, offset: int, until: int, noted: Noted) -> int:
-        """Move one chain on as `fill` does, record its steps, and return their number.
+        """Advance one chain as `fill` does, record its steps, and return their number.
 
         The method must be DOP853.
         """
@@ -237,7 +240,7 @@ class NativeStepper:
         return self._by_step(*moved, fields, begin, until, noted)
 
     def _move(self, share: tuple[Any, int, int], fields: Fields, until: int, max_steps: int) -> int:
-        """Move the chains of one thread on."""
+        """Advance the chains of one thread."""
         moved, begin, end = share
         try:
             return self._march(*moved, fields, begin, end, until, max_steps)
@@ -247,48 +250,48 @@ class NativeStepper:
 
     @property
     def sample(self) -> int:
-        """Last sample that all chains have reached."""
+        """Number of the last sample that all chains have reached."""
         return int(self._state["sample"].min())
 
     @property
     def steps(self) -> NDArray[Any]:
-        """Number of steps of the answer so far, (R,)."""
+        """Number of steps of the main run so far, (R,)."""
         return self._state["steps"][: self._size]
 
     @property
     def own_part(self) -> float:
-        """Part of all steps that were steps of the answer."""
+        """Fraction of all steps that were steps of the main run."""
         steps = self._state["steps"].tolist()
         return sum(steps[: self._size]) / max(sum(steps), 1)
 
     @property
     def progress(self) -> float:
-        """Part of all landings done, 0 to 1."""
+        """Fraction of all landings that are done, 0 to 1."""
         samples = self._state["sample"].reshape(-1, self._size).mean(1)
         rates = [1 / schedule.stride for schedule in self._schedules]
         return float(samples @ rates) / (sum(rates) * self.chains.scenes[0].intervals)
 
     @property
     def watched(self) -> NDArray[Any]:
-        """State of the answer and the auxiliary runs, (F R,) of `layout.STATE`."""
+        """State of the main run and the auxiliary runs, (F R,) of `layout.STATE`."""
         return self._state
 
     def closest(self) -> Array:
-        """Return the largest approach of two grains beyond that at rest, (S + 1, R) m."""
+        """Return the largest approach of two grains from rest, (S + 1, R) m."""
         return self._state["largest_approach"].copy().reshape(-1, self._size)
 
     def largest(self) -> Array:
-        """Return the largest displacement and speed of any grain in the answer, (R, 2) m and m/s.
+        """Return the largest displacement and speed of any grain in the main run, (R, 2) m and m/s.
 
         They are measured after steps: at first once in a radian of the fastest motion, later less
         often.
         """
         state = self._state[: self._size]
-        # np.stack takes four times as long.
+        # The function np.stack would take four times as long.
         return np.array((state["largest_displacement"], state["largest_speed"])).T
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which a run continues with the same bits."""
+        """Return the arrays from which a run continues bit for bit."""
         inside = slice(PAD, PAD + self.chains.grains)
         u, v = (
             bodies[:, inside].reshape(-1, self._size, inside.stop - PAD)
@@ -298,7 +301,7 @@ class NativeStepper:
         return {name: array.copy() for name, array in arrays.items()}
 
     def leave(self, broken: NDArray[np.bool_], until: int) -> None:
-        """Leave these chains, (S + 1, R) bool, as they are until the sample `until`."""
+        """Skip these chains, (S + 1, R) bool, without changes until the sample `until`."""
         broken = broken.ravel()
         self._state["sample"][broken] = until
         self._state["done"][broken] = 0.0

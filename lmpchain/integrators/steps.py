@@ -1,4 +1,4 @@
-"""The steps of a run: where they land on samples, and how short they are near openings."""
+"""The steps of a run: landings on samples, and shortening near openings."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from .kernels.layout import Shortening
 if TYPE_CHECKING:
     from .batch import ChainBatch
 
-# Auxiliary runs with at least so many steps between two samples land on every sample. A landing
-# then changes their steps little, and a collision may be seen in a single sample;
-# analysis/calibration/richardson_estimate.py
+# Auxiliary runs with at least this number of steps between two samples land on every sample. A
+# landing then changes their steps little, and a collision may be visible in a single sample; see
+# analysis/calibration/richardson_estimate.py.
 MANY_STEPS = 32
 
 
 class Steps(NamedTuple):
-    """The steps of a run from one recorded sample on which it lands to the next.
+    """The steps of a run from one recorded sample on which a step ends to the next.
 
     Attributes
     ----------
@@ -60,20 +60,20 @@ class Steps(NamedTuple):
         adaptive: bool = False,
         coarse_openings: bool = False,
     ) -> Steps:
-        """Return steps with this number from landing to landing; samples are `interval` s apart."""
+        """Return steps with this number per landing interval; samples are `interval` s apart."""
         step = interval * stride / per_landing
         dense = int(stride > 1)
         return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)
 
     @property
     def sampled(self) -> Steps:
-        """Steps of about this length that land on every sample."""
+        """Steps of about the same length that land on every sample."""
         steps = math.ceil(self.per_landing / self.stride)
         ratio = self.per_landing / (self.stride * steps)
         return self._replace(per_landing=steps, stride=1, step=self.step * ratio, dense=0)
 
     def shorten(self, per_landing: int) -> Steps:
-        """Return steps with this number from landing to landing, not coarse near openings."""
+        """Return steps with this number per landing interval, not coarse near openings."""
         step = self.step * (self.per_landing / per_landing)
         return self._replace(per_landing=per_landing, step=step, coarse_openings=False)
 
@@ -89,12 +89,12 @@ class Steps(NamedTuple):
             per_landing=steps, step=self.step * self.per_landing / steps, ratio=ratio
         )
         if self.stride > 1:
-            # Each step must pass one interpolated sample at least.
+            # Each step must pass at least one interpolated sample.
             samples = ratio * self.stride / self.per_landing
             return longer._replace(dense=next(n for n in (4, 2, 1) if n == 1 or samples >= n))
         if self.per_landing >= MANY_STEPS:
             return longer
-        # In lowest terms, landings are as close as whole numbers of longer steps allow.
+        # In lowest terms, landings are as close as integer numbers of longer steps allow.
         numerator, denominator = ratio.as_integer_ratio()
         common = math.gcd(denominator * self.per_landing, numerator)
         return longer._replace(
@@ -105,23 +105,23 @@ class Steps(NamedTuple):
 
     @property
     def halved(self) -> Steps:
-        """The steps of an auxiliary run with half the step."""
+        """The steps of an auxiliary run at half the step."""
         return self._replace(
             per_landing=2 * self.per_landing, step=self.step / 2, ratio=self.ratio / 2
         )
 
     @property
     def filled(self) -> int:
-        """Samples from one filled sample to the next; landing or interpolation fills a sample."""
+        """Number of samples from one available sample to the next, by landing or interpolation."""
         return self.dense or self.stride
 
     def total(self, samples: int) -> int:
-        """Return the steps from sample 0 to the sample of this number, if all are equal."""
-        # Rounded up, in integers: a run is never a step short.
+        """Return the number of steps from sample 0 to this sample if all steps are equal."""
+        # Rounding up in integers ensures that a run is never a step short.
         return -(-self.per_landing * samples // self.stride)
 
     def longest_between(self, begin: Array, end: Array) -> Array:
-        """Return the longest step between two corners, (C,) s, on which steps end as on landings.
+        """Return the longest step between two corners, (C,) s, at which steps end as at landings.
 
         The steps between a corner and a landing are equal, and as few as their length allows.
         """
@@ -132,9 +132,9 @@ class Steps(NamedTuple):
         return (lengths / np.maximum(np.ceil(lengths / self.step - 1e-9), 1)).max(0)
 
 
-# Row of compiled loops: the fields of `Steps`, the time between two samples in s and the number of
-# the last one; then, filled by the loops, the landing at work: where it begins and ends, s, its
-# length, s, and its steps and their length, s, if all are equal.
+# Row of the compiled loops: the fields of `Steps`, the time between two samples in s and the number
+# of the last sample. The loops fill in the current landing: its begin and end, s, its length, s,
+# and its steps and their length, s, if all are equal.
 CLOCK = np.dtype(
     [
         *((name, {int: "i8", float: "f8", bool: "?"}[kind])
@@ -147,14 +147,14 @@ CLOCK = np.dtype(
 
 
 def clocks(schedules: Sequence[Steps], interval: float, final: int) -> NDArray[Any]:
-    """Return a row of compiled loops for each of these steps, (F,) of CLOCK."""
+    """Return rows of the compiled loops for each of these steps, (F,) of CLOCK."""
     landing = (0.0, 0.0, 0.0, 0, 0.0)
     return np.array([(*steps, interval, final, *landing) for steps in schedules], CLOCK)
 
 
 @dataclass(frozen=True)
 class OpeningSteps:
-    """Lengths of steps near an opening; analysis/calibration/adaptive_steps.py.
+    """Lengths of steps near an opening, see analysis/calibration/adaptive_steps.py.
 
     Attributes
     ----------
@@ -179,9 +179,9 @@ OPENING_STEPS = OpeningSteps()
 
 
 def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> Shortening:
-    """Return the lengths of steps near openings, for schedules of one kind."""
+    """Return the lengths of steps near openings for schedules of one type."""
     steps = OPENING_STEPS
-    # The error of a step across an opening is its length to the power delta + 1.
+    # The error of a step across an opening is proportional to its length to the power delta + 1.
     falls = 1 / (batch.opening_power + 1)
     shortened = steps.coarse if schedules[0].coarse_openings else steps.shortened
     power = (order + 1) * falls
@@ -189,7 +189,7 @@ def shorten_steps(order: int, batch: ChainBatch, schedules: Sequence[Steps]) -> 
     least = steps.least_crossing * EPSILON**falls
 
     def nearness(reach: float, least: float) -> float:
-        """Return the nearness of the step that crosses an opening; other steps have this reach."""
+        """Return the nearness at which a step crosses an opening; other steps have this reach."""
         crosses = max(crossing * reach**power, least)
         return (shortened * reach / crosses) ** (14 / 9)
 

@@ -18,7 +18,7 @@ __dir__ = listed(__name__)
 
 
 def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
-    """Return the numbers of the contacts whose two bodies were recorded or stand still.
+    """Return the numbers of the contacts whose two bodies were recorded or are at rest.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     column = _columns_of(trajectory, bodies)
     u = trajectory.displacement[:, column]
     v = trajectory.velocity[:, column]
-    # The mark of a body that stands still is also a valid index: the last column.
+    # The index that marks a body at rest is also valid: it is the last column.
     u[:, column == STILL] = v[:, column == STILL] = 0.0
     drive = trajectory.scene.drive
     # Grain 1 is recorded like other grains.
@@ -77,7 +77,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
 
 
 def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
-    """Return the scene and the motion, m and m/s, of the grains down to the last that ever moves.
+    """Return the scene and the motion, m and m/s, of the grains down to the last moving one.
 
     The part of the scene includes up to two grains at rest below the last moving grain; the lowest
     of them never moves.
@@ -109,7 +109,7 @@ def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
 
 
 def _columns_of(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[np.intp]:
-    """Return the columns of bodies, or their marks; raise `InputError` if a body is unknown."""
+    """Return columns of bodies, or their marks; raise `InputError` for an unrecorded body."""
     chain = trajectory.scene.chain
     column = columns(chain.grains, chain.movable, trajectory.grains)[bodies]
     missing = np.unique(bodies[column == UNKNOWN])

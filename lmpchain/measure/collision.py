@@ -1,4 +1,4 @@
-"""Position shifts of two solitary waves after a collision, relative to undisturbed waves."""
+"""Position shifts of two solitary waves in a collision, relative to undisturbed waves."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from .fit.solitary import END_GRAINS, check_chain, exact_wave
 
 __dir__ = listed(__name__)
 
-APART = 1e-4  # of its height, to which each wave has fallen at the middle between both
-ALONE = 8  # grains that each wave passes alone, before and after
+APART = 1e-4  # Fraction of its height to which each wave has fallen in the middle between both.
+ALONE = 8  # Number of grains that each wave passes alone, before and after.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -46,13 +46,13 @@ class Collision(Shown, Tabular):
     speed_after, velocity_after : (2,) arrays
         Both after the collision; lower if the waves lose energy.
     shift : (2,) array
-        By how many grains each is further along its way than without the other, at `time`, by the
+        Shift of each wave along its way by the other wave, in grains, at `time`, by the
         line of its motion afterwards.
     shift_error : (2,) array
-        By how much it may be off: by the two lines, and by the change of speed over the way on
+        Error of the shift: by the two lines, and by the change of speed over the way on
         which it is not known.
     exact_speed : (2,) array
-        Of the exact solitary waves of these velocities before, grains/s.
+        Speeds of the exact solitary waves of the velocities before, grains/s.
     toda, kdv : (2,) arrays
         Laws of `lmpchain.theory.collision` for the same speeds under a load; NaN in the sonic
         vacuum, where there are none, and `kdv` of waves that meet head-on.
@@ -88,7 +88,7 @@ class Collision(Shown, Tabular):
     _after: tuple[_CrestLine, _CrestLine]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw how far each wave is ahead of its undisturbed position; return the axes."""
+        """Draw the distance of each wave ahead of its undisturbed position; return the axes."""
         ax = chart(ax, "time [s]", "grains ahead of where it would be")
         for k, colour in enumerate((COLOURS["blue"], COLOURS["vermilion"])):
             line = self._before[k]
@@ -208,7 +208,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     least: dict[int, float] = {}
     for wave, height in zip(waves, heights, strict=True):
         least[wave.way] = min(least.get(wave.way, np.inf), 0.3 * _in_si(chain, wave, height))
-    # Two waves in one direction share a threshold, which the lower wave sets.
+    # Two waves in one direction share a threshold, which depends on the lower wave.
     passages = {way: crests.find(time, way * velocity, low) for way, low in least.items()}
     before = [
         _line(passages[wave.way], wave, chain, start, meeting - apart, (wave.grain, start))
@@ -242,7 +242,7 @@ def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingW
 
 
 def _in_si(chain: Chain, wave: _IncomingWave, velocity: float) -> float:
-    """Return a velocity of the exact wave in m/s."""
+    """Convert a velocity of the exact wave to m/s."""
     return velocity * (chain.length_scale / wave.unit if wave.exact.loaded else 1.0)
 
 
@@ -261,7 +261,7 @@ def _line(
     grain, time = through
     expected = grain + wave.speed * (passages.time - time)
     height = _in_si(chain, wave, float(wave.exact.velocity(0.0)))
-    # The other wave is further away than the shift.
+    # The distance to the other wave is larger than the shift.
     near = np.abs(passages.grain - expected) < wave.reach
     near &= np.abs(passages.height / height - 1) < crests.NEAR
     near &= (passages.time > begin) & (passages.time < end)

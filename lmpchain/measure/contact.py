@@ -23,7 +23,7 @@ from .motion import OF_DRIVER
 
 __dir__ = listed(__name__)
 
-LINES = 6  # contacts drawn as lines; more are drawn as a map
+LINES = 6  # Largest number of contacts drawn as lines; more contacts are drawn as a map.
 
 
 @dataclass(frozen=True, order=True)
@@ -44,7 +44,7 @@ class ContactHistory(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     contact : (C,) array
         Their numbers.
     overlap, closing : (T, C) arrays
@@ -79,7 +79,7 @@ class ContactHistory(Shown, Tabular):
         after = overlap[1:]
         # The contact approaches closing or opening, then recedes.
         turned = (before * rate[:-1] < 0) & (after * rate[1:] > 0) & ~changed
-        # A cubic lies between the smallest and the largest of its control points.
+        # A cubic polynomial is between the smallest and the largest of its control points.
         third = np.diff(self.time)[:, None] / 3
         crosses_early = before * (before + third * rate[:-1]) <= 0
         crosses_late = after * (after - third * rate[1:]) <= 0
@@ -99,7 +99,7 @@ class ContactHistory(Shown, Tabular):
         return sorted(events)
 
     def plot(self, ax: Axes | None = None, above_rest: bool = False) -> Axes:
-        """Draw the forces over time, as lines or, if they are many, as a map; returns the axes.
+        """Draw the forces over time as lines or, if there are many, as a map; return the axes.
 
         Parameters
         ----------
@@ -122,7 +122,7 @@ class ContactHistory(Shown, Tabular):
             numbers, force = thin_rows(self.contact[rows], values.T[rows])
             colours: dict[str, Any] = {"cmap": "cividis"}
             if above_rest:
-                # A change has two signs. The colours saturate so that a weak wave remains visible.
+                # Changes have both signs. The colours saturate so that a weak wave remains visible.
                 limit = scale(values)
                 colours = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit, "extend": "both"}
             draw_map(ax, self.time, numbers, force, f"{label} [N]", **colours)
@@ -146,7 +146,7 @@ class Signal(Shown, Tabular):
     ----------
     grain : int
     time : (T,) array
-        s.
+        Times, s.
     force, change : (T,) arrays
         N; above that at rest, N, as a piezoelectric sensor gives it.
     """
@@ -228,7 +228,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 
 
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
-    """Return the force between the chain and the wall or held grain at one end, (T,) N, at least 0.
+    """Return the force on the wall or held grain at one end of the chain, (T,) N, at least 0.
 
     It is the force of the contact with the wall; where the bottom is "fixed", the force that holds
     grain N up, which is that of contact N - 1 and the weight of grain N.
@@ -374,7 +374,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:
         raise InputError.at(
             "grain",
-            f"grain {grain} has no contacts on both sides, or there is none: choose another",
+            f"grain {grain} does not exist or lacks a contact on one side: choose another",
         )
     both = contacts(trajectory, [grain - 1, grain])
     return Signal(grain, both.time, both.force.mean(1), both.change.mean(1))

@@ -19,9 +19,9 @@ from ..util.lazy import listed
 
 __dir__ = listed(__name__)
 
-HALF = 4  # samples on either side of a crest through which a polynomial runs
-SPLINE_SAMPLES = 6  # samples on either side of a maximum through which a spline runs
-NEAR = 0.25  # of the time from grain to grain, and of the height: by how much the next may be off
+HALF = 4  # Number of samples on either side of a crest for the polynomial.
+SPLINE_SAMPLES = 6  # Number of samples on either side of a maximum for the spline.
+NEAR = 0.25  # Largest relative deviation of the next crest in time and height.
 
 
 class Crests(NamedTuple):
@@ -117,7 +117,7 @@ def find(time: Array, velocity: Array, least: float) -> Crests:
 def _summits(
     velocity: Array, sample: NDArray[np.intp], grain: NDArray[np.intp], stride: int
 ) -> tuple[Array, Array]:
-    """Return positions, in samples from these, and heights of the maxima of local polynomials."""
+    """Return positions, relative to these samples, and heights of maxima of local polynomials."""
     nodes = np.arange(-HALF, HALF + 1)
     values = velocity[sample[:, None] + stride * nodes, grain[:, None]]
     powers = np.arange(nodes.size)

@@ -32,19 +32,19 @@ MEANING = "a sum over the grains of one chain, weighted by D_m(kappa_n): no aver
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DysonSums(Shown, Tabular):
-    """Eq. (22) for one trajectory and M orders m.
+    """Eq. (22) for one trajectory and several orders m.
 
     Attributes
     ----------
     m : (M,) array
     time : (T,) array
-        s.
+        Times, s.
     tau : (T,) array
         Time in units of `Chain.time_scale`.
     kappa : (N,) array
         Stiffness of the contact below each grain over that of the first.
     velocity : (T, N) array
-        Of all grains, m/s.
+        Velocities of all grains, m/s.
     weight : (M, N) array
         D_m(kappa_n), Eq. (23) as printed.
     as_printed : (M, T) array
@@ -76,7 +76,7 @@ class DysonSums(Shown, Tabular):
         return "m/s" if self.unit == 1 else "v0"
 
     def table(self, ordered: Array, ensembles: Sequence[Ensemble]) -> str:
-        """Return the values at the last sample beside the averages over random chains, as text.
+        """Return the values at the last sample and the averages over random chains as text.
 
         Parameters
         ----------
@@ -114,7 +114,7 @@ class DysonSums(Shown, Tabular):
         return "\n".join(lines)
 
     def to_json(self, ordered: Array, ensembles: Sequence[Ensemble]) -> dict[str, Any]:
-        """Return the numbers of the table and its curves; arguments as for `table`."""
+        """Return the numbers of the table and its curves; see `table` for the arguments."""
         rows = self._rows(ensembles)
         for row, printed, normalised, ensemble in zip(
             rows, self.as_printed, self.normalised, ensembles, strict=True
@@ -162,7 +162,7 @@ class DysonSums(Shown, Tabular):
     def plot(
         self, ordered: Array, ensembles: Sequence[Ensemble], ax: Axes | Sequence[Axes] | None = None
     ) -> Axes:
-        """Draw means over random chains and terms of Eq. (22) over grains, at the last sample.
+        """Draw means over random chains and the terms of Eq. (22) over grains at the last sample.
 
         Parameters
         ----------
@@ -340,7 +340,7 @@ def relative_stiffness(chain: Chain) -> Array:
     contacts = chain.contacts
     if chain.bottom != "wall":
         weight = chain.gravity * chain.masses[-1]
-        # The last contact would carry the weight of one more grain.
+        # The last contact would carry the weight of one additional grain.
         above = contacts.constant[-2], contacts.force[-2] + weight
         stiffness[-1] = Contacts.at_rest(*above, contacts.law).stiffness
     return stiffness / stiffness[0]

@@ -1,4 +1,4 @@
-"""Pulses that pass a sensor down and up, and the time until an echo comes back.
+"""Pulses that pass a sensor downward and upward, and the time of flight of an echo.
 
 The energy that passes a grain per second is the force in it, above that at rest, times its
 velocity. It is positive in waves that go down and negative in waves that go up, of compression and
@@ -30,7 +30,7 @@ __dir__ = listed(__name__)
 
 
 class Pulse(NamedTuple):
-    """A pulse as it passes a grain.
+    """A pulse at the time when it passes a grain.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Pulse(NamedTuple):
     force : float
         Force in the grain at that time above rest, N; negative in a wave of tension.
     energy, energy_error : float
-        That passes the grain, J; uncertainty by sampling and by the error of the trajectory, J.
+        Energy that passes the grain, J; uncertainty by sampling and by the trajectory error, J.
     """
 
     time: float
@@ -59,9 +59,9 @@ class Echo(Shown, Tabular):
     ----------
     grain : int
     seconds, error : float
-        From the first pulse to the next one that goes the other way, s; uncertainty by sampling.
+        Time from the first pulse to the next in the other direction, s; uncertainty by sampling.
     distance : float
-        To the reflector and back, between centres at rest, m.
+        Distance to the reflector and back, between centres at rest, m.
     share, share_error : float
         Energy of the echo relative to that of the first pulse.
     inverted : bool
@@ -69,7 +69,7 @@ class Echo(Shown, Tabular):
     pulses : list of Pulse
         All pulses in the order of time; neighbours go in opposite directions.
     time, power : (T,) arrays
-        s; power through the grain, positive downward, W.
+        Times, s; power through the grain, positive downward, W.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}
@@ -183,19 +183,20 @@ def find(
 
 
 def _pulses(time: Array, power: Array, change: Array, least: float, part: float) -> list[Pulse]:
-    """Return the pulses whose power exceeds a share of the largest one; `part` is its error."""
+    """Return the pulses whose power exceeds a fraction of the largest; `part` is its error."""
     strong = np.flatnonzero(np.abs(power) > least * np.abs(power).max())
     if not strong.size:
         return []
     signs = np.sign(power[strong])
-    # Runs of strong samples of one sign, and the weak ones between them.
+    # Strong samples of equal sign form runs, with weak samples between the runs.
     begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
     ends = np.append(begins[1:], strong.size) - 1
     force = CubicSpline(time, change)
     passed, rough = (_energy_up_to(time, power, stride) for stride in (1, 2))
     pulses = []
     start = 0
-    # The energy is stationary between two samples, up to which the power at the nearer one passes.
+    # Between two samples the energy is stationary at a time up to which the nearer sample's power
+    # counts.
     step = time[1] - time[0]
     for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         low = 0 if number == 0 else int(strong[ends[number - 1]]) + 1

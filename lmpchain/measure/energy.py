@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __dir__ = listed(__name__)
 
 # Gauss-Legendre quadrature between corners, exact up to degree 9.
-MOST_TURN = 1000.0  # radians of a waveform between two samples that are looked at one by one
+MOST_TURN = 1000.0  # Largest phase between samples, rad.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -48,9 +48,9 @@ class EnergyLedger(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     kinetic : (T,) array
-        Of all grains, a driven one included.
+        Kinetic energy of all grains, including a driven one.
     contact : (T,) array
         Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
     ground : (T,) array
@@ -68,15 +68,15 @@ class EnergyLedger(Shown, Tabular):
         the native engine and LAMMPS, `dissipated` and the work in a chain with damping are summed
         up at every step of the run. The linear engines integrate both along their solutions.
     momentum : (T,) array
-        Of all grains, positive downward.
+        Momentum of all grains, positive downward.
     impulse : (T,) array
-        What force, driver, walls, a held grain and drag have given since t = 0 beyond the impulses
+        Impulse of force, driver, walls, a fixed grain and drag since t = 0 in excess of impulses
         that balance at rest.
     drive_error, impulse_error, dissipated_error : float
         Their uncertainty, J and N s, with that by the error of the trajectory if that is known. Of
         an integral over samples it is the shift when every second sample is used; infinite for
         fewer than three samples, or samples farther apart than half a period of the fastest motion.
-        Where forces are smooth and well sampled, the true error is about
+        If forces are smooth and well sampled, the true error is about
         1/15 of that shift.
     balanced : tuple of str
         Those of `drive`, `dissipated` and `impulse` that follow from the balance of energy or
@@ -124,7 +124,7 @@ class EnergyLedger(Shown, Tabular):
 
     @property
     def momentum_drift(self) -> Array:
-        """Return the momentum change that external forces do not explain, (T,) N s.
+        """Return the momentum change that is not caused by external forces, (T,) N s.
 
         If `balanced` has the impulse, it is 0 for any motion.
         """
@@ -166,7 +166,7 @@ class EnergyLosses(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     of_contact : (T, N+1) array
         The integral of A dF/dt o', with F the elastic force, o the overlap; contact n lies below
         grain n, 0 and N are those with walls.
@@ -197,7 +197,7 @@ class EnergyLosses(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EnergyShares(Shown, Tabular):
-    """Energies above rest of the G recorded grains and the C contacts between them over time, J.
+    """Energies above rest of the G recorded grains and the C contacts between them, J.
 
     The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic
     energy less the work that load and weight do as it gives way, which is never below 0.
@@ -205,7 +205,7 @@ class EnergyShares(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     grain, contact : (G,) and (C,) arrays
         Their numbers; contact n lies below grain n, 0 and N are those with walls.
     kinetic : (T, G) array
@@ -238,7 +238,7 @@ class EnergyShares(Shown, Tabular):
         grains = np.arange(first, last + 1)
         if not grains.size or not np.isin(grains, self.grain).all():
             raise InputError.at(
-                "part", f"takes recorded grains, from the first to the last (got {first} to {last})"
+                "part", f"must be a range of recorded grains, first to last (got {first} to {last})"
             )
         return self.of_grain[:, np.isin(self.grain, grains)].sum(1)
 
@@ -286,7 +286,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     contacts = chain.contacts.of(contact)
     closer = u[:, 0] - u[:, 1]
     speed = np.abs(trajectory.velocity)
-    # The largest force above that at rest within the error.
+    # Largest force in excess of the force at rest, within the error.
     force = np.maximum(
         np.abs(contacts.force_change(closer - 2 * off)),
         np.abs(contacts.force_change(closer + 2 * off)),
@@ -313,7 +313,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
 
 
 class _Pieces(NamedTuple):
-    """Integrals over the intervals that follow from the waveform alone, (T-1,); NaN elsewhere.
+    """Integrals over the intervals that the waveform alone determines, (T-1,); NaN elsewhere.
 
     Attributes
     ----------
@@ -333,7 +333,7 @@ class _Forces(NamedTuple):
     Attributes
     ----------
     force, rate : arrays
-        Force less that at rest, N, and the rate of the elastic part, N/s.
+        Force minus the force at rest, N, and rate of the elastic part, N/s.
     largest : array
         Largest size of the elastic part within the error, N.
     doubt : array
@@ -377,7 +377,7 @@ def _ground_of(
 def _share_out(
     chain: Chain, contact: NDArray[np.intp], energy: Array, grain: NDArray[np.intp]
 ) -> Array:
-    """Return the share of grains in the energy of their contacts, (T, G): half, all at a wall."""
+    """Return the fraction of contact energy assigned to grains, (T, G): half, or 1 at walls."""
     # A contact that does not exist has no energy; the energy of an unrecorded contact is unknown.
     shares = np.where(chain.contacts.exists, np.nan, 0.0) + np.zeros((len(energy), 1))
     shares[:, contact] = energy
@@ -435,7 +435,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     total_error += pull.energy_error.sum(1)
 
     def integral(value: Array, slope: Array, known: Array | None = None) -> tuple[Array, float]:
-        # The rates of viscous forces do not follow from the samples.
+        # The samples do not determine the rates of viscous forces.
         return _integral(scene, time, value, None if chain.damped else slope, known)
 
     momentum = v @ chain.masses
@@ -514,7 +514,7 @@ def _close(
     sampled: dict[str, tuple[Array, float]],
     changes: dict[str, tuple[float, Array, Any, str]],
 ) -> tuple[dict[str, tuple[Array, float]], list[str]]:
-    """Return the best values of terms, their errors, and the terms given by a balance.
+    """Return the best values of terms, their errors, and the terms that a balance gives.
 
     `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
     that sum and its error, and the other term of the balance.
@@ -527,7 +527,7 @@ def _close(
     for name, (sign, value, value_error, other) in changes.items():
         rest, rest_error = terms.get(other, (0.0, 0.0))
         error = float(np.max(value_error)) + rest_error
-        # A term with the error 0 does not exchange anything, and needs no balance.
+        # A term with error 0 does not exchange energy, and needs no balance.
         if name not in summed and other not in balanced and error < terms[name][1]:
             terms[name] = sign * (value - value[0]) + rest, error
             balanced.append(name)
@@ -545,7 +545,7 @@ def _find_sums(trajectory: Trajectory) -> dict[str, tuple[Array, float]]:
 
 
 def _area(time: Array, size: Array | float) -> float:
-    """Return the time integral of an error, (T,) or a number, over the samples; 0 for one."""
+    """Return the time integral of an error, (T,) or a number, over samples; 0 for one sample."""
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
@@ -629,7 +629,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
 def _sum_losses(
     scene: Scene, time: Array, contacts: _Forces, v: Array, fast: float
 ) -> EnergyLosses:
-    """Return the energy dissipated by contacts and grains; `fast` is the error of speeds, m/s."""
+    """Return the energies dissipated by contacts and grains; `fast` is the speed error, m/s."""
     drag = _drag(scene)
     if not scene.chain.damped:
         return EnergyLosses(time, np.zeros(contacts.power.shape), np.zeros(v.shape), 0.0)
@@ -693,7 +693,7 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     corners = corners[(corners > 0) & (corners <= time[-1])]
     # The slope at a corner is the right-hand one, so an interval that ends there has a corner.
     known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
-    # Viscous forces on a driven body need more than displacements.
+    # Viscous forces on a driven body do not follow from displacements alone.
     pieces = _Pieces(unknown, unknown, unknown, unknown)
     if not known.any() or (moves and scene.chain.damped):
         return pieces
@@ -769,7 +769,7 @@ def _integral(
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
-    """Return the integral of the curve through samples up to each; infinite for a single one."""
+    """Return the integral of the curve through samples up to each; infinite for one sample."""
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:

@@ -17,11 +17,11 @@ from .crests import summit
 __dir__ = listed(__name__)
 
 # Relative error of a height above which a maximum counts as unresolved: the change with every
-# second sample. For random signals with 3 samples a wave or more, 0.06 misses no largest maximum;
-# with 2.6 samples, 0.25 misses one in 40.
+# second sample. For random signals with at least 3 samples per wave, 0.06 misses no largest
+# maximum; with 2.6 samples, 0.25 misses one in 40.
 UNRESOLVED = 0.25
-# A signal has passed if its last sample, or the mean of its last tenth, is below this share of its
-# largest size.
+# A signal has passed if its last sample, or the mean of its last tenth, is below this fraction of
+# its maximum.
 PASSED = 0.2
 
 
@@ -50,11 +50,11 @@ class Flight:
     Attributes
     ----------
     grains : int
-        How many grains further the second is.
+        Distance of the second sensor in grains.
     distance : float
-        Between their centres at rest, m.
+        Distance between the centres at rest, m.
     seconds, error : float
-        s; uncertainty by sampling, s.
+        Time of flight, s; uncertainty by sampling, s.
     """
 
     grains: int
@@ -109,13 +109,13 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     last = len(values) - 1
     if not 0 < top < last:
         longer = "record for longer, and end the push if it still grows"
-        cure = longer if top else "there is no maximum to wait for"
+        cure = longer if top else "it has no later maximum"
         raise InputError.at(
             "duration", f"the {name} is largest in the {'last' if top else 'first'} sample: {cure}"
         )
     peaks = [_peak(time, values, k) for k in _candidates(values)]
     best = max(peaks, key=lambda peak: peak.height)
-    # Heights that the samples cannot distinguish.
+    # Maxima whose heights the samples cannot distinguish.
     rivals = [
         peak
         for peak in peaks
@@ -126,7 +126,7 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
 
 
 def _candidates(values: Array) -> np.ndarray:
-    """Return the numbers of the samples next to which the largest maximum may lie."""
+    """Return the numbers of the samples next to which the largest maximum may be."""
     inner = values[1:-1]
     before = inner - values[:-2]
     after = inner - values[2:]
@@ -139,7 +139,7 @@ def _candidates(values: Array) -> np.ndarray:
 def _peak(time: Array, values: Array, k: int) -> _Peak:
     """Return the maximum next to a sample."""
     when, height = summit(time, values, k, 1)
-    # Too near an end to use every second sample, the maximum may be a sample away.
+    # Near an end, where every second sample cannot be used, the maximum may be a sample away.
     if not 2 <= k <= len(values) - 3:
         drop = values[k] - min(values[k - 1], values[k + 1])
         return _Peak(when, height, float(time[k + 1] - time[k]), float(drop))
@@ -199,7 +199,7 @@ def time_of_flight(
 
 
 def _check_passed(signal: Signal) -> None:
-    """Raise `InputError` if the force in a grain has not come back to that at rest."""
+    """Raise `InputError` if the force in a grain has not returned to its value at rest."""
     size = np.abs(signal.change)
     late = min(size[-1], abs(signal.change[-1 - size.size // 10 :].mean()))
     if size.argmax() == size.size - 1 or late > PASSED * size.max():

@@ -22,10 +22,11 @@ from .recorded import Field, check
 __dir__ = listed(__name__)
 
 Quantity = Literal["amplitude", "time", "width", "speed"]
-DECADE = 10.0  # of values: an axis of fewer has ticks at round numbers of them
-FEWEST = 6  # grains for a power law with its correction
-# Phase, rad, of the fastest motion between two samples up to which the samples identify the front.
-# In columns of 2000 grains all times were right at 2.6 rad, and one in 30 was wrong at 3.4 rad.
+DECADE = 10.0  # An axis of a smaller ratio of values has ticks at round numbers.
+FEWEST = 6  # Smallest number of grains for a power law with its correction.
+# Largest phase, rad, of the fastest motion between two samples for which the samples identify the
+# front. In columns of 2000 grains all times were right at 2.6 rad, and one in 30 was wrong at 3.4
+# rad.
 RESOLVED_TURN = 2.0
 # Error of a time, relative to the duration, above which the front could be anywhere.
 UNRESOLVED = 0.1
@@ -33,7 +34,7 @@ UNITS_OF_FRONTS = {"time": "s", "width": "s", "speed": "m/s"}
 
 
 class DepthProfile(NamedTuple):
-    """A quantity over depth: depths h = n - 1/2 in grains and sizes, (K,) each, and the label."""
+    """A quantity over depth: depths h = n - 1/2 in grains, sizes, (K,) each, and the label."""
 
     depth: Array
     values: Array
@@ -164,10 +165,10 @@ class PowerLaw(Shown, Tabular):
     label, depth, values : str, (P,) and (P,) arrays
         The quantity, depths h = n - 1/2 in grains, and what was fitted.
     unit : str
-        Of the values.
+        Unit of the values.
     order, exponent, factor, correction : float
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval and, added to it, the
+        Errors of exponent, factor and correction: half the 95 % confidence interval plus the
         shift when a term in h^(-2 order) is fitted too. On smooth data such terms exceed the
         scatter; it is an estimate, not a bound.
     """
@@ -207,7 +208,7 @@ def _unit_of(quantity: Quantity, field: Field) -> str:
 
 
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
-    """Track the wave front from grain to grain, between the samples too.
+    """Track the wave front from grain to grain, also between the samples.
 
     At each grain the front is the first local maximum of the absolute value, so upward motion
     counts, that reaches `fraction` of the largest size there and after which the motion falls by
@@ -328,7 +329,7 @@ class CorrectedPower(NamedTuple):
     interval : (3,) array
         Half the 95 % confidence intervals; 0 of an exponent that is given.
     shift : (3,) array
-        How far the values move when the next term is fitted, too.
+        Change of the values when the next term is fitted as well.
     """
 
     values: Array
@@ -370,7 +371,7 @@ def fit_power(
         return scale + power * x + np.log(np.abs(corrected))
 
     try:
-        # Fit a plain power law first, then add the first correction, then the next one.
+        # A plain power law is fitted first; corrections are then added one after the other.
         start = [*np.polyfit(x, y, 1), 0.0][len(fixed) :]
         parameters, covariance = optimize.curve_fit(law, x, y, start)
         further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])

@@ -36,33 +36,33 @@ from .motion import motion_of
 __dir__ = listed(__name__)
 
 Complex = NDArray[np.complex128]
-LEAST_SAMPLES = 12  # in a period, at least
-LEAST_PERIODS = 24  # of the window, at least: half of it must still separate harmonics
-FEWEST_GRAINS = 8  # grains between which a wavenumber is measured
-END_MARGIN = 3  # grains next to a source or an end, whose motion the next contacts do not show
-ENOUGH = 24  # grains: with these, only the steadier ones are used
+LEAST_SAMPLES = 12  # Smallest number of samples in a period.
+LEAST_PERIODS = 24  # Smallest number of periods in a window.
+FEWEST_GRAINS = 8  # Smallest number of grains between which a wavenumber is measured.
+END_MARGIN = 3  # Number of grains next to a source or an end whose motion is affected by it.
+ENOUGH = 24  # With this number of grains, only the steadier ones are used.
 # Relative changes of an amplitude from the window to its later half, below which a grain is steady.
 STEADY = (1e-4, 1e-3, 1e-2)
-# Transient in the window of a drive point, over its change to the later half of the window, if a
-# third of it dies out in between. Waves leave a uniform piece faster.
+# Transient in the window of a drive point, relative to its change to the later half of the window,
+# if a third of it decays in between. Waves leave a uniform piece faster.
 LEFT = 3.0
-LEAST_DECAY = 1e-12  # a smaller decay of the linear wave is a rounding error
+LEAST_DECAY = 1e-12  # A smaller decay of the linear wave is a rounding error.
 # The largest amplitude of a harmonic of an error of size 1, which a square wave has.
 SQUARE = 4 / np.pi
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HarmonicWave(Shown, Tabular):
-    """The wave that a harmonic drive sends through a uniform piece of a chain.
+    """The wave of a harmonic drive in a uniform piece of a chain.
 
     Attributes
     ----------
     frequency : float
-        Hz.
+        Frequency, Hz.
     grain : (G,) array
         Grains between which the wave is measured.
     amplitude : (G,) complex array
-        Of the displacement ``Re(a exp(i w t))`` at the frequency of the drive, m.
+        Amplitude of the displacement ``Re(a exp(i w t))`` at the drive frequency, m.
     phase, phase_error : float
         Phase lag per cell downward, radians, from -pi to pi; by how much it may be off: changes
         from the window to its later half, between two parts of the grains and with every second
@@ -75,7 +75,7 @@ class HarmonicWave(Shown, Tabular):
         Mean change of the overlap, relative to the overlap at rest: strong waves squeeze or stretch
         the chain, which changes its dispersion as well.
     linear_phase, linear_decay : float
-        Of the linearised chain.
+        Values for the linearised chain.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"grain": "", "amplitude": "m"}
@@ -94,7 +94,7 @@ class HarmonicWave(Shown, Tabular):
     linear_decay: float
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the phase lag of the grains less that of linear waves; return the axes."""
+        """Draw the phase lag of the grains minus the phase lag of linear waves; return the axes."""
         ax = chart(ax, "grain, from the top", "phase lag less that of linear waves (rad)")
         lag = -np.unwrap(np.angle(self.amplitude))
         cells = (self.grain - self.grain[0]) / self.cell
@@ -117,15 +117,15 @@ class DrivePoint:
     Attributes
     ----------
     frequency : float
-        Hz.
+        Frequency, Hz.
     stiffness : complex
         Dynamic stiffness, force over displacement, N/m.
     error : float
-        By how much it may be off in magnitude, N/m: three times the change from the window to its
+        Error in magnitude, N/m: three times the change from the window to its
         later half, the change with every second sample, and the error of the trajectory. It does
         not hold for a chain that bounces without becoming periodic.
     linear : complex
-        That of the linearised chain, N/m; NaN if it has no load.
+        Stiffness of the linearised chain, N/m; NaN without a load.
     """
 
     frequency: float
@@ -135,7 +135,7 @@ class DrivePoint:
 
     @property
     def impedance(self) -> complex:
-        """Force over velocity, N s/m; its real part is positive if the chain takes energy."""
+        """Force over velocity, N s/m; the real part is positive if the chain absorbs energy."""
         return self.stiffness / (2j * np.pi * self.frequency)
 
     @property
@@ -410,7 +410,7 @@ def _cosine(amplitude: Complex, cell: int) -> complex:
 
 
 def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
-    """Return the wavenumber k of exp(-i k n) with this cosine that the amplitudes show."""
+    """Return the wavenumber k of exp(-i k n) with this cosine that fits the amplitudes."""
     root = complex(np.arccos(complex(cosine)))
     later = amplitude[cell:]
     misfits = [
@@ -421,14 +421,14 @@ def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
 
 
 def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> complex:
-    """Return the wavenumber per cell of the linearised chain, of the wave that decays downward.
+    """Return the wavenumber per cell of the linear wave that decays downward.
 
     Of the two waves without decay it is the one with a phase of the same sign.
     """
     if not chain.linearisable:
         return complex(np.nan, np.nan)
     springs = dynamic_stiffness(chain, omega)
-    # The pull on a grain by a unit displacement of it, without damping.
+    # Force on a grain for a unit displacement of it, without damping.
     pull = chain.masses[: chain.movable] * chain.dynamical_matrix()[0]
     transfer = np.eye(2, dtype=complex)
     for n in range(grain, grain + cell):
@@ -443,7 +443,7 @@ def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> 
 
 
 def _strain(u: Array, overlap: Array, window: int) -> tuple[float, float]:
-    """Return the mean change of overlaps relative to their rest, and its change in the window."""
+    """Return the mean change of overlaps relative to rest, and its change within the window."""
 
     def mean(size: int) -> Array:
         t = np.arange(size + 1) / size

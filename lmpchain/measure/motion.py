@@ -102,9 +102,9 @@ class Motion:
 
     @cached_property
     def _lawful(self) -> NDArray[np.bool_]:
-        """Whether the equation of motion gives the acceleration of each body, (N+2,)."""
+        """Whether the equation of motion determines the acceleration of each body, (N+2,)."""
         chain = self.scene.chain
-        # The rates of viscous forces need more derivatives than the samples have, and the force
+        # The rates of viscous forces need more derivatives than the samples provide, and the force
         # from the ground may depend on the time.
         known = self._equation in (1, 3) and chain.conservative
         lawful = np.full(self._column.size, known)
@@ -114,7 +114,7 @@ class Motion:
             # A contact that does not exist needs no neighbour.
             lawful[1:-1] = (recorded[:-2] | ~exists[:-1]) & (recorded[2:] | ~exists[1:])
         lawful[0] = True
-        # These bodies stand still.
+        # Bodies at rest.
         lawful[chain.movable + 1 :] = True
         return lawful
 
@@ -151,7 +151,7 @@ class Motion:
         motion = (self.scene, self._equation == 3, column, self._lawful, grains)
         fields = (field,) if field else ()
         accumulator = Accumulator(*motion, fields, field, contacts, ceiling)
-        # A maximum below half of the smallest front is no front, whatever the errors.
+        # A maximum below half of the smallest front cannot be a front, whatever the errors are.
         sizes = self._sizes[KINDS[field], self._moves] - self.known_error(field) if field else ()
         levels = np.maximum(fraction / 2 * np.array(sizes), 0.0)
         accumulator.take_all(self.displacement[:, part], self.velocity[:, part], levels)
@@ -169,7 +169,7 @@ class Motion:
         """Return the largest displacement or speed of every grain."""
         trajectory_error = self.known_error(field)
         value = self._sizes[KINDS[field]].copy()
-        # A grain that moves by less than the error has this bound only.
+        # For a grain that moves by less than the error, only this bound is available.
         error = value + trajectory_error
         largest = self._accumulator_of(field, FRACTION).largest(field, trajectory_error)
         value[self._moves], error[self._moves] = largest
@@ -263,12 +263,12 @@ class Motion:
             return factor * u, factor * v
         # All energy could be in the lightest grain.
         fastest = max(v, math.sqrt(2 * scene.energy / chain.masses[: chain.movable].min()))
-        # The largest distance from the nearest sample, or from rest.
+        # Largest distance from the nearest sample, or from rest.
         farthest = u + fastest * (self.step / 2 if self._all_recorded else scene.duration)
-        # No contact opens, so that each contact has its share of the energy.
+        # No contact opens, so that each contact contains its part of the energy.
         if self._equation == 3 or scene.largest_strain < 1:
-            # The energy of a relative change r of an overlap o is at least (r / o)^2 times that of
-            # an opening, or k r^2 / 2.
+            # The energy of a relative change r of an overlap o is at least (r / o)^2 times the
+            # energy of an opening, or k r^2 / 2.
             contacts = chain.contacts
             opening = np.minimum(
                 contacts.energy(-contacts.overlap), contacts.stiffness * contacts.overlap**2 / 2
@@ -297,7 +297,7 @@ class Motion:
         lawful = self._lawful[self._moving]
         speed, frequency = self._speed_limit()
         if angle <= RESOLVED:
-            # The frequency of no grain exceeds that of the scene.
+            # No grain has a higher frequency than the scene.
             return np.where(lawful[:, None], -1.0, speed)
         allowed = np.where(lawful, RESOLVED, RESOLVED_BY_DIFFERENCES)
         return np.where(frequency * self.step <= allowed[:, None], -1.0, speed)

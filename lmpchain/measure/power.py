@@ -25,9 +25,9 @@ from .motion import motion_of
 
 __dir__ = listed(__name__)
 
-SAMPLES = 8  # in a period, at least
-POINTS = 32  # in a period, at which the power is averaged
-DRAWN_PIECES = 200  # of a run in a picture, each drawn from its least to its largest power
+SAMPLES = 8  # Smallest number of samples in a period.
+POINTS = 32  # Number of points in a period over which the power is averaged.
+DRAWN_PIECES = 200  # Number of pieces in a picture.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -38,7 +38,7 @@ class Power(Shown, Tabular):
     ----------
     contact : int
     time, power : (T,) arrays
-        s; force above rest times the mean velocity of the two bodies, W.
+        Times, s; force above rest times the mean velocity of the two bodies, W.
     mean, error : float
         Over the last `periods` of the drive, W; by how much it may be off: the change from their
         first to their second half, that of every second sample, and the error of the trajectory.
@@ -67,17 +67,17 @@ class Power(Shown, Tabular):
 
     @property
     def share(self) -> float:
-        """Mean power relative to the power input of the drive."""
+        """Mean power as a fraction of the power input of the drive."""
         return self.mean / self.input
 
     @property
     def share_error(self) -> float:
-        """Uncertainty of the share."""
+        """Uncertainty of this fraction."""
         return (self.error + abs(self.share) * self.input_error) / abs(self.input)
 
     @property
     def linear_share(self) -> float:
-        """Share in linear theory."""
+        """This fraction in linear theory."""
         return self.linear / self.linear_input
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -156,7 +156,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     number = int(whole_numbers(contact, "contact"))
     chain = scene.chain
     if not (0 <= number <= chain.movable and chain.contacts.exists[number]):
-        raise InputError.at("contact", f"there is none of this number (got {contact})")
+        raise InputError.at("contact", f"must be the number of a contact (got {contact})")
     time = trajectory.time
     most = int(time[-1] / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
@@ -171,7 +171,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     force = contacts(trajectory, [number]).change[:, 0]
     speed = v.mean(1)
     mean, error = _mean(time, force * speed, period, count)
-    # The relative errors of force and velocity are alike.
+    # Force and velocity have similar relative errors.
     part = velocity_error / max(known.sampled[1], 1e-300)
     error += 2 * part * float(np.abs(force * speed).max())
     given, given_error = _input(trajectory, drive, count, part)

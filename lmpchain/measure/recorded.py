@@ -12,7 +12,7 @@ from ..trajectory.accumulator import STILL, UNKNOWN, Field
 from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array
 
-FEWEST_SAMPLES = 16  # for a front or a spectrum
+FEWEST_SAMPLES = 16  # Smallest number of samples for a front or a spectrum.
 
 
 def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
@@ -30,7 +30,7 @@ def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
     (N+2,) array of int
     """
     column = np.full(size + 2, UNKNOWN)
-    # The upper wall; below, held grains and the lower wall.
+    # Top wall; the bodies after it are held grains and the bottom wall.
     column[0] = STILL
     column[movable + 1 :] = STILL
     column[grains] = np.arange(grains.size)

@@ -1,4 +1,4 @@
-"""Shocks and rarefactions over x / t, where long waves of a step have one profile at all times."""
+"""Shocks and rarefactions over x / t, on which the long waves of a step depend at all times."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ __dir__ = listed(__name__)
 # Moments at which the profile is compared, relative to the age of the wave at the end.
 AGES = (0.4, 0.6, 0.8, 1.0)
 PROFILE_POINTS = 400
-BEYOND = 1.15  # the profile is drawn up to this multiple of the speed of the leading edge
-NEIGHBOURHOOD = 0.03  # of the leading speed, within which the largest change is taken
+BEYOND = 1.15  # Multiple of the speed of the leading edge up to which the profile is drawn.
+NEIGHBOURHOOD = 0.03  # Fraction of the leading speed.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SelfSimilar(Shown, Tabular):
-    """The overlaps of a shock or a rarefaction over distance divided by time.
+    """The overlaps of a shock or a rarefaction as a function of distance divided by time.
 
     Attributes
     ----------
@@ -36,14 +36,14 @@ class SelfSimilar(Shown, Tabular):
     speed : (P,) array
         Distance from where the wave began over the time since then, grains/s, from 0.
     moment : (4,) array
-        s.
+        Times, s.
     overlap : (4, P) array
         Overlaps at these moments, m.
     limit : (P,) array
         Overlaps that long waves approach, m: the simple wave of a rarefaction, which is exact for
         old waves; NaN of a shock.
     error : (P,) array
-        By how much the last profile may be off the profile of an old wave, m: its largest change
+        Error of the last profile relative to an old wave, m: its largest change
         nearby since two fifths of the time. Oscillations of a dispersive shock keep their length in
         grains and have no limit, so that the error is their height.
     """
@@ -122,7 +122,7 @@ def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
 
 
 def _profile(wave: Shock, row: int, speed: Array) -> Array:
-    """Return the overlaps at a moment over distance divided by time, (P,) m."""
+    """Return the overlaps at a time as a function of distance divided by time, (P,) m."""
     way = np.abs(wave.contact - wave.source)
     behind = wave.contact < wave.source if wave.downward else wave.contact > wave.source
     order = np.argsort(np.where(behind, -way, way))
@@ -132,7 +132,7 @@ def _profile(wave: Shock, row: int, speed: Array) -> Array:
 
 
 def _simple_wave(wave: Shock, exponent: float, speed: Array) -> Array:
-    """Return the overlaps of a centred simple wave: sound at each of them has its own speed."""
+    """Return the overlaps of a centred simple wave, each moving at its sound speed."""
     ahead = wave.ahead.overlap
     sound = wave.predictions["continuum"].leading
     fan = ahead * (speed / sound) ** (2 / (exponent - 1))

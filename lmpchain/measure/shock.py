@@ -36,12 +36,12 @@ from .crests import first_crests, first_passages
 __dir__ = listed(__name__)
 
 Kind = Literal["dispersive shock", "steady shock", "rarefaction"]
-END_CONTACTS = 5  # at an end a wave meets its reflection
-FEWEST = 24  # contacts that the leading edge passes
-OSCILLATIONS = (0.1, 0.5)  # halves of them over the jump: neither the tail nor solitary waves
-FEWEST_OSCILLATIONS = 6  # turns between which a parabola is fitted
-DRAWN_MOMENTS = 400  # that are kept for a picture
-EDGE_COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # of edges
+END_CONTACTS = 5  # Number of contacts at an end where a wave meets its reflection.
+FEWEST = 24  # Smallest number of contacts that the leading edge must pass.
+OSCILLATIONS = (0.1, 0.5)  # Half amplitudes over the jump.
+FEWEST_OSCILLATIONS = 6  # Smallest number of extremes for fitting a parabola.
+DRAWN_MOMENTS = 400  # Number of times stored for a picture.
+EDGE_COLOURS = {"leading": "#D55E00", "trailing": "#0072B2"}  # Colours of edges.
 # Authors of the theories in `predictions`, shown in legends.
 AUTHORS = {
     "whitham": "Whitham",
@@ -56,7 +56,7 @@ CREST = 1.05
 # of the time to the fourth.
 LASTING = 0.2
 STEADY_PUSH = 0.1
-STEADY = 0.95  # of the jump, that the last contact of a steady shock must have reached
+STEADY = 0.95  # Fraction of the jump that the last contact of a steady shock must have reached.
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Edge:
         Overlap in the leading crest beyond that ahead, m, and its change in the same way; NaN of a
         trailing edge.
     velocity : float
-        Of grains in the leading crest beyond that ahead, m/s.
+        Velocity of grains in the leading crest in excess of grains ahead, m/s.
     """
 
     speed: float
@@ -84,7 +84,7 @@ class Edge:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Shock(Shown, Tabular):
-    """A shock or a rarefaction, and what theory says of it; see `lmpchain.theory.shock`.
+    """A shock or a rarefaction, with its theoretical predictions; see `lmpchain.theory.shock`.
 
     Velocities are positive in the way of travel; overlaps are those of contacts in all, and 0 of
     open contacts.
@@ -96,7 +96,7 @@ class Shock(Shown, Tabular):
     ahead, behind : State
         Velocity, m/s, and overlap, m, before the wave, and in the plateau behind it, in the mean.
     behind_error : State
-        By how much the plateau varies, twice the standard deviation of velocity and overlap.
+        Variation of the plateau: twice the standard deviation of velocity and overlap.
     leading, trailing : Edge
         Both the same, at half the jump, of a steady shock.
     thickness : float
@@ -112,7 +112,7 @@ class Shock(Shown, Tabular):
         Speed of the exact solitary wave as high as the leading crest, `soliton.solve`, grains/s:
         that of the leading edge of an old dispersive shock; NaN of other waves and of the weakest.
     simple : State
-        What a simple or dispersive wave leaves behind at this velocity.
+        State behind a simple or dispersive wave of this velocity.
     predictions : dict
         `Edges` by name: "whitham", "toda" and "kdv" of a dispersive shock, "continuum" of a
         rarefaction; "burgers" has the thickness of a steady shock in weak viscous damping in place
@@ -161,7 +161,7 @@ class Shock(Shown, Tabular):
 
     @property
     def downward(self) -> bool:
-        """Whether the wave goes down."""
+        """Whether the wave travels downward."""
         return self._downward
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -220,7 +220,7 @@ class Shock(Shown, Tabular):
         return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
     def _best_prediction(self, name: str) -> list[tuple[str, float]]:
-        """Return name and speed of the best prediction of an edge; None if there is no theory."""
+        """Return name and speed of the best prediction of an edge; None without a theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
                 return [(AUTHORS.get(theory, theory), float(speed))]
@@ -407,7 +407,7 @@ def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave
     velocity = np.asarray(trajectory.velocity)
     rest = scene.chain.equilibrium_overlap
     closer = rest + displacement[:, :-1] - displacement[:, 1:]
-    # An open contact transmits no force, whatever its gap.
+    # An open contact transmits no force, regardless of its gap.
     overlap = np.maximum(closer, 0.0)
     source = _source(scene, upward)
     if upward:
@@ -466,7 +466,7 @@ def _source(scene: Scene, upward: bool) -> int:
         return 0
     source = contacts - 1 - first if upward else first
     if not 0 <= source < contacts - 1:
-        raise InputError.at("direction", "no grains lie there: choose the other one")
+        raise InputError.at("direction", "has no grains on that side: choose the other one")
     return source
 
 
@@ -521,7 +521,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
 
 
 def _plateau(wave: TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
-    """Return mean velocity and overlap behind the wave, and twice their standard deviation."""
+    """Return mean velocity and overlap behind the wave, and twice their standard deviations."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))
@@ -548,7 +548,7 @@ def _edge_speed(time: Array, place: Array) -> tuple[float, float]:
 
 
 def _leading_crest(wave: TravellingWave, ahead: State, jump: float) -> Edge:
-    """Return the leading solitary wave, followed through the later two thirds of the way."""
+    """Return the leading solitary wave, tracked through the later two thirds of the way."""
     # The crest is a few contacts behind the front.
     first = wave.source + (wave.reached - wave.source) // 3
     contacts = np.arange(first, wave.reached - END_CONTACTS)
@@ -585,7 +585,7 @@ def _trailing_edge(wave: TravellingWave, ahead: State, behind: State) -> Edge:
         turns = curve.derivative().roots(extrapolate=False)
         share = np.abs(np.diff(curve(turns))) / (2 * jump)
         middle = (turns[1:] + turns[:-1]) / 2
-        # Use the crests from the leading one on.
+        # The crests are used from the leading one on.
         first = int(share.argmax()) if share.size else 0
         used = np.flatnonzero((share > OSCILLATIONS[0]) & (share < OSCILLATIONS[1]))
         used = used[used >= first]
@@ -612,12 +612,12 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
     try:
         return struck(velocity / (ahead.overlap * sound), gas.exponent).speed * sound
     except InputError:
-        # The wave is so weak that only the KdV equation applies.
+        # For such a weak wave only the KdV equation applies.
         return np.nan
 
 
 def _rarefaction_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
-    """Return both edges, extrapolated from places with known speed of sound between them."""
+    """Return both edges, extrapolated from points between them where the sound speed is known."""
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
     times = np.linspace(len(wave.time) // 2, len(wave.time) - 1, 16).astype(int)
@@ -625,7 +625,7 @@ def _rarefaction_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: 
         overlap = np.maximum(wave.overlap[k], 0.0)
         sound = gas.sound(1.0) * overlap ** ((gas.exponent - 1) / 2)
         share = (sound - sounds[1]) / (sounds[0] - sounds[1])
-        # Ripples behind the trailing edge may exceed this share, too.
+        # Ripples behind the trailing edge may exceed this fraction as well.
         behind_fan = np.flatnonzero(share[wave.source :] < 0.2)
         first = wave.source + (behind_fan[-1] + 1 if behind_fan.size else 0)
         inside = first + np.flatnonzero((share[first:] > 0.2) & (share[first:] < 0.8))
@@ -663,7 +663,7 @@ def _dispersive_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: S
 
 
 def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> float:
-    """Return the thickness of a weak viscous shock, NaN without a load or without viscosity."""
+    """Return the thickness of a weak viscous shock; NaN without a load or without viscosity."""
     if ahead.overlap > 0 and viscosity > 0:
         return gas.thickness(ahead, behind.overlap, viscosity)
     return np.nan

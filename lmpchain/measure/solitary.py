@@ -25,8 +25,8 @@ from .fit.solitary import END_GRAINS, SOLITARY, check_chain, exact_wave
 
 __dir__ = listed(__name__)
 
-FEWEST_SAMPLES = 4 * crests.HALF + 3  # that show a crest
-UNCHANGED = 12  # grains that a wave must have passed unchanged
+FEWEST_SAMPLES = 4 * crests.HALF + 3  # Smallest number of samples that shows a crest.
+UNCHANGED = 12  # Number of grains that a wave must have passed unchanged.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,7 +36,7 @@ class Train(Shown, Tabular):
     Attributes
     ----------
     grain : (W,) array
-        Where their middles are at the end.
+        Positions of their middles at the end.
     speed, speed_error : (W,) arrays
         Grains/s; half the 95 % confidence interval, what sampling may cost, and the change on the
         way.
@@ -48,7 +48,7 @@ class Train(Shown, Tabular):
         change over the later half of the way, what stands in the troughs, and the error of the
         trajectory.
     exact_speed, exact_energy : (W,) arrays
-        Of the exact solitary wave of this largest velocity, `theory.soliton`, grains/s and J.
+        Values for the exact solitary wave of this velocity, `theory.soliton`, grains/s and J.
     total : float
         Energy that the strike gave to the chain, J.
     place, density : (N,) arrays
@@ -84,17 +84,17 @@ class Train(Shown, Tabular):
 
     @property
     def share(self) -> Array:
-        """Share of each wave in the energy of the strike, (W,)."""
+        """Fraction of the strike's energy in each wave, (W,)."""
         return self.energy / self.total
 
     @property
     def share_error(self) -> Array:
-        """Uncertainty of each share, (W,)."""
+        """Uncertainty of each fraction, (W,)."""
         return self.energy_error / self.total
 
     @property
     def all_share(self) -> tuple[float, float]:
-        """Share of all waves together, and its uncertainty."""
+        """Fraction of the strike's energy in all waves together, and its uncertainty."""
         return float(self.share.sum()), float(self.share_error.sum())
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -109,7 +109,7 @@ class Train(Shown, Tabular):
                 ax.text(
                     grain, 2 * height, f"{100 * share:.3g} %", rotation=90, ha="center", va="bottom"
                 )
-        # Leave room for these words.
+        # Room for these labels.
         ax.set_ylim(top=1e4 * self.density.max())
         whole, error = self.all_share
         count = self.grain.size
@@ -119,7 +119,7 @@ class Train(Shown, Tabular):
 
 
 class _FollowedWave(NamedTuple):
-    """A solitary wave as in `Train`, its width in grains, and the time when tracking began."""
+    """A solitary wave as in `Train`, with its width in grains and the time when tracking began."""
 
     grain: float
     speed: float
@@ -311,7 +311,7 @@ def _wave(
 
 
 def _number(chain: Chain, column: int, upward: bool) -> int:
-    """Return the number of the grain in a column; columns are mirrored for waves that go up."""
+    """Return the number of the grain in a column; columns are mirrored for upward waves."""
     number = chain.grains - column if upward else 1 + column
     return int(np.clip(number, 1, chain.grains))
 

@@ -21,7 +21,7 @@ from .recorded import Field, check
 
 __dir__ = listed(__name__)
 
-FEWEST_GRAINS = 8  # least number that resolves wavenumbers
+FEWEST_GRAINS = 8  # Smallest number of grains that resolves wavenumbers.
 # Vermilion of Okabe and Ito, visible on every colour of cividis with any colour vision.
 LINE = "#D55E00"
 
@@ -34,9 +34,9 @@ class Spectrum(Shown, Tabular):
     ----------
     field : "velocity" or "displacement"
     frequency : (F,) array
-        Hz, from 0 to half the sampling rate.
+        Frequencies, Hz, from 0 to half the sampling rate.
     grain : (G,) array
-        From the top downward.
+        Recorded grains from the top downward.
     bands : (G, B, 2) array
         Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
     amplitude : (F, G) array
@@ -57,7 +57,7 @@ class Spectrum(Shown, Tabular):
 
     @property
     def cut_off(self) -> Array:
-        """Highest frequency that propagates around each grain, (G,) Hz, 0 in a sonic vacuum."""
+        """Highest frequency that propagates around each grain, (G,) Hz; 0 in a sonic vacuum."""
         return self.bands[:, -1, 1]
 
     def plot(self, ax: Axes | None = None) -> Axes:
@@ -86,7 +86,7 @@ class Dispersion(Shown, Tabular):
     ----------
     field : "velocity" or "displacement"
     frequency : (F,) array
-        Hz, from 0 to half the sampling rate.
+        Frequencies, Hz, from 0 to half the sampling rate.
     wavenumber : (K,) array
         Radians a grain, from -pi to pi; those of waves that move downward are positive.
     amplitude : (F, K) array
@@ -171,7 +171,7 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     grain, motion = _sort(trajectory, field)
     step = trajectory.time[1]
     samples = trajectory.time.size
-    # The sum times the step is the integral over time.
+    # The sum times the step approximates the integral over time.
     amplitude = step * np.abs(np.fft.rfft(_window(window, samples)[:, None] * motion, axis=0))
     bands = local_bands(trajectory.scene.chain)[grain - 1] / (2 * np.pi)
     return Spectrum(field, np.fft.rfftfreq(samples, step), grain, bands, amplitude)
@@ -217,7 +217,7 @@ def dispersion(
     samples = trajectory.time.size
     windowed = motion[:, np.isin(grains, chosen)] * _window(window, chosen.size)
     windowed *= _window(window, samples)[:, None]
-    # The transform over time has the factor exp(-2 pi i f t), that over grains exp(i k n).
+    # The transform over time has the factor exp(-2 pi i f t), the transform over grains exp(i k n).
     transform = np.fft.ifft(step * np.fft.rfft(windowed, axis=0), axis=1, norm="forward")
     wavenumber = 2 * np.pi * np.fft.fftshift(np.fft.fftfreq(chosen.size))
     chain = trajectory.scene.chain
@@ -301,7 +301,7 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
 def space_time(
     trajectory: Trajectory, field: Field = "velocity", ax: Axes | None = None, law: bool = False
 ) -> Axes:
-    """Draw the motion over time and depth, downward red, upward blue; return the axes.
+    """Draw the motion over time and depth, downward in red, upward in blue; return the axes.
 
     It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or
     driven.
@@ -343,10 +343,10 @@ def _window(name: str, size: int) -> Array:
 
 
 def _draw_logarithmic(ax: Axes, x: Array, y: Array, values: Array, field: Field) -> None:
-    """Draw values (Y, X) as colours over three decades, with their bar."""
+    """Draw values (Y, X) as colours over three decades, with a colour bar."""
     from matplotlib.colors import LogNorm
 
-    # A chain at rest has no logarithm.
+    # A chain at rest would need the logarithm of 0.
     largest = values.max() or 1.0
     smallest = largest / 1e3
     scale = LogNorm(smallest, largest)

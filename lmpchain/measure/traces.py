@@ -32,11 +32,11 @@ class TraceTable(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     traces : dict of (T,) arrays
-        By names such as force_10, change_force_wall, velocity_5 and energy_total.
+        Traces by names such as force_10, change_force_wall, velocity_5 and energy_total.
     units : dict of str
-        Of each: N, m/s, m or J.
+        Unit of each trace: N, m/s, m or J.
     """
 
     time: Array

@@ -29,7 +29,7 @@ from .energy import shares
 
 __dir__ = listed(__name__)
 
-NARROWEST = 8  # grains in a window
+NARROWEST = 8  # Smallest number of grains in a window.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -39,18 +39,18 @@ class EnergyBands(Shown, Tabular):
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     place : (P,) array
         Middles of the windows, in grains from the top.
     edges : (B+1,) array
-        Of the bands, radians a grain, 0 to pi.
+        Edges of the bands, radians per grain, 0 to pi.
     energy, error : (T, P, B) arrays
         J; the sum over places and bands is the energy of the chain. By how much each may be off by
         the error of the trajectory, where that is known.
     downward : (T, P, B) array
-        What of it waves that go down have, by linear theory of a uniform chain.
+        Part of downward waves, by linear theory of a uniform chain.
     width : float
-        Of a window, grains.
+        Width of a window, grains.
     """
 
     time: Array

@@ -1,4 +1,4 @@
-"""Periodic orbits of granular chains: nonlinear modes, breathers, their families and stability."""
+"""Periodic orbits of granular chains: nonlinear normal modes, breathers, families and stability."""
 
 from ..util.lazy import attributes, listed
 

@@ -19,7 +19,7 @@ from .shooting import OrbitPoint, estimate_error, plane
 
 @dataclass(frozen=True)
 class Branching:
-    """How far from a period doubling the first orbit of its branch is sought.
+    """Distance from a period doubling at which the first orbit of its branch is sought.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ BRANCHING = Branching()
 
 @in_one_thread
 def switch(event: Event) -> Orbit:
-    """Return an orbit of twice the period, on the branch that begins at a period doubling.
+    """Return an orbit of twice the period on the branch that starts at a period doubling.
 
     It lies a little beside the orbit of the event, in the direction of the multiplier -1; the
     parameter of the family follows. `follow` goes on from there.
@@ -94,7 +94,7 @@ def switch(event: Event) -> Orbit:
 
 
 def _differs(flow: Flow, mesh: Array, point: OrbitPoint, share: float) -> bool:
-    """Return whether an orbit differs from itself half a period later, by more than round-off."""
+    """Return whether an orbit differs from itself half a period later by more than rounding."""
     half = replace(flow, cycles=max(flow.cycles // 2, 1))
     later = half.run(point.state, point.period / 2, mesh).end
     return bool(np.linalg.norm(later - point.state) > share * np.linalg.norm(point.state))

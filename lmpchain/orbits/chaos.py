@@ -1,4 +1,4 @@
-"""Lyapunov spectrum and alignment indices (GALI) of a chain, by the tangent map of its motion.
+"""Lyapunov spectrum and alignment indices (GALI) of a chain, from the tangent map of its motion.
 
 Small deviations of the state are advanced by the exact derivative of each step and are made
 orthonormal in turns: G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Meccanica 15, 9 and
@@ -27,10 +27,10 @@ from ..util.plotting import Axes, chart, finish
 from ..util.tabular import NamedColumn, Tabular
 from .flow import Flow
 
-REACH = 0.1  # step times the highest frequency, rad
-TURN = 128  # most steps between two orthonormalisations
+REACH = 0.1  # Step times the highest frequency, rad.
+TURN = 128  # Largest number of steps between two orthonormalisations.
 STEP_LIMIT = 20_000_000
-# Stretches of the time: while deviations turn to their directions, and in all.
+# Numbers of time intervals: while the deviations align, and in total.
 SETTLING = 64
 STRETCHES = SETTLING + BATCHING.stretches
 SMALLEST_INDEX = 1e-300
@@ -45,11 +45,11 @@ class Chaos(Shown, Tabular):
     exponent : (C,) array
         Lyapunov exponents over the later four fifths of the time, the largest first, 1/s.
     half_width : (C,) array
-        Of their 95 % confidence intervals, 1/s, from the correlated growth in 256 stretches; with
+        Half widths of their 95 % intervals, 1/s, from the correlated growth in 256 stretches; with
         the rate at which the deviations of a regular motion grow in proportion to time, which a
         finite time does not tell from an exponent.
     time : (320,) array
-        s.
+        Times, s.
     running : (320, C) array
         Exponents over the time from 0, 1/s.
     log_gali : (320, C) array
@@ -75,7 +75,7 @@ class Chaos(Shown, Tabular):
         return bool(self.exponent[0] > self.half_width[0])
 
     def gali(self, count: int) -> Array:
-        """Return the alignment index of the first `count` deviations, (320,); 0 below 1e-300."""
+        """Return the alignment index of the first `count` deviations, (320,); 0 if below 1e-300."""
         number = int(whole_numbers(count, "count"))
         if not 2 <= number <= self.exponent.size:
             raise InputError.at("count", f"must be 2 to {self.exponent.size} (got {count})")
@@ -99,7 +99,7 @@ class Chaos(Shown, Tabular):
                 self.time[-1], exponent, half, color=line.get_color(), fmt=".", capsize=2, ms=3
             )
         ax.axhline(0.0, color="k", lw=0.5)
-        # Deviations turn to their directions in the first part of the time.
+        # Deviations align with their directions in the first part of the time.
         later = self.running[SETTLING:]
         ax.set_ylim(1.3 * float(later.min()), 1.3 * float(later.max()))
         title = f"largest {self.exponent[0]:.4g} ± {self.half_width[0]:.1g} per second"
@@ -167,7 +167,8 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     begin, _ = flow.energy(state)
     random = np.random.default_rng(seed).standard_normal((size, count))
     deviation = np.linalg.qr(random)[0]
-    # The triangular matrix from t = 0 has columns of length 1, whose logarithms are kept aside.
+    # The triangular matrix from t = 0 has normalised columns; the logarithms of their lengths are
+    # stored separately.
     total = np.eye(count)
     volume = np.zeros(count)
     length = np.zeros(count)
@@ -204,7 +205,7 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
 
 
 def _intervals(rates: Array, begin: float, end: float) -> tuple[Array, Array]:
-    """Return the means of rates (S, C), 1/s, and the half widths of their intervals."""
+    """Return the means of rates (S, C), 1/s, and the half widths of their confidence intervals."""
     # Deviations of regular motion grow in proportion to time.
     resolved = math.log(end / begin) / (end - begin)
     found = [estimate(column[None]) for column in rates.T]

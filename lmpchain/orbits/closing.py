@@ -1,4 +1,4 @@
-"""Closed families of orbits, which come back to orbits that they have been through."""
+"""Closed families of orbits, which return to orbits that they have already passed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .shooting import Constraint, Equations, OrbitPoint, Solution, plane
 
 @dataclass(frozen=True)
 class Closing:
-    """Tolerances within which an orbit of a family is an earlier one.
+    """Tolerances within which an orbit of a family equals an earlier one.
 
     Attributes
     ----------
@@ -34,14 +34,14 @@ CLOSING = Closing()
 
 
 class Aspect(NamedTuple):
-    """Unknowns (U,) of an orbit, begun at one of its moments of rest, and its relative error."""
+    """Unknowns (U,) of an orbit from one of its moments of rest, and its relative error."""
 
     unknown: Array
     error: float
 
 
 def aspects(equations: Equations, member: Member) -> list[Aspect]:
-    """Return an orbit at t = 0, and half a period later if it rests there in another state."""
+    """Return the orbit from t = 0, and from half a period later if it rests there too."""
     point = member.solution.point
     mesh = member.solution.mesh
     states = [Aspect(member.unknown, member.orbit.error)]
@@ -61,7 +61,7 @@ def returns(
     start: Member,
     end: Member,
 ) -> bool:
-    """Return whether the family between two orbits goes through one of its earlier orbits.
+    """Return whether the family passes one of its earlier orbits between two orbits.
 
     Each that lies beside the way is compared with the orbit solved for in the plane across the way
     through it.
@@ -70,7 +70,7 @@ def returns(
     length = float(np.linalg.norm(step))
     middle = (start.unknown + end.unknown) / 2
     for aspect in earlier:
-        # Orbits farther from the middle than the length of the step are not beside it.
+        # Orbits farther from the middle than the step length are not between the two orbits.
         far = np.linalg.norm(aspect.unknown - middle) > length
         if aspect.unknown is start.unknown or far:
             continue
@@ -88,7 +88,7 @@ def returns(
 
 
 def _curve(start: Member, end: Member, length: float) -> Array:
-    """Return points (65, U) of the cubic between two orbits along the directions of the family."""
+    """Return points (65, U) of the cubic curve between two orbits along the family directions."""
     t = np.linspace(0.0, 1.0, 65)[:, None]
     s = 1 - t
     ends = s**2 * (1 + 2 * t) * start.unknown + t**2 * (1 + 2 * s) * end.unknown

@@ -1,4 +1,4 @@
-"""Families of periodic orbits, by pseudo-arclength continuation, with their bifurcations located.
+"""Families of periodic orbits by pseudo-arclength continuation, with located bifurcations.
 
 A step goes along the family, not along the parameter, so that folds are passed; H. B. Keller, in
 Applications of Bifurcation Theory, ed. P. H. Rabinowitz (1977).
@@ -48,7 +48,7 @@ ELEMENT = re.compile(r"(\w+)\[(\d+)\]")
 
 @dataclass(frozen=True)
 class ContinuationSteps:
-    """Lengths of steps along a family, and limits beyond which it is given up.
+    """Lengths of steps along a family, and limits at which the continuation stops.
 
     Attributes
     ----------
@@ -59,13 +59,13 @@ class ContinuationSteps:
     straight : float
         Cosine of the angle between two directions from which on the next step may be longer.
     bent : float
-        That cosine below which this step is too long.
+        Value of this cosine below which a step is too long.
     easy : int
         Iterations of Newton's method up to which the next step may be longer.
     still : float
         Way, in sizes of the orbit, that a family must go in `patience` tries.
     patience : int
-        Most tries for that way.
+        Largest number of tries for this distance.
     crowded : float
         Unknowns times steps to locate events, some 15 s, after which they are given up: in
         resonances they crowd.
@@ -86,25 +86,25 @@ STEPS = ContinuationSteps()
 
 
 class Ending(Enum):
-    """Why a family ended before the value of its parameter that was asked for."""
+    """Why a family ended before the requested value of its parameter."""
 
     POINTS = "its first {orbits} orbits end at {position}"
-    STILL = "it hardly moves on from {position}"
+    STILL = "its steps become too short at {position}"
     LOST = "it cannot be followed beyond {position}"
     MISSED = "no orbit of it is found at {until:g}"
     CROWDED = "its events crowd, {events} up to {position}: events=False leaves them out"
-    RETURNED = "it comes back to orbits that it has been through, from {position} on"
+    RETURNED = "it returns to its earlier orbits at {position}"
 
 
 @dataclass(frozen=True, eq=False)
 class SolutionBranch:
-    """The family that an orbit belongs to.
+    """The family of periodic orbits that contains a given orbit.
 
     Attributes
     ----------
     equations : Equations
     held : tuple of Constraint
-        Of the period or the energy, if another number changes.
+        Constraint on the period or the energy, if another parameter changes.
     parameter : "energy", "period", "frequency" of the drive, or "value"
     exact : bool
         Whether directions of the family are good enough to locate events by.
@@ -118,24 +118,24 @@ class SolutionBranch:
     def solve(
         self, guess: OrbitPoint, constraint: Constraint, near: Member | None = None
     ) -> Solution | None:
-        """Return the orbit of the family near a guess that a constraint selects.
+        """Return the family's orbit near a guess, selected by a constraint.
 
         A member nearby saves work.
         """
         constraints = [*self.held, constraint]
         neighbour = near and near.solution
-        # pairs that meet at 1 or -1 ask for more digits than multipliers of damped chains
+        # Colliding pairs at 1 or -1 need more digits than multipliers of damped chains.
         exact = self.exact and self.equations.flow_at(guess.value).symplectic
         return solve(self.equations, guess, constraints, near=neighbour, exact=exact)
 
     def member(
         self, solution: Solution, constraint: Constraint, before: Array | None = None
     ) -> Member:
-        """Return a solved orbit with the direction of the family, turned like the one before."""
+        """Return a solved orbit with the family's direction, oriented like the previous one."""
         point = solution.point
         unknown = self.equations.pack(point)
         if len(solution.slopes) == unknown.size:
-            # along the family only the last equation, the constraint, changes
+            # Along the family only the last equation, the constraint, changes.
             direction = solve_step(solution.slopes, np.append(np.zeros(unknown.size - 1), 1.0))
             direction /= np.linalg.norm(direction)
         else:
@@ -156,7 +156,7 @@ class SolutionBranch:
             turning = rate("energy")
         multipliers = None
         if self.exact and not orbit.flow.symplectic:
-            # the derivatives of the closure are the tangent map less the identity
+            # The derivative of the closure is the tangent map minus the identity.
             size = point.state.size
             tangent = solution.slopes[:size, :size] + np.eye(size)
             multipliers = floquet.all_multipliers(tangent)
@@ -166,36 +166,36 @@ class SolutionBranch:
     def along(
         self, member: Member, length: float, guess: Array | None = None, near: Member | None = None
     ) -> Member | None:
-        """Return the member at this distance along the family, or None where none is found.
+        """Return the member at this distance along the family; None if none is found.
 
         A guess, and a member nearer to it than the one to begin with, save work.
         """
-        # the orbit lies in the plane across the family at this distance
+        # The orbit is in the plane across the family at this distance.
         ahead = member.unknown + length * member.direction
         across = plane(ahead, member.direction)
         start = self.equations.unpack(ahead if guess is None else guess)
         try:
             solution = self.solve(start, across, near or member)
         except InputError:
-            # The parameter is outside the range that a chain allows.
+            # The parameter is outside the range that the chain allows.
             return None
         if solution is None:
             return None
         return self.member(solution, across, member.direction)
 
     def miss(self, member: Member, target: Constraint) -> float:
-        """Return by how much a member misses a target, with its sign."""
+        """Return the signed difference between a member and a target."""
         return target.of(member.unknown, self.equations.unpack(member.unknown))[0]
 
     def meet(self, start: Member, end: Member, target: Constraint) -> Member | None:
-        """Return the member between two that meets a target, by halving until one is found."""
+        """Return the member between two members that meets a target, halving until one is found."""
         smallest = STEPS.smallest * self.size(start)
         while True:
             step = end.unknown - start.unknown
             length = np.linalg.norm(step)
             before = self.miss(start, target)
             after = self.miss(end, target)
-            # Guess: the line through both orbits crosses the target.
+            # The guess is the intersection of the line through both orbits with the target.
             guess = start.unknown + (before / (before - after) if after else 1.0) * step
             solution = self.solve(self.equations.unpack(guess), target, end)
             if solution and np.linalg.norm(self.equations.pack(solution.point) - guess) < length:
@@ -209,12 +209,12 @@ class SolutionBranch:
                 start = middle
 
     def size(self, member: Member) -> float:
-        """Return the size of an orbit among the unknowns."""
+        """Return the size of an orbit's unknowns."""
         state = member.unknown[: self.equations.period_at(member.unknown)]
         return float(np.linalg.norm(state))
 
     def value(self, point: OrbitPoint) -> float:
-        """Return the parameter of an orbit."""
+        """Return the parameter value of an orbit."""
         if self.parameter == "energy":
             return self.equations.flow_at(point.value).energy(point.state)[0]
         if self.parameter == "frequency":
@@ -222,17 +222,17 @@ class SolutionBranch:
         return point.period if self.parameter == "period" else point.value
 
     def value_of(self, member: Member) -> float:
-        """Return the parameter of a member."""
+        """Return the parameter value of a member."""
         return self.value(self.equations.unpack(member.unknown))
 
     def position(self, member: Member) -> str:
-        """Return the parameter and the period of a member, in words."""
+        """Return the parameter and the period of a member as text."""
         name = "the parameter" if self.parameter == "value" else self.parameter
         return f"{name} {self.value_of(member):.6g} (period {member.orbit.period:.6g} s)"
 
 
 class _March:
-    """A family on its way to a value of its parameter.
+    """A family during its continuation to a value of its parameter.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ class _March:
         self.reached = self.miss == 0
         self.ending: Ending | None = None
         self.length = STEPS.first * curve.size(start)
-        # steps tried, and the distance that they led, since the family last moved on
+        # Steps tried, and the distance covered by them, since the family last advanced.
         self.tries = 0
         self.distance = 0.0
         # Cost of locating events, in unknowns times steps.
@@ -270,7 +270,7 @@ class _March:
 
     @property
     def done(self) -> bool:
-        """Whether the family has come to its end."""
+        """Whether the family has ended."""
         return self.reached or self.ending is not None
 
     def advance(self) -> None:
@@ -294,7 +294,7 @@ class _March:
         self.members.append(end)
         self.miss = self.curve.miss(end, self.target)
         self.distance += float(np.linalg.norm(end.unknown - start.unknown)) / self.curve.size(end)
-        # a family that moves on may try as often again
+        # A family that advances gets a new number of tries.
         if self.distance > STEPS.still:
             self.tries = 0
             self.distance = 0.0
@@ -304,7 +304,7 @@ class _March:
         self.earlier += aspects(equations, end)
 
     def _step(self, start: Member) -> Member | None:
-        """Return the next member, and set the length of the step after it; None ends the family."""
+        """Return the next member, and set the next step length; None ends the family."""
         size = self.curve.size(start)
         self.length = min(self.length, STEPS.longest * size)
         while self.length > STEPS.smallest * size and self.tries < STEPS.patience:
@@ -314,7 +314,7 @@ class _March:
             if end is not None and turn > STEPS.bent:
                 iterations = end.solution.iterations
                 if self.events is None:
-                    # a mesh laid anew around openings makes no step a hard one
+                    # A new mesh around openings does not count as slow convergence.
                     iterations -= end.solution.relaid
                 if turn < STEPS.straight:
                     self.length *= 0.8
@@ -326,7 +326,7 @@ class _March:
         return None
 
     def _meet_border(self, start: Member) -> Member | None:
-        """Return the member at the target where steps cannot pass it, as no damping is below 0."""
+        """Return the member at a target that steps cannot pass, for example damping 0."""
         way = -self.miss / start.rate if start.rate else np.inf
         if abs(way) > STEPS.longest * self.curve.size(start):
             return None
@@ -340,9 +340,9 @@ class _March:
         return self.curve.member(solution, self.target, start.direction)
 
     def _locate_events(self, start: Member, end: Member, events: list[Event]) -> None:
-        """Add the events of a step in their order along the family."""
+        """Add the events of a step in order along the family."""
         length = float(start.direction @ (end.unknown - start.unknown))
-        # orbits that one event has been sought at serve the others as guesses
+        # Orbits computed for one event serve as guesses for the others.
         members = {0.0: start, 1.0: end}
 
         def at(share: float) -> Member | None:
@@ -369,7 +369,7 @@ class _March:
             self.ending = Ending.CROWDED
 
     def family(self, name: str, until: float) -> Family:
-        """Return the orbits with their events, and the reason why there are no more."""
+        """Return the orbits with their events, and the reason why the family ended."""
         members = self.members
         reason = ""
         if self.ending:
@@ -401,7 +401,7 @@ def follow(
     events: bool = True,
     progress: bool = False,
 ) -> Family:
-    """Follow a periodic orbit as its energy, its period or a number of the chain changes.
+    """Follow a periodic orbit while its energy, its period or a parameter of the chain changes.
 
     Folds, where the parameter turns back, are passed.
 
@@ -443,7 +443,7 @@ def follow(
     check_flags(events=events)
     curve, first = family_curve(orbit, parameter, start, until, hold)
     curve = replace(curve, exact=events)
-    # A fixed period hardly determines the amplitude of a small orbit: fix its energy.
+    # A fixed period hardly determines the amplitude of a small orbit, so its energy is fixed.
     if curve.parameter == "period" and orbit.drive is None:
         anchor = fixed(curve.equations, "energy", orbit.energy)
     else:
@@ -451,11 +451,11 @@ def follow(
     solution = curve.solve(first, anchor)
     if solution is None:
         raise RunFailed(
-            "the orbit to begin with does not solve these equations: is it that of `start`?"
+            "the first orbit does not solve these equations: does it belong to `start`?"
         )
     target = fixed(curve.equations, curve.parameter, until)
     march = _March(curve, curve.member(solution, anchor), target, points, events)
-    # the bar shows the share of the parameter, of which there may be nothing to go
+    # The progress bar shows the covered fraction of the parameter, whose range may be 0.
     distance = max(abs(march.miss), 1e-300)
     layout = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
     began = clock()
@@ -466,7 +466,7 @@ def follow(
             march.advance()
             bar.reach(max(0.0, 1 - abs(march.miss) / distance))
             times = [*times[-2:], (clock(), march.miss)]
-            # The first steps are short, so that their pace says little of those that follow.
+            # The first steps are short, so that their pace does not predict the later ones.
             settled = times[-1][0] - began > PATIENCE_S / 3
             left_s = _left_s(times)
             if settled and not march.done and not told and is_long(left_s):
@@ -483,7 +483,7 @@ def follow(
 
 
 def _left_s(times: list[tuple[float, float]]) -> float:
-    """Return about the time to the end of a family, s, at the pace of its last two steps.
+    """Return the expected time to the end of a family, s, at the pace of its last two steps.
 
     0 is returned before there are two, and in a fold, where the end is not coming nearer.
     """
@@ -499,7 +499,7 @@ def family_curve(
     until: float,
     hold: str,
 ) -> tuple[SolutionBranch, OrbitPoint]:
-    """Return the family that an orbit belongs to, and the point of the orbit there."""
+    """Return the family that contains an orbit, and the point of the orbit on it."""
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
         raise InputError.at("until", f"must be a number (got {shown(until)})")
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
@@ -509,7 +509,7 @@ def family_curve(
             message = "energy is not conserved in a driven chain: follow period or amplitude"
             raise InputError.at("parameter", message)
         if parameter == "drive.frequency" and orbit.drive is None:
-            message = "drive.frequency is that of a drive, and the orbit is not driven"
+            message = "drive.frequency requires a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         if until <= 0:
             raise InputError.at("until", f"must be above 0 for the {parameter} (got {until:g})")
@@ -518,13 +518,13 @@ def family_curve(
         return SolutionBranch(equations, (), name), OrbitPoint(orbit.state, orbit.period)
     system_at, value = _vary(orbit, parameter, start)
 
-    # every residual at one value of the parameter runs the same flow
+    # All residuals at one value of the parameter use the same flow.
     @lru_cache(maxsize=8)
     def flow_at(number: float) -> Flow:
         chain, drive = system_at(number)
         return flow_of(chain, orbit.flow.rate, drive, orbit.flow.cycles)
 
-    # values that the chain does not allow are refused at once
+    # Values that the chain does not allow are rejected at once.
     flow_at(until)
     equations = _equations(orbit, flow_at, max(abs(value), abs(until)) or 1.0)
     constraint = fixed(equations, hold, orbit.period if hold == "period" else orbit.energy)
@@ -543,24 +543,26 @@ System = tuple[Chain, Drive | Force | None]
 def _vary(
     orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
 ) -> tuple[Callable[[float], System], float]:
-    """Return chain and drive as a function of the parameter, and its value for this orbit."""
+    """Return chain and drive as a function of the parameter, and the orbit's parameter value."""
     chain = orbit.chain
     drive = orbit.drive
     if not isinstance(parameter, str):
         if start is None:
-            message = "is missing: the value for which the function gives the chain of the orbit"
+            message = (
+                "is missing: give the value at which the function returns the chain of the orbit"
+            )
             raise InputError.at("start", message)
         return lambda number: (parameter(number), drive), float(start)
     if parameter in ("amplitude", "drive.amplitude"):
         if drive is None:
-            message = f"{parameter} is that of a drive, and the orbit is not driven"
+            message = f"{parameter} requires a drive, and the orbit is not driven"
             raise InputError.at("parameter", message)
         return lambda number: (chain, drive.replace(amplitude=number)), float(drive.amplitude)
     return _vary_number(orbit, parameter)
 
 
 def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System], float]:
-    """Return chain and drive as a function of a number of the chain or damping, and its value."""
+    """Return chain and drive as a function of a chain or damping property, and its value."""
     chain = orbit.chain
     drive = orbit.drive
     room, _, name = parameter.removeprefix("chain.").rpartition(".")

@@ -21,7 +21,7 @@ METHOD = RungeKutta(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
 
 @dataclass(frozen=True, eq=False)
 class DampedFlow(Flow):
-    """Eq. (1) with damping, or with a force on a grain, in reduced velocities.
+    """Eq. (1) with damping or with a force on a grain, in reduced velocities.
 
     ``q = sqrt(m) phi`` and ``p = sqrt(m) w / rate``, with the w of `chain.damping`, which is the
     velocity where nothing takes energy.
@@ -47,18 +47,18 @@ class DampedFlow(Flow):
 
     @property
     def _moves(self) -> Array:
-        """1 for a grain that moves by itself, else 0, (N,)."""
+        """1 for a grain that moves freely, 0 for others, (N,)."""
         number = np.arange(self.chain.grains)
         return ((number >= self.free.start) & (number < self.free.stop)).astype(float)
 
     def _creep(self, displacement: Array, wall: Array | None = None) -> Array:
-        """Return the velocities (..., N) less the reduced ones, m/s."""
+        """Return the difference between velocities and reduced velocities (..., N), m/s."""
         contacts = self.chain.contacts
         force = contacts.force_change(contacts.closer(displacement, wall))
         return self._rate(force, displacement)
 
     def _rate(self, force: Array, displacement: Array) -> Array:
-        """Return b - gamma x (..., N), m/s, for forces of contacts (..., N+1) and displacements."""
+        """Return b - gamma x (..., N), m/s, for contact forces (..., N+1) and displacements."""
         chain = self.chain
         viscous = chain.contact_viscosity * force
         creep = (viscous[..., :-1] - viscous[..., 1:]) / chain.masses
@@ -84,6 +84,6 @@ class DampedFlow(Flow):
 
 
 def flow_of(chain: Chain, rate: float, drive: Drive | Force | None, cycles: int = 1) -> Flow:
-    """Return the motion of a chain: symplectic unless it is damped or a force pushes it."""
+    """Return the flow of a chain: symplectic unless the chain is damped or a force acts."""
     kind = DampedFlow if drive is not None and (chain.damped or isinstance(drive, Force)) else Flow
     return kind(chain, rate, drive, cycles)

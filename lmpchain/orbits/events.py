@@ -1,4 +1,4 @@
-"""Folds and bifurcations along a family of orbits, located by regula falsi and halving."""
+"""Folds and bifurcations along a family of orbits, located by regula falsi and bisection."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ EVENTS = ("fold", "period doubling", "Neimark-Sacker", "branch point")
 
 @dataclass(frozen=True)
 class Location:
-    """Tolerances of the location of an event.
+    """Tolerances for locating an event.
 
     Attributes
     ----------
     split : float
         Difference of two means of multipliers, below which they are a double one with round-off.
     tries : int
-        Most orbits for an event.
+        Largest number of orbits for an event.
     near : float
-        Of its place, over the step in which it lies.
+        Tolerance of its position, relative to the step.
     circle : float
         Distance from the unit circle within which a multiplier of a damped chain passes it; others
         only meet and part outside of it.
@@ -43,7 +43,7 @@ LOCATION = Location()
 
 
 class Member(NamedTuple):
-    """An orbit of a family, and where the family goes from there.
+    """An orbit of a family with the direction of the family there.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Member(NamedTuple):
         none is known.
     solution : Solution
     multipliers : (2M,) array or None
-        Of a damped orbit, to a millionth; None of others, or where none are needed.
+        Multipliers of a damped orbit, to a millionth; None for others, or if not needed.
     """
 
     orbit: Orbit
@@ -72,7 +72,7 @@ class Member(NamedTuple):
 def locate(
     kind: str, start: Member, end: Member, at: Callable[[float], Member | None]
 ) -> Member | None:
-    """Return the orbit just behind an event between two orbits of a family, or None without one.
+    """Return the orbit just after an event between two orbits of a family; None without an event.
 
     Regula falsi with the Illinois rule; M. Dowell and P. Jarratt, BIT 11, 168 (1971).
 
@@ -99,7 +99,8 @@ def locate(
         gap = bounds[1] - bounds[0]
         if number % 3 == 0:
             width = gap
-        # regula falsi is slow where another pair is nearer than the one that meets: halve then
+        # Regula falsi is slow if another pair is nearer than the colliding pair; then the interval
+        # is halved.
         slow = number % 3 == 2 and gap > width / 4
         position = _propose(bounds, values, slow)
         member = at(position)
@@ -111,7 +112,7 @@ def locate(
         side = int(count != before)
         bounds[side] = position
         values[side] = _distance(kind, member, centre, count == larger)
-        # Illinois: a bound that stays twice would hold the line back
+        # Illinois method: a bound that stays twice would delay convergence.
         if side == previous:
             values[1 - side] /= 2
         if side:
@@ -123,22 +124,22 @@ def locate(
 
 
 def _passing(kind: str, event: Member) -> Member | None:
-    """Return an event, or None where multipliers meet outside of the circle and none passes it."""
+    """Return an event; None if multipliers meet outside the unit circle and none crosses it."""
     if kind == "fold" or event.multipliers is None:
         return event
     return event if _distance(kind, event, 0.0, True) < LOCATION.circle else None
 
 
 def _propose(bounds: list[float], values: list[float], halve: bool) -> float:
-    """Return the zero of the line through two values of a number, but not next to a bound."""
-    # values are sizes: of the two signs, one lies at either bound
+    """Return the zero of the line through two values, at some distance from the bounds."""
+    # The values are unsigned; they have opposite signs at the two bounds.
     total = sum(values)
     share = 0.5 if halve or not total else values[0] / total
     return bounds[0] + (bounds[1] - bounds[0]) * min(max(share, 0.02), 0.98)
 
 
 def _count(kind: str, member: Member) -> int:
-    """Return a whole number that changes where an event of this kind happens."""
+    """Return an integer that changes at an event of this kind."""
     if kind == "fold":
         return int(member.rate > 0)
     values = _values(member)
@@ -151,7 +152,7 @@ def _count(kind: str, member: Member) -> int:
 
 
 def _values(member: Member) -> Complex:
-    """Return the means of pairs of multipliers, or of a damped chain the multipliers themselves.
+    """Return the means of pairs of multipliers, or the multipliers themselves of a damped chain.
 
     Either is real beyond 1 or -1 if a real multiplier is.
     """
@@ -159,13 +160,13 @@ def _values(member: Member) -> Complex:
 
 
 def _centre(member: Member) -> float:
-    """Return the mean at which two pairs of multipliers have met: those that are least apart."""
+    """Return the mean at which two pairs of multipliers have met: the closest two means."""
     pairs = _complex(_values(member))
     return float(pairs.real[np.abs(pairs.imag).argmin()]) if pairs.size else 0.0
 
 
 def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
-    """Return the size of a number that passes zero where an event of this kind happens.
+    """Return the size of a quantity that is zero at an event of this kind.
 
     Of two pairs of multipliers that meet at a mean, the discriminant, whether they have `met` or
     not; of a damped chain, the distance of the nearest complex multiplier from the unit circle.

@@ -21,8 +21,8 @@ from ..util.tabular import NamedColumn, Tabular
 from .floquet import Complex
 from .orbit import Orbit
 
-SAME = 1e-6  # relative: orbits nearer than this in value, period and energy are one
-DECADES = 50.0  # ratio of sizes from which on an axis is logarithmic
+SAME = 1e-6  # Relative distance in value, period and energy below which two orbits are equal.
+DECADES = 50.0  # Ratio of sizes from which an axis is logarithmic.
 MARKS = {"fold": "o", "period doubling": "s", "Neimark-Sacker": "^", "branch point": "D"}
 
 
@@ -37,12 +37,12 @@ class Event(Shown):
         leave it, or come back, or of a damped chain a complex pair passes it; a multiplier passes
         1.
     value : float
-        Of the parameter.
+        Value of the parameter.
     orbit : Orbit
     after : int
-        Number from 0 of the orbit of the family that it comes after.
+        Index, from 0, of the orbit of the family before the event.
     parameter, hold
-        As they were given to `follow`.
+        Arguments as given to `follow`.
     """
 
     kind: str
@@ -70,14 +70,14 @@ class Family(Shown, Tabular):
     ----------
     orbits : tuple of P Orbit
     value : (P,) array
-        Of the parameter, in its SI unit.
+        Values of the parameter, in its SI unit.
     parameter : str
     events : tuple of Event
-        In their order.
+        Events in their order.
     reached : bool
         Whether the family came to the value asked for.
     ended : str
-        Why it did not; empty if it did.
+        Reason for an early end; empty if the goal was reached.
     """
 
     orbits: tuple[Orbit, ...]
@@ -110,7 +110,7 @@ class Family(Shown, Tabular):
 
     @property
     def stable(self) -> np.ndarray:
-        """Which orbits are stable, (P,) bool."""
+        """Whether each orbit is stable, (P,) bool."""
         return np.array([orbit.stable for orbit in self.orbits])
 
     def backwards(self) -> Family:
@@ -123,7 +123,7 @@ class Family(Shown, Tabular):
         return replace(self, orbits=self.orbits[::-1], value=self.value[::-1], events=tuple(events))
 
     def join(self, *others: Family) -> Family:
-        """Return one family of this and others that each go on where the one before ended.
+        """Return one family joined from this one and others, each continuing the previous one.
 
         The orbit where two meet counts once. The joined family has come to its value if all have;
         else it says why the first of them that did not has ended.
@@ -154,7 +154,7 @@ class Family(Shown, Tabular):
                     f"a family that begins at {self.parameter} = {start[0]:g} does not go on "
                     f"from {end[0]:g}; join in their order, `backwards()` turns one round",
                 )
-            # events count the orbits of their own family
+            # Events count the orbits of their own family.
             earlier = len(joined) - 1
             events = (
                 replace(event, after=event.after + earlier) if event.after >= 0 else event
@@ -215,12 +215,12 @@ class Family(Shown, Tabular):
         ax.set_ylabel(label)
         if self.ended:
             set_title(ax, self.ended[0].upper() + self.ended[1:])
-        # it may lie on a band, whose patch is of its colour
+        # The legend may overlap a band, whose patch has the same colour.
         legend(ax, frameon=True, edgecolor="none", framealpha=1.0)
         return ax
 
     def _shade_bands(self, ax: Axes, place: Array) -> Array:
-        """Shade the linear bands, and return edges so near that the family is seen beside them."""
+        """Shade the linear bands, and return the band edges close to the family."""
         bands = self._bands()
         for number, (low, high) in enumerate(bands):
             label = "" if number else "linear waves"
@@ -236,7 +236,7 @@ class Family(Shown, Tabular):
                 ax.plot(*places[:, events], mark, label=kind, **ring)
 
     def _draw_curve(self, ax: Axes, curve: Array, events: Array, broken: str) -> None:
-        """Draw places and heights of orbits (2, P) and events (2, E); unstable orbits broken.
+        """Draw places and heights of orbits (2, P) and events (2, E); unstable orbits are dashed.
 
         A stretch ends at an event, or else an unstable one begins at the last stable orbit.
         """
@@ -255,7 +255,7 @@ class Family(Shown, Tabular):
             (unstable, (~stable).any(), broken, "unstable"),
         ):
             if some:
-                # points would fill the gaps of a dotted line
+                # Markers would fill the gaps of a dotted line.
                 marker = "" if style == ":" else "."
                 shown = np.where(chosen, height, np.nan)
                 ax.plot(place, shown, style, marker=marker, color=COLOURS["blue"], label=label)
@@ -273,7 +273,7 @@ class Family(Shown, Tabular):
 
     @staticmethod
     def _frequencies(orbits: Sequence[Orbit]) -> Array:
-        """Return the frequencies of the drives, or of the orbits without one, Hz."""
+        """Return the frequencies of the drives, or of undriven orbits, Hz."""
         return np.array([1 / o.period if o.drive is None else o.drive.frequency for o in orbits])
 
     def _unit(self) -> str:
@@ -295,13 +295,13 @@ class Family(Shown, Tabular):
         A chain that does not repeat has one, from its slowest to its fastest mode.
         """
         chain = self.orbits[0].chain
-        # the frequencies that there would be without damping
+        # The frequencies are those of the chain without damping.
         chain = chain.replace(damping=None) if chain.damped else chain
         if not chain.linearisable:
             return np.zeros((0, 2))
         period = repeating(chain)
         arrays = (chain.masses, chain.linear_stiffness)
-        # the period is 1 of a uniform chain, and of one that never repeats
+        # The period is 1 for a uniform chain, and for a chain without repetition.
         uniform = all(np.ptp(array) < 1e-9 * array[0] for array in arrays)
         if chain.gravity == 0 and chain.grains > period and (period > 1 or uniform):
             cell = Cell(chain.masses[:period], chain.linear_stiffness[:period])
@@ -311,7 +311,7 @@ class Family(Shown, Tabular):
         return np.array([[modes[0], modes[-1]]])
 
     def to_json(self) -> dict[str, Any]:
-        """Return the numbers of the family, and the last of its orbits."""
+        """Return the numbers of the family and of its last orbit."""
         return {
             "parameter": self.parameter,
             "value": self.value.tolist(),

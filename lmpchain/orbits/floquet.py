@@ -30,7 +30,7 @@ def inverse(matrix: Array) -> Array:
 
 
 def close(half: Array) -> Array:
-    """Return the tangent map (2M, 2M) of a period from the map of half a period.
+    """Return the tangent map (2M, 2M) of a period, given the map of half a period.
 
     The second half of the motion is the first one reversed in time."""
     # Momenta change their sign under time reversal.
@@ -46,7 +46,7 @@ def means(matrix: Array) -> Complex:
 
 @in_one_thread
 def reversible_means(half: Array) -> Complex:
-    """Return the means of an orbit at rest at t = 0 from the tangent map of half its period.
+    """Return the means of an orbit at rest at t = 0, from the tangent map of half its period.
 
     With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements.
     """
@@ -63,13 +63,13 @@ def all_multipliers(matrix: Array) -> Complex:
 
 
 def without_trivial(mean: Complex) -> Complex:
-    """Return the means without the one nearest to 1, the trivial pair of an undriven orbit."""
+    """Return the means without the one nearest to 1, which is trivial for an undriven orbit."""
     return np.delete(mean, np.abs(mean - 1).argmin())
 
 
 def multipliers(mean: Complex, trivial: bool) -> Complex:
-    """Return the pairs (2M,), side by side, the largest first; a trivial pair 1 is the last."""
-    # l = c +- sqrt(c^2 - 1): the larger one, and its inverse, lose no digits
+    """Return multipliers (2M,) in pairs, largest first; a trivial pair 1 is the last."""
+    # In l = c +- sqrt(c^2 - 1), the larger root and its inverse are computed without cancellation.
     root = np.sqrt(mean**2 - 1)
     large = np.where(np.abs(mean + root) >= np.abs(mean - root), mean + root, mean - root)
     on_circle = (mean.imag == 0) & (np.abs(mean.real) <= 1)
@@ -80,10 +80,10 @@ def multipliers(mean: Complex, trivial: bool) -> Complex:
 
 
 def _halve(matrix: Array) -> Array:
-    """Return an (M, M) matrix that has each double eigenvalue of a skew-Hamiltonian one once."""
+    """Return an (M, M) matrix with each double eigenvalue of a skew-Hamiltonian matrix once."""
     matrix = matrix.copy()
     size = len(matrix) // 2
-    # column by column, by symplectic orthogonal maps alone
+    # Column by column, by orthogonal symplectic maps only.
     for j in range(size - 1):
         rows = np.arange(j + 1, size)
         _reflect(matrix, matrix[size + rows, j], rows, size)
@@ -104,9 +104,9 @@ def _rotate(matrix: Array, row: int, column: int, size: int) -> None:
 
 
 def _reflect(matrix: Array, column: Array, rows: NDArray[np.intp], size: int) -> None:
-    """Reflect displacements and momenta alike: of a column the first entry alone remains."""
+    """Reflect displacements and momenta so that only the first entry of a column remains."""
     normal = column.copy()
-    # away from the first entry: the sum of two numbers of one sign loses no digits
+    # The sign avoids cancellation, because both summands have equal signs.
     normal[0] += np.copysign(np.linalg.norm(column), column[0])
     square = normal @ normal
     if not square:

@@ -45,7 +45,7 @@ class Passage(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """Eq. (1) in canonical variables, for the M grains that are free.
+    """Eq. (1) in canonical variables for the M free grains.
 
     ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are symplectic. A
     chain that loses energy, or is pushed by a force, moves by `damped_flow.DampedFlow`.
@@ -80,7 +80,7 @@ class Flow:
                 raise InputError([(f"drive.{key}", message) for key, message in faults])
         elif chain.damped:
             cure = "give a drive, or leave damping out, as chain.replace(damping=None) does"
-            fault = "an orbit without a drive knows no damping, which brings it to rest"
+            fault = "damping brings an orbit without a drive to rest"
             raise InputError.at("chain.damping", f"{fault}: {cure}")
         elif not chain.linearisable and self._flies_apart:
             message = "flies apart: use a top load, gravity, or walls at both ends"
@@ -88,7 +88,7 @@ class Flow:
 
     @property
     def _flies_apart(self) -> bool:
-        """Whether grains that only touch have an end where no wall holds them."""
+        """Return whether grains that only touch are at an end without a wall."""
         chain = self.chain
         return chain.top == "free" or (chain.bottom == "free" and not chain.compressed)
 
@@ -96,12 +96,12 @@ class Flow:
     def _kernel_arrays(self) -> tuple[BatchArrays, Array]:
         """Contacts, and inverse masses of all bodies, 1/kg, for the compiled loop."""
         rest = Profile(velocity=np.zeros(self.chain.grains))
-        # scales of a chain at rest divide by 0, but are not used
+        # The scales of a chain at rest divide by 0, but are not used.
         with np.errstate(all="ignore"):
             scene = Scene(chain=self.chain, excitation=rest, duration=1.0, samples=2)
             batch = ChainBatch([scene], "exact")
         inverse_mass = batch.arrays.inverse_mass[0]
-        # a grain that the drive holds does not give way
+        # A grain held by the drive does not react to forces.
         inverse_mass[PAD : PAD + self.held] = 0.0
         return batch.arrays, inverse_mass
 
@@ -112,27 +112,27 @@ class Flow:
 
     @property
     def held(self) -> int:
-        """Grains at the top that the drive holds: 1 or 0."""
+        """Number of grains held by the drive at the top: 1 or 0."""
         return int(isinstance(self.drive, Drive) and self.drive.grain == 1)
 
     @property
     def symplectic(self) -> bool:
-        """Whether tangent maps are, so that multipliers come in pairs: nothing takes energy."""
+        """Whether tangent maps are symplectic, because nothing dissipates energy."""
         return not self.chain.damped
 
     @property
     def free(self) -> slice:
-        """The grains that move by themselves."""
+        """Slice of the grains that move freely."""
         return slice(self.held, self.chain.movable)
 
     @property
     def size(self) -> int:
-        """Number of grains that move by themselves, M."""
+        """Number M of grains that move freely."""
         return self.chain.movable - self.held
 
     @property
     def units(self) -> Array:
-        """Canonical variables over displacements and velocities, (2, M)."""
+        """Ratios of canonical variables to displacements and velocities, (2, M)."""
         return np.stack((self.weight, self.weight / self.rate))
 
     def canonical(self, displacement: Array, velocity: Array) -> Array:
@@ -151,7 +151,7 @@ class Flow:
         return self._rows(change)
 
     def _rows(self, state: Array) -> tuple[Array, Array]:
-        """Return the two rows (N,) that the compiled loop moves."""
+        """Return the two rows (N,) that the compiled loop advances."""
         u, v = np.zeros((2, self.chain.grains))
         u[self.free], v[self.free] = state / self.units
         return u, v
@@ -164,7 +164,7 @@ class Flow:
         deviation: Array | None = None,
         stretch: int = 0,
     ) -> Passage:
-        """Advance a state (2, M) from t = 0 by steps that are fractions (K,) of a period.
+        """Advance a state (2, M) from t = 0 by steps that are given as fractions (K,) of a period.
 
         Parameters
         ----------
@@ -179,7 +179,7 @@ class Flow:
         rows[:, PAD : PAD + grains] = self._rows(state)
         columns = np.zeros((2, grains, begin.shape[2]))
         columns[:, self.free] = begin / self.units[..., None]
-        # columns that are derivatives by log(period) grow with every step
+        # Columns of derivatives by log(period) grow with every step.
         longer = np.zeros(begin.shape[2])
         longer[longer.size - stretch :] = 1.0
         nodes = np.zeros((2, mesh.size + 1, grains))
@@ -213,18 +213,18 @@ class Flow:
         )
 
     def _complete(self, nodes: Array, wall: Array) -> None:
-        """Make displacements and velocities of what the compiled loop has moved, (2, K+1, N)."""
+        """Convert the rows of the compiled loop to displacements and velocities, (2, K+1, N)."""
 
     def _imposed(self, share: Array) -> Array:
-        """Return the motion, m, or the force, N, of the drive at shares of the period."""
+        """Return the motion, m, or the force, N, of the drive at fractions of the period."""
         if self.drive is None:
             return np.zeros(0)
-        # whole turns are left out: a sine of few radians is the most accurate
+        # Whole cycles are subtracted, because the sine of a small phase is the most accurate.
         turns = self.cycles * share
         return np.asarray(self.drive.amplitude * np.sin(2 * np.pi * (turns - np.round(turns))))
 
     def direction(self, state: Array) -> Array:
-        """Return the rate of change of a state (2, M) at t = 0, over `rate`."""
+        """Return the rate of change of a state (2, M) at t = 0, divided by `rate`."""
         u, _ = self.physical(state)
         force = self.chain.contacts.force_change(self.chain.contacts.closer(u))
         pull = (force[:-1] - force[1:])[self.free] / self.weight / self.rate**2
@@ -238,7 +238,7 @@ class Flow:
 
 
 def check_sine(drive: Any) -> None:
-    """Raise `InputError` for all but a motion or force that is a sine and never ends."""
+    """Raise `InputError` unless a motion or force is a sine without end."""
     if not isinstance(drive, Drive | Force):
         raise InputError.at("drive", f"must be a Drive or a Force (got {shown(drive)})")
     if drive.from_below:

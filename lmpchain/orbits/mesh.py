@@ -1,4 +1,4 @@
-"""Steps of an orbit: fixed fractions of its period, short where contacts open and close.
+"""Time mesh of an orbit: fixed fractions of its period, short where contacts open or close.
 
 The force has a singular derivative where a contact opens, so that steps of one length would lose
 their order there. Steps fixed in advance keep the map symplectic, whatever their lengths.
@@ -17,7 +17,7 @@ from .flow import Flow, Passage
 
 @dataclass(frozen=True)
 class Mesh:
-    """Lengths of steps.
+    """Lengths of mesh steps.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
     """Return the times at which contacts open or close, as ascending fractions of the period."""
     contacts = flow.chain.contacts
     overlap = contacts.overlap + contacts.closer(passage.displacement, passage.wall[0])
-    # a contact that round-off alone presses does not close
+    # A contact pressed only by rounding errors does not count as closed.
     noise = 1e-9 * np.abs(overlap).max()
     crossing = contacts.exists & (overlap.min(0) < 0) & (overlap.max(0) > noise)
     if not crossing.any():
@@ -66,7 +66,7 @@ def openings(flow: Flow, passage: Passage, period: float, mesh: Array) -> Array:
 
 
 def uniform(flow: Flow, period: float, displacement: Array, reach: float = MESH.reach) -> Array:
-    """Return an even number of equal fractions that resolve a motion through states (K, N)."""
+    """Return an even number of equal fractions that resolve the motion through states (K, N)."""
     count = highest_frequency(flow, displacement) * period / reach
     half = max(24, int(np.ceil(min(count, MESH.steps)))) // 2 + 1
     return np.full(2 * half, 0.5 / half)
@@ -75,7 +75,7 @@ def uniform(flow: Flow, period: float, displacement: Array, reach: float = MESH.
 def graded(
     flow: Flow, period: float, displacement: Array, times: Array, reach: float = MESH.reach
 ) -> Array:
-    """Return fractions that shrink towards openings at `times` (E,).
+    """Return fractions that decrease towards openings at `times` (E,).
 
     They are symmetric in time unless there is a drive, with which the motion is not.
     """
@@ -86,9 +86,9 @@ def graded(
     mirrored = flow.drive is None
     mirrors = (1 - times, -times) if mirrored else ()
     near = np.unique(np.concatenate((times, times - 1, times + 1, *mirrors)))
-    # openings closer than the shortest step are one
+    # Openings closer together than the shortest step are merged.
     near = near[np.append(True, np.diff(near) > shortest)]
-    # the density of steps, between close nodes on either side of every opening
+    # The density of steps is evaluated at close nodes on both sides of every opening.
     away = np.geomspace(shortest / 4, 4 * even[0] / MESH.grading, 600)
     beside = (*(near + away[:, None]), *(near - away[:, None]))
     end = 0.5 if mirrored else 1.0

@@ -1,4 +1,4 @@
-"""Nonlinear normal modes from linear ones, and breathers from the anti-continuous limit."""
+"""Nonlinear normal modes from linear ones, and breathers from the limit of fixed heavy grains."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from .search import check_number, find, linear_mode
 
 @dataclass(frozen=True)
 class KnownLimits:
-    """Orbits of limits in which they are known, from which families begin.
+    """Parameters of the known limits from which families start.
 
     Attributes
     ----------
     strain : float
-        Of a small orbit.
+        Strain of a small orbit.
     slow : float
         Frequency over the band edge, below which harmonics are nearly resonant and smaller orbits
         are taken.
@@ -45,7 +45,7 @@ LIMITS = KnownLimits()
 
 
 def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:
-    """Return the nonlinear normal mode that a linear one grows into at this energy.
+    """Return the nonlinear normal mode of this energy that continues a linear mode.
 
     A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). The mode at the
     edge of a band which softens becomes a breather in the gap below: G. Theocharis et al.,
@@ -111,18 +111,18 @@ def mode_family(
     chain.refuse_ground("the search for orbits")
     check_positive("energy", energy)
     displacement, period = linear_mode(chain, mode, LIMITS.strain)
-    # a slow mode is nearly resonant with its harmonics at smaller amplitudes already
+    # A slow mode becomes nearly resonant with its harmonics at smaller amplitudes.
     displacement *= min(1.0, 2 * np.pi / period / (LIMITS.slow * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
     linear = float(chain.excess_energy(displacement, rest))
-    # below the energy asked for, so that the family goes up
+    # The family starts below the requested energy, so that it is continued upward.
     small = min(1.0, float(np.sqrt(0.5 * energy / linear)))
     first = find(chain, (small * displacement, rest), period, energy=linear * small**2)
     return follow(first, "energy", energy, events=events, progress=progress)
 
 
 def breather(chain: Chain, grain: int, period: float, *, progress: bool = False) -> Orbit:
-    """Return the breather around a grain, from the limit in which all heavier grains stand still.
+    """Return the breather around a grain, continued from the limit of fixed heavier grains.
 
     In that limit the grain oscillates alone; then the masses of the heavier grains come down to
     their own. See R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
@@ -177,7 +177,8 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     displacement = np.zeros(chain.grains)
     stiffness = float(chain.contacts.stiffness[grain - 1 : grain + 1].sum())
     slowest = float(2 * np.pi / np.sqrt(stiffness / mass))
-    # a gentle motion alone is too slow for a shorter period, but quickens once its neighbours move
+    # A gentle motion with fixed neighbours is slower than the period, but becomes faster when they
+    # move.
     gentle = period < slowest
     if gentle:
         displacement[grain - 1] = LIMITS.strain * chain.contacts.overlap[grain]
@@ -198,7 +199,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
 
 
 def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
-    """Return the amplitude of a grain with this period while all others stand still, m."""
+    """Return the amplitude of a grain with this period while all others are fixed, m."""
     unit = np.zeros(chain.grains)
     unit[grain - 1] = 1.0
     contacts = chain.contacts
@@ -213,7 +214,8 @@ def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
         high = overlap * np.exp(logarithm)
         energy = float(potential(high))
         low = brentq(lambda x: float(potential(x)) - energy, -1e3 * high, 0.0, xtol=1e-15 * high)
-        # T = 2 int dx / speed; by x = middle + half sin(angle) the ends are no longer singular
+        # T = 2 int dx / speed; the substitution x = middle + half sin(angle) removes the end
+        # singularities.
         half = (high - low) / 2
         angle = np.pi / 2 * node
         x = (high + low) / 2 + half * np.sin(angle)

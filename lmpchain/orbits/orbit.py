@@ -1,4 +1,4 @@
-"""A periodic orbit: state, energy, Floquet multipliers, stability, and scenes that run it."""
+"""A periodic orbit: state, energy, Floquet multipliers, stability, and scenes that start on it."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from . import floquet
 from .flow import Flow, Passage
 from .shooting import Equations, OrbitPoint, Solution
 
-# |multiplier| - 1 that round-off may make of a pair on the unit circle
+# Largest |multiplier| - 1 by rounding of a pair on the unit circle.
 STABLE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Orbit(Shown, Tabular):
-    """A periodic orbit of Eq. (1), as `find`, `normal_mode`, `breather` and `follow` return it.
+    """A periodic orbit of Eq. (1), returned by `find`, `normal_mode`, `breather` and `follow`.
 
     Attributes
     ----------
     chain : Chain
     period : float
-        s.
+        Period, s.
     displacement, velocity : (N,) arrays
-        At t = 0, m and m/s.
+        State at t = 0, m and m/s.
     drive : Drive, Force or None
         The motion of grain 1 or the top wall, or the force on a grain, at this period.
     reversible : bool
@@ -46,7 +46,7 @@ class Orbit(Shown, Tabular):
         Largest change of a displacement or a velocity over a period, relative to the largest of the
         orbit; below 1e-12 unless the motion amplifies rounding beyond that.
     error : float
-        Of the orbit and its period by the integrator, relative, as steps of half the length show
+        Relative error of the orbit and its period by the integrator, as half the steps show
         it. Where an orbit can all but slide along its neighbours, as the dip of a strong dark
         breather can, most of it is round-off in that direction, along which the period hardly
         changes.
@@ -109,7 +109,7 @@ class Orbit(Shown, Tabular):
 
     @cached_property
     def tangent(self) -> Array:
-        """Tangent map (2M, 2M) of a period, or of half if reversible, in canonical variables."""
+        """Canonical tangent map (2M, 2M) of a period, or of half a period if reversible."""
         size = 2 * self.flow.size
         steps = self.mesh[: self.mesh.size // 2] if self.reversible else self.mesh
         passage = self.flow.run(self.state, self.period, steps, np.eye(size).reshape(2, -1, size))
@@ -125,7 +125,7 @@ class Orbit(Shown, Tabular):
 
     @cached_property
     def means(self) -> floquet.Complex:
-        """Mean (l + 1/l) / 2 of every pair of multipliers, (M-1,), driven (M,).
+        """Means (l + 1/l) / 2 of all pairs of multipliers, (M-1,), or (M,) if driven.
 
         It is real and from -1 to 1 if the pair is stable.
 
@@ -141,7 +141,7 @@ class Orbit(Shown, Tabular):
 
     @cached_property
     def multipliers(self) -> floquet.Complex:
-        """Floquet multipliers, the largest first, (2M,) complex.
+        """Floquet multipliers, largest first, (2M,) complex.
 
         They come in pairs l, 1/l side by side unless the chain is damped. Unless the orbit is
         driven, the last pair is 1: along the orbit, and to its neighbours in the family.
@@ -152,12 +152,12 @@ class Orbit(Shown, Tabular):
 
     @property
     def stable(self) -> bool:
-        """Whether no multiplier lies outside of the unit circle."""
+        """Whether no multiplier is outside the unit circle."""
         return bool((np.abs(self.multipliers) < 1 + STABLE).all())
 
     @property
     def unstable(self) -> floquet.Complex:
-        """Multipliers outside of the unit circle, the largest first."""
+        """Multipliers outside the unit circle, largest first."""
         return self.multipliers[np.abs(self.multipliers) >= 1 + STABLE]
 
     @cached_property
@@ -181,7 +181,7 @@ class Orbit(Shown, Tabular):
         return np.asarray(elastic + self._viscous_forces())
 
     def _force_changes(self) -> Array:
-        """Return the forces less those at rest, of which a weak motion loses no digits."""
+        """Return the forces minus the forces at rest, accurate also for weak motion."""
         contacts = self.chain.contacts
         closer = contacts.closer(self._passage.displacement, self._passage.wall[0])
         return contacts.force_change(closer) + self._viscous_forces()
@@ -194,7 +194,7 @@ class Orbit(Shown, Tabular):
         return viscous_force(contacts, self.chain.contact_viscosity, overlap, closing)
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) of an unstable direction.
+        """Return displacement and velocity (N,) of an unstable Floquet direction.
 
         Its largest displacement is 1 m. For a complex multiplier it is the real part, which turns
         as it grows.
@@ -217,13 +217,13 @@ class Orbit(Shown, Tabular):
             )
         shifted = self.monodromy - growing[number - 1] * np.eye(len(self.monodromy))
         vector = svd(shifted)[2][-1].conj()
-        # The phase of a complex direction is arbitrary: make the largest component real.
+        # The phase of a complex direction is arbitrary; the largest component is made real.
         vector = vector * np.exp(-1j * np.angle(vector[np.abs(vector).argmax()]))
         u, v = self.flow.deviation(self.state, vector.real.reshape(2, -1))
         return u / np.abs(u).max(), v / np.abs(u).max()
 
     def perturbed(self, size: float, number: int = 1) -> Profile | Drive | Force:
-        """Return the orbit with an unstable direction added, as initial data to run.
+        """Return the orbit plus an unstable direction, as the initial state of a run.
 
         Parameters
         ----------
@@ -237,21 +237,21 @@ class Orbit(Shown, Tabular):
         return self._excitation(self.displacement + scale * u, self.velocity + scale * v)
 
     def _excitation(self, u: Array, v: Array) -> Profile | Drive | Force:
-        """Return the excitation that begins with a state, (N,) m and m/s, and drives if driven."""
+        """Return the excitation that starts from a state, (N,) m and m/s, with the drive if any."""
         if self.drive is None:
             return Profile(displacement=u, velocity=v)
         free = np.arange(u.size) >= self.flow.held
         return self.drive.replace(start=Profile(displacement=u * free, velocity=v * free))
 
     def scene(self, periods: float = 1, samples: int = 101) -> Scene:
-        """Return the scene that runs the orbit for a number of periods, in any engine."""
+        """Return the scene that runs the orbit for a number of periods in any engine."""
         excitation = self._excitation(self.displacement, self.velocity)
         return Scene(
             chain=self.chain, excitation=excitation, duration=periods * self.period, samples=samples
         )
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the displacements at five moments of half a period, and return the axes."""
+        """Draw the displacements at five times of half a period, and return the axes."""
         from matplotlib import colormaps
         from matplotlib.ticker import MaxNLocator
 
@@ -286,7 +286,7 @@ class Orbit(Shown, Tabular):
 
 
 def orbit_of(equations: Equations, solution: Solution, error: float) -> Orbit:
-    """Return the orbit of a solution."""
+    """Return the orbit of a solution of Newton's method."""
     point: OrbitPoint = solution.point
     flow = equations.flow_at(point.value)
     passage = flow.run(point.state, point.period, solution.mesh)

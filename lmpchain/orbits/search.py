@@ -1,4 +1,4 @@
-"""Periodic orbits near a guess, a linear mode or the linear answer to a drive."""
+"""Search for periodic orbits near a guess, a linear mode, or the linear response to a drive."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .orbit import Orbit, orbit_of
 from .shooting import Equations, OrbitPoint, fixed, solve_accurately
 
 Guess = Profile | tuple[Array, Array] | None
-WEAK = 1e-2  # of a drive: one so much weaker has nearly the linear answer
-REST = 1e-3  # of the guess: an orbit that much smaller is the chain at rest
+WEAK = 1e-2  # Ratio of drives; the response to a drive weakened by this factor is nearly linear.
+REST = 1e-3  # Ratio to the guess; a smaller orbit is the chain at rest.
 
 
 @in_one_thread
@@ -34,7 +34,7 @@ def find(
     energy: float | None = None,
     drive: Drive | Force | None = None,
 ) -> Orbit:
-    """Return the periodic orbit near a guess, by Newton shooting with the exact tangent map.
+    """Return the periodic orbit near a guess by Newton shooting with the exact tangent map.
 
     A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the
     work. The steps are those of a splitting of order 8, with damping or a force those of a
@@ -92,7 +92,7 @@ def find(
     size = float(np.abs(state).max())
     if not size > 0:
         raise InputError.at("guess", "is the chain at rest: give displacements or velocities")
-    # momenta that round-off leaves, over displacements, are none
+    # Relative momenta of the size of rounding errors count as 0.
     reversible = drive is None and bool(np.abs(state[1]).max() < 1e-12 * size)
     equations = Equations(lambda _: flow, reversible, size)
     key, value = ("period", period) if energy is None else ("energy", energy)
@@ -112,14 +112,14 @@ def find(
 
 
 def _take_start(guess: Guess, drive: Drive | Force) -> tuple[Guess, Drive | Force]:
-    """Return a guess, by default the start of a drive, and the drive without it."""
+    """Return the start of the search, by default the start of a drive, and the drive without it."""
     if drive.start is not None:
         return drive.start if guess is None else guess, drive.replace(start=None)
     return guess, drive
 
 
 def _raise_drive(chain: Chain, drive: Drive | Force, period: float) -> Orbit:
-    """Return the answer to a drive that is as strong, by way of weaker ones."""
+    """Return the response to a drive of full strength, continued from weaker drives."""
     weak = drive.replace(amplitude=WEAK * drive.amplitude)
     guess = _linear_answer(_flow(chain, period, weak)[0])
     first = find(chain, guess, period, drive=weak)
@@ -175,7 +175,7 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
 
 
 def check_number(key: str, value: Any, last: int) -> None:
-    """Raise `InputError` for anything but a whole number from 1 to `last`."""
+    """Raise `InputError` unless a number is an integer from 1 to `last`."""
     integer = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not integer or not 1 <= value <= last:
         message = f"must be a whole number from 1 to {last} (got {shown(value)})"
@@ -197,17 +197,17 @@ def _state(chain: Chain, guess: Profile | tuple[Array, Array]) -> tuple[Array, A
 
 
 def _linear_answer(flow: Flow) -> tuple[Array, Array]:
-    """Return the motion at t = 0 with which the linearised chain follows the drive, m and m/s."""
+    """Return the linear response to the drive at t = 0, m and m/s."""
     chain = flow.chain
     drive = flow.drive
     if drive is None:
         message = "give displacements and velocities, such as those of a linear mode"
         raise InputError.at("guess", f"is missing: {message}")
     if not chain.linearisable:
-        message = "a chain that is not compressed has no linear answer to a drive"
+        message = "a chain without compression has no linear response to a drive"
         raise InputError.at("guess", f"is missing, and {message}")
     omega = 2 * np.pi * drive.frequency
-    # motions Im(u exp(i omega t)); that of grain 1, if it is driven, is the drive's
+    # The motions are Im(u exp(i omega t)); a driven grain 1 moves as the drive.
     answer = displacements(chain, drive)[1:-1]
     answer[: flow.free.start] = 0.0
     return answer.imag, omega * answer.real

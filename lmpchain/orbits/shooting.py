@@ -22,14 +22,14 @@ from .flow import Flow, Passage
 
 @dataclass(frozen=True)
 class Newton:
-    """Limits within which Newton's method goes on, and tolerances of an orbit.
+    """Limits of Newton's method, and tolerances of an orbit.
 
     Attributes
     ----------
     closed : float
         Residual of an orbit, and error of its steps, over the size of the orbit.
     iterations : int
-        Most steps.
+        Largest number of steps.
     useful : float
         Factor by which a step with derivatives of another point must bring the residual down.
     local : float
@@ -37,7 +37,7 @@ class Newton:
     nudge : float
         Change of a parameter, over its scale, for the derivative by differences.
     rounds : int
-        How often steps are laid anew around openings, and how often they are halved, at most.
+        Largest number of new meshes around openings, and of halvings of the steps.
     """
 
     closed: float = 1e-12
@@ -49,7 +49,7 @@ class Newton:
 
 
 NEWTON = Newton()
-FILTERS = Lock()  # of warnings: one list for all threads, which they change in turns
+FILTERS = Lock()  # Protects the warning filters, which all threads share.
 
 
 class OrbitPoint(NamedTuple):
@@ -62,7 +62,7 @@ class OrbitPoint(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """The equations of a periodic orbit, in unknowns that are all of order 1.
+    """The equations of a periodic orbit in unknowns of order 1.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class Equations:
         return np.concatenate((state / self.unit, [np.log(point.period / self.time)], parameter))
 
     def unpack(self, unknown: Array) -> OrbitPoint:
-        """Return the point of these unknowns."""
+        """Return the orbit point of these unknowns."""
         end = self.period_at(unknown)
         state = unknown[:end] * self.unit
         state = np.stack((state, np.zeros(end))) if self.reversible else state.reshape(2, -1)
@@ -99,17 +99,17 @@ class Equations:
         return OrbitPoint(state, float(np.exp(unknown[end]) * self.time), value)
 
     def period_at(self, unknown: Array) -> int:
-        """Return the index of log(period) among the unknowns, which follows the state."""
+        """Return the index of log(period) in the unknowns, after the state."""
         return unknown.size - 1 - bool(self.scale)
 
     def closure(self, point: OrbitPoint, mesh: Array) -> Array:
-        """Return the change of the state over a period, or the momenta after half of one, (R,)."""
+        """Return the change of state over a period, or the momenta after half a period, (R,)."""
         return self._closure(self.flow_at(point.value), point, mesh)[0]
 
     def linearise(self, point: OrbitPoint, mesh: Array) -> tuple[Array, Array]:
         """Return the closure (R,) and its derivatives (R, U) by the unknowns."""
         flow = self.flow_at(point.value)
-        # the displacements at t = 0 are unknown, and the momenta unless all grains begin at rest
+        # Displacements at t = 0 are unknown, and momenta unless all grains start from rest.
         size = flow.size if self.reversible else 2 * flow.size
         columns = np.zeros((2 * flow.size, size + 1))
         columns[:size, :size] = np.eye(size)
@@ -117,10 +117,11 @@ class Equations:
         if self.reversible:
             slopes = np.hstack((end[size:, :size], end[size:, size:] / self.unit))
         else:
-            # The closure of a whole period has the tangent map less the identity as derivative.
+            # The closure of a whole period has the tangent map minus the identity as derivative.
             slopes = np.hstack((end[:, :size] - np.eye(size), end[:, size:] / self.unit))
             if flow.drive is None:
-                # all states of an orbit close: take the one across the motion from the last guess
+                # All states of an orbit close; the phase is fixed by a plane across the motion of
+                # the last guess.
                 across = flow.direction(point.state).ravel()
                 slopes = np.vstack((slopes, np.append(across / np.linalg.norm(across), 0.0)))
                 residual = np.append(residual, 0.0)
@@ -132,7 +133,7 @@ class Equations:
         return residual, slopes
 
     def by_value(self, point: OrbitPoint, quantity: Callable[[Flow], Any]) -> Any:
-        """Return the derivative of a quantity by the parameter, over its scale, by differences."""
+        """Return the scaled derivative of a quantity by the parameter, by finite differences."""
         nudge = NEWTON.nudge
         for up, down in ((nudge, -nudge), (nudge, 0.0), (0.0, -nudge)):
             try:
@@ -142,7 +143,7 @@ class Equations:
                 # At the end of the allowed range the difference is one-sided.
                 continue
             return (above - below) / (up - down)
-        raise RunFailed(f"the parameter can be nothing but {point.value:g}")
+        raise RunFailed(f"the parameter cannot differ from {point.value:g}")
 
     def _closure(
         self,
@@ -160,10 +161,11 @@ class Equations:
     def mesh(
         self, point: OrbitPoint, reach: float, before: Array | None = None
     ) -> tuple[Array, bool]:
-        """Return steps for a point, and whether contacts open, around which they are shorter."""
+        """Return steps for a point, shorter around openings, and whether contacts open."""
         flow = self.flow_at(point.value)
         if before is None:
-            # the stiffest state of the motion, which sets the steps, is known once it has run
+            # The stiffest state of the motion, which determines the steps, is known only after a
+            # run.
             before = meshes.uniform(flow, point.period, flow.physical(point.state)[0])
             motion = self._run(flow, point, before).displacement
             before = meshes.uniform(flow, point.period, motion)
@@ -173,7 +175,7 @@ class Equations:
         return mesh, bool(times.size)
 
     def _run(self, flow: Flow, point: OrbitPoint, mesh: Array) -> Passage:
-        """Return the motion over a period, or over half of one that is symmetric in time."""
+        """Return the motion over a period, or over half of a time-reversible period."""
         return flow.run(point.state, point.period, self._steps(mesh))
 
     def _steps(self, mesh: Array) -> Array:
@@ -181,13 +183,13 @@ class Equations:
 
 
 class Constraint(NamedTuple):
-    """A further equation: from unknowns and their point, a residual and its derivatives (U,)."""
+    """A further equation: returns a residual and derivatives (U,) for unknowns and point."""
 
     of: Callable[[Array, OrbitPoint], tuple[float, Array]]
 
 
 def plane(through: Array, normal: Array) -> Constraint:
-    """Return the constraint that the unknowns lie in a plane through a point, (U,) both."""
+    """Return the constraint that restricts the unknowns to a plane through a point, (U,) both."""
     return Constraint(lambda unknown, _: (float(normal @ (unknown - through)), normal))
 
 
@@ -216,7 +218,7 @@ class Solution(NamedTuple):
 
 
 def fixed(equations: Equations, name: str, value: float) -> Constraint:
-    """Return the constraint that "period", "frequency", "energy" or "value" is this number.
+    """Return the constraint that fixes "period", "frequency", "energy" or "value" to a number.
 
     The frequency is that of the drive.
     """
@@ -252,7 +254,7 @@ def fixed(equations: Equations, name: str, value: float) -> Constraint:
 
 
 class OrbitSystem(NamedTuple):
-    """All equations of an orbit with given steps: its closure and its constraints."""
+    """All equations of an orbit with given steps: closure and constraints."""
 
     equations: Equations
     constraints: Sequence[Constraint]
@@ -270,26 +272,26 @@ class OrbitSystem(NamedTuple):
         else:
             residual = self.equations.closure(point, self.mesh)
             slopes = slopes[: len(slopes) - len(pairs)]
-        # the row that selects one state of an orbit leaves nothing
+        # The phase condition has the residual 0.
         phase = np.zeros(len(slopes) - residual.size)
         residual = np.concatenate((residual, phase, [value for value, _ in pairs]))
         return residual, np.vstack((slopes, *(row[None] for _, row in pairs)))
 
     def size(self, residual: Array, unknown: Array) -> float:
-        """Return the largest residual over the size of the orbit."""
+        """Return the largest residual relative to the size of the orbit."""
         state = unknown[: self.equations.period_at(unknown)]
         return float(np.abs(residual).max() / np.abs(state).max())
 
 
 class Descent(NamedTuple):
-    """Newton steps with derivatives that are kept.
+    """Newton steps with stored derivatives.
 
     Attributes
     ----------
     unknown : (U,) array
-        Where the residual is least, the start included.
+        Unknowns with the smallest residual, including the start.
     residual : float
-        That residual, over the size of the orbit.
+        Smallest residual, relative to the size of the orbit.
     slopes : (R, U) array
     first : (U,) array or None
         The unknowns after the first step; None if that leads nowhere.
@@ -311,7 +313,7 @@ def solve(
     near: Solution | None = None,
     exact: bool = False,
 ) -> Solution | None:
-    """Return the orbit near a guess, or None where Newton's method does not find one.
+    """Return the orbit near a guess; None if Newton's method does not converge.
 
     Steps are laid anew around the openings of contacts until these stay where they are. With
     `exact`, derivatives are those with the last steps, else they may be off by the error of the
@@ -339,7 +341,7 @@ def solve(
         mesh, opens = equations.mesh(solution.point, reach, mesh)
         if not opens:
             break
-    # derivatives may be those with the steps of the round before
+    # Derivatives of the previous round's steps may be reused.
     if exact and number:
         solution = solution._replace(slopes=system.evaluate(unknown)[1])
     return solution._replace(iterations=iterations, relaid=relaid)
@@ -348,7 +350,7 @@ def solve(
 def _newton(
     system: OrbitSystem, unknown: Array, slopes: Array | None, origin: Array | None, near: bool
 ) -> Solution | None:
-    """Return the orbit with given steps; derivatives are taken anew where old ones do not serve.
+    """Return the orbit with given steps; derivatives are recomputed when old ones fail.
 
     Given `slopes` are exact at `origin`, if at all. Where an orbit is known to be `near`, new
     derivatives must halve the residual, or it is given up.
@@ -356,7 +358,7 @@ def _newton(
     closed = NEWTON.closed
     steps = 0
     before = np.inf
-    # chord steps with the derivatives of an orbit nearby, for as long as they serve
+    # Chord steps with the derivatives of a nearby orbit are used while they converge.
     if slopes is not None:
         descent = _descend(system, unknown, slopes)
         unknown = descent.unknown
@@ -364,7 +366,7 @@ def _newton(
         exact = origin is not None and _distance(unknown, origin) < NEWTON.local
         if exact and descent.residual < closed:
             return _solution(system, descent, steps)
-    # full steps: new derivatives wherever those of the last point do not serve any more
+    # Full Newton steps compute new derivatives whenever the old ones fail.
     while steps < NEWTON.iterations:
         residual, slopes = system.evaluate(unknown)
         size = system.size(residual, unknown)
@@ -380,7 +382,7 @@ def _newton(
         exact = _distance(descent.unknown, unknown) < NEWTON.local
         if exact and (still or descent.residual < closed):
             return _solution(system, descent, steps)
-        # far from an orbit a step may lead up before the next ones lead down
+        # Far from an orbit a step may increase the residual before the next steps reduce it.
         unknown = descent.first if descent.unknown is unknown else descent.unknown
     return None
 
@@ -388,7 +390,7 @@ def _newton(
 def _descend(
     system: OrbitSystem, unknown: Array, slopes: Array, residual: Array | None = None
 ) -> Descent:
-    """Take Newton steps with these derivatives while each divides the residual by ten."""
+    """Take Newton steps with fixed derivatives while each reduces the residual tenfold."""
     period_at = system.equations.period_at(unknown)
     best = unknown
     first = None
@@ -418,7 +420,7 @@ def _descend(
 
 
 def _distance(unknown: Array, other: Array) -> float:
-    """Return the largest difference of two sets of unknowns, relative to the largest unknown."""
+    """Return the largest difference of two sets of unknowns relative to the largest unknown."""
     return float(np.abs(unknown - other).max() / np.abs(unknown).max())
 
 
@@ -428,7 +430,7 @@ def _solution(system: OrbitSystem, descent: Descent, steps: int) -> Solution:
 
 
 def solve_step(slopes: Array, residual: Array) -> Array:
-    """Solve the linear equations of a Newton step, by least squares if they are singular."""
+    """Solve the linear equations of a Newton step; use least squares if they are singular."""
     if slopes.shape[0] == slopes.shape[1]:
         with (
             FILTERS,
@@ -442,7 +444,7 @@ def solve_step(slopes: Array, residual: Array) -> Array:
 def estimate_error(
     equations: Equations, solution: Solution, constraints: Sequence[Constraint]
 ) -> float:
-    """Return the relative error of an orbit and its period by the steps.
+    """Return the relative error of an orbit and its period caused by the steps.
 
     One Newton step shows how far half the steps would move them.
     """
@@ -458,7 +460,7 @@ def estimate_error(
 def solve_accurately(
     equations: Equations, guess: OrbitPoint, constraints: Sequence[Constraint], name: str
 ) -> tuple[Solution, float]:
-    """Return an orbit and the error of its steps, below 1e-12 if round-off allows that.
+    """Return an orbit and its step error, which is below 1e-12 unless rounding prevents it.
 
     Raises
     ------

@@ -70,7 +70,7 @@ def write(
 def page(
     trajectory: Trajectory, progress: bool = False, origin: Mapping[str, str] = NOT_RECORDED
 ) -> str:
-    """Return the page as self-contained HTML; a part that does not apply to the run says why.
+    """Return the page as self-contained HTML; parts that do not apply contain the reason.
 
     Parameters
     ----------
@@ -119,7 +119,7 @@ def _view(trajectory: Trajectory, linear: Trajectory | None) -> live.View:
     try:
         front = front_below(trajectory)
     except InputError:
-        # The panel about the front gives the reason.
+        # The panel of the front gives the reason.
         front = None
     between = live.extent(live.crop(trajectory))
     shown = live.view(trajectory, between, linear=linear, front=front)
@@ -152,7 +152,7 @@ def _citation(trajectory: Trajectory) -> str:
 
 
 def _of_load(chain: Chain) -> str:
-    """Return a text with the grain of the top load, empty for the first grain."""
+    """Return a phrase about the loaded grain; empty for the first grain."""
     return f" on grain {chain.load_grain}" if chain.top_load and chain.load_grain > 1 else ""
 
 

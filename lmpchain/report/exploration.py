@@ -1,4 +1,4 @@
-"""A page with a slider for each key, which goes through precomputed runs."""
+"""A page with a slider for each key of a scene, based on precomputed runs."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ class PageLimits(NamedTuple):
     Attributes
     ----------
     size : int
-        Most bytes of the page.
+        Largest size of the page, bytes.
     runs : int
-        Most runs, of which each is then shown at some forty times and grains.
+        Largest number of runs, each of which is then shown at some forty times and grains.
     views : tuple of (int, int)
         Times and grains that are shown of a run, from the most to the least: the first that fits.
     samples : int
-        Most samples of a run, for the sake of its front.
+        Largest number of samples of a run, which resolve its front.
     batch : int
-        Most samples x grains that are in memory at a time.
+        Largest number of samples x grains in memory at a time.
     """
 
     size: int = 2_000_000
@@ -75,7 +75,7 @@ def explore(
     progress: bool = False,
     overwrite: bool = False,
 ) -> None:
-    """Write one self-contained page in which a slider a key goes through runs of a scene.
+    """Write a self-contained page on which a slider per key selects runs of a scene.
 
     Beside the motion of the chosen run stand its strike number, its estimated error, its front and
     the error of linear theory. The page holds those runs and no others: a value between two shows
@@ -130,7 +130,7 @@ def explore(
 
 
 def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
-    """Return the sweep and the sliders of a page; raises `InputError` with every fault."""
+    """Return the sweep and the sliders of a page; raise `InputError` with all faults."""
     if not isinstance(source, Mapping):
         raise InputError.at("source", 'must be a mapping, such as {"scene": scene, "over": {...}}')
     faults = [
@@ -143,7 +143,7 @@ def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
         faults += error.faults
     if faults:
         raise InputError(faults)
-    # A single run is a grid of one, along a key that every scene has.
+    # A single run is a grid of one point, along a key that every scene has.
     table = {"scene": source.get("scene"), "grid": values or {"recording.samples": [PAGE.samples]}}
     options = {key: source[key] for key in ("engine", "tolerance") if key in source}
     try:
@@ -153,16 +153,16 @@ def _read_plan(source: Mapping[str, Any]) -> tuple[Sweep, list[Slider]]:
             (key.removeprefix("grid."), message) for key, message in error.faults
         ) from None
     with warnings_aside():
-        # The remarks of the runs stand on the page.
+        # The remarks of the runs are shown on the page.
         list(plan.trials())
     kind = plan.tables.get("excitation", {}).get("kind", "")
-    # The scene supplies the values that its tables leave out.
+    # The scene supplies values that its tables omit.
     scene = source["scene"] if isinstance(source.get("scene"), Scene) else plan.tables
     return plan, [_axis(key, sweep, scene, kind) for key, sweep in values.items()]
 
 
 def _read_values(over: Any) -> dict[str, list[float]]:
-    """Return the values of each slider; raises `InputError` with every fault."""
+    """Return the values of each slider; raise `InputError` with all faults."""
     if not isinstance(over, Mapping):
         raise InputError.at("over", 'must be a mapping, such as {"excitation.velocity": [...]}')
     faults = []
@@ -181,7 +181,7 @@ def _read_values(over: Any) -> dict[str, list[float]]:
 
 
 def _check_values(sweep: Any) -> list[float]:
-    """Return the values of a slider; raises `InputError`."""
+    """Return the values of a slider; raise `InputError` if they are invalid."""
     numbers = isinstance(sweep, Sequence | np.ndarray) and not isinstance(sweep, str | bytes)
     values = [plain(value) for value in sweep] if numbers else []
     # True is a number in Python, but not a value of a slider.
@@ -211,7 +211,7 @@ def _axis(key: str, values: list[float], scene: Any, kind: str) -> Slider:
 
 
 class _Grid(NamedTuple):
-    """The scenes of a page, the grains that it shows, and how many are solved at a time."""
+    """The scenes of a page, the grains that it shows, and the batch size."""
 
     scenes: list[Scene]
     between: tuple[int, int]
@@ -281,7 +281,7 @@ def _view(run: Trajectory, between: tuple[int, int], plan: Sweep) -> View:
 
 
 def _fit(views: list[View | str], axes: list[Slider], plan: Sweep, grid: _Grid) -> str:
-    """Return the page with as many times and grains of each run as its size allows."""
+    """Return the page with as many times and grains of each run as its size limit allows."""
     for times, grains in PAGE.views:
         thin = [view if isinstance(view, str) else view.thinned(times, grains) for view in views]
         page = _render(live.figure_numbers(thin, axes, LEVELS), thin, axes, plan, grid)

@@ -1,4 +1,4 @@
-"""Self-contained pages with a live figure: one script, which the policy of the page names."""
+"""Self-contained pages with a live figure; their security policy allows only its script."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..util.templates import render
 
 
 def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
-    """Fill in a template of a page with a live figure.
+    """Render the template of a page with a live figure.
 
     Parameters
     ----------
@@ -28,6 +28,6 @@ def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
     str
     """
     script = render("live.js")
-    # The policy of the page names the script by its hash, so that no other script runs.
+    # The security policy contains the hash of the script, so that no other script runs.
     digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
     return render(template, live=numbers, script=Markup(script), digest=digest, **values)

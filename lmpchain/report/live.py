@@ -29,7 +29,7 @@ class ViewSizes(NamedTuple):
     Attributes
     ----------
     times, grains : int
-        Most rows of both; of more, some are shown.
+        Largest number of times and grains shown.
     margin : int
         Grains at rest that are shown on either side of those that move.
     levels : int
@@ -43,7 +43,7 @@ class ViewSizes(NamedTuple):
 
 
 VIEW = ViewSizes()
-NAN_STEPS = np.iinfo(np.int16).min  # in place of NaN, which integers lack
+NAN_STEPS = np.iinfo(np.int16).min  # Replaces NaN, which integers cannot represent.
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class View:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
         Numbers, from the top.
     velocity, displacement : (T, G) arrays
@@ -198,7 +198,7 @@ def _columns(trajectory: Trajectory, between: tuple[int, int]) -> np.ndarray:
 
 
 def _energies(trajectory: Trajectory) -> tuple[Array | None, Array | None]:
-    """Return kinetic and total energy above rest, (T,) J, where all grains were recorded."""
+    """Return kinetic and total energy above rest, (T,) J, if all grains were recorded."""
     try:
         ledger = energy.ledger(trajectory)
     except InputError:

@@ -37,7 +37,7 @@ def _of_folder(path: Path) -> tuple[str, str]:
 
 
 def _of_file(path: Path) -> tuple[str, str]:
-    """Return the date and the command in the attribute `history` of a NetCDF file."""
+    """Return date and command from the attribute `history` of a NetCDF file."""
     import h5py
 
     check_seal(path)

@@ -19,7 +19,7 @@ from .verdicts import departure, front_below, linear_theory
 
 # Fractions of the duration at which waveforms are drawn, and their colours.
 MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}
-WIDTH = 4.7  # inches: letters are readable on a phone, and two pictures fit side by side
+WIDTH = 4.7  # Inches; letters are readable on a phone, and two pictures fit side by side.
 
 
 class PictureLimits(NamedTuple):
@@ -28,7 +28,7 @@ class PictureLimits(NamedTuple):
     Attributes
     ----------
     markers : int
-        Most grains drawn one by one; of more, a picture is smaller as pixels.
+        Largest number of grains drawn one by one; with more, a picture is smaller as pixels.
     """
 
     markers: int = 2000
@@ -39,7 +39,7 @@ PANEL_LIMITS = PictureLimits()
 
 @dataclass(frozen=True)
 class Panel:
-    """A picture, its text, and whether it is a map, whose colours do not change in the dark."""
+    """A picture, its text, and whether it is a map, which keeps its colours in dark mode."""
 
     caption: str
     alt: str
@@ -171,7 +171,7 @@ def arrival(run: Trajectory) -> Panel:
 
 
 def _decay(run: Trajectory) -> tuple[float | None, str]:
-    """Return the exponent with which the peak velocity falls with depth, and the kind of wave."""
+    """Return the exponent with which the peak velocity decreases with depth, and the wave type."""
     chain = run.scene.chain
     excitation = run.scene.excitation
     single = chain.grains == 1 or not is_uniform(chain)

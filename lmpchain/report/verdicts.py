@@ -26,7 +26,7 @@ class FrontLimits(NamedTuple):
     reflected : int
         Last grains, whose peak is made together with the wave that comes back from the end.
     onward : float
-        Least share of the grains that a front passes later than those before them.
+        Smallest fraction of the grains that a front passes later than their predecessors.
     """
 
     reflected: int = 3
@@ -34,7 +34,7 @@ class FrontLimits(NamedTuple):
 
 
 FRONT_LIMITS = FrontLimits()
-# Units of keys by their last word; an amplitude is a force only where a force acts.
+# Units of keys by their last word; an amplitude is a force only if a force is applied.
 UNITS_OF_KEYS = {
     "velocity": "m/s",
     "displacement": "m",
@@ -109,7 +109,7 @@ def front_below(run: Trajectory) -> front.Front:
     # Arrival times closer than the sampling error do not show their order.
     shown = track.time_error < step
     resolved = np.diff(track.time[shown])
-    # A mode that oscillates has maxima in no order; a front passes the grains one by one.
+    # An oscillating mode has maxima in no order, but a front passes the grains one by one.
     if shown.sum() >= fewest and np.mean(resolved > 0) >= FRONT_LIMITS.onward:
         return track.where(shown)
     needed = 1 + int(np.ceil(scene.total_phase / front.RESOLVED_TURN))
@@ -122,7 +122,7 @@ def front_below(run: Trajectory) -> front.Front:
 
 
 def short_power(number: float) -> str:
-    """Return a small number as people write it.
+    """Return a small number in a short decimal form.
 
     Examples
     --------
@@ -156,7 +156,7 @@ def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
 def facts(
     run: Trajectory, linear: Trajectory | None, passed: front.Front | str, tolerance: float
 ) -> Iterator[tuple[str, str]]:
-    """Yield name and text of what stands beside the live figure of a run.
+    """Yield name and text of the facts beside the live figure of a run.
 
     Parameters
     ----------

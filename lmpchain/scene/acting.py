@@ -130,8 +130,8 @@ class _Acting(Measured):
         elif self.times is not None:
             yield from self._point_faults(values, getattr(self, values))
         elif not self.waveform.fastest < LIMITS.frequency:
-            # The envelope of a burst of few cycles or of a short push may be fast; the error then
-            # names it.
+            # The envelope of a burst of few cycles, or of a short push, may have a high frequency.
+            # The error then names its key.
             key = "frequency"
             if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
                 # These fields set the envelope of a burst, a half-sine or a piston.
@@ -144,7 +144,7 @@ class _Acting(Measured):
         return [{"amplitude", "frequency"}, {"amplitude", "frequency", "cycles"}, {"times", values}]
 
     def _words(self, values: str) -> str:
-        """Return the sets of fields in words."""
+        """Return the sets of fields that define a waveform, as text."""
         return f"amplitude and frequency, with or without cycles, or times and {values}"
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
@@ -268,7 +268,7 @@ class Drive(_Acting):
 
     @property
     def numbers(self) -> Array:
-        """Parameters of the waveform: as for every motion; for a piston, its velocity."""
+        """Parameters of the waveform; for a piston, its velocity."""
         return super().numbers if self.shape is None else np.array([self.velocity])
 
     def _faults(self) -> Iterator[tuple[str, str]]:
@@ -374,7 +374,7 @@ class Drive(_Acting):
         return turned.replace(**fields)
 
     def part(self, first: int, last: int) -> Drive:
-        """Return the drive of grains first ... last, which must include the driven end."""
+        """Return the drive of grains first ... last; they must include the driven end."""
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
@@ -386,7 +386,7 @@ class Drive(_Acting):
         return self.waveform.at(t, 2)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Return an upper bound from the path: ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
+        """Return an upper bound from the path, because ``d sqrt(2 E) / dt <= sqrt(k) |v|``."""
         stiffness = chain.contacts.stiffness[chain.movable if self.from_below else self.grain]
         return float(np.sqrt(stiffness) * self.waveform.path(duration))
 
@@ -499,7 +499,7 @@ class Force(OneGrain, _Acting):
         return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
 
     def _pushed(self, chain: Chain) -> tuple[Array, Array]:
-        """Estimate the motion of the forced grain from rest, (N,) m and m/s, 0 for others."""
+        """Estimate the motion of the forced grain from rest, (N,) m and m/s; 0 for other grains."""
         size = self.waveform.largest()
         mass = chain.masses[self.grain - 1]
         # A force of 0 causes no motion.
@@ -513,7 +513,7 @@ class Force(OneGrain, _Acting):
         return displacement, self.at_grain(chain, speed)
 
     def _added_norm(self, chain: Chain, duration: float) -> float:
-        """Return an upper bound from the impulse: ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
+        """Return an upper bound from the impulse, because ``d sqrt(2 E) / dt <= |F| / sqrt(m)``."""
         return float(self.waveform.area(duration) / np.sqrt(chain.masses[self.grain - 1]))
 
     def push(self, chain: Chain, time: Array, force: Array, rate: Array, velocity: Array) -> Push:

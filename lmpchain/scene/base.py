@@ -18,7 +18,7 @@ Number = Annotated[Whole, Field(ge=1)]
 
 
 class Push(NamedTuple):
-    """The external force on a grain or on the top wall, less its value at rest.
+    """The external force on a grain or on the top wall, minus its value at rest.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Excitation(Checked):
 
     @property
     def acts_on(self) -> int:
-        """Number of the grain that is driven or forced after t = 0, else 0."""
+        """Number of the grain that is driven or forced after t = 0; 0 without such a grain."""
         return 0
 
     @property
@@ -106,7 +106,7 @@ class Excitation(Checked):
 
     @property
     def linear(self) -> bool:
-        """Whether engines of the linearised chain can solve it: true except for a spline."""
+        """Whether engines of the linearised chain can solve it; true except for a spline."""
         return self.waveform is None or self.waveform.spline is None
 
     @property

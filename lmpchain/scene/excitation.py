@@ -1,4 +1,4 @@
-"""All excitations, by name."""
+"""All excitations by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Facts that follow from a scene: its times, strengths, frequencies and reach.
+"""Derived facts of a scene: times, strengths, frequencies and reach of the wave.
 
 Each fact has one definition, here, and is computed once, when it is first read.
 """
@@ -30,14 +30,14 @@ Part = TypeVar("Part", bound="SceneFacts")
 
 @dataclass(frozen=True)
 class Cut:
-    """Limits of the cut of a chain to the grains that the wave can have reached.
+    """Limits for restricting a chain to the grains that the wave can have reached.
 
     Attributes
     ----------
     unseen : float
         Motion over that of the grain that is struck which no answer holds.
     share : float
-        Of the grains: where more are reached, all are computed
+        Fraction of the grains: if more are reached, all are computed
         (analysis/calibration/light_cone.py).
     shortest : int
         Grains: a shorter chain is computed as a whole, for less than it takes to cut it.
@@ -52,14 +52,14 @@ CUT = Cut()
 
 
 class LightCone(NamedTuple, Generic[Part]):
-    """The part of a scene that a wave can have reached; the rest need not be computed.
+    """The part of a scene that a wave can have reached; all other grains are at rest.
 
     Attributes
     ----------
     scene : Scene
-        That part with all of its grains recorded.
+        Scene of this part with all of its grains recorded.
     rows : slice or (C,) array
-        Indices, among the recorded grains of that part, of those that the whole scene records.
+        Indices, among the recorded grains of this part, of grains that the whole scene records.
     columns : slice or (C,) array
         Their places among the recorded grains of the whole scene.
     """
@@ -70,7 +70,7 @@ class LightCone(NamedTuple, Generic[Part]):
 
 
 class SceneFacts(Recording):
-    """A chain, an excitation and a recording, with all that follows from them before a run.
+    """A chain, an excitation and a recording, with all quantities derived from them before a run.
 
     `Scene` inherits these facts. Facts of the chain alone are those of `Chain`.
     """
@@ -113,7 +113,7 @@ class SceneFacts(Recording):
 
     @cached_property
     def corner_spacing(self) -> float:
-        """Least time between kinks of the applied force or motion, s; infinite without kinks."""
+        """Smallest time between kinks of the applied force or motion, s; infinite without kinks."""
         return self.excitation.corner_spacing
 
     @cached_property
@@ -142,11 +142,11 @@ class SceneFacts(Recording):
 
     @property
     def _surroundings(self) -> tuple[int, Self]:
-        """The grains that the excitation moves, with their neighbours: first number, and scene.
+        """First grain and scene of the grains that the excitation moves, and their neighbours.
 
         The whole scene if its chain is short, because its contacts are then known as soon.
         """
-        # A scene that stored itself would stay in memory until the next search for cycles.
+        # A scene that stored itself would remain in memory until the next garbage collection.
         return (1, self) if self.chain.grains <= FEW_GRAINS else self._struck_part
 
     @cached_property
@@ -185,7 +185,7 @@ class SceneFacts(Recording):
 
     @cached_property
     def strike_number(self) -> float:
-        """Strike over what the contact below a grain holds: v0 / (eps_n omega_n) or phi_0 / eps_n.
+        """Strike relative to the contact below the grain: v0 / (eps_n omega_n) or phi_0 / eps_n.
 
         Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
         """
@@ -206,7 +206,7 @@ class SceneFacts(Recording):
         # A last grain that hangs free, or only touches a wall, has no pressed contact below it.
         moving = slice(0, chain.movable - (not chain.contacts.pressed[chain.movable]))
         displacement, velocity = (np.abs(values[moving]) for values in excitation.largest(chain))
-        # Contacts that carry nothing at rest are as in the sonic vacuum.
+        # Contacts without force at rest behave as in the sonic vacuum.
         free = slice(0, loose if chain.compressed else None)
         if displacement[free].any() or velocity[free].any():
             return np.inf
@@ -233,14 +233,14 @@ class SceneFacts(Recording):
         excitation = self.excitation
         contacts = chain.contacts
         displacement, velocity = excitation.initial(chain)
-        # Driven grains, held grains and walls do not give way.
+        # Driven grains, fixed grains and walls have no inverse mass.
         inverse_mass = np.zeros(chain.grains + 2)
         moving = slice(excitation.driven, chain.movable)
         inverse_mass[1:-1][moving] = 1 / chain.masses[moving]
         closer = contacts.closer(displacement)
         approach = contacts.closer(excitation.largest(chain)[1])
-        # A driven body moves both ways, and squeezes the contacts on either side of it in turn, and
-        # so does one that is bonded to its neighbours.
+        # A driven body moves both ways and squeezes the contacts on both sides in turn. A body that
+        # is bonded to its neighbours does so as well.
         if excitation.does_work or chain.law.bonds:
             closer = np.abs(closer)
             approach = np.abs(approach)
@@ -261,8 +261,8 @@ class SceneFacts(Recording):
 
     @cached_property
     def _gentle(self) -> bool:
-        """Whether bounds show that Hertz's law holds, and that no grain is faster than sound."""
-        # With arrays of all contacts in place of bounds, a run of 100 grains takes a fifth longer.
+        """Whether bounds show that Hertz's law is valid and that no grain is faster than sound."""
+        # Arrays of all contacts instead of bounds would make a run of 100 grains a fifth slower.
         bounds = self.chain.bounds
         return (
             bounds is not None
@@ -272,63 +272,63 @@ class SceneFacts(Recording):
 
     @cached_property
     def first_squeeze(self) -> tuple[int, float]:
-        """The contact that is squeezed most at first, and its overlap over the mean diameter."""
+        """The most compressed contact at first, and its overlap over the mean diameter."""
         first, near = self._surroundings
-        # A strike that is refused may overflow.
+        # The values of a strike that is rejected may overflow.
         with np.errstate(over="ignore"):
             compression = near.first_overlaps / near.chain.contact_lengths
         worst = int(compression.argmax())
         return worst + first - 1, float(compression[worst])
 
     def strike_faults(self) -> Iterator[tuple[str, str]]:
-        """Yield a fault if a contact is squeezed beyond the range of Hertz's law at first."""
+        """Yield a fault if a contact is initially squeezed beyond the range of Hertz's law."""
         contact, compression = self.first_squeeze
-        # A compression that is not a number is refused, too.
+        # A compression of NaN is rejected as well.
         if not compression <= LIMITS.compression:
             than = f"of the diameter, more than {LIMITS.compression:g}: strike more gently"
             yield self._strength, f"squeezes contact {contact} to {compression:.2g} {than}"
 
     @property
     def _strength(self) -> str:
-        """The key of the scene file that sets how strong the excitation is."""
+        """The key of the scene file that sets the strength of the excitation."""
         return "kind" if self.excitation.does_work else self.excitation.strength[0]
 
     @cached_property
     def approach_bounds(self) -> Array:
-        """Bounds on how far every overlap can exceed that at rest, (N+1,) m, by the energy."""
+        """Upper bounds on the increase of overlaps from rest, (N+1,) m, from the energy."""
         return read_only(self.chain.contacts.approach_bound(self.energy))
 
     @property
     def overlap_bounds(self) -> Array:
-        """Bounds on the overlap of every contact at any time, (N+1,) m."""
+        """Upper bounds on the overlap of every contact at any time, (N+1,) m."""
         return self.chain.contacts.overlap + self.approach_bounds
 
     @cached_property
     def largest_strain(self) -> float:
-        """A bound on ``|r / eps|`` of all contacts, rigorous while it is small; else infinite."""
+        """Bound on ``|r / eps|`` of all contacts, rigorous if it is small; infinite without one."""
         return float(self.chain.contacts.strain_bound(self.approach_bounds))
 
     @cached_property
     def linear_strain(self) -> float:
-        """A bound on ``|r / eps|`` of every contact of the linear chain at any time, or infinity.
+        """Bound on ``|r / eps|`` of all contacts of the linear chain at any time, or infinity.
 
         Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
         compliance c is 1/k or, between two ends that stand still, where the others must give way,
         ``(1 - (1/k) / sum 1/k) / k``. What drives a viscous contact works against more than
         stiffness.
         """
-        # A spring to the ground takes energy from contacts, any other law may give them some.
+        # A spring to the ground takes energy from contacts, but other ground laws may add energy.
         if self.chain.ground is not None and not ground.is_spring(self.chain.ground):
             return np.inf
         contacts = self.chain.contacts
         k = contacts.stiffness
         pressed = contacts.pressed
-        # A contact that only touches opens at once: linear theory has no bound there.
+        # A contact that only touches opens at once, so that linear theory gives no bound.
         if not (pressed == contacts.exists).all() or not pressed.any():
             return np.inf
         compliance = np.divide(1.0, k, out=np.zeros(k.size), where=pressed)
         does_work = self.excitation.does_work
-        # With a wall at the top both ends stand still, unless the excitation does work.
+        # With a wall at the top both ends are fixed, unless the excitation does work.
         if pressed[0] and not does_work:
             compliance *= 1 - compliance / compliance.sum()
         norm = self.excitation.energy_norm(self.chain, self.duration)
@@ -341,17 +341,17 @@ class SceneFacts(Recording):
 
     @cached_property
     def linear_frequency(self) -> float:
-        """The highest frequency in the linear solution, rad/s: band edge or forcing."""
+        """The highest frequency of the linear solution, rad/s: band edge or forcing."""
         return max(self.chain.band_edge, self.excitation.fastest)
 
     @cached_property
     def _ground_rate(self) -> float:
-        """The largest frequency that the ground alone gives a grain, rad/s; 0 without a ground."""
+        """The largest frequency of a single grain on the ground, rad/s; 0 without a ground."""
         chain = self.chain
         if chain.ground is None:
             return 0.0
         displacement, speed = self.imposed
-        # A free grain flies until the contacts, or the ground, turn it back.
+        # A free grain flies until the contacts or the ground reverse its motion.
         turns = max(self.linear_frequency, 1 / self.duration)
         reach = displacement + speed / turns
         stiffness = ground.largest_stiffness(chain.ground, reach, self.duration)
@@ -366,7 +366,7 @@ class SceneFacts(Recording):
         """
         bounds = self.chain.bounds
         fastest = self.linear_frequency
-        # A bound below the other frequencies spares the overlaps of all contacts.
+        # If the bound is below the other frequencies, the overlaps of all contacts are not needed.
         if not (bounds and bounds.frequency(self._first_overlap_bound) <= fastest):
             stiffness = self.chain.contacts.stiffness_bound(self.first_overlaps).max()
             fastest = max(fastest, math.sqrt(2 * stiffness / self.chain.masses.min()))
@@ -374,11 +374,11 @@ class SceneFacts(Recording):
 
     @cached_property
     def highest_frequency(self) -> float:
-        """The bound on the steps of every method, rad/s: the highest frequency that can be excited.
+        """Bound on the step of every method, rad/s: the highest frequency that can be excited.
 
         Or the rate at which damping stops the fastest motion.
         """
-        # Without a load, a chain that is not struck has no frequency: any one above 0 serves.
+        # A chain without load and strike has no frequency; any positive value serves.
         return self.chain.damping.fastest_rate(self.fastest_motion) or 1 / self.duration
 
     @cached_property
@@ -398,14 +398,14 @@ class SceneFacts(Recording):
 
     @property
     def damping_effect(self) -> float:
-        """Estimate of the relative change if damping is left out, at most 1; 0 without damping."""
+        """Estimate of the relative change by neglecting damping, at most 1; 0 without damping."""
         return self.chain.damping.effect(self.fastest_motion, self.duration)
 
     # Reach of the wave.
 
     @cached_property
     def light_cone(self) -> LightCone[Self] | None:
-        """The grains that the wave can have reached at the end; None if that is all of them."""
+        """The grains that the wave can have reached at the end; None if these are all grains."""
         first, last = find_reached(self)
         if last - first + 1 == self.chain.grains:
             return None
@@ -415,11 +415,11 @@ class SceneFacts(Recording):
 
     @property
     def reached(self) -> Self:
-        """The scene of the grains that the wave can have reached, recorded if not all."""
+        """The scene restricted to the grains that the wave can have reached, all recorded."""
         return self.light_cone.scene if self.light_cone else self
 
     def part(self, first: int, last: int) -> Self:
-        """Return grains first ... last, all recorded: right until a wave meets their ends."""
+        """Return grains first ... last, all recorded; valid until a wave reaches their ends."""
         # A part of a valid scene is valid.
         return make_unchecked(
             type(self),
@@ -431,7 +431,7 @@ class SceneFacts(Recording):
 
 
 def find_reached(scene: SceneFacts) -> tuple[int, int]:
-    """Return the first and last grain that can have moved by 1e-22 of the strike at the end.
+    """Return the first and last grain that may have moved by more than 1e-22 of the strike.
 
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
     function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
@@ -445,7 +445,8 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
     if not math.isfinite(scene.energy) or grains < CUT.shortest or chain.ground is not None:
         return 1, grains
     top, bottom = scene.excitation.reach(chain)
-    # the stiffest contact within reach decides how far that is: look further until it suffices
+    # The stiffest contact within reach determines the reach, so the range is doubled until it
+    # suffices.
     reach = 32
     while True:
         first = chain.first_of_part(max(1, top - reach))
@@ -466,15 +467,15 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
 
 
 def _fastest(scene: SceneFacts, first: int, last: int) -> float:
-    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last by the energy above rest."""
+    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last, by the energy above rest."""
     chain = scene.chain
     if chain.grains <= FEW_GRAINS:
         stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)
-        # contacts between these grains, and those with the walls of the chain
+        # These are the contacts between these grains, and the contacts with the walls of the chain.
         stiffness = stiffness[first - (first == 1) : last + (last == chain.grains)]
         masses = chain.masses[first - 1 : last]
     else:
-        # the arrays of a long chain take long: those of the piece suffice
+        # The arrays of a long chain are expensive; those of the part suffice.
         piece = chain.part(first, last)
         stiffness = piece.contacts.stiffness_bound(piece.contacts.overlap_bound(scene.energy))
         masses = piece.masses
@@ -482,7 +483,7 @@ def _fastest(scene: SceneFacts, first: int, last: int) -> float:
 
 
 def _lossless_distance(x: float) -> int:
-    """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is too small to be seen.
+    """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is negligible.
 
     The logarithm of that is concave where it falls: Newton's method ends beyond its root, never
     before.
@@ -493,7 +494,7 @@ def _lossless_distance(x: float) -> int:
     correction = 1.0
     while abs(correction) > 0.5 and d >= 8:
         excess = 2 * d * log - math.lgamma(2 * d + 1) + square / (8 * d + 4) - math.log(CUT.unseen)
-        # the derivative of log (2d)! is nearly 2 log(2d + 1/2)
+        # The derivative of log (2d)! is approximately 2 log(2d + 1/2).
         slope = 2 * (math.log(2 * d + 0.5) - log) + 8 * square / (8 * d + 4) ** 2
         correction = excess / slope
         d += correction
@@ -501,7 +502,7 @@ def _lossless_distance(x: float) -> int:
 
 
 def _damped_distance(viscosity: float, time: float) -> int:
-    """Return d from which no displacement behind viscous contacts is large enough to be seen.
+    """Return d from which all displacements behind viscous contacts are negligible.
 
     Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
     d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by
@@ -514,7 +515,7 @@ def _damped_distance(viscosity: float, time: float) -> int:
         A and t in units of sqrt(m / k).
     """
     rates = np.geomspace(2.0, 1e6, 400)
-    # q + 1/q - 2, which is above 0 where the transform falls
+    # The expression q + 1/q - 2 is positive where the transform decreases.
     excess = rates**2 / (1 + viscosity * rates) - 4
     falls = excess > 0
     rates = rates[falls]

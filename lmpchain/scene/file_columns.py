@@ -97,7 +97,7 @@ def _in_seconds(table: NumberTable, place: int) -> bool:
 def find_columns(
     table: NumberTable, quantities: Sequence[ColumnMeaning], columns: Any
 ) -> list[int | None]:
-    """Return the places of quantities named by `columns` or the header, None for others."""
+    """Return the columns of quantities, named by `columns` or the header; None for others."""
     if columns is None:
         return [_by_name(table, *quantity.others, quantity.name) for quantity in quantities]
     names = [quantity.name for quantity in quantities]
@@ -115,7 +115,7 @@ def find_columns(
 def find_time_and_columns(
     table: NumberTable, quantities: Sequence[ColumnMeaning], columns: Any
 ) -> list[int | None]:
-    """Return the places of the times, None if there are none, and of all quantities.
+    """Return the column of times, or None, and the columns of all quantities.
 
     Raises
     ------
@@ -125,7 +125,7 @@ def find_time_and_columns(
     everything = [INSTANT, *quantities]
     if columns is None:
         return _find_by_header(table, everything)
-    # Times may follow from the sampling interval.
+    # Times may be computed from the sampling interval.
     alone = not isinstance(columns, dict) and len(columns) == len(quantities)
     places = find_columns(table, quantities if alone else everything, columns)
     places = [None, *places] if alone else places
@@ -138,7 +138,7 @@ def find_time_and_columns(
 
 
 def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
-    """Return the place of the times of columns that were named without them, or None.
+    """Return the time column if columns were named without it; None if no column fits.
 
     The column of times is the nearest column to the left with a name or unit of time, with a
     counter of samples, or with steps equal to the stated sampling interval.
@@ -159,7 +159,7 @@ def _own_times(table: NumberTable, values: Sequence[int]) -> int | None:
 
 
 def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
-    """Return the columns of times among these: by name, else by unit, else by numbers."""
+    """Return the time columns among these: by name, otherwise by unit, otherwise by numbers."""
     for kind in (_named_times, _in_seconds, _on_grid):
         if times := [place for place in places if kind(table, place)]:
             return times
@@ -167,7 +167,7 @@ def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
 
 
 def _named_times(table: NumberTable, place: int) -> bool:
-    """Return whether a column has a name of times, and no other unit."""
+    """Return whether the name of a column is one of times, and its unit is not a different one."""
     column = table.columns[place]
     fits = _in_seconds(table, place) or not unit_of(column.unit)
     return fits and column.name.lower() in TIMES
@@ -186,7 +186,7 @@ def _on_grid(table: NumberTable, place: int) -> bool:
 
 
 def _find_by_header(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> list[int | None]:
-    """Return the places of time and quantities by the header, or by elimination."""
+    """Return the columns of time and quantities by the header or by elimination."""
     places = find_columns(table, quantities, None)
     if places[0] is None:
         places[0] = _time_place(table)
@@ -204,14 +204,14 @@ def _find_by_header(table: NumberTable, quantities: Sequence[ColumnMeaning]) -> 
 
 
 def _has_interval(table: NumberTable, rest: Sequence[int], missing: int) -> bool:
-    """Return whether a file states the sampling interval in place of times."""
+    """Return whether a file states the sampling interval instead of times."""
     names = [table.columns[place].name for place in rest]
     interval = interval_of(table, table.numeric[-1])
     return interval is not None and (len(rest) < missing or any(names))
 
 
 def _by_name(table: NumberTable, *names: str) -> int | None:
-    """Return the place of the only column with the first of these names that exists."""
+    """Return the only column with the first of these names that occurs."""
     for name in names:
         places = [
             place
@@ -228,7 +228,7 @@ def _by_name(table: NumberTable, *names: str) -> int | None:
 
 
 def _time_place(table: NumberTable) -> int | None:
-    """Return the place of the only column of times or counts, by its name or its unit."""
+    """Return the only column of times or counts by its name or its unit."""
     named = _by_name(table, *TIMES)
     if named is not None:
         return named
@@ -239,7 +239,7 @@ def _time_place(table: NumberTable) -> int | None:
 
 
 def _place(table: NumberTable, column: int | str) -> int:
-    """Return the place of a column given by its number or its name."""
+    """Return the position of a column given by its number or its name."""
     place = _by_name(table, column) if isinstance(column, str) else column - 1
     if place is None or place not in table.numeric:
         raise InputError.at(

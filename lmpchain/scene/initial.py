@@ -55,7 +55,7 @@ class Impulse(OneGrain):
 
     @property
     def label(self) -> str:
-        """Name and strength of the excitation in words."""
+        """Name and strength of the excitation as text."""
         size = abs(self.velocity)
         factor, unit = (
             (1.0, "m/s") if size >= 1 else (1e3, "mm/s") if size >= 1e-5 else (1e6, "µm/s")
@@ -114,7 +114,7 @@ class Profile(Measured):
             yield "displacement", cure
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the arrays do not fit the chain."""
+        """Yield faults if the arrays do not match the chain."""
         for key, values in self.fields.items():
             if len(values) != chain.grains:
                 yield key, f"must have one entry a grain, {chain.grains} in all, not {len(values)}"
@@ -216,7 +216,7 @@ class Packet(Excitation):
     amplitude: Real
 
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield a fault if the packet does not fit into the chain, or cannot propagate there."""
+        """Yield a fault if the packet does not fit into the chain or cannot propagate there."""
         if self.grain > chain.movable:
             yield "grain", f"must be a grain that moves, 1 to {chain.movable} (got {self.grain})"
         elif chain.loose_grains:
@@ -253,7 +253,7 @@ class Packet(Excitation):
         return np.sqrt(np.column_stack((k / m[:-1], k / m[1:]))).ravel()
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the first and the last grain that it moves."""
+        """Return the first and the last grain that the packet moves."""
         first, last = self._within(chain, EXTENT.cut)
         return max(1, first), min(chain.movable, last)
 
@@ -271,7 +271,7 @@ class Packet(Excitation):
         # A turning point is far from the centre, where the packet vanishes, so any real wave number
         # suffices there.
         ratio = np.minimum(omega / (2 * hops), 0.999)
-        speed = 2 * hops * np.sqrt(1 - ratio**2)  # group velocity, positions per second
+        speed = 2 * hops * np.sqrt(1 - ratio**2)  # Group velocity, positions per second.
         phase = np.append(0.0, np.cumsum(np.arcsin(ratio)))
         arrival = np.append(0.0, np.cumsum(1 / speed))
         # The speed at a position is the geometric mean of the speeds on either side.

@@ -1,4 +1,4 @@
-"""The scene of a run of LAMMPS: axis, contacts, ends, gravity, load, start and recording.
+"""The scene of a LAMMPS run: axis, contacts, ends, gravity, load, start and recording.
 
 What the run does not say follows from its first frame: the overlaps of grains at rest give the
 force of every contact, and these forces give gravity and load.
@@ -28,20 +28,20 @@ from .lammps_state import RunFix, RunGrains
 from .lammps_text import InputLine
 
 AXES = "xyz"
-BESIDE = 1e-6  # of a diameter: how far from the axis a grain may be
-SIDEWAYS = 1e-9  # of the largest velocity: how fast it may move sideways
-SAME = 5e-6  # relative difference of masses of which one has six digits
-EQUAL = 1e-14  # relative difference of equal numbers
-AT_REST = 1e-6  # of an overlap, by which it may differ from that at rest
-QUIET = 1e-6  # of the largest velocity, below which a grain is at rest
-FEWEST_CONTACTS = 3  # contacts at rest, from which gravity and load follow
-UNLIKE = 1e-2  # relative difference of forces at rest from which a column is not at rest
-FAR_WALL = 0.1  # of a diameter: the distance from which a wall is none of the column
-RESOLVED = 1e-2  # of the largest overlap: rounding from which forces cannot be inferred
+BESIDE = 1e-6  # Largest distance of a grain from the axis, in diameters.
+SIDEWAYS = 1e-9  # Largest transverse speed, relative to the largest velocity.
+SAME = 5e-6  # Relative difference of equal masses, one of which has six digits.
+EQUAL = 1e-14  # Relative difference of equal numbers.
+AT_REST = 1e-6  # Largest difference of an overlap from its value at rest, relative to it.
+QUIET = 1e-6  # A grain is at rest below this fraction of the largest velocity.
+FEWEST_CONTACTS = 3  # Smallest number of contacts at rest that determine gravity and load.
+UNLIKE = 1e-2  # Relative scatter of forces above which a column is not at rest.
+FAR_WALL = 0.1  # Diameters to a wall beyond the column.
+RESOLVED = 1e-2  # Rounding up to which forces can be inferred.
 
 
 class RunOptions(NamedTuple):
-    """What the user says of a run, in SI units.
+    """Information about a run from the user, in SI units.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class RunOptions(NamedTuple):
 
 
 class Understood(NamedTuple):
-    """The fields of a scene, and what was understood, one line a fact.
+    """The fields of a scene, and the findings about a run, one line each.
 
     Attributes
     ----------
@@ -83,21 +83,21 @@ class Understood(NamedTuple):
 
 @dataclass
 class ColumnEnd:
-    """One end of a column: free, held, or before a wall.
+    """One end of a column: free, fixed, or at a wall.
 
     Attributes
     ----------
     kind : str
         "free", "held" or "wall".
     constant : float
-        Of the wall, N/m^delta.
+        Contact constant of the wall, N/m^delta.
     overlap : float
-        Of the wall with its grain, m; NaN if the wall is not known.
+        Overlap of the wall with its grain, m; NaN if unknown.
     line : InputLine or None
     relaxation : float
-        Of the damping of the wall, s.
+        Relaxation time of the wall's damping, s.
     model : str
-        Of its contact: "hertz" or "hooke".
+        Contact model: "hertz" or "hooke".
     """
 
     kind: str = "free"
@@ -111,7 +111,7 @@ class ColumnEnd:
 def infer_scene(
     grains: RunGrains, source: LammpsInput | None = None, options: RunOptions | None = None
 ) -> Understood:
-    """Return the fields of the scene of a run, and what was understood.
+    """Return the fields of a run's scene, and the findings about it.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def infer_scene(
 
 
 class RunColumn:
-    """A column of grains, numbered along the axis until the top is known."""
+    """A column of grains, numbered along the axis until its top is identified."""
 
     def __init__(self, grains: RunGrains, source: LammpsInput | None, options: RunOptions):
         self.options = options
@@ -163,7 +163,7 @@ class RunColumn:
 
     @property
     def _has_commands(self) -> bool:
-        """Whether an input says what acts on the grains."""
+        """Whether an input contains the commands of the forces on the grains."""
         return self.source is not None and not self.source.data_only
 
     def _refuse(self, why: str) -> InputError:
@@ -176,12 +176,12 @@ class RunColumn:
     # Grains -------------------------------------------------------------------------------------
 
     def _complete(self) -> None:
-        """Fill in diameters and masses that the run does not say."""
+        """Fill in diameters and masses that the run does not contain."""
         grains, options = self.grains, self.options
         self.material: Material | None = None
         if self._style("bond"):
-            self._refuse_given("is that of the bonds", "material", "young", "poisson", "diameter")
-            # The rest lengths of bonds say how long contacts are.
+            self._refuse_given("follows from the bonds", "material", "young", "poisson", "diameter")
+            # The rest lengths of bonds determine the lengths of contacts.
             return
         missing = np.isnan(grains.diameters) | (grains.diameters <= 0)
         if missing.any():
@@ -202,13 +202,13 @@ class RunColumn:
             self._refuse_given("is in the run", "density")
 
     def _refuse_given(self, why: str, *keys: str) -> None:
-        """Raise `InputError` at options that the run answers itself."""
+        """Raise `InputError` for options whose values the run already contains."""
         given = [key for key in keys if getattr(self.options, key) is not None]
         if given:
             raise InputError([(key, f"{why}: leave it out") for key in given])
 
     def _material(self) -> Material | None:
-        """Return the material that the user names; None if the input has the contacts."""
+        """Return the material named by the user; None if the input defines the contacts."""
         given = self.options
         if self._style("pair"):
             assert self.source is not None
@@ -219,7 +219,7 @@ class RunColumn:
             return None
         if given.material is not None:
             if given.young is not None or given.poisson is not None:
-                raise InputError.at("young", "is that of the material: give one of them")
+                raise InputError.at("young", "follows from the material: give one of them")
             try:
                 return one_material(given.material)
             except ValueError as error:
@@ -239,7 +239,7 @@ class RunColumn:
         return Material(density=density, youngs_modulus=given.young, poissons_ratio=given.poisson)
 
     def _check_straight(self) -> None:
-        """Raise `InputError` unless all grains are on one line along an axis, and stay there."""
+        """Raise `InputError` unless all grains are and stay on one line along an axis."""
         grains = self.grains
         across = [axis for axis in range(3) if axis != self.axis]
         if np.ptp(grains.positions[:, self.axis]) == 0:
@@ -264,22 +264,22 @@ class RunColumn:
                 f"m/s: grains of a scene move along {AXES[self.axis]} only, so friction cannot act"
             )
 
-    # What the input says ------------------------------------------------------------------------
+    # Commands of the input ----------------------------------------------------------------------
 
     def _style(self, of: str) -> str:
-        """Return the style of pairs or bonds of the input; empty if none acts."""
+        """Return the pair or bond style of the input; empty without one."""
         if self.source is None:
             return ""
         found = self.source.state.pair if of == "pair" else self.source.state.bond
         return "" if found is None or found[1][0] in ("none", "zero") else found[1][0]
 
     def _fixes(self, *styles: str) -> Iterator[RunFix]:
-        """Yield the fixes of some styles."""
+        """Yield the fixes with certain styles."""
         if self.source:
             yield from (fix for fix in self.source.state.fixes.values() if fix.style in styles)
 
     def _among(self, fix: RunFix) -> np.ndarray:
-        """Return which grains along the axis are in the group of a fix, (N,) bool."""
+        """Return a mask of the grains along the axis in the group of a fix, (N,) bool."""
         return np.isin(self.grains.numbers[self.order], list(fix.members))
 
     def _number(self, fix: RunFix, place: int) -> float:
@@ -289,7 +289,7 @@ class RunColumn:
         return self.source.text.number(fix.words[place], fix.line)
 
     def _held(self) -> np.ndarray:
-        """Return the grains that do not move, (N,) bool along the axis."""
+        """Return a mask of the fixed grains, (N,) bool along the axis."""
         held = np.zeros(len(self.order), dtype=bool)
         if self.source and self._has_commands:
             moving = np.zeros(len(self.order), dtype=int)
@@ -319,7 +319,7 @@ class RunColumn:
         return held
 
     def _check_later(self, holding: RunFix, stopped: np.ndarray) -> None:
-        """Raise `InputError` if a fix adds a force to stopped grains behind the one that stops."""
+        """Raise `InputError` if a fix adds a force to grains after the fix that stops them."""
         fixes = list(self._fixes("freeze", "setforce", "gravity", "addforce", "wall/gran"))
         for fix in fixes[fixes.index(holding) + 1 :]:
             if fix.style not in ("freeze", "setforce") and (self._among(fix) & stopped).any():
@@ -329,12 +329,12 @@ class RunColumn:
                 )
 
     def _stops(self, fix: RunFix) -> bool:
-        """Return whether `fix setforce` takes the force along the axis."""
+        """Return whether `fix setforce` removes the force along the axis."""
         if len(fix.words) != 3:
             raise fix.line.refuse("has options that are not read: give three numbers")
         values = [word if word == "NULL" else self._number(fix, n) for n, word in enumerate(fix[2])]
         if any(value not in ("NULL", 0.0) for value in values):
-            raise fix.line.refuse("sets a force other than 0, which no scene has")
+            raise fix.line.refuse("sets a force other than 0, which a scene does not support")
         return values[self.axis] != "NULL"
 
     def _gravity(self) -> float | None:
@@ -392,7 +392,7 @@ class RunColumn:
             if word == "NULL":
                 continue
             plane = self.source.units.length * self.source.text.number(word, fix.line)
-            # The first plane is below the grains along its axis, the second one above.
+            # The first plane is below the grains along its axis, the second one above them.
             sign = 1.0 - 2.0 * side
             overlaps = radii - sign * (self.grains.positions[self.order, axis] - plane)
             if axis != self.axis and (overlaps > 0).any():
@@ -414,7 +414,7 @@ class RunColumn:
             ends[side] = ColumnEnd("wall", constant, nearest, fix.line, relaxation, model.model)
 
     def _contacts(self) -> dict[str, Any]:
-        """Return the fields of a chain that give its contacts, grains along the axis."""
+        """Return the fields of a chain that define its contacts, with grains along the axis."""
         bonded, paired = self._style("bond"), self._style("pair")
         source, grains, order = self.source, self.grains, self.order
         if source is None or not (bonded or paired):
@@ -452,7 +452,7 @@ class RunColumn:
                 raise end.line.refuse(f"is damped by {end.relaxation:.6g} s: {cure}")
         if not (relaxations.any() or drag.any()):
             return {}
-        # Held grains feel no drag.
+        # Fixed grains have no drag.
         moving = drag[~self.held]
         drag = np.where(self.held, moving[0], drag)
         self._say("damping", f"contacts {span(relaxations)} s, drag {span(drag)} 1/s")
@@ -464,7 +464,7 @@ class RunColumn:
         }
 
     def _materials(self) -> dict[str, Any]:
-        """Return the fields of grains of the material that the user names."""
+        """Return the fields of grains made of the material named by the user."""
         if self.source and self.source.state.bonds:
             raise self._refuse("has bonds, whose style its input names: name the input, too")
         if self._has_commands:
@@ -482,7 +482,7 @@ class RunColumn:
     # Orientation --------------------------------------------------------------------------------
 
     def _turn(self) -> None:
-        """Number the grains from the top, and let positions and velocities point down."""
+        """Number the grains from the top, with positions and velocities positive downward."""
         self.z = self.grains.positions[self.order, self.axis]
         stiff = [end.kind != "free" for end in self.ends]
         if self.gravity:
@@ -494,7 +494,8 @@ class RunColumn:
         else:
             struck = int(np.abs(self.v).argmax())
             up = struck > len(self.v) // 2 or not self.v.any()
-        # Along the axis the coordinate grows; the top has the largest one if the axis points up.
+        # The coordinate increases along the axis; the top has the largest one if the axis points
+        # up.
         if up:
             self.order = self.order[::-1]
             self.held = self.held[::-1]
@@ -520,7 +521,7 @@ class RunColumn:
         )
 
     def _force_slope(self) -> float:
-        """Return how the forces of contacts grow along the axis, or 0 if they do not."""
+        """Return the slope of contact forces along the axis; 0 if they do not increase."""
         forces, errors, quiet = self._forces(self._trial())
         masses = np.cumsum(self.grains.masses[self.order])[:-1]
         if quiet.sum() < FEWEST_CONTACTS:
@@ -531,18 +532,18 @@ class RunColumn:
     # Gravity and load ---------------------------------------------------------------------------
 
     def _trial(self, **more: Any) -> Chain:
-        """Return a chain of these grains and contacts without weight and load."""
+        """Return a chain of these grains and contacts without gravity and load."""
         d = self.grains.diameters[self.order]
         fields = {"gravity": 0.0, "bottom": "free", **self.contact_fields, **more}
         return Chain(grains=len(d), diameter=_one_or_many(d), **fields)
 
     def _overlaps(self) -> Array:
-        """Return the overlaps of neighbours, (N-1,) m; below 0 a gap."""
+        """Return the overlaps of neighbours, (N-1,) m; negative for gaps."""
         d = self.grains.diameters[self.order]
         return np.asarray((d[:-1] + d[1:]) / 2 - np.abs(np.diff(self.z)))
 
     def _forces(self, chain: Chain) -> tuple[Array, Array, np.ndarray]:
-        """Return forces of the contacts, their errors by rounding, N, and which are at rest."""
+        """Return contact forces, their rounding errors, N, and a mask of contacts at rest."""
         overlaps = self._overlaps()
         slack = self.grains.slack
         constants = chain.contacts.constant[1:-1]
@@ -556,7 +557,7 @@ class RunColumn:
         return forces, errors, still if still.sum() >= FEWEST_CONTACTS else np.ones_like(still)
 
     def _load(self, chain: Chain) -> tuple[float, float]:
-        """Return gravity, m/s2, and the load on top, N, as the input says or the overlaps do."""
+        """Return gravity, m/s2, and top load, N, from the input or from the overlaps."""
         forces, errors, quiet = self._forces(chain)
         weights = np.cumsum(chain.masses)[:-1]
         largest = float(np.abs(self._overlaps()).max())
@@ -590,7 +591,7 @@ class RunColumn:
         return gravity, load
 
     def _check_rest(self, rest: Array, forces: Array, errors: Array) -> None:
-        """Raise `InputError` if forces less weights, (C,) N, differ too much for grains at rest."""
+        """Raise `InputError` if forces minus weights, (C,) N, scatter too much for rest."""
         spread = np.abs(rest - np.median(rest))
         if (spread > CERTAIN * errors + UNLIKE * np.abs(forces).max()).any():
             raise self._refuse(
@@ -599,7 +600,7 @@ class RunColumn:
             )
 
     def _infer_gravity(self, weights: Array, forces: Array, errors: Array) -> float:
-        """Return gravity from how the forces at rest grow from grain to grain, m/s2."""
+        """Return gravity from the increase of forces at rest from grain to grain, m/s2."""
         if weights.size < FEWEST_CONTACTS:
             self._say("gravity", "none (too few contacts at rest to infer it)")
             return 0.0
@@ -616,7 +617,7 @@ class RunColumn:
         return gravity
 
     def _closed_load(self, chain: Chain, gravity: float) -> float:
-        """Return the load of a column between two immovable ends, N: their distance fixes it."""
+        """Return the load of a column between two fixed ends, whose distance determines it, N."""
         top, bottom = self.ends
         overlaps = self._overlaps()
         weights = gravity * np.cumsum(chain.masses)
@@ -651,7 +652,7 @@ class RunColumn:
         return load
 
     def _addforce(self) -> float | None:
-        """Return the constant force on grain 1 by `fix addforce`, N; None if there is none."""
+        """Return the constant force of `fix addforce` on grain 1, N; None without such a fix."""
         total = None
         for fix in self._fixes("addforce"):
             assert self.source is not None
@@ -677,7 +678,7 @@ class RunColumn:
     # The scene ----------------------------------------------------------------------------------
 
     def understood(self) -> Understood:
-        """Return the fields of the scene, and what was understood."""
+        """Return the fields of the scene, and the findings about the run."""
         count = len(self.order)
         d = self.grains.diameters[self.order]
         trial = self._trial()
@@ -738,7 +739,7 @@ class RunColumn:
         self._say("grains", f"diameter {span(d)} m, mass {span(masses)} kg")
 
     def _displacement(self, chain: Chain, overlaps: Array) -> Array:
-        """Return the displacements from rest at the begin, (N,) m, and say how far it is."""
+        """Return the initial displacements from rest, (N,) m, and add a finding on their size."""
         rest = chain.equilibrium_overlap
         off = overlaps - rest
         slack = self.grains.slack + AT_REST * rest
@@ -764,7 +765,7 @@ class RunColumn:
         return below + np.concatenate([np.cumsum(off[::-1])[::-1], [0.0]])
 
     def _excitation(self, chain: Chain, displacement: Array) -> Any:
-        """Return the excitation that gives displacements and velocities of the first frame."""
+        """Return the excitation with the displacements and velocities of the first frame."""
         moving = np.flatnonzero(self.v)
         grain = int(moving[0]) + 1 if moving.size else 1
         velocity = float(self.v[grain - 1])
@@ -790,11 +791,11 @@ class RunColumn:
         return Impulse(velocity=velocity, grain=grain)
 
     def _recording(self) -> dict[str, Any]:
-        """Return duration and samples."""
+        """Return the duration and the number of samples."""
         options, grains = self.options, self.grains
         duration = options.duration or grains.duration
         if grains.steps is not None:
-            self._refuse_given("is that of the dump", "duration", "samples")
+            self._refuse_given("follows from the dump", "duration", "samples")
             duration = self._dumped_time(grains.steps[1] - grains.steps[0])
         else:
             self._refuse_given("is in the run", "timestep")
@@ -823,20 +824,20 @@ class RunColumn:
         return f" (its velocities suggest {step:.3g})" if step else ""
 
     def _say(self, fact: str, text: str) -> None:
-        """Note a fact that was understood."""
+        """Add a finding about the run."""
         self.facts = [each for each in self.facts if each[0] != fact]
         self.facts.append((fact, text))
 
 
 def _reverse(value: Any) -> Any:
-    """Return an array in reverse, also within a table, and other values as they are."""
+    """Return an array in reverse, also inside a table; return other values unchanged."""
     if isinstance(value, dict):
         return {key: _reverse(item) for key, item in value.items()}
     return value[::-1] if isinstance(value, np.ndarray) else value
 
 
 def _one_or_many(values: Array) -> Any:
-    """Return one number if all agree up to rounding, else all of them."""
+    """Return one number if all are equal up to rounding, otherwise all numbers."""
     alike = np.ptp(values) <= EQUAL * np.abs(values).max()
     return float(values[0]) if alike else values
 

@@ -15,7 +15,7 @@ from ..util.lammps_units import Units
 from ..util.suggestions import either
 from .lammps_text import InputLine
 
-# Numbers of coefficients behind the name of a model.
+# Number of coefficients after the name of a model.
 NORMAL = {"hooke": 2, "hertz": 2, "hertz/material": 3}
 TANGENTIAL = {
     "linear_nohistory": 2,
@@ -75,14 +75,14 @@ class GrainForce(NamedTuple):
 
     @property
     def normal(self) -> float:
-        """The stiffness k between two grains of this model; LAMMPS has the same with a wall."""
+        """The stiffness k between two grains of this model; in LAMMPS it is equal at a wall."""
         if self.elastic is None:
             return self.stiffness
         modulus, ratio = self.elastic
         return 4 / 3 * modulus / (2 * (1 - ratio**2))
 
     def with_other(self, other: GrainForce) -> GrainForce:
-        """Return the model that LAMMPS mixes for two types without a line of their own."""
+        """Return the model that LAMMPS uses for two types without their own coefficients."""
         if (self.model, self.damped_by) != (other.model, other.damped_by) or (
             (self.elastic is None) != (other.elastic is None)
         ):
@@ -99,13 +99,13 @@ class GrainForce(NamedTuple):
         return GrainForce(self.line, self.model, stiffness, damping, self.damped_by)
 
     def constant(self, radius: float, units: Units) -> float:
-        """Return K of the force K o^delta at a reduced radius, m: N/m^delta."""
+        """Return the constant K of the force K o^delta at a reduced radius, m, in N/m^delta."""
         if self.model == "hooke":
             return self.normal * units.force / units.length
         return self.normal * units.pressure * math.sqrt(radius)
 
     def relaxation(self, mass: float, units: Units) -> float:
-        """Return the relaxation time of viscoelastic damping at a reduced mass, kg: s."""
+        """Return the relaxation time of viscoelastic damping at a reduced mass, kg, in s."""
         if not self.damped:
             return 0.0
         k = self.normal
@@ -116,18 +116,18 @@ class GrainForce(NamedTuple):
         if self.model == "hooke" and self.damped_by == "velocity":
             return self.damping / k * units.time
         cure = "viscoelastic for hertz, velocity or mass_velocity for hooke, or a coefficient of 0"
-        raise self.line.refuse(f"has a damping {self.damped_by} that no scene has: use {cure}")
+        raise self.line.refuse(f"has an unsupported damping {self.damped_by}: use {cure}")
 
 
 def read_model(
     line: InputLine, words: Sequence[str], number: ReadNumber
 ) -> tuple[GrainForce, list[str]]:
-    """Return a model of `granular` from its words, and the words behind it."""
+    """Return a model of `granular` from its words, and the words after it."""
     if not words:
         raise line.refuse("is too short: a contact model is missing")
     name = words[0]
     if name in COHESIVE:
-        raise line.refuse(f"has cohesion ({name}), which no scene has: use hertz")
+        raise line.refuse(f"has cohesion ({name}), which a scene does not support: use hertz")
     if name not in NORMAL:
         raise line.refuse(f"has no contact model {', '.join(NORMAL)}")
     values, rest = _take(line, words, NORMAL[name])
@@ -154,7 +154,7 @@ def read_model(
 def read_old_model(
     line: InputLine, model: str, words: Sequence[str], number: ReadNumber
 ) -> tuple[GrainForce, list[str]]:
-    """Return a model of gran/... from the words Kn Kt gamma_n ..., and the words behind them."""
+    """Return a model of gran/... from the words Kn Kt gamma_n ..., and the words after them."""
     values, rest = _take(line, ["", *words], 6)
     stiffness, damping = number(values[0], line), number(values[2], line)
     if not stiffness > 0:
@@ -168,7 +168,7 @@ def read_old_model(
 def read_wall(
     line: InputLine, words: Sequence[str], number: ReadNumber
 ) -> tuple[GrainForce, list[str]]:
-    """Return the model of `fix wall/gran`, and its last words: kind of planes, and two places."""
+    """Return the model of `fix wall/gran`, and its last words: plane type and two positions."""
     given = [word for word in words if word != "contacts"]
     style = given[0] if given else ""
     if style == "granular":
@@ -183,11 +183,11 @@ def read_wall(
 
 
 def _skip(line: InputLine, words: list[str]) -> list[str]:
-    """Return the words behind a force that does not act in a straight column."""
+    """Return the words after a force that has no effect in a straight column."""
     word = words[0]
     kind = words[1] if len(words) > 1 else ""
     if word == "cutoff" or (word == "heat" and kind != "none"):
-        raise line.refuse(f"has {word}, which no scene has: take it out")
+        raise line.refuse(f"has {word}, which a scene does not support: remove it")
     models = TANGENTIAL if word == "tangential" else TURNING
     if kind not in models:
         raise line.refuse(f"has {word} {kind}, which is not one of {', '.join(models)}")
@@ -195,14 +195,14 @@ def _skip(line: InputLine, words: list[str]) -> list[str]:
 
 
 def _without_limit(line: InputLine, damping: float, words: list[str]) -> list[str]:
-    """Return the words behind limit_damping, which changes nothing without damping."""
+    """Return the words after limit_damping, which has no effect without damping."""
     if damping:
-        raise line.refuse("has limit_damping, which no scene has: take it out")
+        raise line.refuse("has limit_damping, which a scene does not support: remove it")
     return words[1:]
 
 
 def _take(line: InputLine, words: Sequence[str], count: int) -> tuple[list[str], list[str]]:
-    """Return this number of words behind the first one, and the rest."""
+    """Return this number of words after the first one, and the rest."""
     if len(words) <= count:
         raise line.refuse("is too short")
     return list(words[1 : count + 1]), list(words[count + 1 :])

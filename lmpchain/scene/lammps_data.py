@@ -12,7 +12,7 @@ from .lammps_state import RunAtom, RunBond, RunState
 from .lammps_text import InputLine, Variables
 
 HEADER_LINES = 40
-TEXT = Variables()  # a data file has none
+TEXT = Variables()  # A data file has no variables.
 # Columns of a row of Atoms between number, type and position, by atom style.
 ATOM_COLUMNS = {
     "sphere": ("diameter", "density"),
@@ -23,7 +23,7 @@ ATOM_COLUMNS = {
 
 
 def is_data(text: str) -> bool:
-    """Return whether a text is a data file: its header counts atoms."""
+    """Return whether a text is a data file, which counts atoms in its header."""
     head = text[: 2**14].split("\n")[1:HEADER_LINES]
     return any(re.fullmatch(r"\s*\d+\s+atoms\s*", line.partition("#")[0]) for line in head)
 
@@ -92,7 +92,7 @@ class _DataReader:
         if self.placed:
             return
         if n not in self.state.atoms:
-            raise line.refuse("is of a grain that there is not")
+            raise line.refuse("names a grain that does not exist")
         self.state.atoms[int(n)].v = values[:3]
 
     def mass(self, line: InputLine, words: list[str], _: str) -> None:
@@ -122,7 +122,7 @@ def _read_atom(
         raise line.refuse(f"is of the atom style {shown(style)}: use sphere or bond")
     own = [column for each in known for column in ATOM_COLUMNS[each]]
     if len(known) > 1:
-        # A hybrid style has the position first.
+        # In a hybrid style the position comes first.
         order = ["number", "kind", "x", "y", "z", *own]
     elif known == ["sphere"]:
         order = ["number", "kind", *own, "x", "y", "z"]

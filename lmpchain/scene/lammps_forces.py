@@ -1,4 +1,4 @@
-"""Forces between the grains of a column by the pair style or the bonds of an input of LAMMPS."""
+"""Contact forces in a column from the pair style or the bonds of a LAMMPS input."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from .lammps_contacts import OLD_STYLES, GrainForce, read_model, read_old_model
 from .lammps_input import LammpsInput
 from .lammps_text import InputLine
 
-TOWER = re.compile(r"\^[^-+*/(,;]*\^")  # x^y^z, which readers take in different orders
-SAME_DENSITY = 1e-12  # relative difference of densities of one material, by rounding
+TOWER = re.compile(r"\^[^-+*/(,;]*\^")  # Matches x^y^z, which is ambiguous.
+SAME_DENSITY = 1e-12  # Relative difference of densities of one material, caused by rounding.
 
 
 @dataclass
@@ -33,7 +33,7 @@ class ColumnGrains:
     ----------
     numbers, types : (N,) int arrays
     diameters, masses : (N,) arrays
-        m and kg.
+        Diameters and masses, m and kg.
     frozen : (N,) bool array
         Grains of `fix freeze`, which LAMMPS takes as infinitely heavy.
     """
@@ -46,18 +46,18 @@ class ColumnGrains:
 
 
 class ColumnForces(NamedTuple):
-    """Contacts of a column, and what is said of them.
+    """Contacts of a column, with findings about them.
 
     Attributes
     ----------
     line : InputLine
     text : str
     fields : dict
-        Of a chain.
+        Fields of a chain.
     model : str
         "hertz", "hooke" or "bond".
     relaxations : (N-1,) array
-        Of viscoelastic damping, s.
+        Relaxation times of viscoelastic damping, s.
     diameters : (N,) array
         m; of bonds, those whose means are the rest lengths.
     """
@@ -77,11 +77,11 @@ def span(values: Array) -> str:
 
 
 def pair_forces(source: LammpsInput, grains: ColumnGrains) -> ColumnForces:
-    """Return the contacts of the pair style of an input."""
+    """Return the contacts that the pair style of an input defines."""
     assert source.state.pair is not None
     line, words = source.state.pair
     pairs = list(pairwise(grains.types.tolist()))
-    # A dictionary keeps the order of types, so that messages do.
+    # A dictionary preserves the order of types, and so the order in messages.
     models = {pair: _pair_model(source, line, words, *pair) for pair in dict.fromkeys(pairs)}
     chosen = [models[pair] for pair in pairs]
     kinds = {model.model for model in chosen}
@@ -131,7 +131,7 @@ def _pair_model(
 def _one_material(
     source: LammpsInput, models: list[GrainForce], grains: ColumnGrains
 ) -> Material | None:
-    """Return the material of all grains, if the input names one."""
+    """Return the common material of all grains if the input names one; None otherwise."""
     densities = grains.masses / sphere_mass(1.0, grains.diameters)
     first = models[0].elastic
     alike = np.ptp(densities) <= SAME_DENSITY * densities[0]
@@ -145,7 +145,7 @@ def _one_material(
 
 
 def bond_forces(source: LammpsInput, grains: ColumnGrains) -> ColumnForces:
-    """Return the contacts of the bonds of an input."""
+    """Return the contacts that the bonds of an input define."""
     assert source.state.bond is not None
     line, (style, *_) = source.state.bond
     rows = list(_bond_rows(source, line, grains))
@@ -196,7 +196,7 @@ def _bond_rows(
 
 
 def _bond_diameters(line: InputLine, lengths: Array, diameters: Array) -> Array:
-    """Return diameters of the grains whose means are the rest lengths of the bonds, (N,) m."""
+    """Return diameters of grains, (N,) m, whose means are the rest lengths of the bonds."""
     if not (lengths > 0).all():
         raise line.refuse("has a rest length that is not above 0")
     means = (diameters[:-1] + diameters[1:]) / 2
@@ -215,7 +215,7 @@ def _bond_diameters(line: InputLine, lengths: Array, diameters: Array) -> Array:
 
 
 def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
-    """Return the contact law of an energy of `bond_style lepton`, a formula of r = -overlap.
+    """Return the contact law for an energy of `bond_style lepton`, a formula of r = -overlap.
 
     Only the formula that the parser prints from its own syntax tree is used.
     """
@@ -224,12 +224,12 @@ def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
     energy, *definitions = (part.strip() for part in text.replace("^", "**").split(";"))
     named: dict[str, Formula] = {}
     try:
-        # A definition may use those behind it.
+        # A definition may use the definitions after it.
         for definition in reversed([each for each in definitions if each]):
             key, _, value = definition.partition("=")
             named[key.strip()] = parse(value.strip()).substitute(named)
         formula = parse(energy).substitute(named)
-        # The energy is one of r in the units of the input, the law one of o in m.
+        # The energy is a function of r in units of the input, the law one of o in m.
         found = formula.substitute({"r": multiply(number(-1 / length), name("o"))})
         law = multiply(number(length * force), found.derivative("o")).text
     except InputError as error:

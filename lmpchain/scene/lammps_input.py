@@ -1,4 +1,4 @@
-"""Input and data files of LAMMPS, read for their physics and never executed.
+"""Input and data files of LAMMPS, parsed for their physics and never executed.
 
 A command that could change the motion and is not understood is refused by its line, so that no
 force is left out in silence.
@@ -29,8 +29,8 @@ from .lammps_text import (
 )
 
 MOST_TYPES = 10**4
-ALL_TYPES = range(1, 10**MOST_DIGITS + 1)  # as * has them
-# Commands that change neither grains nor forces.
+ALL_TYPES = range(1, 10**MOST_DIGITS + 1)  # All types, as * means.
+# Commands that affect neither grains nor forces.
 WITHOUT_PHYSICS = {
     *("log", "echo", "print", "info", "timer", "suffix", "package", "shell"),
     *("thermo", "thermo_style", "thermo_modify", "compute", "compute_modify", "uncompute"),
@@ -44,16 +44,16 @@ FIXES = {
     *("nve", "nve/sphere", "freeze", "setforce", "gravity", "wall/gran", "addforce", "viscous"),
     *("enforce2d", *OBSERVERS),
 }
-# Commands that place grains, which a dump replaces.
+# Commands that place grains; a dump replaces them.
 PLACES = ("create_atoms", "displace_atoms", "minimize", "velocity")
 LOOPS = ("label", "next", "jump", "if")
-# Time steps of inputs without a command timestep, by unit style.
+# Default time steps of inputs without the command timestep, by unit style.
 DEFAULT_STEPS = {"si": 1e-8, "cgs": 1e-8, "micro": 2.0, "nano": 0.00045, "lj": 0.005}
 DUMP_CURE = "name a dump of its frames, too: --from IN own.lammpstrj"
 
 
 class LammpsInput:
-    """The physics of an input file, and the grains that it places.
+    """The physics of an input file, with the grains that it places.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ class LammpsInput:
                 self._read(line)
         if self.dumped is None and not self.state.atoms:
             raise InputError.at(str(path), f"places no grains that can be read: {DUMP_CURE}")
-        # What comes after the last run does not matter.
+        # Commands after the last run have no effect.
         self.state = self.run_state or self.state
         self._check_units()
         self._check_changes()
@@ -115,10 +115,12 @@ class LammpsInput:
     # Commands -----------------------------------------------------------------------------------
 
     def _read(self, line: InputLine) -> None:
-        """Read one command."""
+        """Parse one command."""
         command = line.text.split()[0]
         if command == "neigh_modify" and "exclude" in line.text.split():
-            raise line.refuse("takes forces away from pairs, which no scene does: take it out")
+            raise line.refuse(
+                "removes forces between pairs, which a scene does not support: remove it"
+            )
         if command in WITHOUT_PHYSICS:
             self.ignored[command] = None
             return
@@ -143,7 +145,7 @@ class LammpsInput:
         reader(line, self.text.words(line)[1:])
 
     def _loop(self, line: InputLine, command: str) -> None:
-        """Skip a loop that places grains which the dump has; refuse any other."""
+        """Skip a loop that places grains contained in the dump; reject any other loop."""
         if self.dumped is None:
             raise line.refuse(f"is a loop or a condition, which is not executed: {DUMP_CURE}")
         if command == "label":
@@ -169,7 +171,7 @@ class LammpsInput:
         self.units = read_units(self.given_units, style)
 
     def _check_units(self) -> None:
-        """Raise `InputError` if LAMMPS would read the file in units without a scale."""
+        """Raise `InputError` if LAMMPS would use the file with units that have no SI scale."""
         if not self.data_only and self.units_line is None and self.given_units is None:
             raise InputError.at(
                 str(self.path),
@@ -221,7 +223,7 @@ class LammpsInput:
 
     def _do_reset_timestep(self, line: InputLine, words: list[str]) -> None:
         self.steps = self.text.whole(self.text.word(line, words, 0), line)
-        # The changes before have steps of another count.
+        # Earlier changes have a different step count.
         self.changes.clear()
 
     def _do_run(self, line: InputLine, words: list[str]) -> None:
@@ -273,7 +275,7 @@ class LammpsInput:
             of = (lambda n: n) if style == "id" else (lambda n: atoms[n].kind)
             found = self._select(line, rest)
             members = frozenset(n for n in atoms if found(of(n)))
-            # LAMMPS adds to a group that exists.
+            # LAMMPS adds to an existing group.
             self.groups[key] = members | (self.groups.get(key) or frozenset())
         elif style in ("subtract", "union", "intersect") and rest:
             first, *others = (self.members(other, line) for other in rest)
@@ -294,7 +296,7 @@ class LammpsInput:
         return found
 
     def _select(self, line: InputLine, words: list[str]) -> Callable[[int], bool]:
-        """Return whether a number fits ranges as 1:19 or 1*19, or a comparison as <= 19."""
+        """Return whether a number matches a range such as 1:19, or a comparison such as <= 19."""
         compare: dict[str, Callable[[int, int], bool]] = {
             "<": lambda a, b: a < b,
             "<=": lambda a, b: a <= b,
@@ -371,7 +373,7 @@ class LammpsInput:
         self.state.type_masses |= dict.fromkeys(kinds[:MOST_TYPES], mass)
 
     def pair_lines(self, first: int, second: int) -> tuple[InputLine, list[str]] | None:
-        """Return the last pair_coeff of two types, which may be written as ranges."""
+        """Return the last pair_coeff of two types; types may be written as ranges."""
         low, high = sorted((first, second))
         for pair in reversed(self.state.pair_coefficients):
             if low == 0 and not (pair.first == pair.second == ALL_TYPES):
@@ -383,7 +385,7 @@ class LammpsInput:
     # Grains -------------------------------------------------------------------------------------
 
     def _atoms(self) -> dict[int, RunAtom]:
-        """Return the atoms by number; those of the dump, if there is one."""
+        """Return the atoms by number, from the dump if there is one."""
         if not self.state.atoms and self.dumped is not None:
             grains = self.dumped
             length, mass = self.units.length, self.units.mass
@@ -411,7 +413,7 @@ class LammpsInput:
         state.last_number += 1
         state.atoms[state.last_number] = RunAtom(kind, x)
         if "sphere" in self.atom_style:
-            # The defaults of LAMMPS: a diameter and a density of 1.
+            # LAMMPS has a default diameter and density of 1.
             state.atoms[state.last_number] = RunAtom(kind, x, diameter=1.0, mass=math.pi / 6)
 
     def _do_read_data(self, line: InputLine, words: list[str]) -> None:
@@ -468,7 +470,7 @@ class LammpsInput:
         if words[:1] == ["single/bond"] and len(words) >= 4:
             kind, first, second = (self.text.whole(word, line) for word in words[1:4])
             if not {first, second} <= atoms.keys():
-                raise line.refuse("names a grain that there is not")
+                raise line.refuse("names a grain that does not exist")
             self.state.bonds.append(RunBond(kind, first, second))
         elif words[:1] == ["many"] and len(words) == 6:
             one, other = (self.members(word, line) for word in words[1:3])
@@ -479,7 +481,7 @@ class LammpsInput:
             raise line.refuse("is not read: use many or single/bond, or a data file")
 
     def grains(self) -> RunGrains:
-        """Return the grains: those that the input places, or those of the dump."""
+        """Return the grains, from the dump if there is one, otherwise as the input places them."""
         atoms = self._atoms()
         numbers = np.array(sorted(atoms))
         ordered = [atoms[n] for n in numbers]
@@ -508,31 +510,31 @@ class LammpsInput:
         return grains
 
     def _mass(self, atom: RunAtom) -> float:
-        """Return the mass of a grain; of a point, that of its type."""
+        """Return the mass of a grain; for point particles, the mass of its type."""
         of_type = self.state.type_masses.get(atom.kind, math.nan)
         return of_type if math.isnan(atom.mass) else atom.mass
 
     @property
     def step_s(self) -> float:
-        """Time step, s: by default that of the unit style."""
+        """Time step, s, by default the time step of the unit style."""
         step = self.state.step or DEFAULT_STEPS.get(self.units_name or "lj", 0.0)
         return step * self.units.time
 
 
 def units_of(path: Path) -> str | None:
-    """Return the unit style that an input file names; None if it names none."""
+    """Return the unit style that an input file names; None without one."""
     found = re.search(r"^[ \t]*units[ \t]+(\w+)", read_text(path), re.MULTILINE | re.ASCII)
     return found[1] if found else None
 
 
 def _set(line: InputLine, atom: RunAtom, key: str, value: float) -> None:
-    """Carry out one keyword of the command set, as LAMMPS does."""
+    """Apply one keyword of the command `set`, as LAMMPS does."""
     if key in ("x", "y", "z"):
         atom.x["xyz".index(key)] = value
     elif key in ("vx", "vy", "vz"):
         atom.v["xyz".index(key[1])] = value
     elif key == "diameter":
-        # The mass stays until the density is set.
+        # The mass remains unchanged until the density is set.
         atom.diameter = value
     elif key == "density":
         atom.mass = math.pi / 6 * atom.diameter**3 * value
@@ -552,7 +554,7 @@ def _bonds_within(
     low: float,
     high: float,
 ) -> list[RunBond]:
-    """Return bonds between the atoms of two groups at a distance between two bounds."""
+    """Return bonds between atoms of two groups whose distance is within two bounds."""
     if not atoms:
         return []
     places = np.array([atom.x for atom in atoms.values()])
@@ -570,7 +572,7 @@ def _bonds_within(
 
 
 def _unread_fix(style: str) -> str:
-    """Return why a fix cannot be part of a scene, and what to do."""
+    """Return the reason why a fix cannot be part of a scene, and the remedy."""
     if style == "move":
         return 'moves grains: take it out, and write the motion as [excitation] kind = "drive"'
     if style.startswith("wall/"):

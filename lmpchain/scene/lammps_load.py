@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 from ..util.arrays import Array
 
-CERTAIN = 3.0  # standard errors
-GRAVITIES = (9.81, 9.80665, 9.8)  # m/s2, the values that inputs have
-NEAR = 1e-5  # relative difference of gravity from one of these, for residues of motion
+CERTAIN = 3.0  # Number of standard errors above which a value is certain.
+GRAVITIES = (9.81, 9.80665, 9.8)  # Usual values of gravity in inputs, m/s2.
+NEAR = 1e-5  # Relative difference of gravity from one of these, caused by residual motion.
 # Forces over the largest one below which gravity and load are taken to be 0.
 LEAST_WEIGHT = 1e-7
 LEAST_LOAD = 1e-9
-HARDEST = 1e30  # N
+HARDEST = 1e30  # Stiffness limit, N.
 BISECTIONS = 2000
 
 
@@ -26,7 +26,7 @@ class Line(NamedTuple):
 
 
 def fit_line(x: Array, y: Array, errors: Array) -> Line:
-    """Return the line that fits points with these errors best, at least two points."""
+    """Return the line with the best fit to at least two points with these errors."""
     share = (errors.min() / errors) ** 2
     mean_x = float((share * x).sum() / share.sum())
     mean_y = float((share * y).sum() / share.sum())
@@ -40,7 +40,7 @@ def fit_line(x: Array, y: Array, errors: Array) -> Line:
 
 
 def gravity_of(line: Line, weights: Array, forces: Array) -> float:
-    """Return gravity from the growth of forces with the mass above, m/s2; 0 if none is certain.
+    """Return gravity from the increase of forces with the mass above, m/s2; 0 if uncertain.
 
     A usual value is taken if it is within the error.
     """
@@ -53,7 +53,7 @@ def gravity_of(line: Line, weights: Array, forces: Array) -> float:
 
 
 def mean_load(rest: Array, errors: Array, largest: float) -> float:
-    """Return the mean of forces less weights, N; 0 if it is not certain, or nearly nothing."""
+    """Return the mean of forces minus weights, N; 0 if it is uncertain or negligible."""
     share = 1 / errors**2
     load = float((share * rest).sum() / share.sum())
     spread = float((share * (rest - load) ** 2).sum()) / max(1, rest.size - 1)
@@ -62,7 +62,7 @@ def mean_load(rest: Array, errors: Array, largest: float) -> float:
 
 
 def load_between(excess: Callable[[float], float]) -> float:
-    """Return the load at which an excess of overlaps, which grows with it, is 0; infinite if none.
+    """Return the load at which an increasing excess of overlaps is 0; infinite without a root.
 
     The excess is below 0 without a load.
     """

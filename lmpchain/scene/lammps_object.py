@@ -19,14 +19,14 @@ from .lammps_state import RunGrains
 ARGUMENT = "lmp"
 FIX = re.compile(r"Fix\[.*?\]:\s*(\S+),\s*style = (\S+),\s*group = (\S+)")
 MOVING = ("nve", "nve/sphere")
-# Pair styles of Hertz's law; granular may have another, which only an input tells.
+# Pair styles of Hertz's law; granular may have another law, which only an input shows.
 HERTZIAN = ("granular", "gran/hertz/history")
-# Fixes of a column whose effect is seen in its overlaps.
+# Fixes of a column whose effect is visible in its overlaps.
 UNDERSTOOD = (*MOVING, "freeze", "gravity", "enforce2d", "DUMMY", *OBSERVERS)
 
 
 class _NamedFix(NamedTuple):
-    """A fix of an instance: its style and its group."""
+    """A fix of an instance, with its style and its group."""
 
     style: str
     group: str
@@ -35,7 +35,7 @@ class _NamedFix(NamedTuple):
 def grains_of(
     lmp: Any, units: str | Sequence[float] | None = None, read: bool = False
 ) -> RunGrains:
-    """Return the grains of an instance as they are now.
+    """Return the current grains of an instance.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def grains_of(
 
 
 def _check_forces(lmp: Any, fixes: Sequence[_NamedFix]) -> None:
-    """Raise `InputError` at forces and fixes whose effect LAMMPS does not tell."""
+    """Raise `InputError` for forces and fixes whose effect is not accessible from LAMMPS."""
     strange = [f"fix {fix.style}" for fix in fixes if fix.style not in UNDERSTOOD]
     for kind, known in (("pair_style", HERTZIAN), ("bond_style", ())):
         style = lmp.extract_global(kind)
@@ -107,7 +107,7 @@ def _check_forces(lmp: Any, fixes: Sequence[_NamedFix]) -> None:
 
 
 def _held(lmp: Any, fixes: Sequence[_NamedFix], masks: np.ndarray) -> np.ndarray:
-    """Return which grains no fix moves, (N,) bool."""
+    """Return a mask of grains that no fix moves, (N,) bool."""
     groups = lmp.available_ids("group")
     moving = np.zeros(len(masks), dtype=bool)
     for fix in fixes:
@@ -122,7 +122,7 @@ def _held(lmp: Any, fixes: Sequence[_NamedFix], masks: np.ndarray) -> np.ndarray
 
 
 def _fixes(lmp: Any) -> Iterator[_NamedFix]:
-    """Yield the fixes of an instance, which it lists in a file only."""
+    """Yield the fixes of an instance, which LAMMPS lists only in a file."""
     with TemporaryDirectory() as folder:
         path = Path(folder) / "fixes"
         lmp.command(f"info fixes out overwrite {path}")

@@ -1,4 +1,4 @@
-"""Grains and forces of a run of LAMMPS, as its files give them."""
+"""Grains and forces of a LAMMPS run, read from its files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .lammps_text import InputLine
 
 @dataclass
 class RunGrains:
-    """Grains of a run at the time at which its scene begins, in SI units, by atom number.
+    """Grains of a run at the start of its scene, in SI units, by atom number.
 
     Attributes
     ----------
@@ -22,9 +22,9 @@ class RunGrains:
         Name of the file, or of the object.
     numbers, types : (N,) int arrays
     positions, velocities : (N, 3) arrays
-        m and m/s.
+        Positions, m, and velocities, m/s.
     diameters, masses : (N,) arrays
-        m and kg; NaN if unknown.
+        Diameters, m, and masses, kg. NaN if unknown.
     slack : float
         Rounding of a distance between two grains, m.
     digits_lost : bool
@@ -36,7 +36,7 @@ class RunGrains:
     period : (3,) array
         Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
     duration : float
-        Of the run, s; NaN if unknown.
+        Duration of the run, s; NaN if unknown.
     likely_step : float
         Time step with which displacements would change as the velocities say, s; 0 if unknown.
     samples : int
@@ -65,7 +65,7 @@ class RunGrains:
 
 @dataclass
 class RunAtom:
-    """A grain while the commands are read, in the units of the input.
+    """A grain during the parsing of commands, in the units of the input.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class RunBond(NamedTuple):
 
 
 class RunPair(NamedTuple):
-    """A pair_coeff of two ranges of types."""
+    """A pair_coeff command for two ranges of types."""
 
     line: InputLine
     first: range

@@ -1,4 +1,4 @@
-"""Text of LAMMPS files: commands with their places, words, variables and numbers."""
+"""Text of LAMMPS files: commands with line numbers, words, variables and numbers."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..chain.formula import number, parse
 from ..errors import InputError, short, shown
 from ..util.files import check_readable
 
-LARGEST_FILE = 2**28  # bytes
+LARGEST_FILE = 2**28  # Bytes.
 MOST_DIGITS = 18
-MOST_CONTINUED = 1000  # lines of one command
-MOST_EVALUATIONS = 10**6  # of variables in one input
-MOST_NESTED = 20  # variables that depend on variables
+MOST_CONTINUED = 1000  # Largest number of lines of one command.
+MOST_EVALUATIONS = 10**6  # Largest number of evaluations of variables in one input.
+MOST_NESTED = 20  # Largest depth of variables that depend on variables.
 PIECES = re.compile(
     r'"""(?P<triple>.*?)"""|"(?P<double>[^"]*)"|\'(?P<single>[^\']*)\''
     r"|\$\{(?P<braces>\w+)\}|\$(?P<letter>\w)|(?P<immediate>\$\()",
@@ -26,12 +26,12 @@ TOKENS = re.compile(r'"""(.*?)"""|"([^"]*)"|\'([^\']*)\'|(\S+)', re.DOTALL)
 LAMMPS_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 NUMBER_STYLE = re.compile(r"%(\.\d{1,2})?[gef]", re.ASCII)
 REFERENCE = re.compile(r"\bv_(\w+)", re.ASCII)
-# LAMMPS takes -2^2 as 4 and 2^3^2 as 64, other readers do not.
+# In LAMMPS -2^2 is 4 and 2^3^2 is 64, in contrast to other readers.
 AMBIGUOUS = re.compile(r"(^|[-+*/^(,])\s*-[^-+*/(,]*\^|\^[^-+*/(,]*\^")
 
 
 class InputLine(NamedTuple):
-    """A command of an input file with its place."""
+    """A command of an input file with its line number."""
 
     file: str
     number: int
@@ -60,7 +60,7 @@ class Variables:
         self.evaluations = 0
 
     def define(self, line: InputLine) -> None:
-        """Carry out a command `variable`."""
+        """Execute a command `variable`."""
         _, key, style, *_ = [*line.text.split(), "", ""]
         if style == "delete":
             self.values.pop(key, None)
@@ -73,16 +73,16 @@ class Variables:
                 if style == "index":
                     self.indices[key] = str(self.values[key])
             except InputError:
-                # Only a use of the variable matters.
+                # The fault is reported only if the variable is used.
                 self.values[key] = None
 
     def words(self, line: InputLine) -> list[str]:
-        """Return the words of a command with its variables replaced."""
+        """Return the words of a command with its variables substituted."""
         text = self._expand(line)
         return ["".join(groups) for groups in TOKENS.findall(text)]
 
     def _expand(self, line: InputLine) -> str:
-        """Return a command with numbers in place of ${x}, $x and $(...) outside of quotes."""
+        """Return a command with ${x}, $x and $(...) outside quotes replaced by their values."""
         text = line.text
         made = ""
         place = 0
@@ -107,11 +107,11 @@ class Variables:
         return made + text[place:]
 
     def _value(self, key: str, line: InputLine) -> str:
-        """Return the text that LAMMPS puts in place of a variable."""
+        """Return the text that LAMMPS substitutes for a variable."""
         text = self.values.get(key)
         if text is None:
             raise line.refuse(f"uses the variable {key}, whose value is not known without a run")
-        # Equal-style variables are evaluated, others are words.
+        # Equal-style variables are evaluated; others are words.
         try:
             return text if LAMMPS_NUMBER.fullmatch(text) else f"{self._evaluate(text, line):.15g}"
         except InputError:
@@ -146,7 +146,7 @@ class Variables:
         return found
 
     def number(self, text: str, line: InputLine) -> float:
-        """Return a word as a number; v_name is the value of a variable."""
+        """Return the number that a word represents; v_name is the value of a variable."""
         if LAMMPS_NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
             return value
         if text.startswith("v_"):
@@ -154,7 +154,7 @@ class Variables:
         raise line.refuse(f"has {shown(text)} in place of a number")
 
     def whole(self, text: str, line: InputLine) -> int:
-        """Return a word as a whole number from 0 on."""
+        """Return the integer of at least 0 that a word represents."""
         if not (text.isascii() and text.isdigit() and len(text) <= MOST_DIGITS):
             raise line.refuse(f"has {shown(text)} in place of a whole number")
         return int(text)
@@ -167,7 +167,7 @@ class Variables:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file of LAMMPS."""
+    """Return the text of a LAMMPS file."""
     try:
         check_readable(path, LARGEST_FILE)
         return path.read_bytes().decode("utf-8-sig")
@@ -182,7 +182,7 @@ def read_text(path: Path) -> str:
 
 
 def commands(file: str, text: str) -> Iterator[InputLine]:
-    """Yield the commands of a text, without comments and with continued lines joined."""
+    """Yield the commands of a text without comments, with continuation lines joined."""
     waiting = ""
     begin = 1
     for count, raw in enumerate(text.replace("\r\n", "\n").split("\n"), 1):
@@ -203,7 +203,7 @@ def commands(file: str, text: str) -> Iterator[InputLine]:
 
 
 def _without_comment(text: str) -> str:
-    """Return a line up to a # outside of quotes."""
+    """Return a line up to the first # outside quotes."""
     quote = ""
     for place, letter in enumerate(text):
         if letter == quote:

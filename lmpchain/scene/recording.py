@@ -35,13 +35,13 @@ def _selection(value: Any) -> Any:
     return tuple(numbers)
 
 
-# Quantities that are accumulated for every recorded grain, and for one contact, as "force:40".
+# Quantities that are accumulated for every recorded grain, and for one contact, such as "force:40".
 OF_GRAINS = ("peak_displacement", "peak_velocity", "arrival_time")
 OF_CONTACTS = ("peak_force", "force")
 
 
 def contact_of(name: str) -> int | None:
-    """Return the contact number in the name of a quantity, 40 of "force:40", or None."""
+    """Return the contact number in the name of a quantity, 40 for "force:40"; None without one."""
     number = name.partition(":")[2]
     # Only one spelling is allowed, otherwise "force:07" and "force:7" would be two arrays of one
     # contact.

@@ -27,7 +27,7 @@ from .lammps_column import RunOptions, infer_scene
 from .lammps_input import LammpsInput
 from .lammps_object import grains_of
 
-LONGEST_DURATION = 3600.0  # s: longer runs are probably given in other units
+LONGEST_DURATION = 3600.0  # Limit in s; longer runs are probably given in different units.
 # Longest plausible duration, s, for grains narrower than NARROW, m, in which a wave takes
 # microseconds.
 DURATION_OF_NARROW = 1.0
@@ -107,7 +107,7 @@ class Scene(SceneFacts):
         chain = self.chain
         _, compression = self.first_squeeze
         limit = LIMITS.hertz_compression
-        # A chain that is compressed to this degree at rest has its own remark.
+        # A chain with such a compression at rest has a remark of its own.
         if chain.law.power == 1.5 and compression > limit > chain.equilibrium.compression.max():
             yield f"{self._strength}: {beyond_hertz(compression)}"
         first, near = self._surroundings
@@ -212,7 +212,7 @@ class Scene(SceneFacts):
 
     @property
     def damping_remark(self) -> str:
-        """The effect of neglecting damping, in words; empty without damping."""
+        """The effect of neglecting damping, as text; empty without damping."""
         if not self.chain.damped:
             return ""
         effect = self.damping_effect
@@ -247,7 +247,7 @@ class Scene(SceneFacts):
         units: str | Sequence[float] | None = None,
         **options: Any,
     ) -> Self:
-        """Make the scene of a column in a LAMMPS instance, as it is now.
+        """Create the scene of a column in a LAMMPS instance in its current state.
 
         Positions, radii, masses, velocities and the grains that move are those of the instance.
         The load follows from the distance of its ends if both are held, and gravity from the
@@ -275,7 +275,7 @@ class Scene(SceneFacts):
             If it is not one column that a scene describes, or something is missing.
         """
         if unknown := options.keys() - set(RunOptions._fields):
-            raise InputError([(key, "is no option of from_lammps") for key in sorted(unknown)])
+            raise InputError([(key, "is not an option of from_lammps") for key in sorted(unknown)])
         grains = grains_of(lmp, units, read=input is not None)
         source = None
         if input is not None:
@@ -286,7 +286,7 @@ class Scene(SceneFacts):
 
     @classmethod
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
-        """Make a scene from the tables of a scene file, with CSV files in `folder`.
+        """Create a scene from the tables of a scene file, with CSV files in `folder`.
 
         Raises `InputError` with every fault. Without a folder, tables must not name files.
         """
@@ -294,7 +294,7 @@ class Scene(SceneFacts):
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """Make a scene from the text of a scene file that names no other file.
+        """Create a scene from the text of a scene file that refers to no other file.
 
         Raises `InputError`, or `ValueError` if the text is not TOML.
         """
@@ -311,7 +311,7 @@ class Scene(SceneFacts):
         return tomli_w.dumps(self.to_dict())
 
     def to_toml(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write a scene file; `from_toml` reads an equal scene from it.
+        """Write a scene file, from which `from_toml` reads an equal scene.
 
         A file that lmpchain did not write is replaced only if `overwrite` is true; otherwise
         `InputError` is raised.
@@ -328,7 +328,7 @@ def check_scene(scene: object, key: str = "scene") -> None:
 
 
 def _verdict(strike_number: float) -> str:
-    """Return the validity of linear theory for a strike number, in words."""
+    """Return the validity of linear theory for a strike number, as text."""
     if strike_number == math.inf:
         return "no contact is compressed: linear theory does not apply"
     if strike_number > ERRS_BY_10_PERCENT:

@@ -32,14 +32,14 @@ from .trace_file import Measured
 
 @dataclass(frozen=True)
 class FileSizes:
-    """Largest files that are read.
+    """Limits on the sizes of files.
 
     Attributes
     ----------
     scene, table : int
-        Of a scene or sweep, and of a CSV file, bytes.
+        Largest sizes of a scene or sweep file, and of a CSV file, bytes.
     line : int
-        Of a CSV file, characters.
+        Longest line of a CSV file, characters.
     """
 
     scene: int = 2**25
@@ -49,11 +49,12 @@ class FileSizes:
 
 FILE_SIZES = FileSizes()
 SECTIONS = ("chain", "excitation", "recording")
-# Keys of [chain]: those of a chain in Python, of patterns, and of a file with a row for each grain.
+# Keys of [chain]: arguments of a chain in Python, of patterns, and a file with a row for each
+# grain.
 CHAIN_KEYS = (*Chain.arguments, *IN_FILES, "file")
-# options of a run, which a scene does not have
+# Options of a run, which are not part of a scene.
 OF_RUNS = ("engine", "tolerance", "integrator", "step", "threads", "ranks")
-# Patterns of lines that are not TOML, with the remedy; the first match counts.
+# Patterns of lines that are not valid TOML, with the remedy; the first match is used.
 CURES = (
     (r"[\u2018\u2019\u201c\u201d]", 'use straight quotes, "'),
     (r"^\s*[\w.-]+\s*:", "write key = value"),
@@ -70,19 +71,19 @@ CURES = (
 
 
 def read_fields(path: str | PathLike[str]) -> dict[str, Any]:
-    """Return the fields of a scene from a file; raises `InputError` with every fault in it."""
+    """Return the fields of a scene from a file; raise `InputError` with all of its faults."""
     path = expanded(path)
     return fields(parse(path), path.parent)
 
 
 def fields(data: dict[str, Any], folder: Path | None = Path()) -> dict[str, Any]:
-    """Return the fields of a scene from the tables of its file; its CSV files lie in `folder`."""
+    """Return the fields of a scene from tables; CSV files are in `folder`."""
     faults = list(_section_faults(data))
     chain = _section(data, "chain", lambda keys: _chain(keys, folder), faults)
     excitation = _section(data, "excitation", lambda keys: _excitation(keys, folder), faults)
     recording = _section(data, "recording", lambda keys: Recording(**keys), faults)
     faults += _misfits(data, chain, excitation, recording)
-    # a section without an object has left a fault
+    # A section without an object has reported a fault.
     if faults:
         raise InputError(faults)
     return {"chain": chain, "excitation": excitation, **recording.given()}
@@ -94,12 +95,12 @@ def _section(
     make: Callable[[dict[str, Any]], Any],
     faults: list[tuple[str, str]],
 ) -> Any:
-    """Return the object that a section describes, or None, its faults added to the others."""
+    """Return the object that a section describes; None after adding its faults to the others."""
     table = data.get(section)
     if not isinstance(table, dict):
         return None
     try:
-        # a copy: keys are taken out on the way
+        # The table is copied, because its keys are removed in `make`.
         return make(dict(table))
     except InputError as error:
         faults += error.under(section)
@@ -112,8 +113,8 @@ def _misfits(
     excitation: Excitation | None,
     recording: Recording | None,
 ) -> Iterator[tuple[str, str]]:
-    """Yield the faults of an excitation and a recording that do not fit the chain."""
-    # If the chain has faults of its own, its length and ends may still be sound.
+    """Yield the faults of an excitation and a recording that do not match the chain."""
+    # Even if the chain has faults, its length and ends may be valid.
     stand_in = chain or _of_this_length(data.get("chain"))
     if not stand_in:
         return
@@ -129,7 +130,7 @@ def _misfits(
 
 
 def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield keys that are no sections, and sections that are missing or no tables."""
+    """Yield faults of unknown sections, missing sections, and sections that are not tables."""
     for key in data:
         if key not in SECTIONS:
             yield key, _misplaced(key)
@@ -142,7 +143,7 @@ def _section_faults(data: dict[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _misplaced(key: str) -> str:
-    """Return the cure for a key that is no section."""
+    """Return the remedy for a key that is not a section."""
     fields: dict[str, Iterable[str]] = {
         "recording": Recording.arguments,
         "chain": CHAIN_KEYS,
@@ -166,7 +167,7 @@ def _excitation_keys(kind: type[Excitation]) -> list[str]:
 def _make(
     make: Callable[[dict[str, Any]], Any], keys: Mapping[str, Any], known: Sequence[str]
 ) -> Any:
-    """Return the object of the known keys; raise `InputError` with its faults and unknown keys."""
+    """Return the object of the known keys; raise `InputError` with all its faults."""
     faults = [(key, unknown_key(key, known)) for key in keys if key not in known]
     try:
         made = make({key: value for key, value in keys.items() if key in known})
@@ -178,7 +179,7 @@ def _make(
 
 
 def _of_this_length(table: Any) -> Chain | None:
-    """Return a sound chain of this length and ends, to check other tables against."""
+    """Return a valid chain of this length and ends, to check other tables with."""
     keys = table.keys() & {"grains", "top", "bottom"} if isinstance(table, dict) else ()
     try:
         return Chain(**{key: table[key] for key in keys}, diameter=1e-3, gravity=0.0)
@@ -187,7 +188,7 @@ def _of_this_length(table: Any) -> Chain | None:
 
 
 def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the tables of a scene file; of `recording`, the options of a recording are taken."""
+    """Return the tables of a scene file; `recording` supplies the options of a recording."""
     law = chain.given().get("law")
     if law is not None and not isinstance(law, Law):
         chain = chain.replace(law=None, exponent=law.power_of("a scene file"))
@@ -201,11 +202,11 @@ def tables(chain: Chain, excitation: Excitation, recording: Mapping[str, Any]) -
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """Read a TOML file into its tables; raises `InputError` if it cannot be read."""
+    """Parse a TOML file into tables; raise `InputError` if it cannot be read."""
     name = str(path)
     try:
         check_readable(path, FILE_SIZES.scene)
-        # editors on Windows begin a file with a mark of its encoding, which utf-8-sig takes off
+        # Editors on Windows begin a file with a byte-order mark, which utf-8-sig removes.
         text = path.read_bytes().decode("utf-8-sig")
     except FileNotFoundError:
         raise InputError.at(name, "there is no such file") from None
@@ -217,14 +218,14 @@ def parse(path: Path) -> dict[str, Any]:
         raise InputError.at(
             name, "is not text in UTF-8; a scene file is a TOML text file"
         ) from None
-    # The name has a null character.
+    # The name contains a null character.
     except ValueError as error:
         raise InputError.at(name, f"cannot be read: {error}") from None
     return parse_text(text, name)
 
 
 def parse_text(text: str, name: str) -> dict[str, Any]:
-    """Return the tables of the text of a scene file; `name` is that of the file in messages."""
+    """Return the tables of the text of a scene file; `name` is the file name in messages."""
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -243,7 +244,7 @@ def _cure(text: str, error: tomllib.TOMLDecodeError) -> str:
     number = re.search(r"at line (\d+)", str(error))
     if not number:
         return ""
-    # tomllib ends lines at \n alone
+    # In tomllib, lines end at \n only.
     line = text.split("\n")[int(number[1]) - 1]
     cures = (cure for pattern, cure in CURES if re.search(pattern, line))
     cure = next(cures, "")
@@ -261,7 +262,7 @@ def _known_chain(keys: dict[str, Any], folder: Path | None) -> Chain:
             raise InputError([(key, cure) for key in patterns])
         path = _file(folder, keys.pop("file"))
         columns = _csv(path, ("material", "diameter", "mass"))
-        # a column that the table has as well: which of them is meant cannot be known
+        # If a column is also in the table, its meaning is ambiguous.
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
             raise InputError(
                 [(key, "is in the file already; take it out of one of them") for key in twice]
@@ -277,7 +278,7 @@ def _known_chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
     kind = keys.pop("kind", None)
     if not isinstance(kind, str) or kind not in EXCITATIONS:
-        # "kid" may be meant for it
+        # A misspelling such as "kid" may be meant for it.
         guesses = "".join(
             f"; {shown(key)} is unknown{guess}"
             for key in keys
@@ -297,12 +298,12 @@ def _excitation(keys: dict[str, Any], folder: Path | None) -> Excitation:
 
 
 def _beside(keys: Mapping[str, Any], folder: Path | None) -> dict[str, Any]:
-    """Return keys with the path of a file that lies in a folder in the place of its name."""
+    """Return keys in which the names of files in a folder are replaced by their paths."""
     return {**keys, "file": _file(folder, keys["file"])} if "file" in keys else dict(keys)
 
 
 def _file(folder: Path | None, name: Any) -> Path:
-    """Return the path of a file that a scene in a folder names."""
+    """Return the path of a file that a scene in a folder refers to."""
     if not isinstance(name, str):
         raise InputError.at("file", "must be the name of a CSV file")
     if folder is None:
@@ -312,9 +313,9 @@ def _file(folder: Path | None, name: Any) -> Path:
 
 
 def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
-    """Return columns of these names from a CSV file: lists of numbers, of words for `material`."""
+    """Return columns from a CSV file: lists of numbers, or of words for `material`."""
     header, rows = _read_table(path)
-    # a row is a grain, and a column may count them
+    # A row is a grain, and a column may number the grains.
     _check_header(path, header, names, {"grain"})
     _check_rows(path, rows, len(header))
     columns: dict[str, Any] = dict(zip(header, zip(*rows, strict=True), strict=True))
@@ -334,9 +335,9 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
     """Return the header and the rows of a CSV file."""
     try:
         check_readable(path, FILE_SIZES.table)
-        # spreadsheets begin a file with a mark of its encoding, which utf-8-sig takes off
+        # Spreadsheets begin a file with a byte-order mark, which utf-8-sig removes.
         with open(path, encoding="utf-8-sig", newline="") as opened:
-            # a file that is one endless line would fill the memory
+            # A file with a single endless line would fill the memory.
             lines = iter(lambda: opened.readline(FILE_SIZES.line), "")
             header, *rows = filter(None, map(_cells, csv.reader(lines)))
     except (OSError, ValueError, csv.Error) as error:
@@ -346,7 +347,7 @@ def _read_table(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def _cells(row: Sequence[str]) -> list[str]:
-    """Return the cells of a row without empty ones at its end, which spreadsheets add."""
+    """Return the cells of a row without the empty cells that spreadsheets append."""
     cells = [cell.strip() for cell in row]
     while cells and not cells[-1]:
         cells.pop()
@@ -356,7 +357,7 @@ def _cells(row: Sequence[str]) -> list[str]:
 def _check_header(
     path: Path, header: Sequence[str], names: Sequence[str], counters: set[str]
 ) -> None:
-    """Raise `InputError` unless a header has some of these names, counters, and nothing else."""
+    """Raise `InputError` unless a header consists of some of these names and counters only."""
     columns = set(header)
     strange = columns - {*names, *counters}
     if strange or columns.isdisjoint(names) or len(columns) < len(header):
@@ -366,7 +367,7 @@ def _check_header(
 
 def _check_rows(path: Path, rows: Sequence[Sequence[str]], length: int) -> None:
     """Raise `InputError` unless there are rows, all of this length."""
-    # lines are counted from 1, and the header is the first
+    # Lines are counted from 1; the header is line 1.
     for line, row in enumerate(rows, 2):
         if len(row) != length:
             message = f"{path}, line {line}: must have {length} values, as the header has"
@@ -376,14 +377,14 @@ def _check_rows(path: Path, rows: Sequence[Sequence[str]], length: int) -> None:
 
 
 def _table(options: Checked) -> dict[str, Any]:
-    """Return options as a table of TOML, which has no word for None."""
+    """Return options as a TOML table, without values of None."""
     return {key: _toml(value) for key, value in options.given().items() if value is not None}
 
 
 def _toml(value: Any) -> Any:
-    """Return a value as TOML has it: materials by name, arrays as lists, numbers of Python."""
+    """Return a value in TOML types: materials by name, arrays as lists, Python numbers."""
     if isinstance(value, Material):
-        # the name alone would stand for the material of the package
+        # The name is sufficient if it denotes this material in the package.
         if MATERIALS.get(value.name) == value:
             return value.name
         return {key: constant for key, constant in value.given().items() if constant != ""}

@@ -36,7 +36,7 @@ from .file_columns import (
 # sample.
 BEGINS = ("start", "x0", "t0", "hoffset", "xorg", "tstart")
 TRIGGER_POINTS = ("trigger point",)
-FILTER_ORDER = 4  # order of the low pass, which is applied forward and backward
+FILTER_ORDER = 4  # Order of the low-pass filter, which is applied forward and backward.
 # A sample closer to the trigger than this fraction of an interval is at t = 0, because the rest is
 # rounding error.
 SAME_TIME = 1e-6
@@ -49,7 +49,7 @@ class Reading:
     Attributes
     ----------
     time : (R,) array
-        s; empty if rows are not times.
+        Times, s; empty if rows are not times.
     values : (R, K) array
         Values of the K quantities.
     text : str
@@ -321,13 +321,13 @@ class TraceFile(TableFile):
         return time, f"time: from {time[0]:g} s by intervals of {step:g} s"
 
     def _names_times(self, values: int) -> bool:
-        """Return whether `columns` names the column of the times, or is left to the header."""
+        """Return whether `columns` names the time column, or leaves it to the header."""
         if self.columns is None or isinstance(self.columns, dict):
             return self.columns is None or "time" in self.columns
         return len(self.columns) > values
 
     def _times_beside(self, table: NumberTable, place: int) -> tuple[int | None, float | None]:
-        """Return the column of times beside a value that was named alone, and its scale, s.
+        """Return the time column beside a value that was named alone, and its scale, s.
 
         The given scale may be the sampling interval, as in files without times. A column with this
         interval needs no scale, and a column that contradicts the scale is ignored.
@@ -342,7 +342,7 @@ class TraceFile(TableFile):
         return place, self.time_scale
 
     def _time_unit(self, table: NumberTable, place: int, scale: float | None) -> float:
-        """Return the length of one unit of the column of times, s."""
+        """Return the length of one unit of the time column, s."""
         text = table.unit(place, *TIME_UNITS)
         unit = unit_of(text)
         header = f"the header of {self.file} says {shown(text)}"
@@ -468,14 +468,14 @@ def _spread(values: Array | None, count: int, key: str) -> list[float | None]:
 
 
 class Measured(Excitation):
-    """An excitation with arrays that may be read from a file, with a record of the reading.
+    """An excitation with arrays that may be read from a file, and a record of the reading.
 
     Attributes
     ----------
     file_kind : type
         Class that reads the file: a `TableFile` with its options.
     source : str, optional
-        How the file was read; ignored when excitations are compared.
+        Description of the reading; ignored when excitations are compared.
     """
 
     file_kind: ClassVar[type[TableFile]]

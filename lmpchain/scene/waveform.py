@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 Interpolation = Literal["pchip", "linear", "spline"]
-ROUNDED = 4 * EPSILON  # relative rounding error of sample times
-# Largest speed by frequencies above the band edge of a curve, relative to its largest speed.
+ROUNDED = 4 * EPSILON  # Relative rounding error of sample times.
+# Largest speed of a curve by frequencies above the band edge, relative to its largest speed.
 NEGLIGIBLE_SPEED = 1e-3
 # Longest record, in samples, for which a spectrum is computed.
 SPECTRUM_SAMPLES = 2**20
@@ -212,7 +212,7 @@ class Waveform:
         """Highest frequency that a step must resolve, rad/s."""
         if self.spline is not None:
             return self._band_edge
-        # The upper side band of a burst.
+        # Frequency of the upper side band of a burst.
         return float(self.omega + 2 * self.envelope)
 
     @cached_property

@@ -1,1 +1,1 @@
-"""A scene and an engine in, a trajectory out; engine selection, run folders, checkpoints."""
+"""Simulation of scenes: engine selection, runs, run folders and checkpoints."""

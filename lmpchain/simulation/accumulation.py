@@ -21,7 +21,7 @@ from ..trajectory.record import Block, Cost
 from ..util.arrays import EPSILON, Array, as_slice
 
 PEAK, TRACE = OF_CONTACTS
-PREFIX = "gathered."  # Prefix of the names of arrays in a state, which an engine never uses.
+PREFIX = "gathered."  # Prefix of the names of arrays in a state; engines never use it.
 
 
 class Gatherer:
@@ -48,7 +48,7 @@ class Gatherer:
         self._part = part
         self._first = first
         size = part.chain.grains
-        # Contacts by their numbers in the part.
+        # Contacts, numbered as in the part.
         self._peaks = self._contacts(PEAK)
         self._traces = self._contacts(TRACE)
         self._viscous = scene.chain.damping.longest_time > 0
@@ -98,15 +98,15 @@ class Gatherer:
                 state["rate"][row, first : first + count] = closing
 
     def state(self) -> dict[str, Array]:
-        """Return the arrays from which another gatherer continues with the same bits."""
+        """Return the arrays from which another gatherer continues bit for bit."""
         state = self._state | self._accumulator.state
         return {name: values.copy() for name, values in state.items()}
 
     def results(self, error: float) -> dict[str, Array]:
-        """Return the quantities and their errors by name, for a relative error of the answer."""
+        """Return the quantities and their errors by name, given the relative error of the run."""
         part = self._part
         largest = self._accumulator.largest
-        # Factor by which a motion may be larger between two samples than at the samples.
+        # Factor by which a value between two samples may exceed the values at the samples.
         beyond = 1 / math.cos(part.sampling_phase / 2)
         u_error, v_error = error * np.maximum(beyond * self._state["largest"], part.imposed)
         results: dict[str, Array] = {}
@@ -135,11 +135,11 @@ class Gatherer:
         return results
 
     def _peak(self, contact: int, number: int, doubts: tuple[float, float]) -> tuple[Array, Array]:
-        """Return the largest force of a contact, and its error, (1,) N.
+        """Return the largest force of a contact and its error, (1,) N.
 
         `contact` is its number in the part, `doubts` are errors of approach and rate, m and m/s.
         """
-        # Contacts outside of the part are at rest.
+        # Contacts outside the part are at rest.
         if contact not in self._peaks:
             return self._forces(number, np.zeros((2, 1)), (0.0, 0.0))
         row = self._peaks.index(contact)
@@ -153,7 +153,7 @@ class Gatherer:
     def _trace(
         self, contact: int, doubts: tuple[float, float]
     ) -> tuple[Array, tuple[float, float]]:
-        """Return approaches and rates at fine times, (2, T) m and m/s, and the errors of either."""
+        """Return approaches and rates at fine times, (2, T) m and m/s, and their errors."""
         still = np.zeros(self._part.samples)
         if contact not in self._traces:
             return np.array([still, still]), (0.0, 0.0)
@@ -162,7 +162,7 @@ class Gatherer:
         return np.array([self._state["trace"][row], rate]), doubts
 
     def _of_recorded(self, fields: Array | tuple[Array, Array], at_rest: float) -> Array:
-        """Return two fields of the part's grains, (2, N), at the places of recorded grains."""
+        """Return two fields of the part's grains, (2, N), at the positions of recorded grains."""
         extended = np.full((2, self._scene.chain.grains), at_rest)
         extended[:, self._first : self._first + self._part.chain.grains] = fields
         return extended[:, self._scene.recorded - 1]
@@ -207,7 +207,7 @@ class GatheringRun(Run):
         self._run = run
         scene = scenes[0]
         part = parts[0]
-        # A batch computes the whole scenes.
+        # A batch always computes whole scenes.
         cone = scene.fine.light_cone if part is not scene.fine else None
         columns = cone.columns if cone else slice(0, None)
         first = columns.start if isinstance(columns, slice) else int(columns[0])
@@ -252,7 +252,7 @@ class GatheringRun(Run):
 
     @property
     def progress(self) -> float:
-        """Part of the work done, 0 to 1."""
+        """Fraction of the work that is done, 0 to 1."""
         return self._run.progress
 
     def errors(self) -> list[ErrorBudget]:
@@ -277,17 +277,17 @@ class GatheringRun(Run):
         ]
 
     def close(self) -> None:
-        """Release everything."""
+        """Release all resources."""
         self._run.close()
 
 
 def at_samples(scene: Scene, energies: Mapping[str, Array]) -> dict[str, Array]:
-    """Return the energies at the samples of a scene from those at the times of `Scene.fine`."""
+    """Return the energies at the samples of a scene, given those at the times of `Scene.fine`."""
     return {
         name: values[:: scene.finer] if values.ndim else values for name, values in energies.items()
     }
 
 
 def of_engine(state: Mapping[str, Array] | None) -> Mapping[str, Array] | None:
-    """Return the arrays of a state that belong to the run of the engine."""
+    """Return the arrays of a state that belong to the engine's run."""
     return state and {key: values for key, values in state.items() if not key.startswith(PREFIX)}

@@ -32,7 +32,7 @@ from .choice import choose, engine_for, fall_back, record, refusals
 if TYPE_CHECKING:
     from .run_folder import RunFolder
 
-ESTIMATE_S = 2.0  # Time between two error estimates for the progress bar.
+ESTIMATE_S = 2.0  # Time between two error estimates for the progress bar, s.
 
 
 def simulate(
@@ -107,7 +107,7 @@ def simulate(
     if folder is None:
         if max_wall is not None:
             raise InputError.at(
-                "max_wall", "goes with a run folder, which keeps what is done; name one"
+                "max_wall", "requires a run folder, which keeps finished samples; name one"
             )
         memory = _Memory(*asked)
         return _conclude(memory, *_answer(memory, progress))
@@ -131,7 +131,7 @@ def resume(
     progress: bool = False,
     ranks: int | None = None,
 ) -> Trajectory:
-    """Continue a run in a folder; the result has the same bits as a run without a stop.
+    """Continue a run in a folder; the result is bit for bit equal to an uninterrupted run.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def resume(
 
 
 def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Outcome[Any]]:
-    """Solve the rest of a scene, with another engine if the first equation leaves out too much."""
+    """Solve the rest of a scene, with another engine if the model error is too large."""
     attempt = output.attempt or _first(output, output.scene)
     with output.requests:
         while True:
@@ -182,7 +182,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
                 attempt = _shorten(output, scene, limit)
                 continue
             try:
-                # A named engine is not replaced.
+                # A named engine is never replaced.
                 error = outcome.error
                 following = None if output.engine else fall_back(scene, outcome.attempt, error)
             except ToleranceNotMet as refusal:
@@ -203,7 +203,7 @@ def _answer(output: _Memory | RunFolder, progress: bool) -> tuple[Trajectory, Ou
 
 
 def _first(output: _Memory | RunFolder, scene: Scene) -> Attempt:
-    """Return the first attempt at a scene or at the predictable part of it."""
+    """Return the first attempt at a scene, or at its predictable part."""
     return choose(scene, output.engine, output.tolerance, output.best_effort)
 
 
@@ -269,12 +269,12 @@ def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     cost_s = left * attempt.proposal.cost_s
     if is_long(cost_s + attempt.spent_s):
         cures = ", ".join(["a shorter duration", *_cheaper(scene, attempt, cost_s)])
-        cure = f"{cures} takes less; a run folder keeps what is done"
+        cure = f"{cures} takes less; a run folder keeps finished samples"
         announce(cost_s, attempt.work(scene.samples), cure, attempt.spent_s)
 
 
 def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
-    """Yield choices that take less time than an attempt, with their expected times."""
+    """Yield choices with a shorter expected time than an attempt, with these times."""
     if attempt.proposal.fixed:
         yield "a longer step"
         return
@@ -290,7 +290,7 @@ def _cheaper(scene: Scene, attempt: Attempt, cost_s: float) -> Iterator[str]:
 
 
 def _on_time(blocks: Iterator[Block]) -> Iterator[Block]:
-    """Yield blocks; raise `TooLong` if they take far longer than the budget allows."""
+    """Yield blocks; raise `TooLong` if they take far more time than the budget."""
     for block in blocks:
         yield block
         check_time()
@@ -325,7 +325,7 @@ def _conclude(
         remark = f"{error}, more than {output.tolerance:g}. {outcome.error.remark}"
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
-        # With a given step there is no tolerance to name.
+        # With a given step there is no tolerance to report.
         cannot = f"this scene amplifies round-off, beyond {PATIENCE.visible:g} of the motion"
         time_s = f"from about t = {outcome.known_until:.4g} s on"
         warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
@@ -336,14 +336,14 @@ def _conclude(
     return trajectory
 
 
-LARGE_BYTES = 2**26  # The free memory is checked for samples of more bytes.
+LARGE_BYTES = 2**26  # The free memory is checked for samples of more than this number of bytes.
 
 
 class _Memory:
-    """A run whose blocks are collected in memory, and its options; `engine` is None for "auto"."""
+    """A run whose blocks are collected in memory, with its options; `engine` None means "auto"."""
 
     attempt: Attempt | None = None
-    # Number of samples of an earlier process.
+    # Number of samples from an earlier process.
     samples = 0
     # There are no stop requests here: signals act at once.
     requests: AbstractContextManager[Any] = nullcontext()
@@ -355,14 +355,14 @@ class _Memory:
         self.best_effort = best_effort
 
     def prepare(self, engine: Engine) -> Engine:
-        """Remember the engine that solves the scene, and return it."""
+        """Store the engine that solves the scene, and return it."""
         self._answering = engine
         return engine
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
         """Return no state, so that the attempt starts at t = 0."""
         self._known = scene = self.scene.until(attempt.known_until)
-        # Pages of grains that the wave does not reach are never written.
+        # Memory pages of grains that the wave does not reach are never written.
         cone = scene.light_cone
         moving = (scene.recorded if cone is None else scene.recorded[cone.columns]).size
         if LARGE_BYTES < 16 * scene.samples * moving > free_memory():
@@ -374,7 +374,7 @@ class _Memory:
         scene = self._known
         u = v = np.empty(0)
         for block in blocks:
-            # A single block with the whole answer is not copied.
+            # A single block that contains the whole result is not copied.
             if block.displacement.shape[1] == scene.samples and block.columns == slice(None):
                 u = block.displacement[0]
                 v = block.velocity[0]
@@ -412,7 +412,7 @@ class _Memory:
 
 
 def _too_large(samples: int, grains: int) -> InputError:
-    """Return the error of a trajectory that does not fit into the memory."""
+    """Return the error for a trajectory that does not fit into memory."""
     return InputError.at(
         "samples",
         f"{16e-9 * samples * grains:.3g} GB of samples do not fit into "
@@ -422,7 +422,7 @@ def _too_large(samples: int, grains: int) -> InputError:
 
 
 def _zeros(shape: tuple[int, int], moving: int) -> Array:
-    """Return zeros, whose columns take memory only if they are written.
+    """Return zeros whose columns use memory only when they are written.
 
     If few columns move, small pages are used, because huge pages would also store the zeros between
     these columns.

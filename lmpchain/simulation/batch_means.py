@@ -1,4 +1,4 @@
-"""Confidence intervals of time averages from the means of correlated batches.
+"""Confidence intervals of time averages, from the means of correlated batches.
 
 The variance of the mean over a long time is s over that time, where s, the sum of the covariance
 over all lags, is the spectrum at frequency 0. Cosines of the time with few half periods measure the
@@ -22,7 +22,7 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class Batching:
-    """Numbers of batches and cosines; analysis/calibration/batch_means.py.
+    """Numbers of batches and cosines, see analysis/calibration/batch_means.py.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Batching:
 
 
 BATCHING = Batching()
-LEVEL = 0.95  # confidence level of the intervals
+LEVEL = 0.95  # Confidence level of the intervals.
 
 
 class Estimate(NamedTuple):
@@ -71,7 +71,7 @@ class Estimate(NamedTuple):
 
 
 def estimate(means: Array, known: Array | None = None) -> Estimate:
-    """Return the average of the means of successive stretches, with its interval.
+    """Return the average of the means of successive time intervals, with its confidence interval.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
     amplitudes = dct(means - means.mean(), norm="ortho")
     resemblance = math.nan
     for count in BATCHING.cosines:
-        # Longer stretches show a weak correlation over a long time.
+        # Longer stretches reveal a weak correlation over a long time.
         resemblances = {
             finer: correlation_of_neighbours(means.reshape(copies, count * finer, -1).mean(-1))
             for finer in (BATCHING.finer, BATCHING.finer // 2)
@@ -118,7 +118,7 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
 
 
 def _widening(resemblances: dict[int, float]) -> float:
-    """Return the factor by which the variance of cosines is too small.
+    """Return the factor by which the variance of the cosines is too small.
 
     The correlation time c of stretches of length b is 2 b times their correlation. With an
     exponential correlation, the spectrum at angular frequency w is s / (1 + (c w)^2), and cosines
@@ -134,5 +134,5 @@ def correlation_of_neighbours(means: Array) -> float:
     square = float((deviation**2).mean())
     if not square:
         return 0.0
-    # The subtracted mean of the same numbers lowers the correlation by 1 / size.
+    # Subtracting the mean of the same numbers lowers the correlation by 1 / size.
     return float((deviation[:, 1:] * deviation[:, :-1]).mean()) / square + 1 / means.size

@@ -17,7 +17,7 @@ from ..util.files import replacing
 from ..util.remarks import warnings_aside
 from .api import simulate
 
-REPEATS = 5  # of each answer that is timed
+REPEATS = 5  # Number of timed repetitions of each solution.
 
 
 def calibrate() -> tuple[Path, float]:
@@ -32,7 +32,7 @@ def calibrate() -> tuple[Path, float]:
     OSError
         If the result cannot be stored; this process uses it anyway.
     """
-    # Grains, and the duration in tens of time units.
+    # Number of grains, and duration in tens of time units.
     small = 2, 1
     large = 60, 40
     timed = [
@@ -41,7 +41,7 @@ def calibrate() -> tuple[Path, float]:
         if not engine.refuses(_scene(*small))
     ]
     for engine in timed:
-        _time(engine, *small)  # compiles and imports
+        _time(engine, *small)  # Compilation and imports happen in this first call.
     began = time.perf_counter()
     speeds = {}
     for engine in timed:
@@ -79,7 +79,7 @@ def _scene(grains: int, periods: int) -> Scene:
 
 
 def _time(engine: Engine, grains: int, periods: int) -> tuple[float, float]:
-    """Return the shortest time of an answer, s, and its work on the reference machine, s."""
+    """Return the shortest time of a solution, s, and its work on the reference machine, s."""
     scene = _scene(grains, periods)
     start, slowness = speed(engine.name, engine.start_up_s)
     work = (engine.propose(engine.part(scene), 1e-9).cost_s - start) / slowness

@@ -21,8 +21,8 @@ from ..util.provenance import versions
 from ..util.suggestions import not_among
 
 AUTO = "auto"
-REFUSED = "cannot do it: "  # begins the verdict on an engine that refuses a scene
-GIVEN_STEP = "none, for a step was given"  # recorded in place of the tolerance
+REFUSED = "cannot do it: "  # Begin of the verdict on an engine that refuses a scene.
+GIVEN_STEP = "none, for a step was given"  # Recorded instead of a tolerance.
 # Names of theories by equation.
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
 
@@ -45,7 +45,7 @@ def engine_for(engine: str | Engine, **options: Any) -> Engine | None:
 
 
 def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
-    """Return why an engine, or with None every engine, cannot do a scene, as (key, reason)."""
+    """Return the reasons why an engine, or every engine (None), cannot solve a scene."""
     if engine:
         return engines.obstacles(engine, scene)
     reasons = []
@@ -61,7 +61,7 @@ def refusals(scene: Scene, engine: Engine | None) -> list[tuple[str, str]]:
 def choose(
     scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool = False
 ) -> Attempt:
-    """Return the first attempt with an engine, or with None with the cheapest engine.
+    """Return the first attempt with an engine, or with the cheapest engine for None.
 
     `best_effort` increases a tolerance that cannot be met.
 
@@ -82,12 +82,12 @@ def _choose(scene: Scene, tolerance: float) -> Proposal:
 
 
 def _explain(proposal: Proposal, **why: str) -> Proposal:
-    """Return a proposal with the reasons of the choice on record."""
+    """Return a proposal that records the reasons of the choice."""
     return proposal._replace(choices={**proposal.choices, **why})
 
 
 def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | None:
-    """Return an attempt with Eq. (1) if the measured model error exceeds the tolerance, or None.
+    """Return an attempt with Eq. (1) if the measured model error is too large; otherwise None.
 
     Raises
     ------
@@ -103,7 +103,7 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
     left_out = f"Eq. ({before.equation}) leaves out up to {bound:.1g} of the solution"
     if error.remark:
         left_out += f", {error.remark}"
-    # Engines that were not asked are listed with their reasons, too.
+    # Engines that were not asked are listed with their reasons as well.
     exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
     if not any(proposal.kept for proposal in exact):
         why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
@@ -144,9 +144,9 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
 
 
 def _ask_on_request(scene: Scene, tolerance: float, others: Sequence[Proposal]) -> list[Proposal]:
-    """Return the proposals of engines that are asked only if no other one can do the scene."""
+    """Return the proposals of engines that are asked only if no other engine is possible."""
     if any(proposal.possible for proposal in others):
-        why = "only if asked for by name, or if no other engine can"
+        why = "used only if requested by name, or if no other engine can solve the scene"
         return [Proposal(name, why=why) for name in engines.automatic("last")]
     return [ask(engines.plain(name), scene, tolerance) for name in engines.automatic("last")]
 
@@ -204,7 +204,7 @@ def percent(error: float) -> str:
 
 
 def cheapest(proposals: Sequence[Proposal]) -> Proposal:
-    """Return the cheapest proposal that is kept.
+    """Return the cheapest valid proposal.
 
     Raises
     ------
@@ -213,14 +213,14 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     """
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:
-        # The reasons of engines that cannot do the scene at all are left out.
+        # Engines that cannot solve the scene at all are excluded from the reasons.
         asked = [proposal for proposal in proposals if proposal.possible or proposal.equation == 1]
         raise ToleranceNotMet("; ".join(f"{proposal.engine}: {proposal.why}" for proposal in asked))
     return best
 
 
 def reason(best: Proposal, proposals: Sequence[Proposal]) -> str:
-    """Return why the cheapest proposal is chosen, and why no cheaper one is kept."""
+    """Return why the cheapest proposal is chosen, and why each cheaper one was rejected."""
     why = f"solves Eq. ({best.equation}), the cheapest within the tolerance"
     for proposal in proposals:
         if proposal.cost_s < best.cost_s:
@@ -241,5 +241,5 @@ def record(engine: Engine, scene: Scene, proposal: Proposal, tolerance: float) -
 
 
 def damping_record(scene: Scene) -> dict[str, str]:
-    """Return the record of damping: the change if it were left out."""
+    """Return the record of damping: the change if damping were neglected."""
     return {"damping": scene.damping_remark} if scene.chain.damped else {}

@@ -1,4 +1,4 @@
-"""Files of a run folder: the order of the run, checkpoints and hashes.
+"""Files of a run folder: the specification of the run, checkpoints and hashes.
 
 Each file of lmpchain has a seal, by which it is recognised, or is listed in SHA256SUMS. Other files
 are never replaced or removed.
@@ -51,16 +51,16 @@ RUN = "run.json"
 STATUS = "status.json"
 SUMS = "SHA256SUMS"
 CHECKPOINT_FILES = ("checkpoint", "checkpoint-before")
-# A proposal in the notes of older versions, in this order where it is a list.
+# Fields of a proposal in the notes of older versions, in the order of the list form.
 OLD_PROPOSAL = ("step", "active_grains", "model_error", "solver_error", "cost_s", "tolerance",
                 "steps_per_landing", "stride", "fixed", "adaptive", "coarse_openings", "integrator",
                 "choices")  # fmt: skip
-UNSEALED = ("sha256", "sessions", SEALED)  # Keys of run.json that are no part of the order.
+UNSEALED = ("sha256", "sessions", SEALED)  # Keys outside the specification.
 IN_STATE = "state."  # Prefix of the arrays of a state in a checkpoint.
 HASH = hashlib.sha256
 LENGTH = HASH().digest_size
-SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # A line of SHA256SUMS.
-# Files of the Zarr store: descriptions and chunks, also incomplete ones.
+SUM = re.compile(r"([0-9a-f]{64})  (.+)")  # Matches a line of SHA256SUMS.
+# Files of the Zarr store: metadata and chunks, also incomplete ones.
 IN_STORE = re.compile(
     rf"{re.escape(store.NAME)}/"
     r"(([^/]+/)?zarr(\.json|\.[0-9a-f]{32}\.partial)|[^/]+/c(/\d+)+(\.[0-9a-f]{32}\.partial)?)"
@@ -80,7 +80,7 @@ def is_run(folder: str | PathLike[str]) -> bool:
 
 
 def is_sealed(folder: Path) -> bool:
-    """Return whether lmpchain wrote the order in a folder, unchanged since."""
+    """Return whether lmpchain wrote the run specification in a folder, and it is unchanged."""
     order = read_sealed_json(folder / RUN)
     try:
         text = (folder / SCENE).read_bytes().decode("utf-8")
@@ -90,7 +90,7 @@ def is_sealed(folder: Path) -> bool:
 
 
 def engine_of(folder: str | PathLike[str]) -> str:
-    """Return the engine of a run folder; empty if it is not stated."""
+    """Return the engine of a run folder; empty if none is stated."""
     try:
         return str(json.loads((path_of(folder) / RUN).read_bytes())["engine"])
     except (OSError, ValueError, LookupError, TypeError, RecursionError):
@@ -98,8 +98,8 @@ def engine_of(folder: str | PathLike[str]) -> str:
 
 
 def at_work(folder: Path) -> str:
-    """Return a message that another process has locked a run folder, and what to do."""
-    return f"{describe_holder(folder)} is at work here; wait for it, or stop it"
+    """Return a message that another process has locked a run folder, with the remedy."""
+    return f"{describe_holder(folder)} is running here; wait for it, or stop it"
 
 
 def check_run(folder: str | PathLike[str]) -> Path:
@@ -118,7 +118,7 @@ def check_run(folder: str | PathLike[str]) -> Path:
 def write_order(
     folder: Path, scene: Scene, engine: Engine | None, tolerance: float, best_effort: bool
 ) -> None:
-    """Write the order of a new run and this session; None stands for the engine "auto".
+    """Write the specification of a new run and this session; engine None stands for "auto".
 
     The scene is written last, because its file marks a run folder.
     """
@@ -135,19 +135,19 @@ def write_order(
 
 
 def _seal(order: dict[str, Any], scene: str) -> str:
-    """Return a hash of the order, by which a change to its files is noticed."""
+    """Return a hash of the run specification, which reveals a change to its files."""
     fixed = {key: value for key, value in order.items() if key not in UNSEALED}
     return hashlib.sha256(f"{json.dumps(fixed, sort_keys=True)}\n{scene}".encode()).hexdigest()
 
 
 def check_known(engine: Engine | None) -> None:
-    """Raise `InputError` if an engine cannot work in a run folder."""
+    """Raise `InputError` if an engine cannot be used in a run folder."""
     if engine is None:
         return
     name = engine.name
     if name not in engines.names() or type(engine) is not type(engines.get(name)):
         raise InputError.at(
-            "engine", "a run folder stores engines by name only, and this is none of lmpchain's"
+            "engine", "a run folder stores engines by name only: use an engine of lmpchain"
         )
     engine.options()
 
@@ -166,19 +166,20 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         scene = Scene.from_text(text)
         options = dict(order["options"])
         old_versions = dict(order["sessions"][-1]["packages"])
-        # The folder may come from another person: only an order that lmpchain wrote is run.
+        # The folder may come from another person, so only a specification that lmpchain wrote is
+        # run.
         if order["sha256"] != _seal(order, text):
-            raise ValueError("they are not those that the run began with")
+            raise ValueError("they differ from those at the start of the run")
         parallel = "ranks" in options
         if parallel and (ranks is not None or mpi.current_world()):
-            # The ranks of mpirun are used.
+            # The ranks of the surrounding mpirun are used.
             options["ranks"] = ranks
         engine = engine_for(str(order["engine"]), **options)
-        # Commands from the folder are not run.
+        # Commands from the folder are never executed.
         check_known(engine)
         check_tolerance(order["tolerance"])
         if not isinstance(order["best_effort"], bool) or not isinstance(order["sessions"], list):
-            raise ValueError("they do not say what was asked")
+            raise ValueError("an entry is missing or invalid")
     except (ValueError, LookupError, TypeError, RecursionError) as error:
         raise InputError.at(
             str(folder), f"its {RUN} or {SCENE} was changed and cannot be read: {error}"
@@ -196,7 +197,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
 
 
 def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
-    """Warn of packages whose version has changed since the last session."""
+    """Warn of packages whose versions have changed since the last session."""
     changes = [
         f"{name} {new.get(name)}, not {version}"
         for name, version in old.items()
@@ -204,13 +205,13 @@ def _compare_versions(old: dict[str, Any], new: dict[str, Any]) -> None:
     ]
     if changes:
         warn(
-            f"the run went so far with other versions, and may now differ: {'; '.join(changes)}",
+            f"the run began with other versions, and results may differ: {'; '.join(changes)}",
             stacklevel=3,
         )
 
 
 def _session(options: dict[str, Any]) -> dict[str, Any]:
-    """Return the record of this session, with its ranks where the engine can use several."""
+    """Return the record of this session, with its number of ranks if the engine can use several."""
     record = describe_session()
     if "ranks" in options:
         world = mpi.current_world()
@@ -224,11 +225,11 @@ def _write_order(folder: Path, order: dict[str, Any]) -> None:
 
 
 def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
-    """Write a checkpoint with its hash, so that damage is noticed.
+    """Write a checkpoint with a hash, which reveals damage.
 
     At every moment one of the two newest is complete on the disk.
     """
-    # The hash is that of the packed bytes.
+    # The hash refers to the compressed bytes.
     packed = io.BytesIO()
     arrays = {IN_STATE + name: values for name, values in state.items()}
     np.savez(packed, notes=np.array(json.dumps(notes)), **arrays)  # type: ignore[arg-type]
@@ -259,7 +260,7 @@ def load_checkpoints(folder: Path) -> Iterator[tuple[dict[str, Any], dict[str, A
 
 
 def is_intact(path: Path) -> bool:
-    """Return whether a checkpoint is as it was written."""
+    """Return whether a checkpoint is unchanged."""
     content = memoryview(path.read_bytes())
     return HASH(content[LENGTH:]).digest() == content[:LENGTH]
 
@@ -275,12 +276,12 @@ def _unpack(content: memoryview) -> tuple[dict[str, Any], dict[str, Array]] | No
         }
         return dict(notes), state
     except Exception:
-        # The file has a valid hash but is no checkpoint.
+        # The file has a valid hash but is not a checkpoint.
         return None
 
 
 def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the notes of an attempt from any version to the present form."""
+    """Convert the notes of an attempt from any version to the current format."""
     renewed = dict(attempt)
     if "candidate" in renewed:
         engine = renewed.pop("engine")
@@ -293,7 +294,7 @@ def renew(attempt: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
-    """Convert the notes of a proposal from older versions, which had no record of steps."""
+    """Convert the notes of a proposal from older versions, which did not record steps."""
     new = {key: old[key] for key in OLD_PROPOSAL}
     steps = Steps(
         per_landing=new.pop("steps_per_landing"),
@@ -303,7 +304,7 @@ def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
         coarse_openings=new.pop("coarse_openings"),
         dense=int(old["stride"] > 1),
     )
-    # Diameters were written as text.
+    # Diameters were stored as text.
     choices = {
         key: float(text) if key.endswith("_m") else text for key, text in old["choices"].items()
     }
@@ -313,13 +314,13 @@ def _renew_proposal(engine: str, old: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_new(folder: str | PathLike[str]) -> Path:
-    """Return the path of a new run folder; raise `InputError` if it cannot be made."""
+    """Return the path of a new run folder; raise `InputError` if it cannot be created."""
     path = path_of(folder)
     if path.exists() and not path.is_dir():
         raise InputError.at(str(folder), "is a file; choose another name for the run folder")
     if is_run(path) and is_sealed(path):
-        cure = f"go on with it, {resume_command(folder)}, or choose another folder"
-        raise InputError.at(str(folder), f"holds a run already: {cure}")
+        cure = f"continue it, {resume_command(folder)}, or choose another folder"
+        raise InputError.at(str(folder), f"contains a run already: {cure}")
     # Files of a run that was killed before it wrote its scene may be replaced.
     if foreign := strangers(path):
         raise InputError.at(
@@ -331,7 +332,7 @@ def check_new(folder: str | PathLike[str]) -> Path:
 
 
 def check_replaceable(folder: str | PathLike[str]) -> Path:
-    """Return the path of a run folder; raise `InputError` if it has files of others."""
+    """Return the path of a run folder; raise `InputError` if it contains foreign files."""
     path = check_run(folder)
     if foreign := strangers(path):
         raise InputError.at(
@@ -343,7 +344,7 @@ def check_replaceable(folder: str | PathLike[str]) -> Path:
 
 
 def _in_words(paths: list[Path]) -> str:
-    """Return the names of at most five files, and how many others there are."""
+    """Return the names of at most five files, and the number of other files, as text."""
     names = [short(path) for path in paths[:5]]
     others = len(paths) - len(names)
     return ", ".join(names) + (f" and {others} more" if others else "")
@@ -354,7 +355,7 @@ def _are(paths: list[Path]) -> str:
 
 
 def strangers(folder: Path) -> list[Path]:
-    """Return the files in a folder that lmpchain has not written to a run folder."""
+    """Return the files in a folder that are not files of lmpchain's runs."""
     sums = _read_sums(folder)
     return [
         path.relative_to(folder)
@@ -364,7 +365,7 @@ def strangers(folder: Path) -> list[Path]:
 
 
 def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
-    """Return whether lmpchain wrote a file or folder, unchanged since."""
+    """Return whether lmpchain wrote a file or folder, and it is unchanged."""
     path = folder / name
     text = name.as_posix()
     if path.is_symlink() or not (path.is_dir() or path.is_file()):
@@ -372,7 +373,7 @@ def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
     if path.is_dir():
         parents = {Path(file).parent for file in _inputs()}
         return FOLDER_IN_STORE.fullmatch(text) is not None or name in parents
-    # Zarr files have hashes of their own.
+    # Zarr files have separate hashes.
     if IN_STORE.fullmatch(text) or _is_aside(name):
         return True
     checks: dict[str, Callable[[], bool]] = {
@@ -404,12 +405,12 @@ def _logs() -> set[str]:
 
 
 def _names() -> set[str]:
-    """Return the possible names of files in a run folder outside the store."""
+    """Return all possible names of files in a run folder outside the store."""
     return {SCENE, RUN, STATUS, SUMS, *CHECKPOINT_FILES, *_inputs(), *_logs()}
 
 
 def _read_sums(folder: Path) -> dict[str, str]:
-    """Return the hashes that a run folder lists, by name; empty if lmpchain wrote no list."""
+    """Return the hashes that a run folder lists, by name; empty without a list of lmpchain."""
     try:
         lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
     except (OSError, ValueError):
@@ -419,7 +420,7 @@ def _read_sums(folder: Path) -> dict[str, str]:
 
 
 def write_sums(folder: Path, finished: bool) -> None:
-    """Write the hashes of final files: inputs of the engine, and at the end all but the status."""
+    """Write the hashes of final files: engine inputs at first, at the end all but the status."""
     names = _inputs()
     if finished:
         names |= _names() - {STATUS, SUMS, *CHECKPOINT_FILES}
@@ -447,24 +448,24 @@ def half_written(folder: Path) -> Iterator[Path]:
 
 
 def clear(folder: Path) -> None:
-    """Remove the files of lmpchain from a run folder; the folder and other files stay."""
+    """Remove the files of lmpchain from a run folder; keep the folder and other files."""
     sums = _read_sums(folder)
     present = [path.relative_to(folder) for path in sorted(folder.rglob("*"))]
     own = [name for name in present if _is_own(folder, name, sums)]
-    # The order is removed last, so that a kill leaves a run folder, which can be replaced.
+    # The run specification is removed last, so that after a kill the folder is still replaceable.
     last = [Path(name) for name in (SCENE, RUN, LOCK)]
     files = [name for name in own if not (folder / name).is_dir() and name not in last]
     for name in (*files, *(name for name in last if name in own)):
         (folder / name).unlink(missing_ok=True)
     for name in reversed(own):
         if (folder / name).is_dir():
-            # A new file keeps its folder.
+            # The folder stays if it contains new files.
             with suppress(OSError):
                 (folder / name).rmdir()
 
 
 def remove(folder: Path) -> None:
-    """Remove a run from its folder, which stays.
+    """Remove a run from its folder, and keep the folder.
 
     Raises
     ------
@@ -476,7 +477,7 @@ def remove(folder: Path) -> None:
     if lock is None:
         raise InputError.at(str(folder), at_work(folder))
     try:
-        # The lock keeps other processes from writing to the folder.
+        # The lock prevents other processes from writing to the folder.
         clear(folder)
     finally:
         lock.release()

@@ -1,4 +1,4 @@
-"""Trajectories of many scenes in memory; like scenes are solved in batches."""
+"""Trajectories of many scenes in memory; similar scenes are solved in batches."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .accumulation import GatheringRun, at_samples
 from .api import check_on_miss, simulate
 from .choice import choose, damping_record, engine_for, record, refusals
 
-# Largest number of samples times grains in a batch, which then fits into the cache of a processor.
+# Largest number of samples times grains in a batch that fits into the processor's cache.
 BATCH_NUMBERS = 2**18
 
 
@@ -31,7 +31,7 @@ def simulate_many(
     on_miss: Literal["raise", "warn"] = "raise",
     **options: Any,
 ) -> list[Trajectory]:
-    """Simulate many scenes; like scenes are integrated together, several times faster than alone.
+    """Simulate many scenes; similar scenes are integrated together, several times faster.
 
     Scenes are alike if their chains have the same length, contact law and kind of ends, and if they
     record the same grains at the same times. Parameters of a law by formula may differ. Each scene
@@ -99,7 +99,7 @@ def simulate_many(
 def in_batches(
     engine: Engine, scenes: Mapping[int, Scene], tolerance: float
 ) -> Iterator[tuple[int, Trajectory | ToleranceNotMet]]:
-    """Yield the trajectories of like scenes, solved in batches; `simulate` solves the others.
+    """Yield trajectories of similar scenes solved in batches; `simulate` solves the others.
 
     Scenes of a batch have the step that each of them would have alone.
     """
@@ -125,7 +125,7 @@ def in_batches(
             try:
                 results = _solve(engine, batch, [attempts[n] for n in numbers], tolerance)
             except RunFailed:
-                # One scene has failed; `simulate` will show which one.
+                # One scene has failed; `simulate` will show the fault.
                 continue
             for number, (answer, later, missed) in zip(numbers, results, strict=True):
                 if later:
@@ -146,7 +146,7 @@ def _split(scenes: Mapping[int, Scene], groups: Iterable[list[int]]) -> Iterator
 def _solve(
     engine: Engine, scenes: Sequence[Scene], attempts: Sequence[Attempt], tolerance: float
 ) -> list[tuple[Trajectory, Attempt | None, str]]:
-    """Run scenes together; return trajectory, next attempt and reason of a miss of each."""
+    """Run scenes together; return trajectory, next attempt and failure reason of each scene."""
     proposal = attempts[0].proposal
     parts = [scene.fine for scene in scenes]
     gathering = None
@@ -194,7 +194,7 @@ def _join(blocks: list[Array]) -> Array:
 
 
 def _share(cost: Cost, attempts: Sequence[Attempt]) -> Cost:
-    """Return the cost of one scene of a batch, with its share of the earlier attempts."""
+    """Return the cost of one scene of a batch, including its part of earlier attempts."""
     size = len(attempts)
     estimate_s = cost.estimate_s + sum(attempt.spent_s for attempt in attempts)
     setup_s = cost.setup_s + sum(attempt.planned_s for attempt in attempts)

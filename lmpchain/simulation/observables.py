@@ -1,4 +1,4 @@
-"""Quantities of a moving chain that are averaged over time, by name."""
+"""Quantities of a moving chain that can be averaged over time, by name."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _of_chain(chain: Chain, name: str) -> Observable:
     def equipartition(_: Array, v: Array) -> Array:
         square = v**2 * half_masses
         total = square.sum(-1)
-        # A chain at rest counts as evenly shared.
+        # For a chain at rest, equipartition counts as perfect.
         moves = total > 0
         spread = (square**2).sum(-1) / np.where(moves, total, 1.0) ** 2
         return np.where(moves, (movable + 2) / 3 * spread, 1.0)

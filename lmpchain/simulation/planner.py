@@ -1,4 +1,4 @@
-"""The plan of a scene: the engine, grains and step of `simulate`, with the reasons."""
+"""The plan of a scene: engine, grains and step that `simulate` would use, with the reasons."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEAD = ("", "engine", "Eq.", "model", "solver", "grains", "step", "cost")
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown, Tabular):
-    """The cheapest way to solve a scene within a tolerance.
+    """The cheapest choice of engine and step for a scene within a tolerance.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class Plan(Shown, Tabular):
     damping: str = ""
 
     def table(self) -> str:
-        """Return all candidates as a table within 80 columns, and why the first one is chosen.
+        """Return all candidates as a table within 80 columns, and the reason for the first one.
 
         Errors are those of the equation, "model", and of its solution, "solver".
         """
@@ -73,7 +73,7 @@ class Plan(Shown, Tabular):
         return "\n".join([*align(self._summary()), *wrap(*sentences)])
 
     def _by_price(self) -> list[Proposal]:
-        """Return the candidates: first the kept ones by cost, then the others."""
+        """Return the candidates: valid ones first, by cost, then the others."""
         return sorted(self.candidates, key=lambda proposal: proposal.price_s)
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
@@ -88,7 +88,7 @@ class Plan(Shown, Tabular):
             yield "*" if taken else "", *_cells(proposal)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw expected error against cost of all candidates, with the tolerance; returns the axes.
+        """Draw expected error against cost of all candidates, and the tolerance; return the axes.
 
         Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
         one taken.
@@ -121,7 +121,7 @@ class Plan(Shown, Tabular):
     def to_json(self) -> dict[str, Any]:
         """Return the plan for a JSON file; unknown numbers are null."""
         fields = dict(self.__dict__)
-        # last, as they are longest
+        # The candidates come last, because they are longest.
         proposals = fields.pop("candidates")
         return fields | {"candidates": [proposal.to_json() for proposal in proposals]}
 
@@ -130,7 +130,7 @@ class Plan(Shown, Tabular):
 
 
 def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Plan:
-    """Return the engine and the step that `simulate` with engine "auto" chooses, and why.
+    """Return the engine and the step that `simulate` chooses with engine "auto", and the reason.
 
     Parameters
     ----------
@@ -194,15 +194,15 @@ def _ways(name: str, scene: Scene) -> list[Engine]:
 
 
 def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
-    """Return the proposal of an engine that must be asked for by name, with its step."""
+    """Return the proposal of an engine that is used only by name, with its step."""
     if proposal.possible or proposal.equation is not None:
         return proposal
-    # Trials start again with shorter steps. If nothing bounds the work of a drive, their total time
-    # is unknown.
+    # Trials are repeated with shorter steps. If nothing bounds the work of a drive, the total time
+    # of the trials is unknown.
     unbounded = scene.excitation.does_work and scene.largest_strain == math.inf
     engine = engines.plain(proposal.engine)
     possible = not engines.obstacles(engine, scene)
-    # A plan waits half a second for a trial at most.
+    # A plan spends at most half a second on a trial.
     if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > 0.5):
         cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")

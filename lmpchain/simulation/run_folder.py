@@ -1,4 +1,4 @@
-"""A run folder: the order, the samples so far, and the state from which the run is resumed.
+"""A run folder: run specification, samples, and the state from which the run is resumed.
 
 scene.toml, run.json
     The order (scene, engine, tolerance), and for every session: command, host and versions.
@@ -56,7 +56,7 @@ SPENT = ("integration_s", "estimate_s", "setup_s")
 
 
 class Intervals(NamedTuple):
-    """Times of the work in a run folder.
+    """Time intervals of periodic tasks in a run folder.
 
     Attributes
     ----------
@@ -80,11 +80,11 @@ INTERVALS = Intervals()
 
 
 class Stopped(LmpchainError):
-    """The run was stopped before its end; `lmpchain.resume` continues it."""
+    """Raised when a run is stopped before its end; `lmpchain.resume` continues the run."""
 
 
 class Requests:
-    """Requests to stop; inside the context, signals only make a request.
+    """Requests to stop; inside this context, a signal only sets a request.
 
     Parameters
     ----------
@@ -101,7 +101,8 @@ class Requests:
 
     def __enter__(self) -> Requests:
         if threading.current_thread() is threading.main_thread():
-            # Only the main thread gets signals. Signals that are ignored, as by nohup, stay so.
+            # Only the main thread receives signals. Signals that are ignored, for example by nohup,
+            # stay ignored.
             handlers = {number: signal.getsignal(number) for number in SIGNALS}
             self._before = {n: h for n, h in handlers.items() if h not in (signal.SIG_IGN, None)}
             for number in self._before:
@@ -117,13 +118,13 @@ class Requests:
 
     @property
     def reason(self) -> str:
-        """Cause of the request to stop; empty without a request."""
+        """Cause of the stop request; empty without a request."""
         if self._number is not None:
             return f"stopped by {SIGNALS[signal.Signals(self._number)]}"
         return "stopped at the end of its time" if time.monotonic() >= self._deadline else ""
 
     def pass_on(self) -> None:
-        """Raise the received signal again, for the handler outside of the context."""
+        """Raise the received signal again for the handler outside the context."""
         if self._number is not None:
             signal.raise_signal(self._number)
 
@@ -140,9 +141,9 @@ def status(folder: str | PathLike[str]) -> dict[str, Any]:
     try:
         report = json.loads(path.read_text(encoding="utf-8"))
         if report["state"] not in STATES or not isinstance(report["reason"], str):
-            raise ValueError("it does not say how the run stands")
+            raise ValueError("the state of the run is missing or invalid")
         if not 0 < report["tolerance"] < 1:
-            raise ValueError("its tolerance is none")
+            raise ValueError("its tolerance is invalid")
         report["best_effort"] = bool(report["best_effort"])
         report.pop(SEALED, None)
     except (OSError, ValueError, LookupError, TypeError, RecursionError) as error:
@@ -161,12 +162,12 @@ def _find_kill(path: Path) -> dict[str, str]:
             finally:
                 lock.release()
             if state == "running":
-                return {"state": "killed", "reason": "the process that was at work was killed"}
+                return {"state": "killed", "reason": "the process of the run was killed"}
     return {}
 
 
 class RunFolder:
-    """A run folder, locked inside its context: a new one for a scene, or one to resume.
+    """A run folder, locked inside its context: either new, or of a run to resume.
 
     Attributes
     ----------
@@ -226,7 +227,7 @@ class RunFolder:
             for path in files.half_written(self.path):
                 path.unlink()
             if self._is_new:
-                # Another process may have been faster.
+                # Another process may have created the run meanwhile.
                 files.check_new(self.path)
                 self._write_status("running")
                 asked = self.scene, self.engine, self.tolerance, self.best_effort
@@ -235,7 +236,7 @@ class RunFolder:
                 asked = files.read_order(self.path, self._ranks)
                 self.scene, self.engine, self.tolerance, self.best_effort = asked
                 self._load_checkpoint()
-                # The time of the status includes the time after the last checkpoint.
+                # The times in the status include the work after the last checkpoint.
                 with suppress(InputError, LookupError):
                     wall_s = float(status(self.path)["wall_s"])
                     if math.isfinite(wall_s):
@@ -283,11 +284,11 @@ class RunFolder:
             )
 
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
-        # There is no run that could be resumed.
+        # Without samples there is no run to resume.
         if isinstance(error, InputError) and self._is_new and not self.samples:
             files.clear(self.path)
             if self._made:
-                # Files of others keep the folder.
+                # The folder stays if it contains other files.
                 with suppress(OSError):
                     self.path.rmdir()
         elif error:
@@ -306,8 +307,8 @@ class RunFolder:
                 path = error.filename or self.name
                 fault = f"{path}: cannot be written: {error.strerror or error}"
                 kind = LmpchainError
-            done = f"{self.samples} of {self._known.samples} samples were done"
-            cure = f"when that is put right, {resume_command(self.name)} goes on"
+            done = f"{self.samples} of {self._known.samples} samples were computed"
+            cure = f"remove the cause, then continue with {resume_command(self.name)}"
             raise kind(f"{fault}; {done} and most are kept; {cure}") from error
 
     def prepare(self, engine: Engine) -> Engine:
@@ -316,14 +317,14 @@ class RunFolder:
         return self._answering
 
     def begin(self, attempt: Attempt) -> Mapping[str, Array] | None:
-        """Prepare the files of an attempt; return the state if the run continues from it."""
+        """Prepare the files of an attempt; return the state if the run is continued from it."""
         state = self._state
         self._state = {}
         self.attempt = attempt
         if not state:
             self.samples = 0
             self._before = self._before | dict.fromkeys(SPENT, 0.0)
-            # Replace both checkpoints, because the samples of an earlier attempt are removed.
+            # Both checkpoints are replaced, because the samples of an earlier attempt are removed.
             for _ in files.CHECKPOINT_FILES:
                 files.save_checkpoint(self.path, self._notes(self._before), {})
             engine = self._answering
@@ -348,7 +349,7 @@ class RunFolder:
         """
         request = math.inf
         for block in blocks:
-            # A block without samples only returns control during the work of the engine.
+            # A block without samples only returns control while the engine is working.
             fresh = block.samples.stop > block.samples.start or block.resumable
             if fresh:
                 self._writer.put(block)
@@ -369,7 +370,7 @@ class RunFolder:
         self._writer.flush()
         error = run.errors()[0]
         self._estimate = error.estimate.total
-        # The samples are written before the checkpoint that counts them.
+        # Samples are written before the checkpoint that counts them.
         self._writer.note(error.estimate)
         files.save_checkpoint(self.path, self._notes(self._spent(run.cost())), run.state())
         self._write_status("running")
@@ -388,7 +389,7 @@ class RunFolder:
         }
 
     def _spent(self, cost: Cost) -> dict[str, float]:
-        """Return the times of this attempt in all sessions, s; wall time of all attempts."""
+        """Return the times of this attempt in all sessions, and the total wall time, s."""
         session = cost._asdict() | {"wall_s": time.monotonic() - self._began}
         return {key: value + session[key] for key, value in self._before.items()}
 
@@ -420,7 +421,7 @@ class RunFolder:
             "pid": os.getpid(),
         }
         with replacing(self.path / STATUS) as aside:
-            # JSON has no infinity.
+            # JSON cannot represent infinity.
             aside.write_text(sealed_json(finite(report)), encoding="utf-8")
 
 
@@ -438,13 +439,13 @@ def _read_attempt(notes: Mapping[str, Any], spent: Mapping[str, float]) -> Attem
         if not 0 < attempt.tolerance < 1:
             raise ValueError("it has no tolerance")
         fields = noted["proposal"].keys()
-        # Another version may have more or fewer fields.
+        # Other versions may have more or fewer fields.
         if proposal._asdict().keys() != fields or times.keys() != spent.keys():
             raise ValueError("it has other fields")
         if attempt.proposal.engine not in engines.names():
             raise ValueError("it has no engine")
         if not all(0 <= time_s < math.inf for time_s in times.values()):
-            raise ValueError("it took no time that there is")
+            raise ValueError("its times are invalid")
     except (ValidationError, TypeError, ValueError, LookupError):
         cure = "resume with that version, or start the run again"
         raise InputError.at(

@@ -1,4 +1,4 @@
-"""Averages over time, for motions that no run predicts: `lmpchain.averages`."""
+"""Time averages of motions that cannot be predicted: `lmpchain.averages`."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable
 
-BLOCK_NUMBERS = 2**17  # samples x grains x copies that are held at a time
+BLOCK_NUMBERS = 2**17  # Number of samples x grains x copies in memory at a time.
 A_TIME = "a time above 0 s"
-NO_INTERVAL = "unknown"  # Half-width of an interval if the time is too short.
-STEPS_AT_ONCE = 2**23  # Grains times steps between two opportunities to stop.
+NO_INTERVAL = "unknown"  # Text for the half-width of an interval if the time is too short.
+STEPS_AT_ONCE = 2**23  # Number of grains times steps between two opportunities to stop.
 
 
 @dataclass(frozen=True)
 class Averaging:
-    """Parameters of averaging along a motion; analysis/calibration/batch_means.py.
+    """Parameters of time averages, see analysis/calibration/batch_means.py.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """Relative energy errors of splittings; analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings, see analysis/calibration/batch_means.py.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class EnergyErrors:
 
 
 AVERAGING = Averaging()
-LEAST_TOLERANCE = 1e-10  # Rounding alone shifts the energy of long motions by about as much.
+LEAST_TOLERANCE = 1e-10  # Rounding alone changes the energy of long motions by about this fraction.
 ENERGY_ERRORS = EnergyErrors()
 
 
@@ -131,7 +131,7 @@ class Averages(Shown, Tabular):
         less 1.
     integrator : str
     step : float
-        s.
+        Time step, s.
     middle : (S,) array
         Middle of each of S = 256 stretches of time behind the warm-up, s.
     stretch_mean : dict of (R, S) arrays
@@ -156,7 +156,7 @@ class Averages(Shown, Tabular):
     stretch_mean: Mapping[str, Array]
 
     def __repr__(self) -> str:
-        """Return the first means with half their intervals, and the number of other means."""
+        """Return the first means with half their intervals, and the number of the other means."""
         said = []
         for name, mean in islice(self.mean.items(), 2):
             half_width = self.interval[name][1] - mean
@@ -292,7 +292,7 @@ class _Course(NamedTuple):
     stretch: int
 
     def pieces(self, most: int) -> Iterator[tuple[int, int, int]]:
-        """Yield stretch (-1: warm-up), first and last sample of pieces of `most` samples."""
+        """Yield time interval (-1: warm-up), first and last sample of pieces of `most` samples."""
         first = 1
         lengths = [self.warm_up, *[self.stretch] * BATCHING.stretches]
         for stretch, length in enumerate(lengths, -1):
@@ -416,7 +416,7 @@ def averages(
     check_tolerance(tolerance)
     check_flags(progress=progress)
     if tolerance < LEAST_TOLERANCE:
-        cure = "what chance leaves is far more"
+        cure = "the statistical error is far larger"
         fault = f"must be at least {LEAST_TOLERANCE:g} (got {tolerance:g}): {cure}"
         raise InputError.at("tolerance", fault)
     names = _check(scene, quantities, copies)
@@ -430,7 +430,7 @@ def averages(
     with ProgressBar(samples, "averages", " samples", layout=RATE, shown=progress) as bar:
         for _ in range(AVERAGING.attempts):
             steps = math.ceil(longer.sampling_phase / reach)
-            # Announce the first attempt only.
+            # Only the first attempt is announced.
             if error == math.inf:
                 work = Native.seconds_per_grain_step * method.evaluations * steps * samples
                 cost_s = seconds(Native.name, 0.0, work * copies * scene.chain.grains)
@@ -445,7 +445,7 @@ def averages(
                 named = dict(zip(names, observables, strict=True))
                 return _conclude(scene, course, named, sums, schedule, method.name)
             error = sums.energy_error
-            # The energy error is extrapolated to the end as a random walk.
+            # The energy error is extrapolated to the end like a random walk.
             ratio = (tolerance / (error / math.sqrt(sums.lost_after))) ** (1 / method.order)
             reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
             bar.reach(0)
@@ -455,7 +455,7 @@ def averages(
 
 
 def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
-    """Return the names of the quantities; raise `InputError` if something cannot be averaged."""
+    """Return the names of the quantities; raise `InputError` if one cannot be averaged."""
     check_scene(scene)
     names = [quantities] if isinstance(quantities, str) else list(quantities)
     faults = []
@@ -470,24 +470,24 @@ def _check(scene: Scene, quantities: Sequence[str], copies: int) -> list[str]:
 
 
 def _unsteady(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield why the motion of a scene does not last for ever at constant energy."""
+    """Yield the reasons why the motion does not last forever at constant energy."""
     chain = scene.chain
     if chain.damped:
         cure = "leave damping out, as chain.replace(damping=None) does"
-        yield "chain.damping", f"averages are those of a motion that never ends: {cure}"
+        yield "chain.damping", f"averages require a motion that never ends: {cure}"
     if chain.ground is not None and not is_spring(chain.ground):
         cure = "leave it out, as chain.replace(ground=None) does"
-        yield "chain.ground", f"averages take springs to the ground alone: {cure}"
+        yield "chain.ground", f"averages support only springs to the ground: {cure}"
     if scene.excitation.does_work:
         cure = "use an impulse, a displacement or a profile"
-        yield "excitation", f"must leave the energy as it is at t = 0: {cure}"
+        yield "excitation", f"must do no work after t = 0: {cure}"
     elif scene.at_rest:
         yield "excitation", "moves nothing: there is nothing to average"
     # Neither weight nor load brings back grains that fly away.
     held = chain.compressed or chain.top == "wall"
     if not held or chain.bottom == "free" or (chain.loose_grains and chain.top == "free"):
         cure = 'use top = "wall" and bottom = "wall", gravity or a load on grain 1'
-        yield "chain.top", f"grains would fly away, and no average last: {cure}"
+        yield "chain.top", f"grains would fly away: {cure}"
 
 
 def _course(scene: Scene, time: float | None, warm_up: float | None) -> _Course:
@@ -532,7 +532,7 @@ def _copies(scene: Scene, longer: Scene, copies: int) -> list[Scene]:
 
 
 def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
-    """Return the method for a motion, and omega h of the first step.
+    """Return the method for a motion, and omega h of its first step.
 
     A method of high order is best for smooth forces. If contacts open, the energy error of an
     opening does not depend on the order, and velocity Verlet has the shortest steps.
@@ -610,12 +610,12 @@ def _follow(
 
 
 def _check_apart(u: Array, course: _Course) -> None:
-    """Raise `InputError` unless copies, at (R, N) m, are as far apart as any two motions."""
+    """Raise `InputError` unless copies, (R, N) m, have become as distant as independent motions."""
     distances = np.abs(u[1:] - u[0]).max(-1)
     if (distances < AVERAGING.apart * np.abs(u).max()).any():
         warm_up = course.warm_up * course.scene.sampling_interval
         cure = "use one copy, or a longer warm_up"
-        fault = f"begin so close that they are still together after {warm_up:.3g} s of warm-up"
+        fault = f"are still close to each other after {warm_up:.3g} s of warm-up"
         raise InputError.at("copies", f"{fault}: {cure}")
 
 
@@ -648,8 +648,8 @@ def _conclude(
         results["mean"][name] = mean.mean
         results["variance"][name] = variance
         size = max(abs(mean.mean - quantity.at_rest), math.sqrt(variance))
-        # Steps shift an average also directly, by about as much. Otherwise only 80 of 100 intervals
-        # cover the kinetic energy of 38 beads.
+        # The truncation error of the steps also shifts an average directly, by about the same
+        # amount. Without this term only 80 of 100 intervals cover the kinetic energy of 38 beads.
         half_width = mean.half_width + 2 * sums.energy_error * size
         results["interval"][name] = (mean.mean - half_width, mean.mean + half_width)
         results["variance_interval"][name] = _of_variance(variance, mean, spread, sums.energy_error)
@@ -661,11 +661,11 @@ def _conclude(
     if unknown := [name for name, batches in results["batches"].items() if not batches]:
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
-        warn(f"{short}: it is remembered for too long; {cure}", stacklevel=3)
+        warn(f"{short}, because its correlation lasts too long: {cure}", stacklevel=3)
     fewest = copies * BATCHING.cosines[-1]
     if few := [name for name, batches in results["batches"].items() if batches == fewest]:
         says = f"the interval of {', '.join(few)} is worth {fewest} independent batches, the fewest"
-        cure = f"it covers less surely than others: try time={4 * time:.2g}, or copies"
+        cure = f"it is less reliable than others: try time={4 * time:.2g}, or copies"
         warn(f"{says} that a time of {time:.3g} s allows; {cure}", stacklevel=3)
     return Averages(
         scene=scene,

@@ -31,10 +31,10 @@ from .result import TOLERANCE, Boundary, Curve, Stability
 from .roundoff import floor, long_double, measured_floor
 from .step_limit import blow_up, energy_error, limit
 
-LONGEST_S = 20.0  # longest expected duration of a measurement that is made
-PERIODS = 1000.0  # duration of energy measurements, in periods of the band edge
-DIVISIONS = 40.0  # number of steps in each period, far below every stability limit
-STRENGTHS = np.logspace(-8, 2, 11)  # strength of the excitation relative to the scene
+LONGEST_S = 20.0  # Longest expected duration of a measurement, s; longer ones are not made.
+PERIODS = 1000.0  # Duration of energy measurements, in periods of the band edge.
+DIVISIONS = 40.0  # Number of steps per period; such steps are far below every stability limit.
+STRENGTHS = np.logspace(-8, 2, 11)  # Strengths of the excitation relative to the scene.
 # Engines and diameters with different rounding errors.
 ROUNDINGS = (("native", "physical"), ("lammps", "physical"), ("lammps", "gauge"))
 

@@ -15,7 +15,7 @@ from ..errors import shown
 from ..scene.scene import Scene
 from ..theory.domain import exponents, require
 
-WEAK = 1e-6  # strike number far below the opening of any contact
+WEAK = 1e-6  # Strike number far below the opening of any contact.
 # For each norm: the error of linear theory over (delta - 1) v0* for weak strikes, and its
 # saturation value. STEEPEST is the largest exponent for which the first one holds
 # (analysis/calibration/linear_model_error.py).
@@ -95,7 +95,7 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 
 
 def strike_number_where(error: float, scene: Scene) -> float:
-    """Return the strike number at which Eq. (3) has this error, in a scene like this one.
+    """Return the strike number at which Eq. (3) has this error, in a scene of this type.
 
     `linear_law` gives it for a column struck at its top; for other scenes it follows from the error
     estimate of the linear wave.

@@ -1,4 +1,4 @@
-"""Largest overlaps of a scene, and the error of Hertz's law there."""
+"""Largest overlaps of a scene, and the error of Hertz's law at them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..util.arrays import Array, numbers
 
 
 def deepest(scene: Scene) -> float:
-    """Return an upper bound on any overlap over the diameter; infinite if the scene is forced.
+    """Return an upper bound on overlap over diameter; infinite if the scene is forced.
 
     No contact can store more than the energy of the strike, see `Contacts.overlap_bound`. `Scene`
     refuses strikes whose first collision causes an overlap above a tenth of the diameter; lighter
@@ -29,7 +29,7 @@ def hertz_excess(strain: ArrayLike) -> Array:
     yielding are not included.
     """
     strain = numbers(strain, "strain")
-    # Solve for x = a / R by Newton's method.
+    # Newton's method for x = a / R.
     x = np.sqrt(strain)
     for _ in range(20):
         x = x - (x * np.arctanh(x) - strain) / (np.arctanh(x) + x / (1 - x * x))

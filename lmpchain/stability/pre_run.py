@@ -14,7 +14,7 @@ from .predictability import amplifies, predicted_time
 from .step_limit import limit
 
 # See analysis/calibration/stability_limits.py.
-TRUSTED = 0.7  # fraction of `step_limit.limit` at which Verlet was stable for 300 periods
+TRUSTED = 0.7  # Fraction of `step_limit.limit` at which Verlet was stable for 300 periods.
 
 
 def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> Iterator[str]:
@@ -30,7 +30,7 @@ def pre_run_warnings(scene: Scene, engine: Engine | None, tolerance: float) -> I
         longest = limit(scene, method.name)
         if scene.largest_strain > FIRST_STEP.safe_strain:
             longest *= TRUSTED
-        # The engine itself refuses steps that are unstable at rest.
+        # The engine itself rejects steps that are unstable at rest.
         if longest < engine.step and engine.step * edge <= method.stability_limit:
             rest = f"step: {engine.step:.3g} s is stable at rest"
             strike = "may be unstable while contacts are compressed by the strike"

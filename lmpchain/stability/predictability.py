@@ -1,4 +1,4 @@
-"""Predictability horizon: growth of a small change (Lyapunov exponent), law and measurement."""
+"""Predictability horizon from the growth of a small change: law and measurement."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MEASURED = MeasuredGrowth()
 # Change at t = 0 that grows like all rounding errors of a run; the measured median is 1e-14, the
 # range 1e-15.4 to 1e-12.4 (analysis/calibration/amplified_rounding.py).
 SEED = 1e-14
-CHANGE = 10 * SEED  # change at t = 0 whose growth is measured
+CHANGE = 10 * SEED  # Initial change whose growth is measured.
 
 
 def reflection_time(scene: Scene) -> float:
@@ -162,7 +162,7 @@ def growth(
 
 
 def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
-    """Return the relative distance of a run and a perturbed one at every sample, (T,).
+    """Return the relative distance between a run and a perturbed run at every sample, (T,).
 
     Both runs use the integrator and the steps of the proposal. Their distance is therefore due to
     the change, to rounding, and to the amplification of both.

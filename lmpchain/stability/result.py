@@ -29,7 +29,7 @@ from ..util.tabular import NamedColumn, Tabular, of_rows
 
 # Place of the legend, beside the axes.
 LEGEND_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1, 0.5)}
-TOLERANCE = 1e-6  # tolerance that defines the predictability horizon
+TOLERANCE = 1e-6  # Tolerance that defines the predictability horizon.
 
 
 @dataclass(frozen=True)

@@ -21,13 +21,13 @@ from ..util.arrays import Array
 from ..util.suggestions import not_among
 
 Long = np.longdouble
-STEP = 0.3  # omega h of rkn6, at which its truncation error is about 1e-9
+STEP = 0.3  # Value of omega h for rkn6 at which its truncation error is about 1e-9.
 
 
 def floor(
     scene: Scene, engine: str = "native", diameter: str = "physical", force: str = "auto"
 ) -> float:
-    """Predict the relative error by rounding alone, for steps of rkn6 with omega h = 0.3.
+    """Predict the relative rounding error for steps of rkn6 with omega h = 0.3.
 
     The laws are those of the engines, `typical_round_off`. They were compared with 70 random scenes
     over 13 decades, with LAMMPS for both diameters: half of the measured floors agree within a

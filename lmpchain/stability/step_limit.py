@@ -19,9 +19,9 @@ from ..util.lazy import listed
 
 __dir__ = listed(__name__)
 
-BROKEN = 1.5  # ratio of kinetic to total energy above which an engine rejects a run
-SCAN = 1.02  # ratio of consecutive trial steps; upper end of the band above the limit
-BLOCKS = 50  # number of time intervals whose means determine a trend
+BROKEN = 1.5  # Ratio of kinetic to total energy above which an engine rejects a run.
+SCAN = 1.02  # Ratio of consecutive trial steps, and upper end of the band above the limit.
+BLOCKS = 50  # Number of time intervals whose means determine a trend.
 
 
 def struck_frequency(scene: Scene) -> float:
@@ -221,7 +221,7 @@ class EnergyError:
     Attributes
     ----------
     time : (T,) array
-        s.
+        Times, s.
     error : (T,) array
         Energy above rest over its value at t = 0, less 1.
     step : float

@@ -23,7 +23,7 @@ MOST_SCENES = 10**6
 Count = Annotated[Whole, Field(ge=1, le=MOST_SCENES)]
 Seed = Annotated[Whole, Field(ge=0)]
 INDEX = "disorder.index"
-Fault = tuple[str, str]  # key and message
+Fault = tuple[str, str]  # Key and message.
 
 
 class Draws(Checked):
@@ -95,7 +95,7 @@ def _numeric(values: Sequence[Any]) -> bool:
 
 
 def _coordinate(values: Sequence[Any]) -> Array | list[str]:
-    """Return numbers as an array, lists of numbers as rows padded with NaN, all else as text."""
+    """Return numbers as an array, lists of numbers as rows padded with NaN, and others as text."""
     if not _numeric(values):
         return [
             value if isinstance(value, str) else json.dumps(value, default=str) for value in values
@@ -145,12 +145,12 @@ def _count_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
 
 
 def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fault]:
-    """Yield the keys that lie in no section of a scene file."""
+    """Yield the keys that are not in a section of a scene file."""
     for key in keys:
         section = key.partition(".")[0]
         if section not in sections:
             cure = f"they begin with {', '.join(sections)}, as chain.gravity does"
-            yield key, f"is no key of a scene{did_you_mean(section, sections)}; {cure}"
+            yield key, f"is not a key of a scene{did_you_mean(section, sections)}; {cure}"
 
 
 def _overlap_faults(keys: Sequence[str]) -> Iterator[Fault]:
@@ -241,7 +241,7 @@ def _number(axis: Axis) -> Axis:
 def _check_axes(
     kind: type[Checked], table: dict[str, Any], tables: dict[str, Any]
 ) -> tuple[Any, dict[str, Uniform | Normal]]:
-    """Return options and laws of random numbers; raises `InputError` with every fault."""
+    """Return options and laws of random numbers; raise `InputError` with all faults."""
     faults: list[Fault] = []
     laws: dict[str, Uniform | Normal] = {}
     try:

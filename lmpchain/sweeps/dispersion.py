@@ -19,7 +19,7 @@ from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart, finish, prefixed
 from ..util.tabular import NamedColumn, Tabular
 
-SAMPLES_A_PERIOD = 24  # in a period
+SAMPLES_A_PERIOD = 24  # Number of samples per period.
 NUMBERS_OF_A_WAVE = {
     "phase": "rad",
     "phase_error": "rad",
@@ -37,14 +37,14 @@ class AmplitudeDispersion(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        Hz.
+        Frequencies, Hz.
     amplitude : (A,) array
-        Of the drive, m, or of the force, N.
+        Amplitudes of the drive, m, or of the force, N.
     phase, phase_error, decay, decay_error, strain, strain_error : (F, A) arrays
         Radians per cell, decay per cell, and mean change of the overlap relative to rest, as in
         `measure.harmonic.HarmonicWave`.
     linear_phase, linear_decay : (F,) arrays
-        Of the linearised chain.
+        Values for the linearised chain.
     waves : F lists of A HarmonicWave
         The waves of all grains.
     """
@@ -72,7 +72,7 @@ class AmplitudeDispersion(Shown, Tabular):
             yield NamedColumn(name, "", np.repeat(getattr(self, name), shape[1]))
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the phase less that of linear waves over frequency, by amplitude; return axes."""
+        """Draw the phase relative to linear waves over frequency, by amplitude; return the axes."""
         ax = chart(ax, "frequency [Hz]", "phase per cell less that of linear waves (rad)")
         for number, amplitude in enumerate(self.amplitude):
             shift = self.phase[:, number] - self.linear_phase

@@ -24,12 +24,12 @@ UNGUARDED = (
     "cannot start: a script that sweeps on several must be a file, and call sweep below "
     'if __name__ == "__main__":'
 )
-IMPORT_FAILED = 1  # exit code of a process whose script ends it, or fails
-SPAWN = get_context("spawn")  # a forked process would share LAMMPS, MPI and threads with this one
+IMPORT_FAILED = 1  # Exit code of a process whose script fails or ends it.
+SPAWN = get_context("spawn")  # Forks would share LAMMPS, MPI and threads.
 
 
 class Here(Executor):
-    """Executor that calls everything in this process, at once."""
+    """Executor that calls functions at once in this process."""
 
     def submit(self, function: Callable[..., Any], /, *values: Any, **named: Any) -> Future:
         """Call the function and return a future that is done; Ctrl-C is not caught."""
@@ -42,7 +42,7 @@ class Here(Executor):
 
 
 class Processes(Executor):
-    """Executor with one pool per process, so that a process that dies loses only its own task.
+    """Executor with one pool per process, so that a dying process loses only its own task.
 
     That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The
     processes end when this one does, even if it is killed.
@@ -72,8 +72,7 @@ class Processes(Executor):
                 "workers", f"processes cannot start here ({cause}): use --workers 1"
             ) from None
         except BrokenExecutor:
-            # A process that is killed, for example because memory runs out, is no fault of the
-            # script.
+            # A process may be killed without a fault of the script, for example if memory runs out.
             if _fails_on_import():
                 self.shutdown()
                 raise InputError.at("workers", UNGUARDED) from None
@@ -95,7 +94,7 @@ class Processes(Executor):
         try:
             return pool.submit(function, *values, **named).result()
         except BrokenExecutor:
-            # A broken pool stays broken, so the next task of this thread starts another one.
+            # A broken pool cannot recover, so the next task of this thread starts a new one.
             self._local.pool = None
             self._pools.remove(pool)
             pool.shutdown()
@@ -118,7 +117,7 @@ class Processes(Executor):
 
 
 def _fails_on_import() -> bool:
-    """Return whether a process ends by itself when it imports the script of this process."""
+    """Return whether a process ends itself when it imports the script of this process."""
     process = SPAWN.Process(target=os.getpid)
     process.start()
     process.join()

@@ -31,11 +31,11 @@ from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered
 
-FORMAT = 3  # version of the files of results
+FORMAT = 3  # Version of the format of result files.
 KEYS = ("scene", "engine", "tolerance", "keep", *MAKERS)
-MOST_GRAINS = 10**8  # as of a chain: arrays of more would fill the memory first
-MOST_DIGITS = 10  # of the number of an entry, as of the most grains
-DRAWS_TRIED = 32  # before a sweep is refused, as none of them makes a scene
+MOST_GRAINS = 10**8  # Largest number of grains of a chain; more would exceed the memory.
+MOST_DIGITS = 10  # Largest number of digits of an entry's index.
+DRAWS_TRIED = 32  # Number of trials without a valid scene after which a sweep is rejected.
 Place = tuple[int, ...]
 
 
@@ -219,7 +219,7 @@ def _make_scene(text: str, folder: Path) -> Scene:
 
 
 def _hash_files(tables: Mapping[str, Any], axes: Sequence[Axis], folder: Path) -> dict[str, str]:
-    """Return the hashes of the CSV files; one that cannot be read is reported with its scene."""
+    """Return the hashes of the CSV files; an unreadable file is reported with its scene."""
     sections = [table for table in tables.values() if isinstance(table, dict)]
     # The start of a drive is a nested table.
     inner = [table for section in sections for table in section.values() if isinstance(table, dict)]
@@ -269,7 +269,7 @@ def is_name(text: Any) -> bool:
 
 
 def _plan(data: dict[str, Any], folder: Path, files: Any = None) -> Sweep:
-    """Return the sweep of the tables of a sweep file; raises `InputError` with every fault."""
+    """Return the sweep for the tables of a sweep file; raise `InputError` with all faults."""
     faults = [(key, unknown_key(key, KEYS)) for key in data if key not in KEYS]
     kinds = {kind: data[kind] for kind in MAKERS if kind in data}
     tolerance = data.get("tolerance", 1e-6)
@@ -348,7 +348,7 @@ def _take_names(names: Any) -> list[str]:
 
 
 def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
-    """Return the table with a value set at a path; material names become constants."""
+    """Return the table with a value set at a path; material names are replaced by constants."""
     if not path:
         return value
     first = path[0]
@@ -368,13 +368,13 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
         entry = int(first)
         return [*table[:entry], _set_value(table[entry], rest, value, key), *table[entry + 1 :]]
     if not isinstance(table, dict | None):
-        raise InputError.at(key, "is no key of a scene: what should hold it is not a table")
+        raise InputError.at(key, "is not a key of a scene: its parent is not a table")
     table = table or {}
     return table | {first: _set_value(table.get(first), rest, value, key)}
 
 
 def _set_each_grain(tables: dict[str, Any], key: str, values: Array) -> dict[str, Any]:
-    """Return the tables with one value for each grain, in materials of their own if necessary."""
+    """Return the tables with one value per grain, in separate materials if necessary."""
     path = key.split(".")
     if path[1] != "material":
         return _set_value(tables, path, values.tolist(), key)

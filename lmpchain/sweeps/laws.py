@@ -14,7 +14,7 @@ from ..errors import InputError
 from ..util.arrays import Array
 from ..util.validation import Checked, Positive, Real
 
-MARKS = {"low", "high", "mean", "deviation"}  # of a table that is a law
+MARKS = {"low", "high", "mean", "deviation"}  # Keys that mark a table as a law.
 CONTACT_CONSTANTS = "chain.contact_constants"
 VISCOSITY = "chain.damping.viscoelastic"
 BETWEEN_GRAINS = (CONTACT_CONSTANTS, VISCOSITY)
@@ -29,7 +29,7 @@ GRAIN_KEYS = (
     "chain.material.poissons_ratio",
     *DAMPING,
 )
-ALWAYS = ("chain.masses", CONTACT_CONSTANTS)  # never one number for all grains
+ALWAYS = ("chain.masses", CONTACT_CONSTANTS)  # Keys that never have one number for all grains.
 
 
 class Uniform(Checked):
@@ -103,7 +103,7 @@ class GrainLaw:
         return self.key in BETWEEN_GRAINS
 
     def values(self, index: int, grains: int) -> Array:
-        """Return the numbers of a scene, one for each grain or contact."""
+        """Return the random numbers of a scene, one for each grain or contact."""
         # Numbers of one key depend on no other key, nor on the order of the axes.
         mark = int.from_bytes(hashlib.sha256(self.key.encode()).digest()[:4], "big")
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(index, mark)))

@@ -24,7 +24,7 @@ class SweepQuantity(NamedTuple):
     Attributes
     ----------
     dimensions : tuple of str
-        Of "time" and "grain".
+        Dimensions among "time" and "grain".
     units, long_name : str
         Metadata of the results.
     measure : function
@@ -129,13 +129,13 @@ QUANTITIES = {
 }
 
 
-UNSURE = 0.1  # of the largest of a quantity: with a larger error it says nothing
+UNSURE = 0.1  # Largest relative error of a stored quantity, relative to its largest value.
 # Quantities over all times, which a run can accumulate.
 ALONG_THE_RUN = ("peak_displacement", "peak_velocity", "arrival_time", "wall_force")
 
 
 def is_extreme(name: str) -> bool:
-    """Return whether a quantity is a largest value over all times, or an arrival time."""
+    """Return whether a quantity is a maximum over all times, or an arrival time."""
     return name in ALONG_THE_RUN or of_contact(name)
 
 
@@ -186,7 +186,7 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
 
 
 def _name_in_run(scene: Scene, name: str) -> str:
-    """Return the name under which a run accumulates a quantity; empty if there is no such wall."""
+    """Return the name under which a run accumulates a quantity; empty without such a wall."""
     if name != "wall_force":
         return name
     # The last moving grain touches this wall.
@@ -223,7 +223,7 @@ def _read(
         return quantity(name).measure(motion, grains)
     value = gathered_arrays[along]
     if name == "wall_force":
-        # A grain that is held also presses with its own weight.
+        # A fixed grain adds its own weight to the force.
         value = value + motion.scene.chain.held_weight
     return value, gathered_arrays[f"{along}_error"]
 
@@ -245,7 +245,7 @@ def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
 
 
 def leave_out_unsure(arrays: dict[str, Array], names: Iterable[str]) -> list[str]:
-    """Set quantities with a relative error above a tenth to NaN, and return their names.
+    """Set quantities with a relative error above 0.1 to NaN, and return their names.
 
     A tenth of the largest of all grains, for many hardly move.
     """

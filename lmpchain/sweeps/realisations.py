@@ -99,7 +99,7 @@ def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     common = _wider(plan.regular_scene(places[0]), plan)
     disorder = plan.disorder(places[0])
     chain = common.chain
-    # Each scene would have a light cone or an excitation of its own.
+    # Each scene would have a different light cone or excitation.
     if common.light_cone is not None or common.excitation.of_chain:
         return None
     if chain.grains == 1 or (disorder and disorder.of not in OF_CONTACTS):
@@ -159,7 +159,7 @@ def _chains(chain: Chain, equilibria: Equilibrium, widths: bool) -> list[Chain]:
 
 
 def _scene(common: Scene, chain: Chain, checked: bool) -> Scene | None:
-    """Return the common scene with another chain; None if the strike is too hard for the chain."""
+    """Return the common scene with another chain; None if the strike is too strong for it."""
     fields = common.given() | {"chain": chain}
     try:
         scene = Scene(**fields) if checked else make_unchecked(Scene, **fields)

@@ -29,14 +29,14 @@ SHAPING = ("chain.grains", "chain.file", "recording")
 
 
 class Labels(NamedTuple):
-    """Samples and grains that the arrays have places for.
+    """Samples and grains that the result arrays contain.
 
     Attributes
     ----------
     samples : int
         The most of any scene.
     time : (T,) array or None
-        s; None if scenes differ in them.
+        Times, s; None if scenes differ in them.
     grains : (G,) array
         Numbers of the grains that any scene records; in the order of the scenes if that is one
         order.

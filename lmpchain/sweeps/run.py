@@ -102,7 +102,7 @@ def sweep(
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise InputError.at("workers", f"must be a whole number from 1 (got {shown(workers)})")
     if scheduler is not None and executor is not None:
-        raise InputError.at("scheduler", "goes without an executor: give one of the two")
+        raise InputError.at("scheduler", "cannot be combined with an executor: give one of the two")
     local = scheduler is None and executor is None
     if workers > 1 and local:
         end_if_imported()
@@ -128,7 +128,7 @@ def sweep(
         clean(results, layout)
     answers = load_sweep(folder)
     if faults:
-        warn(f"some scenes could not be done this time; of the first: {faults[0]}", stacklevel=2)
+        warn(f"some scenes could not be solved this time; the first: {faults[0]}", stacklevel=2)
         cause = f"{NOT_DONE}: {faults[0]}"
         answers["reason"] = answers["reason"].where(answers["reason"] != NOT_DONE, cause)
     return answers
@@ -310,7 +310,7 @@ class _Work:
     def do(
         self, executor: Executor, tasks: Iterator[SweepTask], bar: ProgressBar, limit: int
     ) -> list[str]:
-        """Do all tasks, at most `limit` at a time; return the faults that prevented some."""
+        """Execute all tasks, at most `limit` at a time; return the faults that prevented some."""
         faults: list[str] = []
         deaths: Counter[SweepTask | int] = Counter()
         pending: dict[Future, SweepTask | int] = {}
@@ -327,7 +327,7 @@ class _Work:
                     error = _find_error(future)
                     died = isinstance(error, BrokenExecutor)
                     deaths[job] += died
-                    # The cause may pass, for example a lack of memory.
+                    # The cause may be temporary, for example a lack of memory.
                     if died and deaths[job] < TASKS.deaths:
                         self._submit(executor, job, pending)
                         continue

@@ -1,4 +1,4 @@
-"""Seals of the store of a sweep, which show that its shards and coordinates are whole.
+"""Seals of a sweep's store, which verify that its shards and coordinates are complete.
 
     store.json              of the descriptions of all arrays, and of the coordinates
     shards/0000003.json     of one shard of every array
@@ -38,7 +38,7 @@ def write_seal(folder: Path, seal: Path, files: Iterable[Path]) -> None:
 
 
 def is_whole(folder: Path, seal: Path, thorough: bool = False) -> bool:
-    """Return whether all listed files exist with their size or, if `thorough`, with their hash."""
+    """Return whether all listed files exist with their size and, if `thorough`, their hash."""
     record = read_sealed_json(seal)
     if record is None:
         return False

@@ -1,4 +1,4 @@
-"""Results of a sweep on the disk: shards of a Zarr store, and parts of unfinished shards.
+"""Results of a sweep on disk: shards of a Zarr store, and parts of unfinished shards.
 
     sweep.json              the sweep that the folder holds
     0123456789abcdef/       its results, under a hash of all that shapes them
@@ -73,7 +73,7 @@ class StoreLayout:
     count : int
         Scenes.
     batch : int
-        Of these, in a part.
+        Number of scenes in a part.
     columns : dict
         The arrays, `reason` last.
     """
@@ -246,7 +246,7 @@ def open_store(folder: Path, writing: bool = False) -> Any:
 
 @contextmanager
 def _open_checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]]]:
-    """Check a store, yield batch and metadata; raise `InputError` at any damage found meanwhile."""
+    """Check a store, yield batch and metadata; raise `InputError` if damage is found later."""
     try:
         yield check_store(folder / RESULTS)
     except (
@@ -273,7 +273,7 @@ def complete(folder: Path, shard: int) -> bool:
 
 
 def part_of(folder: Path, first: int, whole: bool = True) -> Path:
-    """Return the path of the part with this first scene; some scenes are missing unless `whole`."""
+    """Return the path of the part with this first scene; parts not `whole` lack some scenes."""
     return folder / PARTS / f"{first:07d}{'' if whole else '.some'}.npz"
 
 
@@ -309,7 +309,7 @@ def join_parts(folder: Path, layout: StoreLayout, shard: int) -> None:
         try:
             _write_shard(folder, layout, shard, parts)
         except FileNotFoundError:
-            # Another process was faster.
+            # Another process may have written the shard meanwhile.
             if not complete(folder, shard):
                 raise
     # The parts are removed only after the shard is whole.
@@ -324,7 +324,7 @@ def _write_shard(folder: Path, layout: StoreLayout, shard: int, parts: Sequence[
         values: Any = np.concatenate([read_part(path, name, column) for path in parts])
         values = values.astype(object) if column.dtype is str else values
         store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
-    # Zarr writes no shard for scenes without any answer.
+    # Zarr writes no shard for scenes without any results.
     files = [path for name in layout.columns for path in _shard_files(folder, name, shard)]
     seals.write_seal(folder, seals.of_shard(folder, shard), files)
 
@@ -384,7 +384,7 @@ def forget_damaged(folder: Path, layout: StoreLayout) -> None:
 
 
 def remove_results(folder: Path) -> None:
-    """Remove a folder of results, unless it contains files of another origin."""
+    """Remove a folder of results unless it contains foreign files."""
     names = [path.relative_to(folder) for path in folder.rglob("*") if not path.is_dir()]
     if all(OWN.fullmatch(name.as_posix()) for name in names):
         shutil.rmtree(folder, ignore_errors=True)

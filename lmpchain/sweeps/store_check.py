@@ -20,7 +20,7 @@ from ..util.files import check_tree
 
 # Data types, and their codecs.
 KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}
-FILLS = {"float64": "NaN", "string": "not done"}  # where a scene has no answer
+FILLS = {"float64": "NaN", "string": "not done"}  # Fill values for scenes without a result.
 ENCODING = {"name": "default", "configuration": {"separator": "/"}}
 
 
@@ -30,7 +30,7 @@ class StoreSizes(NamedTuple):
     Attributes
     ----------
     shard_scenes : int
-        Least scenes in a shard, for each array: 100 files hold 10^4 scenes.
+        Smallest number of scenes in a shard per array: 100 files contain 10^4 scenes.
     shard_bytes : int
         Largest shard, whatever that takes of its scenes.
     chunk_bytes : int

@@ -1,4 +1,4 @@
-"""Share of a strike's energy in solitary waves, by the exponent of the contact force."""
+"""Fraction of a strike's energy in solitary waves, by the exponent of the contact force."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart, finish
 from ..util.tabular import Tabular
 
-# Grains of the first chain and of the longest one: waves part slowly if the exponent is near 1.
+# Numbers of grains of the first chain and of the longest one. Waves separate slowly if the exponent
+# is near 1.
 SHORTEST_CHAIN = 100
 LONGEST_CHAIN = 800
-SAMPLES_A_GRAIN = 12  # in the time from grain to grain
-STRIKE = 0.1  # m/s; shares do not depend on it
-# Velocity of the leading wave, over that of the strike, which is less than any observed one.
+SAMPLES_A_GRAIN = 12  # Number of samples in the time from grain to grain.
+STRIKE = 0.1  # Strike velocity, m/s; the shares do not depend on it.
+# Velocity of the leading wave relative to the strike, smaller than any observed ratio.
 SLOWEST = 0.35
 MASS = 1e-6
 CONSTANT = 1e9
@@ -34,7 +35,7 @@ CONSTANT = 1e9
 
 @dataclass(frozen=True, eq=False, repr=False)
 class StrikeShares(Shown, Tabular):
-    """Share of a strike on a chain without load in solitary waves, for E exponents.
+    """Fraction of a strike's energy in solitary waves, for E exponents and chains without load.
 
     Attributes
     ----------
@@ -67,7 +68,7 @@ class StrikeShares(Shown, Tabular):
     grains: NDArray[np.intp]
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the share of the energy that is in no solitary wave over the exponent."""
+        """Draw the fraction of the energy outside solitary waves over the exponent."""
         ax = chart(ax, "exponent of the contact force", "1 - share", "y")
         ax.errorbar(self.exponent, 1 - self.share, self.share_error, **ERROR_BARS)
         title = "Share of a strike that no solitary wave has"
@@ -75,7 +76,7 @@ class StrikeShares(Shown, Tabular):
 
 
 def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
-    """Strike a uniform chain without load, and measure the share of its solitary waves.
+    """Strike a uniform chain without load, and measure its solitary waves.
 
     The share depends on the exponent alone; W. Deng, G. Biondini, S. Sen and P. G. Kevrekidis,
     arXiv:2002.08499. The length of the chain and the duration follow from the speed of the exact
@@ -125,14 +126,14 @@ def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
 
 
 def _train(exponent: float, accuracy: float) -> Train:
-    """Return the waves of the shortest chain whose share is accurate enough."""
+    """Return the waves of the shortest chain that gives sufficiently accurate shares."""
     grains = SHORTEST_CHAIN
     reason = ""
     while grains <= LONGEST_CHAIN:
         try:
             train = find(simulate(_scene(exponent, grains), "native", min(accuracy, 1e-6) / 100))
         except InputError as error:
-            # The waves have not parted yet.
+            # The waves have not separated yet.
             reason = str(error)
         else:
             error_of_share = train.all_share[1]

@@ -36,7 +36,7 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
     try:
         old_plan, old_layout = read_results(earlier)
     except InputError:
-        # The results are damaged, or of another version.
+        # The results are damaged or belong to another version.
         return
     clean(earlier, old_layout)
     forget_damaged(earlier, old_layout)
@@ -45,7 +45,7 @@ def take_over(plan: Sweep, layout: StoreLayout, results: Path, earlier: Path) ->
     keys, old_numbers = _done(old_plan, old_layout, earlier)
     if not keys.size:
         return
-    # Equal keys mean equal results, wherever the scenes are in both sweeps.
+    # Equal keys imply equal results, independent of the position in both sweeps.
     new_keys = np.array([plan.key(number) for number in range(plan.count)])
     spots = np.searchsorted(keys, new_keys).clip(max=keys.size - 1)
     present = keys[spots] == new_keys

@@ -42,9 +42,9 @@ class TaskLimits(NamedTuple):
     Attributes
     ----------
     scenes : int
-        Most scenes of a task.
+        Largest number of scenes of a task.
     numbers : int
-        Most samples x grains of all its scenes.
+        Largest number of samples x grains of all its scenes.
     pending : int
         Tasks that an executor has at a time.
     deaths : int
@@ -64,7 +64,7 @@ class TaskLimits(NamedTuple):
 
 
 TASKS = TaskLimits()
-KNOWN = 0.9  # of the time up to which a scene can be predicted
+KNOWN = 0.9  # Fraction of the predictability horizon up to which a scene is simulated.
 
 
 class Beginning(NamedTuple):
@@ -77,7 +77,7 @@ class Beginning(NamedTuple):
     whole : Trajectory
         A run to its end, of which the rest is as likely as others.
     reason : str
-        Why the whole is not within the tolerance.
+        Reason why the whole scene misses the tolerance.
     """
 
     known: Trajectory
@@ -87,12 +87,12 @@ class Beginning(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SweepTask:
-    """Scenes to answer, from the number `first` on, and the layout of their results.
+    """Scenes to solve, from the number `first` on, and the layout of their results.
 
     Attributes
     ----------
     folder, files : Path
-        Where the results go, and where CSV files lie.
+        Folder of the results, and folder of CSV files.
     layout : Layout
     grains : (G,) array
         Numbers of the grains that the arrays have places for.
@@ -112,7 +112,7 @@ class SweepTask:
 
 
 def count_scenes(engine: str, scene: Scene) -> int:
-    """Return the number of scenes like this one in a task; large scenes have tasks of their own."""
+    """Return the number of scenes like this one per task; large scenes get separate tasks."""
     if not engines.get(engine).batches:
         return 1
     numbers = scene.fine.samples * scene.chain.grains
@@ -134,7 +134,7 @@ def announce_work(
 
 
 def answer(task: SweepTask) -> None:
-    """Solve the scenes of a task, unless they are done, and write their results."""
+    """Solve the unfinished scenes of a task, and write their results."""
     shard = task.first // task.layout.shard
     if part_of(task.folder, task.first).exists() or complete(task.folder, shard):
         return
@@ -202,7 +202,7 @@ def _put(
     plan: Sweep,
     task: SweepTask,
 ) -> None:
-    """Store the quantities of an answer in a row, or the reason for its failure."""
+    """Store the quantities of a result in a row, or the reason for its failure."""
     if isinstance(result, LmpchainError):
         columns["reason"][row] = str(result)
         return
@@ -260,7 +260,7 @@ def _answer_alone(
 def _answer_beginning(
     scene: Scene, engine: Engine, plan: Sweep, missed: ToleranceNotMet
 ) -> Beginning | None:
-    """Simulate the predictable part of a scene; return None if no stored quantity is known then."""
+    """Simulate the predictable part of a scene; return None if it determines no quantity."""
     keep = [name for name in plan.keep if is_extreme(name)]
     if missed.known_until == math.inf or not keep:
         return None

@@ -1,4 +1,4 @@
-"""Bands of linear waves in periodic chains, and the modes that a finite chain has in their gaps.
+"""Bands of linear waves in periodic chains, and modes of finite chains in the gaps.
 
 A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The
 rows of B are the extensions of the contacts, each by the root of its stiffness, of displacements by
@@ -42,13 +42,13 @@ __all__ = [
     "waves",
 ]
 
-# width of a gap over the highest frequency, and relative difference of equal grains
+# Relative width of a gap, and relative difference of grains, that count as 0.
 NEGLIGIBLE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Cell:
-    """Masses and springs that repeat: grains, each with the contact below it, and their resonators.
+    """Masses and springs of a repeating cell: grains, the contact below each, and resonators.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ class Cell:
 
     @property
     def damped(self) -> bool:
-        """Whether contacts or a drag take energy."""
+        """Whether contacts or a drag dissipate energy."""
         return bool(np.any(self.viscoelastic) or np.any(self.drag))
 
     @classmethod
     def of(cls, chain: Chain) -> Cell:
-        """Return all grains of a chain as a cell, closed by a contact of its last with its first.
+        """Return all grains of a chain as a cell, with a contact from the last to the first grain.
 
         Raises
         ------
@@ -95,7 +95,8 @@ class Cell:
             ("top_load", chain.top_load > 0, "must be above 0: nothing is linear without it"),
         )
         chain.refuse_loose("theory of bands")
-        # the last contact shows the ratio of given constants to those of Hertz; one grain has none
+        # The last contact has the ratio of given constants to those of Hertz's law; a single grain
+        # has none.
         ends = [-2, -1, 0][-chain.grains - 1 :]
         d = chain.diameters[ends]
         modulus = chain.by_grain("plane_strain_modulus")[ends]
@@ -104,7 +105,7 @@ class Cell:
         constant = natural[-1] * np.prod(chain.contact_constants[-1:] / natural[:-1])
         closing = Contacts.at_rest(np.array([constant]), np.array([chain.top_load]), chain.law)
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
-        # the closing contact is as viscous as that next to it, like one with a wall
+        # The closing contact has the viscosity of the contact next to it, like a wall contact.
         viscosity = chain.contact_viscosity[1:]
         chain.refuse_moving_ground("theory of bands")
         damping = {"viscoelastic": viscosity, "drag": chain.drag}
@@ -113,7 +114,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Bands(Shown, Tabular):
-    """Frequencies of waves in a periodic chain, branch by branch.
+    """Frequencies of waves in a periodic chain, sorted by branch.
 
     Attributes
     ----------
@@ -121,7 +122,7 @@ class Bands(Shown, Tabular):
     wavenumber : (K,) array
         Radians a cell.
     frequency : (B, K) array
-        rad/s, ascending; numpy takes the object itself for this array.
+        Frequencies, rad/s, ascending; numpy takes the object itself for this array.
     group_velocity : (B, K) array
         Cells a second; the limit from above at wavenumber 0, positive where the branch rises.
     gaps : (G, 2) array
@@ -141,7 +142,7 @@ class Bands(Shown, Tabular):
         return self.frequency[key]
 
     def density_of_states(self, frequency: ArrayLike) -> Array:
-        """Return modes a cell and a rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
+        """Return modes per cell and rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
 
         ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
         """
@@ -155,7 +156,7 @@ class Bands(Shown, Tabular):
             return np.where(np.abs(cosine) <= 1, 1 / (np.pi * np.abs(v)), 0.0)
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the branches over wavenumber, the gaps between them shaded, and return the axes."""
+        """Draw the branches over wavenumber and shade the gaps between them; return the axes."""
         ax = chart(ax, "wavenumber (radians a cell)", "frequency [Hz]")
         order = np.argsort(self.wavenumber)
         for number, branch in enumerate(self.frequency, 1):
@@ -174,12 +175,12 @@ class Bands(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class GapModes(Shown, Tabular):
-    """Eigenmodes of a finite chain outside the bands of its cell: at ends or odd grains.
+    """Eigenmodes of a finite chain outside the bands of its cell, at ends or irregular grains.
 
     Attributes
     ----------
     frequency : (L,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     shape : (L, M) array
         Displacements, orthonormal in mass.
     participation : (L,) array
@@ -197,7 +198,7 @@ class GapModes(Shown, Tabular):
     centre: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the displacements of the grains in each mode, over its largest; return the axes."""
+        """Draw each mode's displacements relative to the largest one; return the axes."""
         ax = chart(ax, "grain", "displacement over the largest")
         for w, shape, number in zip(self.frequency, self.shape, self.participation, strict=True):
             label = f"{prefixed(w / (2 * np.pi), 'Hz')}, {number:.1f} grains"
@@ -208,13 +209,13 @@ class GapModes(Shown, Tabular):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Waves(Shown, Tabular):
-    """Waves ``exp(i (q n - w t))`` of real frequencies that carry energy downward, or decay so.
+    """Waves ``exp(i (q n - w t))`` of real frequencies with energy flow or decay downward.
 
     Attributes
     ----------
     cell : Cell
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     wavenumber : (F,) complex array
         q, radians a cell; its real part is below 0 where phases run upward, its imaginary part 0 or
         more.
@@ -239,7 +240,7 @@ class Waves(Shown, Tabular):
 
 
 def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
-    """Return the wave of each real frequency in the chain that repeats a cell, damped or in a gap.
+    """Return the wave at each real frequency in a periodic chain, with damping or in a gap.
 
     Where damping is weak, the attenuation a cell is ``(A w^2 + gamma) / 2`` over the group
     velocity, for one A and one gamma.
@@ -270,7 +271,7 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
     cell = Cell.of(cell) if isinstance(cell, Chain) else cell
     w = np.atleast_1d(real(frequency, "frequency"))
     require(("frequency", (w > 0) & np.isfinite(w), "must be finite and above 0"))
-    # sin^2(q / 2), which keeps its digits for long waves
+    # The formula with sin^2(q / 2) is accurate for long waves.
     square = -_excess_trace(cell, w) / 4
     q = 2 * np.arcsin(np.sqrt(square + 0j))
     q = np.where(q.imag < 0, -q, q) if cell.damped else np.abs(q.real) + 1j * np.abs(q.imag)
@@ -278,7 +279,7 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
 
 
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
-    """Return the Bloch branches of the chain that repeats a cell.
+    """Return the Bloch branches of the periodic chain of a cell.
 
     L. Brillouin, Wave Propagation in Periodic Structures (1946); for dimers of spheres N. Boechler
     et al., Phys. Rev. Lett. 104, 244302 (2010).
@@ -312,17 +313,17 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     q = np.atleast_1d(real(wavenumber, "wavenumber"))
     b, slope = _extensions(cell, q)
     left, frequency, right = np.linalg.svd(b, full_matrices=False)
-    # first order perturbation of a singular value
+    # First-order perturbation of a singular value.
     product = np.einsum("kis,kij,ksj->ks", left.conj(), slope, right.conj())
     # The phases of both vectors are arbitrary at frequency 0.
     soft = frequency <= NEGLIGIBLE * np.abs(slope).max(initial=0.0)
     velocity = np.where(soft, np.abs(product), product.real)
-    # singular values fall, branches rise
+    # Singular values are in descending order, branches in ascending order.
     return Bands(cell, q, frequency.T[::-1], velocity.T[::-1], gaps(cell))
 
 
 def gaps(cell: Cell | Chain) -> Array:
-    """Return the gaps between the bands of the chain that repeats a cell, (G, 2) rad/s.
+    """Return the gaps between the bands of the periodic chain of a cell, (G, 2) rad/s.
 
     The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or
     falling.
@@ -371,7 +372,7 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
 
 
 def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
-    """Return the eigenmodes of a chain in the gaps or above the bands of a cell that repeats.
+    """Return a chain's eigenmodes in the gaps or above the bands of a repeating cell.
 
     Parameters
     ----------
@@ -394,7 +395,7 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     chain.refuse_damping("a mode in a gap")
     modes = eigenmodes(chain)
     low, high = _outside(cell).T[..., None]
-    # modes at an edge belong to the band
+    # Modes at a band edge belong to the band.
     margin = NEGLIGIBLE * modes.frequency[-1]
     inside = ((modes.frequency > low + margin) & (modes.frequency < high - margin)).any(0)
     shape = modes.shape[:, inside].T
@@ -404,11 +405,11 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
 
 
 def _lossless(cell: Cell | Chain) -> Cell:
-    """Return the cell; raise `InputError` if it has damping, and no real frequencies then."""
+    """Return the cell; raise `InputError` if it has damping, so that frequencies are complex."""
     if isinstance(cell, Chain):
         cell.refuse_damping("a band")
         return Cell.of(cell)
-    cure = "a band knows no damping: leave it out, or see waves at real frequencies"
+    cure = "must have no damping: leave it out, or see waves at real frequencies"
     require(("cell", not cell.damped, cure))
     return cell
 
@@ -418,7 +419,7 @@ def _outside(cell: Cell | Chain) -> Array:
     cell = _lossless(cell)
     b, _ = _extensions(cell, np.array([0.0, np.pi]))
     edges = np.sort(np.linalg.svd(b, compute_uv=False), axis=1)
-    # a branch may rise or fall between the two wavenumbers
+    # A branch may increase or decrease between the two wavenumbers.
     low = edges.min(0)
     high = edges.max(0)
     between = np.column_stack((high, np.append(low[1:], np.inf)))
@@ -426,7 +427,7 @@ def _outside(cell: Cell | Chain) -> Array:
 
 
 def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
-    """Return masses and stiffness, (P,), and resonators, (R, 3): grain from 0, mass, stiffness."""
+    """Return masses and stiffness, (P,), and resonators, (R, 3): grain index, mass, stiffness."""
     m = real(cell.masses, "masses")
     k = real(cell.stiffness, "stiffness")
     resonators = (
@@ -439,11 +440,11 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
     masses = m.ndim == 1 and m.size > 0 and positive(m)
     carried = resonators.shape == (m.size, 2) and (resonators >= 0).all()
     require(
-        ("masses", masses, "must be above 0, one a grain"),
-        ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one a grain"),
-        ("resonators", carried, "must be (mass, stiffness), one a grain"),
+        ("masses", masses, "must be above 0, one per grain"),
+        ("stiffness", k.shape == m.shape and positive(k), "must be above 0, one per grain"),
+        ("resonators", carried, "must be (mass, stiffness), one per grain"),
     )
-    # mass 0 stands for a grain without one
+    # Mass 0 represents a grain without a resonator.
     grains = np.flatnonzero(resonators[:, 0])
     return m, k, np.column_stack((grains, resonators[grains]))
 
@@ -458,7 +459,7 @@ def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[n
     held = np.flatnonzero(ground)
     b, slope = np.zeros((2, q.size, total + held.size, total), complex)
     b[:, :size, :size] = extensions(m, k, turn)
-    # the last contact alone turns with the wavenumber
+    # Only the last contact depends on the wavenumber.
     slope[:, size - 1, 0] = -1j * (np.sqrt(k[-1] / m[0]) * turn)
     for row, (grain, mass, stiffness) in enumerate(resonators, size):
         b[:, row, row] = np.sqrt(stiffness / mass)
@@ -489,19 +490,19 @@ def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[A
 
 
 def _half_trace(cell: Cell, w: Array) -> Array:
-    """Return cos(wavenumber) at frequencies: half the trace of the transfer matrix of a cell."""
+    """Return cos(wavenumber) at frequencies, half the trace of a cell's transfer matrix."""
     return 1 + _excess_trace(cell, w) / 2
 
 
 def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
-    """Return 2 cos(wavenumber) - 2 at frequencies, by the transfer matrix of a cell less 1.
+    """Return 2 cos(wavenumber) - 2 at frequencies, from the transfer matrix minus the identity.
 
     Real without damping.
     """
     m, k, resonators = _check_cell(cell)
     w_flat = w.ravel()
     square = w_flat**2
-    # a grain is as heavy as the force that it takes: that of its resonator, too
+    # The dynamic mass of a grain includes the force of its resonator.
     dynamic = np.broadcast_to(m[:, None], (m.size, w.size)).copy()
     springs = np.broadcast_to(k[:, None], (k.size, w.size))
     if cell.damped:
@@ -514,8 +515,8 @@ def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
     with np.errstate(divide="ignore", invalid="ignore"):
         for grain, mass, stiffness in resonators:
             dynamic[int(grain)] += mass / (1 - square * mass / stiffness)
-    # Transfer matrix of displacement and force less the identity, which would hide the digits
-    # of long waves.
+    # The identity is subtracted from the transfer matrix of displacement and force, because it
+    # would hide the digits of long waves.
     change = np.zeros((w.size, 2, 2), dynamic.dtype)
     for inertia, stiff in zip(dynamic, springs, strict=True):
         force = np.zeros_like(change)

@@ -1,4 +1,4 @@
-"""Bessel-function solutions of the uniform chain (Eqs. 5-8, 11, 13) and any chain (Eqs. 19-21)."""
+"""Bessel-function solutions of uniform chains (Eqs. 5-8, 11, 13) and of any chain (Eqs. 19-21)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from .domain import exponents, real, require, whole
 
-# recurrences begin where Bessel functions are exp(-640), near the smallest number
+# Recurrences start where Bessel functions are exp(-640), near the smallest double.
 DECAY = 640.0
 
 
@@ -68,7 +68,7 @@ def coefficients(
         ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
     )
     coefficients = np.empty((*n.shape, terms))
-    # T_(j-1) and T_j of the matrix, applied to the displacement of grain k
+    # T_(j-1) and T_j of the matrix, applied to the displacement of grain k.
     previous, current = np.zeros((2, kappa.size))
     current[int(whole("k", k)) - 1] = 1.0
     for j in range(terms):
@@ -81,7 +81,7 @@ def coefficients(
 
 
 def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
-    """Return the series (19) after unit displacement of grain k, exact if grain N is held.
+    """Return the series (19) for unit displacement of grain k, exact if grain N is fixed.
 
     Parameters
     ----------
@@ -173,7 +173,7 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
     count = count or int(start.max()) // 2 + 1
     even, integral = np.zeros((2, count, values.size))
     higher, current, norm, odd = np.zeros((4, values.size))
-    # each z begins at its own order; above it, its column stays 0
+    # Each z starts at its own order; its column is 0 for higher orders.
     for order in range(int(start.max()), -1, -1):
         lower = 2 * (order + 1) / size * current - higher
         higher = current
@@ -189,8 +189,8 @@ def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, N
 
 
 def _start(z: Array) -> NDArray[np.int64]:
-    """Return the order where J(z) has decayed to exp(-DECAY), by Debye's exponent."""
-    # Newton's method from above, where the exponent is convex
+    """Return the order at which J(z) has decayed to exp(-DECAY), by Debye's exponent."""
+    # Newton's method starts from above, where the exponent is convex.
     order = z + 80 * np.cbrt(z) + 1
     for _ in range(12):
         angle = np.arccosh(order / z)
@@ -213,7 +213,7 @@ __all__ = [
 
 
 def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
-    """Return Eq. (6), J_(2(n-p))(2T), of an infinite chain after unit displacement of grain p.
+    """Return Eq. (6), J_(2(n-p))(2T), for an infinite chain and unit displacement of grain p.
 
     T is tau sqrt(kappa). The main maximum passes at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at
     2T = 2|n-p|.
@@ -280,7 +280,7 @@ def infinite_general(
     """
     n = whole("n", n)
     p = whole("p", p)
-    # a picture asks for the same grains and times many times over
+    # A picture often repeats the same grains and times.
     grains, row = np.unique(n, return_inverse=True)
     distance = abs(grains[:, None] - p)
     even, integral, column = table("T", 2 * real(T, "T"), int(distance.max()) + 1)
@@ -295,7 +295,7 @@ def infinite_general(
 
 
 def free_end(n: ArrayLike, T: ArrayLike) -> Array:
-    """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T): the semi-infinite chain, grain 1 displaced by 1.
+    """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T), for unit displacement of a free end.
 
     It holds in a finite chain until the wave has come back from the other end.
 

@@ -1,4 +1,4 @@
-"""Shifts of solitary waves that meet, by the integrable limits of a chain under a load.
+"""Shifts of colliding solitary waves, by the integrable limits of a chain under a load.
 
 A wave whose tail falls as ``exp(-kappa |x|)``, ``sinh(kappa/2) = c kappa/2``, goes on where
 it would have been without the other one, shifted by grains. The laws are those of two solitons
@@ -17,11 +17,11 @@ from .domain import require
 
 __dir__ = listed(__name__)
 
-FASTEST = 1e6  # speed over that of sound, up to which a decay is searched
+FASTEST = 1e6  # Largest Mach number for which a decay rate is searched.
 
 
 def decay(speed: float) -> float:
-    """Return the rate kappa, a grain, at which the tail of a solitary wave falls under a load.
+    """Return the decay rate kappa per grain of a solitary wave's tail in a loaded chain.
 
     Parameters
     ----------
@@ -43,13 +43,13 @@ def decay(speed: float) -> float:
     2.129737
     """
     require(("speed", 1 < speed < FASTEST, f"must be above 1, that of sound (got {speed!r})"))
-    # sinh(z) = c z, z = kappa / 2, without cancellation next to z = 0
+    # Solve sinh(z) = c z for z = kappa / 2, without cancellation near z = 0.
     furthest = 2.0 * (1 + np.log(speed)) + 4
     return 2 * brentq(lambda z: float(np.sinh(z) / z) - speed, 1e-9, furthest, xtol=1e-15)
 
 
 def toda(speed: float, other: float, head_on: bool) -> float:
-    """Return the shift, grains, along its own way, of a solitary wave that meets another one.
+    """Return the shift, grains, of a solitary wave in its own direction by a collision (Toda).
 
     ``(1/kappa) ln [cosh((kappa + q)/4) / cosh((kappa - q)/4)]^2`` head-on, with q of the other one,
     and ``(1/kappa) ln [sinh((kappa + q)/4) / sinh(|kappa - q|/4)]^2`` of the faster of two that go
@@ -86,7 +86,7 @@ def toda(speed: float, other: float, head_on: bool) -> float:
 
 
 def kdv(speed: float, other: float) -> float:
-    """Return the shift, grains, of one of two solitary waves that go one way, by KdV's equation.
+    """Return the shift, grains, of one of two solitary waves of equal direction (KdV).
 
     ``(1/kappa) ln [(kappa + q) / (kappa - q)]^2`` with kappa^2 = 24 (c - 1), q of the other one; of
     the slower one with a minus.
@@ -121,6 +121,6 @@ def kdv(speed: float, other: float) -> float:
 
 
 def _check_overtaking(speed: float, other: float, head_on: bool) -> None:
-    """Raise `InputError` if waves that go one way are equally fast."""
+    """Raise `InputError` if waves of equal direction have equal speeds."""
     differ = head_on or speed != other
     require(("other", differ, "must differ from speed: equal waves never meet"))

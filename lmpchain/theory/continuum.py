@@ -1,4 +1,4 @@
-"""Eq. (27), the column as a continuum: modes, packets, responses.
+"""The continuum limit of the column, Eq. (27): modes, wave packets and responses.
 
 Grain n sits at the depth h = n - 1/2, and Eq. (27) is ``phi_tautau = (h^xi phi_h)_h``. In the
 travel time chi from the top it is the Euler-Poisson-Darboux equation
@@ -89,7 +89,7 @@ def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
 
 
 def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the standing mode h^(1/2delta) J_(-nu)(lambda chi), with no flux through the free top.
+    """Return the standing mode h^(1/2delta) J_(-nu)(lambda chi), without flux at the free top.
 
     It goes with cos(lambda tau).
 
@@ -170,7 +170,8 @@ def superpose(
         ("tau", ahead > 0, "must be above -chi"),
         ("angle", 0 < angle <= np.pi / 2, "must be above 0 and at most pi/2"),
     )
-    # exp(t - exp(-t)) makes the trapezoidal rule converge doubly exponentially at both ends
+    # The substitution exp(t - exp(-t)) makes the trapezoidal rule converge doubly exponentially at
+    # both ends.
     step = 1 / 32
     t = np.arange(-6.4, 4.6, step)
     rotation = np.exp(1j * angle)
@@ -212,7 +213,7 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     require(("tau", tau + travel > 0, "must be above -chi"))
     at_top = travel == 0
     travel = np.where(at_top, 1.0, travel)
-    # imaginary outside the cone
+    # The value is imaginary outside the light cone.
     angle = np.arccosh((tau / travel).astype(complex))
     amplitude = (eta / 2) ** nu / (2 * np.sin(np.pi * nu / 2))
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -251,7 +252,7 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the real part of Eq. (31) for A = lambda^(-nu): Eq. (34) in one form for all tau.
+    """Return the real part of Eq. (31) for A = lambda^(-nu), which is Eq. (34) for all tau.
 
     For Hertz A is lambda^(-2/5). It does not resonate: the two singular terms of Eq. (34) cancel at
     the light cone, where it is smooth (as printed, with constants of four digits, they leave a

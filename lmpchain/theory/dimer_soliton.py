@@ -1,4 +1,4 @@
-"""Solitary waves of dimer chains in the sonic vacuum, which exist at certain mass ratios only.
+"""Solitary waves of dimer chains in the sonic vacuum, which exist only at certain mass ratios.
 
 Heavy and light grains alternate, with like contacts. Between these mass ratios, the antiresonances
 of K. R. Jayaprakash, Y. Starosvetsky and A. F. Vakakis, Phys. Rev. E 83, 036606 (2011), light
@@ -37,16 +37,16 @@ __dir__ = listed(__name__)
 
 @dataclass(frozen=True)
 class Grid:
-    """Numbers of the Fourier series and of the searches.
+    """Sizes of the Fourier series and parameters of the searches.
 
     Attributes
     ----------
     period : float
-        Of the series, in grains.
+        Period of the series, in grains.
     points : int
-        In a period.
+        Number of points in a period.
     lightest : float
-        Least mass ratio of a scan.
+        Smallest mass ratio of a scan.
     spacing : float
         Distance of the beginnings of its searches in 1 / sqrt(ratio).
     """
@@ -62,13 +62,13 @@ GRID = Grid()
 
 @dataclass(frozen=True, eq=False, repr=False)
 class DimerSoliton(Shown, Tabular):
-    """A solitary wave in a chain of heavy and light grains in turn.
+    """A solitary wave in a chain of alternating heavy and light grains.
 
     Attributes
     ----------
     delta : float
     mass_ratio : float
-        Of light to heavy grains, the antiresonance.
+        Mass ratio of light to heavy grains at the antiresonance.
     speed : float
         c, grains a unit of time.
     place, values : (K,) arrays
@@ -84,19 +84,19 @@ class DimerSoliton(Shown, Tabular):
     values: Array
 
     def overlap(self, x: ArrayLike, light_behind: bool = False) -> Array:
-        """Return the overlap of a contact at x, where the grain behind it is heavy or light."""
+        """Return the overlap of a contact at x, by whether the grain after it is heavy or light."""
         return self._series(-real(x, "x") if light_behind else real(x, "x"), 0)
 
     def displacement(self, x: ArrayLike, light: bool = False) -> Array:
-        """Return the displacement of a heavy or a light grain at x: 0 far ahead of the wave."""
+        """Return the displacement of a heavy or a light grain at x, 0 far ahead of the wave."""
         return self._ahead(x, light, 0)
 
     def velocity(self, x: ArrayLike, light: bool = False) -> Array:
-        """Return the velocity of a heavy or a light grain at x, positive in the way of travel."""
+        """Return the velocity of a heavy or a light grain at x, positive in travel direction."""
         return -self.speed * self._ahead(x, light, 1)
 
     def on(self, chain: Chain, grain: float) -> Profile:
-        """Return this wave on a chain, as it passes a grain downward.
+        """Return this wave on a chain at the time when it passes a grain downward.
 
         Displacements and velocities are in SI units; the largest velocity of heavy grains is that
         for which it was solved, in m/s.
@@ -143,10 +143,10 @@ class DimerSoliton(Shown, Tabular):
         return finish(ax, f"δ = {self.delta:g}, {ratio}, speed {self.speed:.7g}")
 
     def _series(self, x: Array, derivative: int) -> Array:
-        """Return A or A' by its Fourier series, 0 beyond."""
+        """Return A or A' from its Fourier series; 0 outside the interval."""
         size = self.place.size
         k = 2 * np.pi * np.fft.rfftfreq(size, GRID.period / size)
-        # all wave numbers but 0 stand for two of the complex series
+        # All wave numbers except 0 represent two terms of the complex series.
         twice = np.where(k == 0, 1, 2)
         weight = np.fft.rfft(self.values) * (1j * k) ** derivative * twice / size
         angle = np.multiply.outer(x - self.place[0], k)
@@ -154,7 +154,7 @@ class DimerSoliton(Shown, Tabular):
         return np.where(inside, (np.exp(1j * angle) @ weight).real, 0.0)
 
     def _ahead(self, x: ArrayLike, light: bool, derivative: int) -> Array:
-        """Return the sum over all contacts ahead of a grain, in turn of either kind."""
+        """Return the sum over all contacts ahead of a grain, alternating between both kinds."""
         x = real(x, "x")
         far = GRID.period / 2
         number = np.ceil(np.maximum(-far - x - 0.5, 0.0))[..., None] + np.arange(GRID.period + 2)
@@ -207,7 +207,7 @@ def antiresonances(
     ratios: set[float] = set()
     with ProgressBar(beginnings.size, "antiresonances", shown=progress) as bar:
         for near in beginnings.tolist():
-            # an error says that none is near
+            # An error means that no antiresonance is near.
             with suppress(InputError):
                 ratios.add(round(_solve(near, float(delta))[0], 10))
             bar.advance()
@@ -255,25 +255,25 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
 
 @cache
 def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
-    """Return mass ratio, places and values of A for speed 1."""
+    """Return mass ratio, positions and values of A for speed 1."""
     points = GRID.points
     x = (np.arange(points) - points // 2) * GRID.period / points
     k = 2 * np.pi * np.fft.fftfreq(points, GRID.period / points)
-    # inverse of the second derivative, but for the mean
+    # Inverse of the second derivative, except for the mean.
     inverse = np.where(k == 0, 0.0, -1 / np.where(k == 0, 1.0, k) ** 2)
     fourier = np.fft.fft(np.eye(points), axis=0)
 
     def operator(symbol: Array) -> Array:
         return np.fft.ifft(symbol[:, None] * fourier, axis=0).real
 
-    # the equation divided by c^2, and integrated twice: A less its mean is a sum of forces
+    # The equation is divided by c^2 and integrated twice: A minus its mean is a sum of forces.
     mirror = np.eye(points)[-np.arange(points) % points]
     alone = operator(inverse)
     heavy = operator(inverse * np.exp(-1j * k)) @ mirror - alone
     light = operator(inverse * np.exp(1j * k)) @ mirror - alone
     slope = operator(1j * k * (np.arange(points) != points // 2))[0]
     values = _approximate(near, delta, x)
-    # a row more fixes the position of the wave, a column more is for the mass of light grains
+    # An additional row fixes the position of the wave; an additional column is for the light mass.
     inertia = 1 / near
     matrix = np.zeros((points + 1, points + 1))
     matrix[-1, :-1] = slope
@@ -287,11 +287,11 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
         matrix[:-1, -1] = -light @ force
         change = np.linalg.solve(matrix, np.append(residual, slope @ values))
         size = max(np.abs(change[:-1]).max() / values.max(), abs(change[-1]) / inertia)
-        # more than a fifth at once would leave for another wave, or none
+        # Larger changes would lead to another wave, or to none.
         change *= min(1.0, 0.2 / size)
         values = values - change[:-1]
         inertia = inertia - change[-1]
-        # the next change is its square
+        # Convergence is quadratic: the next change is the square of this one.
         if size < 1e-7:
             return float(1 / inertia), x, values
     message = f"there is no wave that does not radiate near the mass ratio {near:g}: try another"
@@ -299,8 +299,8 @@ def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
 
 
 def _approximate(ratio: float, delta: float, x: Array) -> Array:
-    """Return A for speed 1 from the pulse behind a strike, with the tail that it leaves cut off."""
-    # the wave passes this contact of a chain of so many grains well before this time
+    """Return A for speed 1 from the pulse after a strike, with its tail cut off."""
+    # The wave passes this contact of a chain of 50 grains well before this time.
     grains = 50
     contact = 28
     until = 60.0
@@ -316,7 +316,7 @@ def _approximate(ratio: float, delta: float, x: Array) -> Array:
     motion = solve_ivp(rate, (0, until), start, "DOP853", t_eval=time, rtol=1e-8, atol=1e-10)
     overlap = -np.diff(motion.y[:grains], axis=0)
 
-    # when the pulse passes a contact: the first peak, as light grains rattle behind it
+    # The pulse passes a contact at the first peak, because light grains oscillate after it.
     def centre(number: int) -> float:
         force = np.maximum(overlap[number], 0.0) ** delta
         begin = int(np.argmax(force > 0.3 * force.max()))
@@ -325,7 +325,7 @@ def _approximate(ratio: float, delta: float, x: Array) -> Array:
 
     first = centre(contact)
     speed = 4 / (centre(contact + 4) - first)
-    # A and its mirror image, half a grain apart
+    # A and its mirror image are half a grain apart.
     middle = (first + centre(contact + 1)) / 2 - 1 / (2 * speed)
     spline = CubicSpline((speed * (middle - time))[::-1], overlap[contact][::-1])
     near = np.abs(x) < GRID.period / 4

@@ -1,4 +1,4 @@
-"""Domains of validity, exponents, depth and travel time, which the formulas share."""
+"""Domains of validity, exponents, depth and travel time shared by the formulas."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..util.arrays import Array, numbers, whole_numbers
 
 
 def require(*rules: tuple[str, Any, str]) -> None:
-    """Raise `InputError` for every rule (key, condition, message) that is violated somewhere."""
+    """Raise `InputError` for every rule (key, condition, message) that is violated anywhere."""
     if faults := [(key, message) for key, condition, message in rules if not np.all(condition)]:
         raise InputError(faults)
 
 
 def real(value: ArrayLike, key: str = "values") -> Array:
-    """Return the numbers as float64; raises `InputError` with this key for anything else."""
+    """Return the numbers as float64; raise `InputError` with this key for other values."""
     return numbers(value, key)
 
 
 def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.int64]:
-    """Return whole numbers as int64; raise `InputError` for others and for those below `lowest`."""
+    """Return integers as int64; raise `InputError` for other values and below `lowest`."""
     number = whole_numbers(value, key)
     if lowest is not None:
         require((key, number >= lowest, f"must be {lowest} or more"))
@@ -31,7 +31,7 @@ def whole(key: str, value: ArrayLike, lowest: int | None = None) -> NDArray[np.i
 
 
 class PaperExponents(NamedTuple):
-    """The exponents of the paper that follow from the exponent of the contact force.
+    """The paper's exponents, derived from the exponent of the contact force.
 
     ====== ======== ==================================================
     symbol variable meaning

@@ -1,4 +1,4 @@
-"""Dyson's distribution of force constants (Eq. 23), his exact spectrum, and the sum of Eq. (22)."""
+"""Dyson's distribution of force constants (Eq. 23), its exact spectrum, and the sum of Eq. (22)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
 
 
 def density(kappa: ArrayLike, m: ArrayLike) -> Array:
-    """Return Dyson's own m^m / (m-1)! kappa^(m-1) exp(-m kappa), of mean 1 and variance 1/m.
+    """Return Dyson's density m^m / (m-1)! kappa^(m-1) exp(-m kappa), of mean 1 and variance 1/m.
 
     F. J. Dyson, Phys. Rev. 92, 1331 (1953). Arguments as for `weight`; infinite at kappa = 0 for m
     < 1.
@@ -107,7 +107,7 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
 
 
 def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
-    """Return the share of modes below a frequency in Dyson's exactly solvable random chain.
+    """Return the fraction of modes below a frequency in Dyson's exactly solvable random chain.
 
     All 2N - 1 of its ratios k_n / m_n and k_n / m_(n+1) are independent, with a gamma distribution
     of this shape and rate; F. J. Dyson, Phys. Rev. 92, 1331 (1953). The share is
@@ -145,25 +145,25 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
         ("rate", 0 < rate < np.inf, "must be above 0 and finite"),
     )
     # U(a, c, z) Gamma(a) is the integral of exp(-z t) t^(a-1) (1+t)^(c-a-1) from 0 to infinity,
-    # -z = rate omega^2: through the saddle point in the upper half plane, from where its steepest
-    # descent runs at three quarters of pi
+    # with -z = rate omega^2. The path passes the saddle point in the upper half plane, where the
+    # steepest descent has the angle three quarters of pi.
     scale = rate * square
     discriminant = 0.25 - shape / scale
     saddle = -0.5 + 1j * np.sqrt(np.maximum(-discriminant, 0.04))
     top = np.where(discriminant > 0, np.sqrt(np.maximum(discriminant, 0)) - 0.5, saddle)
     peak = (scale * top + shape * np.log(top / (1 + top))).real
     onward = np.abs(saddle) * np.exp(0.75j * np.pi)
-    # exponent beyond which the integrand is nothing
+    # Exponent beyond which the integrand is negligible.
     far = 60.0
     total = np.zeros((2, *scale.shape), complex)
 
     def add(t: Array, log: Array, speed: Array) -> None:
-        """Add the integrand times d log(t), and that times log(1+t)."""
+        """Add the integrand times d log(t), and the same times log(1+t)."""
         size = np.exp(scale * t + shape * (log - np.log1p(t)) - peak) * speed
         total[:] += size, size * np.log1p(t)
 
-    # further where the peak at the saddle is sharp, for a large shape: at first it falls as a
-    # Gauss function
+    # The range is larger if the peak at the saddle is sharp, for a large shape, because it is then
+    # like a Gaussian at first.
     toward = far / shape + 0.5 + np.log(np.abs(saddle) / np.minimum(np.abs(top), 1))
     beyond = np.log1p((far + 0.4 * shape) / np.sqrt(shape * scale))
     for node, weight in zip(*_panels(), strict=True):
@@ -176,14 +176,14 @@ def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
 
 
 def _panels(count: int = 200) -> tuple[Array, Array]:
-    """Return nodes and weights of Gauss and Legendre in equal panels of the unit interval."""
+    """Return Gauss-Legendre nodes and weights in equal panels of the unit interval."""
     nodes, weights = np.polynomial.legendre.leggauss(16)
     positions = (np.arange(count)[:, None] + (nodes + 1) / 2) / count
     return positions.ravel(), np.tile(weights / 2 / count, count)
 
 
 def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
-    """Return m^m / Gamma(m) kappa^(m - lower) exp(-m kappa), with no large terms that cancel."""
+    """Return m^m / Gamma(m) kappa^(m - lower) exp(-m kappa) without cancellation of large terms."""
     kappa = real(kappa, "kappa")
     m = real(m, "m")
     require(
@@ -194,11 +194,11 @@ def _gamma(kappa: ArrayLike, m: ArrayLike, lower: int) -> Array:
 
 
 def _log_peak(m: Array) -> Array:
-    """Return log(m^m exp(-m) / Gamma(m)), by Stirling's series where m is large."""
+    """Return log(m^m exp(-m) / Gamma(m)), by Stirling's series for large m."""
     small = np.minimum(m, 20.0)
     large = np.maximum(m, 20.0)
     series = (1 / 12 - (1 / 360 - (1 / 1260 - 1 / 1680 / large**2) / large**2) / large**2) / large
-    # the terms of the exact formula cancel where m is large
+    # The terms of the exact formula cancel for large m.
     return np.where(
         m < 20,
         xlogy(small, small) - small - gammaln(small),

@@ -40,7 +40,7 @@ def solve(
     delta: float = 1.5,
     cells: int = 3,
 ) -> Field:
-    """Solve Eq. (27), phi_tautau = (h^xi phi_h)_h, for a column of N grains, the last of them held.
+    """Solve Eq. (27), phi_tautau = (h^xi phi_h)_h, for a column of N grains with grain N fixed.
 
     No flux passes the free top h = 0, so momentum is conserved to round-off; phi is 0 at
     h = N - 1/2. The flux through a face at f between centres a and b is
@@ -90,13 +90,13 @@ def solve(
     eta = exponents(delta).eta
     width = 1 / cells
     middle = cells // 2
-    # the next cell is centred on grain N and held
+    # The next cell is centred on grain N and fixed.
     moving = (grains - 1) * cells + middle
     centre = real(np.arange(moving + 1) + 0.5) * width
     face = np.arange(1, moving + 1) * width
-    # flux over phi_b - phi_a, for a cell of this width
+    # Flux divided by phi_b - phi_a, for a cell of this width.
     rate = eta * face / np.diff(centre**eta) / width
-    # Gershgorin's bound on the frequencies, and velocity Verlet's omega h = 2
+    # Gershgorin's bound on the frequencies, and the limit omega h = 2 of velocity Verlet.
     longest = 0.9 * 2 / np.sqrt(2 * (rate[:-1] + rate[1:]).max(initial=rate[0]))
 
     def begin(key: str, start: Callable[[Array], ArrayLike] | None) -> Array:
@@ -104,7 +104,7 @@ def solve(
             return np.zeros(moving)
         values = start(centre[:-1])
         if np.asarray(values).dtype == bool:
-            # a condition on the depth, which is 1 where it holds
+            # A condition on the depth has the value 1 where it is true.
             values = np.asarray(values, float)
         return np.broadcast_to(real(values, key), moving).copy()
 

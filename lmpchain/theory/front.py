@@ -1,4 +1,4 @@
-"""The front of the wave that a strike on grain 1 sends down a long linear column.
+"""The front of the wave after a strike on grain 1 of a long linear column.
 
 Where the impulse response of the continuum, Eq. (35), is infinite, the grains disperse it over the
 width ``w = [h^(1 - 3 xi/2) / (8 (1 - 3 xi/2))]^(1/3)`` into a fractional derivative of Airy's
@@ -22,7 +22,7 @@ __dir__ = listed(__name__)
 
 
 def decay(delta: float = 1.5) -> tuple[float, float]:
-    """Return p and q: peak velocities fall as n^(-p), peak displacements as n^(-q), after a strike.
+    """Return p and q of the decay: peak velocities as n^(-p), peak displacements as n^(-q).
 
     For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on
     both are xi/4.
@@ -49,7 +49,7 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
     '4.000000000000 1.000000000000'
     """
     xi, eta, _ = exponents(delta)
-    # waves are dispersed at the top, not at the front
+    # For delta >= 3, waves disperse at the top, not at the front.
     if delta >= 3:
         return xi / 4, xi / 4
     a = xi / (2 * eta)
@@ -116,7 +116,7 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
 
 def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the largest velocity of grain n over the velocity of the strike.
+    """Return the largest velocity of grain n relative to the velocity of the strike.
 
     For Hertz it is 0.931768 n^(-4/15) to leading order. Arguments and errors as for `displacement`.
 
@@ -195,7 +195,8 @@ def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
 def _smooth(s: Array, a: float, derivative: int) -> Array:
     """Return an s-derivative of the integral of y^(-a) Ai(y - s) over y > 0, by Gauss-Jacobi."""
     reach = np.maximum(s, 0.0) + 16
-    # Airy's function falls beyond y = s, and the more it oscillates before, the more nodes it takes
+    # The Airy function decays beyond y = s; its oscillations before that determine the number of
+    # nodes.
     x, weight = roots_jacobi(64 + int(reach.max() ** 1.5), 0.0, -a)
     y = reach[..., None] * (1 + x) / 2
     ai, slope, _, _ = airy(y - s[..., None])

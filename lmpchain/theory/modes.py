@@ -1,4 +1,4 @@
-"""Eigenmodes of the linearised chain (Eqs. 14-16), and its frequencies in the continuum."""
+"""Eigenmodes of the linearised chain (Eqs. 14-16), and frequencies in the continuum limit."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from .domain import exponents, real, require, whole
 
 __dir__ = listed(__name__)
 
-# relative gap of modes of one space, and mixture whose square is rounding
+# Relative gap of modes of one eigenspace, and mixing whose square is at rounding level.
 DEGENERATE = 1e-8
-# half the difference of the two rates of a critically damped mode, over its frequency
+# Half the difference of the two rates of a critically damped mode, relative to its frequency.
 CRITICAL = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
 class Eigenmodes:
-    """The eigenmodes of a chain whose M grains move.
+    """The eigenmodes of a chain with M moving grains.
 
     Attributes
     ----------
     frequency : (M,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     shape : (M, M) array
         Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16): ``shape.T @ diag(mass) @
         shape = 1``.
     mass : (M,) array
-        kg.
+        Masses, kg.
     decay : (M,) array or None
         Rate, 1/s, ``(A w^2 + gamma) / 2`` for one A and one gamma: the amplitude of free motion
         falls by ``exp(-decay t)``, its frequency is ``sqrt(w^2 - decay^2)``. None without damping.
@@ -48,7 +48,7 @@ class Eigenmodes:
     def response(
         self, time: ArrayLike, displacement: ArrayLike = 0.0, velocity: ArrayLike = 0.0
     ) -> tuple[Array, Array]:
-        """Return the motion after any initial displacement, Eq. (15), and velocity, by sin(wt)/w.
+        """Return the motion after any initial displacement, Eq. (15), and velocity, with sin(wt)/w.
 
         Damped modes move on by themselves as well, slower than critical ones too.
 
@@ -80,7 +80,7 @@ class Eigenmodes:
         return amplitude @ self.shape.T, rate @ self.shape.T
 
     def free(self, time: Array, amplitude: Array, rate: Array) -> tuple[Array, Array]:
-        """Return amplitudes of the modes and their rates a time later, (..., M).
+        """Return the amplitudes of the modes and their rates after a time, (..., M).
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Eigenmodes:
         """Both rates, 1/s, of the exponentials of every damped mode, the slower one first."""
         assert self.decay is not None
         w = self.frequency
-        # the roots of a critical mode are taken apart by less than shows
+        # The roots of a critical mode are separated by an invisible amount.
         difference = (self.decay - w) * (self.decay + w)
         difference = np.where(
             np.abs(difference) < (CRITICAL * w) ** 2, (CRITICAL * w) ** 2, difference
@@ -163,7 +163,7 @@ def eigenmodes(chain: Chain) -> Eigenmodes:
 
 
 def ground_of(chain: Chain) -> Array:
-    """Return the stiffness of the ground under every grain at rest, of which none may be below 0.
+    """Return the ground stiffness of every grain at rest; raise an error if one is negative.
 
     Parameters
     ----------
@@ -226,7 +226,7 @@ def _squared_rates_of_ground(chain: Chain) -> Array:
 
 
 def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
-    """Return the modes with the decay that the one A and the one gamma of a chain give them.
+    """Return the modes with the decay by the common A and the common gamma of a chain.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
 
 
 def between(stiffness: Array, mass: Array, ground: Array | None = None) -> Eigenmodes:
-    """Return the eigenmodes of M grains between two bodies that stand still, or nothing.
+    """Return the eigenmodes of M grains between two fixed bodies, or free ends.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def between(stiffness: Array, mass: Array, ground: Array | None = None) -> Eigen
     order = np.argsort(frequency)
     frequency = frequency[order]
     shape = shape[:, order]
-    # LAPACK's error is relative to the highest frequency: only low modes suffer from it
+    # LAPACK's error is relative to the highest frequency, so only low modes are inaccurate.
     low = int(frequency.searchsorted(frequency[-1] / 2))
     if low > 1:
         shape[:, :low] = _separate(shape[:, :low], stiffness, mass, ground)
@@ -285,12 +285,12 @@ def _extend(shape: Array) -> Array:
 
 
 def _rayleigh(shape: Array, stiffness: Array, ground: Array) -> Array:
-    """Return the frequencies of modes that are normalised in mass."""
+    """Return the frequencies of mass-normalised modes as Rayleigh quotients."""
     return np.sqrt(stiffness @ _extend(shape) ** 2 + ground @ shape**2)
 
 
 def _separate(shape: Array, stiffness: Array, mass: Array, ground: Array) -> Array:
-    """Return low modes without the share of the others that the diagonalisation mixes into each.
+    """Return low modes after removing the other modes that the diagonalisation mixes into them.
 
     That is ``eps omega_max^2 / gap``. Sums of extensions over contacts give the share of mode j in
     mode i to ``eps omega_i omega_j / gap``; first order, again while it is large; T. Ogita and
@@ -304,7 +304,7 @@ def _separate(shape: Array, stiffness: Array, mass: Array, ground: Array) -> Arr
         overlap = shape.T @ (mass[:, None] * shape)
         squares = np.diag(elastic) / np.diag(overlap)
         gap = squares - squares[:, None]
-        # modes of one frequency are only made orthonormal
+        # Modes of equal frequency are only orthonormalised.
         mixed = (np.eye(squares.size) - overlap) / 2
         apart = np.abs(gap) > DEGENERATE * np.maximum(squares, squares[:, None])
         np.divide(elastic - overlap * squares, gap, out=mixed, where=apart)
@@ -417,8 +417,8 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     frequency = real(frequency, "frequency")
     require(("frequency", frequency >= 0, "must be 0 or more"))
     ratio = np.minimum(1.0, frequency / 2 * depth ** (-xi / 2))
-    # Second term: the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio), taken from
-    # its upper end, from which the integrand decays at least as exp(-steep slope / 2).
+    # The second term is the integral of (ratio cosh s)^steep over 0 < s < arccosh(1/ratio). It
+    # starts from the upper end, from which the integrand decays at least as exp(-steep slope / 2).
     steep = 2 / xi - 1 if xi else np.inf
     slope = np.sqrt(1 - ratio**2)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -430,13 +430,13 @@ def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
 
 
 def _bottom(grains: int) -> float:
-    """Return the depth H of the grain that is held."""
+    """Return the depth H of the fixed grain."""
     return float(whole("grains", grains, 2)) - 0.5
 
 
 def _zero(order: float, k: Array) -> Array:
     """Return the k-th positive zero of J_order, -1/2 <= order <= 0, by Newton's method."""
-    # McMahon's expansion, two terms of it
+    # Two terms of McMahon's expansion.
     z = (k + order / 2 - 0.25) * np.pi
     z = z - (4 * order**2 - 1) / (8 * z)
     for _ in range(6):

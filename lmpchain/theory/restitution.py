@@ -1,4 +1,4 @@
-"""Rebound of two viscoelastic spheres: the coefficient of restitution, exactly and by its series.
+"""Restitution of two viscoelastic spheres, exactly and by a series.
 
 Contacts push with ``K (1 + A d/dt) o^delta`` and end where the overlap o is 0 again. What is left
 of the velocity depends on ``x = delta A (K/m)^(2/5) v^(1/5)`` alone for Hertz's delta = 3/2, with
@@ -24,8 +24,8 @@ from .domain import real, require
 
 __dir__ = listed(__name__)
 
-# Coefficients of the series in x, from x^0. Even powers follow from odd ones, because a
-# collision reversed in time has the damping -A.
+# Coefficients of the series in x, from x^0. Even powers follow from odd ones, because a collision
+# reversed in time has the damping -A.
 COEFFICIENTS = (
     1.0,
     -1.153448858095,
@@ -42,7 +42,7 @@ OneOrTwo = Material | str | Sequence[Any]
 
 
 class SphereCollision(NamedTuple):
-    """Two spheres and how they meet: velocities, m/s, and times A, s."""
+    """Two colliding spheres: velocities, m/s, and times A, s."""
 
     pair: Pair
     velocity: Array
@@ -50,7 +50,7 @@ class SphereCollision(NamedTuple):
 
     @property
     def viscosity(self) -> Array:
-        """A over the unit of time of each collision."""
+        """A relative to the unit of time of each collision."""
         units = [self.pair.time(speed) for speed in self.velocity.flat]
         return self.viscoelastic / np.reshape(units, self.velocity.shape)
 
@@ -62,7 +62,7 @@ def coefficient(
     diameter: float | Sequence[float],
     exponent: float = 1.5,
 ) -> Array:
-    """Return the restitution of two spheres: relative velocity after a collision over that before.
+    """Return the restitution of two spheres: the ratio of relative velocities after and before.
 
     Exact to 1e-12, by the motion itself; for linear springs ``exp(-pi z / sqrt(1 - z^2))`` with
     ``z = A omega / 2`` and ``omega^2 = K / m``. 0 where they stick.
@@ -145,7 +145,7 @@ def _collision(
     diameter: float | Sequence[float],
     exponent: float,
 ) -> SphereCollision:
-    """Return the collision after a look at the input."""
+    """Return the collision after checking the input."""
     speed = real(velocity, "velocity")
     times = real(viscoelastic, "viscoelastic")
     diameters = real(diameter, "diameter")

@@ -1,4 +1,4 @@
-"""Scattering of linear waves by a piece of chain between two uniform leads.
+"""Scattering of linear waves by a chain segment between two uniform leads.
 
 The leads are the ends of the chain, extended: above grain 1 as grain 1 and contact 1, below grain N
 as grain N and contact N - 1. A wave of amplitude 1 comes from above. Transfer matrices carry
@@ -45,9 +45,9 @@ class Transmission(Shown, Tabular):
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     wavenumber : (F,) array
-        Of the lead above, radians a grain, 0 to pi.
+        Wavenumbers in the upper lead, radians per grain, 0 to pi.
     amplitude_reflected, amplitude_transmitted : (F,) complex arrays
         Displacement of grain 1 by the reflected wave, and of grain N by the transmitted one, over
         that of grain 1 by the incoming one; with the time dependence exp(-i w t).
@@ -76,7 +76,7 @@ class Transmission(Shown, Tabular):
     absorbed: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the shares of the energy over frequency, and return the axes."""
+        """Draw the fractions of the energy over frequency, and return the axes."""
         ax = chart(ax, "frequency [Hz]", "share of the energy")
         names = ["transmitted", "reflected"]
         if self.absorbed.any():
@@ -88,7 +88,7 @@ class Transmission(Shown, Tabular):
 
 
 def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
-    """Return reflection and transmission of a chain between two uniform leads, its ends extended.
+    """Return reflection and transmission of a chain between uniform leads that continue its ends.
 
     A wall or a held grain at its ends has no part in it. A. J. Martinez et al., Phys. Rev. E 93,
     052224 (2016), have closed forms for one impurity and two.
@@ -127,12 +127,12 @@ def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reflection(Shown, Tabular):
-    """What comes back from an end of a chain.
+    """Reflection of waves by an end of a chain.
 
     Attributes
     ----------
     frequency : (F,) array
-        rad/s.
+        Frequencies, rad/s.
     amplitude : (F,) complex array
         Displacement of the last grain before the end by the wave that comes back, over that by the
         incoming one; with the time dependence exp(-i w t).
@@ -150,7 +150,7 @@ class Reflection(Shown, Tabular):
     bands: Array
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw the share of the energy over frequency, and return the axes."""
+        """Draw the reflected fraction of the energy over frequency, and return the axes."""
         ax = chart(ax, "frequency [Hz]", "share of the energy that comes back")
         for low, high in self.bands:
             inside = (self.frequency >= low) & (self.frequency <= high)
@@ -223,7 +223,7 @@ def transparent(
     vary: Property = "diameter",
     between: tuple[float, float] = (0.1, 10.0),
 ) -> Array:
-    """Return factors by which to change grains so that a wave passes them unreflected.
+    """Return factors of a grain property at which a wave passes the grains unreflected.
 
     Two like impurities side by side have such a Ramsauer-Townsend resonance where one has none;
     A. J. Martinez et al., Phys. Rev. E 93, 052224 (2016).
@@ -278,12 +278,12 @@ def transparent(
     )
 
     def reflection(logarithm: float) -> float:
-        """Return a real number that is 0 without reflection: r / t of symmetric grains, turned."""
+        """Return a real number that is 0 without reflection: r / t of symmetric grains, rotated."""
         wave = transmission(_change(chain, numbers, vary, np.exp(logarithm)), frequency)
         turn = np.exp(1j * wave.wavenumber * (chain.grains + 1 - numbers[0] - numbers[-1]))
         return float(np.imag(wave.amplitude_reflected / wave.amplitude_transmitted * turn))
 
-    # some resonances are narrow: by default the steps are 1 % of the factor
+    # Some resonances are narrow, so the factor increases by 1 % from step to step by default.
     nodes = np.linspace(np.log(low), np.log(high), 401)
     values = np.array([reflection(x) for x in nodes])
     roots = [
@@ -291,19 +291,19 @@ def transparent(
         for i in np.flatnonzero(values[:-1] * values[1:] < 0)
     ]
     factor = np.exp(roots)
-    # a uniform chain reflects nothing
+    # A uniform chain has no reflection.
     return factor[np.abs(factor - 1) > 1e-9]
 
 
 def _change(chain: Chain, grains: Sequence[int], vary: Property, factor: float) -> Chain:
-    """Return the chain with a property of these grains changed by a factor."""
+    """Return the chain with a property of these grains multiplied by a factor."""
     if vary == "mass":
         impurities = [Impurity(grain=n, mass=float(chain.masses[n - 1]) * factor) for n in grains]
     elif vary == "diameter":
         diameters = chain.diameters
         impurities = [Impurity(grain=n, diameter=float(diameters[n - 1]) * factor) for n in grains]
     else:
-        # a uniform chain has one material
+        # A uniform chain has a single material.
         material: Any = chain.material
         modulus = material.youngs_modulus * factor
         stiffer = material.replace(youngs_modulus=modulus)
@@ -316,7 +316,7 @@ def _scatter(chain: Chain, frequency: Array) -> Transmission:
     mass = chain.masses
     stiffness = chain.linear_stiffness
     square = frequency**2
-    # sin(k/2) and exp(i k/2) in the lead above and in that below
+    # Values of sin(k/2) and exp(i k/2) in the upper and in the lower lead.
     above = frequency / 2 * np.sqrt(mass[0] / stiffness[0])
     below = frequency / 2 * np.sqrt(mass[-1] / stiffness[-1])
     half_above = _half_turn(above)
@@ -330,8 +330,8 @@ def _scatter(chain: Chain, frequency: Array) -> Transmission:
         inertias = [m * (1 + 1j * g / frequency) for m, g in zip(mass, chain.drag, strict=True)]
         viscosity = chain.contact_viscosity[1:-1]
         springs = [k * (1 - 1j * a * frequency) for k, a in zip(stiffness, viscosity, strict=True)]
-    # displacement and force on the contact below, from the transmitted wave upward; the
-    # logarithm of their size apart, as it may leave the range of numbers in a gap
+    # Displacement and force on the contact below, from the transmitted wave upward. The logarithm
+    # of their size is stored separately, because the size may overflow in a gap.
     displacement = np.ones(frequency.shape, complex)
     force = -2j * stiffness[-1] * below * half_below
     logarithm = np.zeros(frequency.shape)
@@ -343,13 +343,13 @@ def _scatter(chain: Chain, frequency: Array) -> Transmission:
         force = force / size
         logarithm = logarithm + np.log(size)
     force = (force - inertias[0] * square * displacement) / stiffness[0]
-    # exp(i k) - 1 and sin(k) in the lead above
+    # Values of exp(i k) - 1 and sin(k) in the upper lead.
     step = 2j * above * half_above
     sine = 2 * above * half_above.real
     incoming = (displacement * step - force) / (2j * sine)
     reflected = (force - displacement * step.conj()) / (2j * sine) / incoming
     transmitted = np.exp(-logarithm) / incoming
-    # energy flows at the rate k sin(wavenumber) times the square of the amplitude
+    # The energy flow is k sin(wavenumber) times the squared amplitude.
     share = stiffness[-1] * below * half_below.real / (stiffness[0] * above * half_above.real)
     returned = np.abs(reflected) ** 2
     passed = np.abs(transmitted) ** 2 * share
@@ -365,7 +365,7 @@ def _scatter(chain: Chain, frequency: Array) -> Transmission:
 
 
 def _half_turn(sine: Array) -> Complex:
-    """Return exp(i k/2) from sin(k/2); of the wave that decays away if that is above 1."""
+    """Return exp(i k/2) for sin(k/2); for sin(k/2) > 1, the value of the decaying wave."""
     travelling = np.sqrt(np.maximum(1 - sine**2, 0))
     decaying = -1j * np.sqrt(np.maximum(sine**2 - 1, 0))
     return np.where(sine <= 1, travelling, decaying) + 1j * sine

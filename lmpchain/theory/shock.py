@@ -1,4 +1,4 @@
-"""Shocks, dispersive shocks and rarefactions of a uniform chain: closed forms of long waves.
+"""Shocks, dispersive shocks and rarefactions of a uniform chain in the long-wave limit.
 
 Over many grains ``m v_t = -F_x, R_t = -v_x`` with the overlap R and ``F = K R^delta``: a gas whose
 sound has the speed ``c(R) = (delta K R^(delta-1) / m)^(1/2)``, grains a second, and whose waves
@@ -35,7 +35,7 @@ __dir__ = listed(__name__)
 
 
 class State(NamedTuple):
-    """A uniform stretch of the chain: velocity, m/s, and overlap of its contacts, m.
+    """A uniform state of the chain: velocity, m/s, and overlap of its contacts, m.
 
     The overlap of open contacts is 0, however wide their gaps are.
     """
@@ -45,7 +45,7 @@ class State(NamedTuple):
 
 
 class Edges(NamedTuple):
-    """Edges of a wave: speeds, grains/s, and the overlap in the leading crest beyond ahead, m."""
+    """Edges of a wave: speeds, grains/s, and the additional overlap in the leading crest, m."""
 
     leading: float
     trailing: float
@@ -54,7 +54,7 @@ class Edges(NamedTuple):
 
 @dataclass(frozen=True)
 class Medium:
-    """A uniform chain as a gas.
+    """A uniform chain in analogy to a gas.
 
     All methods raise `InputError` for a negative overlap: that of an open contact is 0.
 
@@ -65,7 +65,7 @@ class Medium:
     constant : float
         K, N/m^delta.
     mass : float
-        Of a grain, kg.
+        Mass of a grain, kg.
 
     Raises
     ------
@@ -109,16 +109,16 @@ class Medium:
         return float(np.sqrt(slope / self.mass))
 
     def invariant(self, overlap: float) -> float:
-        """Return J, m/s: the velocity of a wave one way, into a chain without overlap."""
+        """Return J, m/s: the velocity behind a simple wave into a chain without overlap."""
         return 2 / (self.exponent + 1) * self.sound(overlap) * overlap
 
     def overlap_at(self, invariant: float) -> float:
-        """Return the overlap at which J has this value, m; 0 below, where contacts open."""
+        """Return the overlap at which J has this value, m; 0 for open contacts."""
         power = 2 / (self.exponent + 1)
         return float((max(invariant, 0.0) / self.invariant(1.0)) ** power)
 
     def behind(self, ahead: State, velocity: float) -> State:
-        """Return the state behind a simple or dispersive wave that a piston drives, m/s.
+        """Return the state behind a simple or dispersive wave that a piston drives.
 
         Grains cannot follow a piston that withdraws faster than the velocity ahead less J. They fly
         at that velocity, and their contacts are open.
@@ -127,7 +127,7 @@ class Medium:
         return State(max(velocity, slowest), self.overlap_at(velocity - slowest))
 
     def between(self, left: State, right: State) -> State:
-        """Return the state that simple or dispersive waves to both sides leave of a step.
+        """Return the state between the simple or dispersive waves that a step emits to both sides.
 
         The velocity is NaN if the contacts open: both sides fly apart, each as `behind` says.
         """
@@ -137,7 +137,7 @@ class Medium:
         return State(velocity, self.overlap_at((above - below) / 2))
 
     def rankine_hugoniot(self, ahead: State, velocity: float) -> tuple[State, float]:
-        """Return the state behind a steady shock, and the speed of that, grains/s.
+        """Return the state behind a steady shock, and the shock speed, grains/s.
 
         Mass and momentum are conserved: ``V (R_b - R_a) = v_b - v_a``, ``m V (v_b - v_a) = F_b -
         F_a``, whatever makes the shock steady.
@@ -154,7 +154,7 @@ class Medium:
             rise = self.force(overlap) - self.force(ahead.overlap)
             return (overlap - ahead.overlap) * rise / self.mass - jump**2
 
-        # Upper bound: K R^(delta+1) = m v^2 in a vacuum, and a load makes the jump smaller.
+        # Upper bound: K R^(delta+1) = m v^2 in a vacuum; a load reduces the jump.
         power = 1 / (self.exponent + 1)
         jump_in_vacuum = float((self.mass * jump**2 / self.constant) ** power)
         low = ahead.overlap
@@ -162,7 +162,7 @@ class Medium:
         return State(velocity, overlap), jump / (overlap - ahead.overlap)
 
     def rarefaction(self, ahead: State, overlap: float) -> Edges:
-        """Return the edges of a rarefaction: the sound speeds ahead of it and behind it.
+        """Return the edges of a rarefaction, which are the sound speeds ahead and behind.
 
         The trailing edge of a rarefaction that opens contacts, overlap 0, stays where it began.
         """
@@ -189,7 +189,7 @@ class Medium:
         return Edges(sound * leading, _above_zero(2 * sound - behind), height)
 
     def toda(self, ahead: State, overlap: float) -> Edges:
-        """Return the exact edges in a Toda chain of the same first two terms of the force."""
+        """Return the exact edges in a Toda chain with equal first two terms of the force."""
         _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:
@@ -200,7 +200,7 @@ class Medium:
         return Edges(leading, _above_zero(sound * (2 - ratio)), 2 * length * np.log(2 * ratio - 1))
 
     def kdv(self, ahead: State, overlap: float) -> Edges:
-        """Return the edges by Korteweg and de Vries's equation, for weak waves."""
+        """Return the edges by the Korteweg-de Vries equation, for weak waves."""
         _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
         if sound == 0:
@@ -222,7 +222,7 @@ class Medium:
 
 
 def _require_overlap(overlap: float) -> None:
-    """Raise `InputError` for the overlap of a gap, of which a power is complex."""
+    """Raise `InputError` for negative overlaps, whose powers would be complex."""
     message = f"must be 0 or more (got {shown(overlap)}): an open contact has the overlap 0"
     require(("overlap", overlap >= 0, message))
 
@@ -234,7 +234,7 @@ def _require_compression(ahead: State, overlap: float) -> None:
 
 
 def _solitary_speed(cosh: float) -> float:
-    """Return sinh(q/2) / (q/2) where cosh(q/2) has a value."""
+    """Return sinh(q/2) / (q/2) for a value of cosh(q/2)."""
     half = np.arccosh(cosh)
     return float(np.sinh(half) / half) if half else 1.0
 

@@ -1,4 +1,4 @@
-"""Solitary waves of the lattice itself, for any exponent, in the sonic vacuum and under a load.
+"""Solitary waves of the lattice, for any exponent, in the sonic vacuum and under a load.
 
 A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at rest, with the excess
 force N(r): ``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``. It is due to J. M.
@@ -50,14 +50,14 @@ __all__ = [
 
 __dir__ = listed(__name__)
 
-SLOWEST = 1.0001  # speed over that of sound
-# exponent: beyond, contacts are so short that a series converges slowly
+SLOWEST = 1.0001  # Smallest Mach number.
+# Largest exponent; for larger ones contacts are so short that a series converges slowly.
 HARDEST = 6.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Soliton(Shown):
-    """A solitary wave, by the distance x from its middle in grains, positive ahead of it.
+    """A solitary wave as a function of the distance x ahead of its middle, in grains.
 
     Attributes
     ----------
@@ -92,17 +92,17 @@ class Soliton(Shown):
     residual: float
 
     def overlap(self, x: ArrayLike) -> Array:
-        """Return the overlap beyond that at rest of a contact at x; it is even in x."""
+        """Return the overlap in excess of rest of a contact at x; it is even in x."""
         logarithm = rows(real(x, "x"), self.series.size, self.reach, self.delta, self.loaded)
         return self.height * np.exp(logarithm @ self.series)
 
     def force(self, x: ArrayLike) -> Array:
-        """Return the force beyond that at rest of a contact at x."""
+        """Return the force in excess of rest of a contact at x."""
         return law(self.delta, self.loaded).force_change(self.overlap(x))
 
     def velocity(self, x: ArrayLike) -> Array:
-        """Return the velocity of a grain at x, positive in the way of travel and even in x."""
-        # the integral of the force over one grain
+        """Return the velocity of a grain at x, positive in the travel direction and even in x."""
+        # The velocity is the integral of the force over one grain.
         s, weight = roots_legendre(96)
         return self.force(real(x, "x")[..., None] + s / 2) @ weight / (2 * self.speed)
 
@@ -110,13 +110,13 @@ class Soliton(Shown):
         """Return the displacement of a grain at x: 0 far ahead of the wave, largest behind it."""
         x = real(x, "x")
         far = np.ceil(self.reach) + 1
-        # contacts further behind are at rest again
+        # Contacts further behind are at rest again.
         nearest = x + 0.5 + np.ceil(np.maximum(-far - x - 0.5, 0.0))
         return self.overlap(nearest[..., None] + np.arange(2 * far + 2)).sum(-1)
 
     @property
     def energy(self) -> float:
-        """Kinetic and contact energy above that at rest."""
+        """Kinetic and contact energy in excess of rest."""
         grains = self._grains
         contact = law(self.delta, self.loaded).energy(self.overlap(grains + 0.5))
         return float((self.velocity(grains) ** 2 / 2 + contact).sum())
@@ -138,7 +138,7 @@ class Soliton(Shown):
         return np.arange(-far, far + 1)
 
     def on(self, chain: Chain, grain: float, downward: bool = True) -> Profile:
-        """Return this wave on a chain, as it passes a grain, in SI units.
+        """Return this wave on a chain at the time when it passes a grain, in SI units.
 
         In the sonic vacuum its largest velocity is that for which it was solved, in m/s.
 
@@ -164,7 +164,7 @@ class Soliton(Shown):
         >>> f"{profile.velocity.max():.4f} m/s"
         '5.2186 m/s'
         """
-        # grain and contact that carry the wave are the units of mass, length and time
+        # The grain and the contact at the wave define the units of mass, length and time.
         check_flags(downward=downward)
         first = self._first_contact(chain, grain)
         mass = float(chain.masses[first])
@@ -173,17 +173,17 @@ class Soliton(Shown):
             length = float(contact.overlap)
             time = np.sqrt(mass / float(contact.stiffness))
         else:
-            # units in which that of velocity is 1 m/s
+            # The unit of velocity is 1 m/s.
             length = (mass / float(contact.constant)) ** (1 / (1 + self.delta))
             time = length
         x = (np.arange(1, chain.grains + 1) - grain) * (1 if downward else -1)
         displacement = self.displacement(x) * length
         velocity = self.velocity(x) * (length / time)
         if not downward:
-            # nothing moves below the wave, where a grain may be held
+            # Grains below the wave do not move, because one of them may be fixed.
             displacement = self.displacement(-2 * self.reach) * length - displacement
             velocity = -velocity
-        # Held grains do not follow the tail of the wave.
+        # Fixed grains do not follow the tail of the wave.
         displacement[chain.movable :] = 0.0
         velocity[chain.movable :] = 0.0
         return Profile(displacement=displacement, velocity=velocity)
@@ -199,10 +199,10 @@ class Soliton(Shown):
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )
-        # one grain beyond where the overlap is 1e-10 of the largest
+        # One grain beyond the point where the overlap is 1e-10 of the largest.
         highest = float(self.overlap(0.0))
         far = 1 + brentq(lambda x: float(self.overlap(x)) / highest - 1e-10, 0.0, 2 * self.reach)
-        # grains that only touch are no part of a wave under a load
+        # Grains that only touch do not take part in a wave under a load.
         low = 1 + far + chain.loose_grains
         high = chain.movable - far
         fits = f"must lie from {low:.1f} to {high:.1f} for the wave to fit the chain"
@@ -217,7 +217,7 @@ class Soliton(Shown):
         return first
 
     def plot(self, ax: Axes | None = None) -> Axes:
-        """Draw overlap, velocity and displacement against x over their largest; return the axes."""
+        """Draw relative overlap, velocity and displacement against x; return the axes."""
         ax = chart(ax, "x − ct (grains)", "over the largest value")
         half = min(self.reach, 3.2 * self.width)
         x = np.linspace(-half, half, 401)
@@ -233,7 +233,7 @@ class Soliton(Shown):
 
 
 def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None = None) -> Soliton:
-    """Return the solitary wave of a speed under a load, or of a velocity in the sonic vacuum.
+    """Return the solitary wave of a speed (with load) or of a velocity (in the sonic vacuum).
 
     Parameters
     ----------
@@ -267,7 +267,7 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     positive = velocity is None or 0 < velocity < np.inf
     require(
         ("delta", 1 < delta <= HARDEST, exponent),
-        ("speed", single, "give it, under a load, or velocity, in the sonic vacuum"),
+        ("speed", single, "must be given under a load, or velocity in the sonic vacuum"),
         ("speed", fast, f"must be above 1, that of sound (got {speed!r})"),
         ("velocity", positive, f"must be above 0 (got {velocity!r})"),
     )
@@ -281,7 +281,7 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
 
 
 def struck(velocity: float, delta: float = 1.5) -> Soliton:
-    """Return the solitary wave under a load whose grains reach a given velocity.
+    """Return the solitary wave under a load whose largest grain velocity is given.
 
     Parameters
     ----------
@@ -309,10 +309,10 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     def excess(r: float) -> float:
         return r * float(long_wave_speed(real(r, "r"), delta)) - velocity
 
-    # the long-wave speed of that overlap is near enough for Newton's method
+    # The long-wave speed of that overlap is close enough for Newton's method.
     overlap = brentq(excess, 1e-4 * velocity, velocity)
     near = float(long_wave_speed(real(overlap, "overlap"), delta))
-    require(("velocity", near > SLOWEST, "is too small: the wave is that of Korteweg and de Vries"))
+    require(("velocity", near > SLOWEST, "is too small: use the Korteweg-de Vries limit"))
     return _make_soliton(float(delta), True, solve_series(float(delta), near, float(velocity)))
 
 

@@ -74,7 +74,7 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
 
 
 def sen_displacement(x: ArrayLike) -> Array:
-    """Return the displacement over the largest, as fitted for Hertz in the sonic vacuum.
+    """Return the relative displacement, as fitted for Hertz's law in the sonic vacuum.
 
     (1 - tanh(f(x)/2))/2 with ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``; S. Sen et al., Phys.
     Rep. 462, 21 (2008).
@@ -107,7 +107,7 @@ def sen_displacement(x: ArrayLike) -> Array:
 
 
 def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
-    """Return the long-wave speed under a load, over the speed of sound.
+    """Return the long-wave speed under a load, relative to the speed of sound.
 
     ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` for Hertz, f being the largest
     over the static force; C. Coste, E. Falcon and S. Fauve, Phys. Rev. E 56, 6104 (1997). The

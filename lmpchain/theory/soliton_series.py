@@ -32,7 +32,7 @@ class Resolution:
     drop : float
         Fall of log(overlap) from the middle to the end of the series.
     residual : float
-        Of the equation, over the largest overlap.
+        Residual of the equation, relative to the largest overlap.
     tails : float
         Weight of residuals over the overlap in the same place.
     stretch : float
@@ -62,35 +62,35 @@ class SolitonSeries(NamedTuple):
 
 
 def long_wave_speed(overlap: Array, delta: float) -> Array:
-    """Return the speed c over that of sound at which ``c^2 r^2`` is twice the contact energy."""
+    """Return the Mach number c at which ``c^2 r^2`` is twice the contact energy."""
     return np.sqrt(2 * law(delta, True).energy(overlap)) / overlap
 
 
 def law(delta: float, loaded: bool) -> Contacts:
-    """Return the contact in the units of the module: stiffness 1 at rest, or constant 1."""
+    """Return the contact law in units of this module: stiffness 1 at rest, or constant 1."""
     constant = 1 / delta if loaded else 1.0
     force = 1 / delta if loaded else 0.0
     return Contacts.at_rest(np.array(constant), np.array(force), power_law(delta))
 
 
 def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Array:
-    """Return the matrix from a series to log(overlap / height) at x, also beyond the reach."""
+    """Return the matrix from a series to log(overlap / height) at x, also outside the reach."""
     x = np.abs(x) / reach
     beyond = np.maximum(x - 1, 0.0)
     z = np.minimum(x, 1.0)
     if loaded:
-        # the logarithm is linear far out, with its structure in the middle
+        # The logarithm is linear far from the middle, and has its structure in the middle.
         b = RESOLUTION.stretch
         z = np.arcsinh(z * np.sinh(b)) / b
         beyond *= np.tanh(b) / b
     else:
-        # the logarithm falls as cosh(rate x); beyond e^20 times its value at the reach r is 0
+        # The logarithm decreases as cosh(rate x); beyond e^20 times its value at the reach, r is 0.
         rate = reach * np.log(delta)
         half = np.minimum(rate * beyond, 20.0) / 2
         beyond = 2 * np.sinh(half) * np.sinh(rate + half) / (rate * np.sinh(rate))
     order = 2 * np.arange(terms)
     inside = np.cos(np.arccos(np.minimum(z, 1.0))[..., None] * order)
-    # the slope of T_k at 1 is k^2
+    # The derivative of T_k at 1 is k^2.
     return inside + beyond[..., None] * order**2
 
 
@@ -107,7 +107,7 @@ def solve_series(delta: float, speed: float | None, velocity: float | None = Non
             series = _newton(delta, speed, velocity, terms, guess, reach)
         if series and series.residual < RESOLUTION.residual:
             return series
-        # a longer series begins with the shorter one
+        # A longer series starts from the shorter one.
         if series:
             guess = partial(_extend, series, delta, speed is not None)
         terms = 3 * terms // 2
@@ -116,7 +116,7 @@ def solve_series(delta: float, speed: float | None, velocity: float | None = Non
 
 
 def _extend(series: SolitonSeries, delta: float, loaded: bool, x: Array) -> Array:
-    """Return log(overlap) by a series that is too short."""
+    """Return log(overlap) from a series that is too short."""
     return rows(x, series.coefficients.size, series.reach, delta, loaded) @ series.coefficients
 
 
@@ -132,7 +132,7 @@ def _newton(
     loaded = speed is not None
     c = speed or 1.0
     contact = law(delta, loaded)
-    # Gauss and Legendre on either half of the kernel
+    # Gauss-Legendre nodes on either half of the kernel.
     y, halves = roots_legendre(40 + round(8 * delta))
     s = np.concatenate((y - 1, y + 1)) / 2
     weight = np.tile(halves, 2) / 2 * (1 - np.abs(s))
@@ -140,7 +140,7 @@ def _newton(
     def basis(x: Array) -> Array:
         return rows(x, terms, reach, delta, loaded)
 
-    # the equation is to hold at Chebyshev's nodes
+    # The equation is collocated at Chebyshev nodes.
     z = np.cos(np.pi * (np.arange(terms) + 0.5) / (2 * terms))
     b = RESOLUTION.stretch
     x = reach * (np.sinh(b * z) / np.sinh(b) if loaded else z)
@@ -155,7 +155,7 @@ def _newton(
         force = contact.force_change(overlap) @ weight
         residual = at @ series - np.log(force) + 2 * np.log(c)
         if not loaded and step < 12:
-            # the shape converges by iteration, of which the scale alone is unstable
+            # The shape converges by iteration; only the scale is unstable.
             series = np.linalg.solve(at, np.log(force))
             series[0] += residual[-1] * delta / (delta - 1)
             continue
@@ -165,7 +165,7 @@ def _newton(
         matrix[-1] = np.append(np.zeros(terms), 1.0)
         closing = 0.0
         if velocity is not None:
-            # c times the velocity is the mean force over one grain
+            # c times the velocity is the mean force over one grain.
             middle = np.exp(within @ series)
             share = np.tile(halves, 2) / 4
             mean = contact.force_change(middle) @ share
@@ -180,12 +180,12 @@ def _newton(
         change *= min(1.0, 3 / size)
         series = series - change[:-1]
         c = float(c * np.exp(-change[-1]))
-        # the next change is its square
+        # Convergence is quadratic: the next change is the square of this one.
         if size < 1e-6:
             break
     else:
         return None
-    # between the nodes, where nothing makes it hold
+    # Residuals between the nodes, where the equation is not enforced.
     between = np.linspace(0, reach, 4 * terms + 1)
     overlap = np.exp(basis(between) @ series)
     force = contact.force_change(np.exp(basis(between[:, None] + s) @ series)) @ weight
@@ -196,23 +196,23 @@ def _newton(
 
 def _guess(delta: float, speed: float | None) -> tuple[Callable[[Array], Array], float]:
     """Return an approximation of log(overlap), and the reach over which it falls by e^45."""
-    # second derivative of Nesterenko's log(overlap) in the middle
+    # Second derivative of Nesterenko's log(overlap) in the middle.
     bend = 2 * (delta - 1) * 6 / (delta * (delta + 1))
     drop = RESOLUTION.drop
     if speed is None:
         rate = np.log(delta)
         reach = float(np.arccosh(1 + drop * rate**2 / bend) / rate)
         return lambda x: -bend / rate**2 * (np.cosh(rate * x) - 1), reach
-    # log(overlap) of the long-wave soliton, in closed form where it is strong or weak
+    # The long-wave soliton has log(overlap) in closed form in the strong and in the weak limit.
     strong = np.log(delta * (delta + 1) / 2 * speed**2) / (delta - 1)
     weak = np.log(6 * (speed - 1) / (delta - 1)) - 1
     low = min(weak, strong) - 3
     high = max(weak, strong) + 3
     highest = brentq(lambda y: float(long_wave_speed(np.exp(y), delta)) - speed, low, high)
-    # the tail falls as exp(-kappa x), sinh(kappa/2) = c kappa/2
+    # The tail decays as exp(-kappa x) with sinh(kappa/2) = c kappa/2.
     furthest = 2 * np.log(speed) + 10
     kappa = 2 * brentq(lambda z: float(np.sinh(z) / z) - speed, 1e-9, furthest, xtol=1e-15)
-    # sech^power has that tail and the curvature of Nesterenko's wave
+    # A power of sech has this tail and the curvature of Nesterenko's wave.
     power = max(2.0, kappa**2 / bend)
 
     def logarithm(x: Array) -> Array:

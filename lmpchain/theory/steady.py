@@ -1,4 +1,4 @@
-"""The steady answer of a linear chain to a sinusoidal drive, with or without damping."""
+"""Steady response of a linear chain to a sinusoidal drive, with or without damping."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def dynamic_stiffness(chain: Chain, omega: float) -> NDArray[np.complex128]:
 
 
 def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
-    """Return u of the motion ``Im(u exp(i w t))`` in which the linearised chain follows a drive.
+    """Return the amplitudes u of the response ``Im(u exp(i w t))`` of the linearised chain.
 
     It solves ``(K (1 + i w A) - m w^2 + i w gamma m) u = f``, with the times A and the rates gamma
     of `Damping`.

@@ -1,4 +1,4 @@
-"""Response of the continuum to a strike on the top, Eq. (35), causal and as printed."""
+"""Response of the continuum to a strike on the top, Eq. (35), in causal form and as printed."""
 
 from __future__ import annotations
 
@@ -103,15 +103,15 @@ def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[
     n = whole("n", n, 1)
     tau = real(tau, "tau")
     require(("tau", tau >= 0, "must be 0 or more"))
-    # the two parameters of the incomplete beta function
+    # Parameters of the incomplete beta function.
     order = 1 / eta
     complement = 1 - xi / (2 * eta)
 
     def below(h: Array) -> tuple[Array, Array]:
-        """Return the integral of both over depths above h."""
+        """Return the integrals of both over depths above h."""
         travel, time = np.broadcast_arrays(chi(h, delta), tau)
         x = np.divide(travel, time, out=np.where(travel > 0, np.inf, 0.0), where=time > 0)
-        # the slope is infinite on the light cone itself
+        # The slope is infinite on the light cone.
         inside = np.minimum(x, np.nextafter(1.0, 0.0))
         share = np.where(x < 1, betainc(order, complement, inside**2), 1.0)
         slope = (

@@ -1,4 +1,4 @@
-"""Accumulate largest values, fronts and closest approaches along the samples of a motion."""
+"""Accumulation of largest values, fronts and closest approaches along the samples of a motion."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .between.viscous_forces import ViscousContact, largest_force
 
 Field = Literal["velocity", "displacement"]
 KINDS = {"displacement": DISPLACEMENT, "velocity": VELOCITY}
-FRACTION = 0.5  # of the largest size of a grain, that its front has at least by default
+FRACTION = 0.5  # Default fraction of a grain's largest size that a front must reach.
 
 
 def viscous_contact(chain: Chain, number: int) -> ViscousContact:
@@ -105,7 +105,7 @@ class Accumulator:
         self.state: dict[str, Any] = start
         if state:
             self.state = {name: np.array(state.get(name, start[name])) for name in start}
-            # These two arrays grow. The shapes of the others reveal the state of another scene.
+            # These two arrays grow. The shapes of the others reveal a state of a different scene.
             fixed = start.keys() - {"log", "before"}
             if any(self.state[name].shape != start[name].shape for name in fixed):
                 raise ValueError("the state that was kept does not fit")
@@ -128,7 +128,7 @@ class Accumulator:
         if begin < end and (ends or len(u) > 3 or self.scene.chain.conservative):
             self._take_intervals(u, v, Window(base, begin - base, end - base))
             state["interval"] = np.array(end)
-        # The neighbours of the next interval enter its error, too.
+        # The next interval also needs its neighbours for its error.
         state["before"] = np.array([u[-3:], v[-3:]])
 
     def take_all(self, u: Array, v: Array, levels: Array) -> None:
@@ -191,13 +191,13 @@ class Accumulator:
         return estimate(self.state["fast" if field == "velocity" else "far"], error)
 
     def closest(self, row: int, error: float) -> tuple[Array, Array]:
-        """Return the closest approach of a contact beyond that at rest, and its error, (1,) m."""
+        """Return the closest approach of a contact from rest, and its error, (1,) m."""
         return estimate(self.state["closest"][row][:, None], error)
 
     def arrivals(self, error: float) -> Array:
         """Return the arrival time of the front at each grain, and its error, (2, G) s."""
         log = self.state["log"]
-        # The log has the events of all grains, block after block.
+        # The log contains the events of all grains, block after block.
         log = log[np.argsort(log["grain"], kind="stable")]
         return arrivals(*self._maxima(log), self._rules(FRACTION, error, error))
 

@@ -16,7 +16,7 @@ from .dump_frames import Frames
 
 
 class DumpChecks(NamedTuple):
-    """Limits within which a dump fits a scene.
+    """Limits within which a dump matches a scene.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class DumpChecks(NamedTuple):
         Largest diameter of grains that are drawn smaller than they are, over the largest overlap:
         ten times what decks of ours take at most.
     levels : int
-        Least number of steps of the last digit of a height that the motion must span.
+        Smallest number of units in the last digit of a height that the motion must span.
     """
 
     start: float = 1e-6
@@ -53,7 +53,7 @@ class DumpChecks(NamedTuple):
 
 
 class SampledMotion(NamedTuple):
-    """How finely the motion must be sampled for its changes to be compared with its rates.
+    """Sampling limits within which changes of the motion can be compared with its rates.
 
     Angles are omega h / 2, half of what the fastest motion turns through from frame to frame.
 
@@ -96,7 +96,7 @@ class DumpedMotion(NamedTuple):
     order : (N,) array
         Columns of the dump in the order of the grains.
     displacement, velocity : (T, N) arrays
-        m and m/s.
+        Motion, m and m/s.
     """
 
     down: float
@@ -106,7 +106,7 @@ class DumpedMotion(NamedTuple):
 
 
 class FirstFrame(NamedTuple):
-    """Where the grains are in the first frame.
+    """Positions of the grains in the first frame.
 
     Attributes
     ----------
@@ -153,7 +153,7 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
     if np.isnan(frames.times).all():
         return
     times = frames.times - frames.times[0]
-    # A missing or infinite time fails this comparison, too.
+    # A missing or infinite time also fails this comparison.
     if not (np.abs(times - scene.time) <= CHECKS.clock * scene.duration).all():
         raise InputError.at(
             name,
@@ -176,7 +176,7 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
 
 
 def find_misfit(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
-    """Return the difference of the first frame from the initial state of the scene, or ""."""
+    """Return the difference of the first frame from the scene's initial state, or ""."""
     gauge = drawn_diameter(scene, motion, first)
     distance, overlap = ("", "") if gauge else _find_gap(scene, motion, first)
     # Wrong distances have many consequences; overlaps also differ by wrong initial displacements.
@@ -184,7 +184,7 @@ def find_misfit(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
 
 
 def _find_start(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
-    """Return the first grain with a wrong initial state, in words, or ""."""
+    """Return the first grain with a wrong initial state as text, or ""."""
     u, v = scene.initial()
     rounding = 1e-15 * np.abs(first.depths).max()
     for quantity, unit, values, start, slack in (
@@ -213,7 +213,7 @@ def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
 
 
 def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
-    """Return the diameter with which all grains are drawn, m, or 0 if they have their own.
+    """Return the gauge diameter with which all grains are drawn, m; 0 if they have their own.
 
     Decks of ours draw grains a few overlaps large, where heights would lose digits else.
     """
@@ -230,7 +230,7 @@ def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> flo
 
 
 def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[str, str]:
-    """Return a distance, or else an overlap, of the first frame that differs from the scene."""
+    """Return a wrong distance or overlap in the first frame as text, or ""."""
     chain = scene.chain
     gaps = np.diff(first.depths)
     lengths = chain.contact_lengths[1:-1]
@@ -315,7 +315,7 @@ def check_course(
     # Velocities of a driven or forced grain may jump between samples.
     lawful = _lawful(scene)
     # In a vacuum the neighbours of a forced grain may hardly move. Digits of the dump below the
-    # accuracy of the solution do not count.
+    # accuracy of the solution are ignored.
     digit = max(digit, CHECKS.start * float(np.abs(motion.displacement).max()))
     u = motion.displacement[:, lawful]
     v = motion.velocity[:, lawful]
@@ -334,7 +334,7 @@ def check_course(
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
             f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
         )
-    # Damping forces depend on velocities as well, and those of the ground on the time.
+    # Damping forces also depend on velocities, and ground forces may depend on the time.
     if angle > SAMPLED.forces or not scene.chain.conservative:
         return
     acceleration = _accelerations(scene, motion)[:, lawful]
@@ -394,7 +394,7 @@ def _excess(ratio: float, doubt: float) -> float:
 
 
 def _lawful(scene: Scene) -> np.ndarray:
-    """Return the indices of the grains on which only the chain acts."""
+    """Return the indices of the grains that only the chain accelerates."""
     moving = np.arange(scene.chain.movable)
     return moving[moving != scene.excitation.acts_on - 1]
 

@@ -33,30 +33,30 @@ SIDES = slice(4, 7)
 ATOMS = 7
 HEADER = 8
 LABELS = {COUNT_LABEL: b"ITEM: NUMBER OF ATOMS", BOX: b"ITEM: BOX BOUNDS", ATOMS: b"ITEM: ATOMS"}
-LONGEST_LINE = 2**14  # bytes: a small file could unpack to a line that fills the memory
-MOST_ATOMS = 2.0**53  # numbers of atoms from which doubles are not exact
+LONGEST_LINE = 2**14  # Bytes; a small file could unpack to a line that fills the memory.
+MOST_ATOMS = 2.0**53  # Numbers of atoms above this value are not exact in doubles.
 COUNT_DIGITS = re.compile(rb"\d{1,18}")
 AXES = ("x", "y", "z")
 UNWRAPPED = ("xu", "yu", "zu")
 IMAGES = ("ix", "iy", "iz")
 MOTION = ("vx", "vy", "vz", "v_phi")
-CLOCK = "v_time"  # of decks of ours, as a line ITEM: TIME makes dumps unreadable for MDAnalysis
+CLOCK = "v_time"  # Used by our decks, because MDAnalysis cannot read ITEM: TIME.
 GRAINS = ("radius", "diameter", "mass")
 TYPE = "type"
 COLUMNS = "dump custom ... id x y z vz v_phi, with dump_modify format float %.17g"
 
 
 class Frames(NamedTuple):
-    """The frames of a dump of N atoms, T in number, in the order of their steps.
+    """The T frames of a dump of N atoms, ordered by step.
 
     Attributes
     ----------
     numbers : (N,) array
-        Of the atoms.
+        Numbers of the atoms.
     steps : (T,) array
         Numbers of the time steps.
     times : (T,) array
-        s; NaN where the dump does not tell.
+        Times, s; NaN if the dump does not contain them.
     sides : (T, 3) array
         Lengths of the box along x, y and z, m.
     periodic : (3,) array of bool
@@ -64,7 +64,7 @@ class Frames(NamedTuple):
     columns : dict
         (T, N) arrays by name, ordered by atom number, as they are written.
     units : Units
-        Of the columns.
+        Units of the columns.
     """
 
     numbers: np.ndarray
@@ -160,7 +160,7 @@ def read_frames(
 
 
 def count_atoms(path: Path) -> int:
-    """Return the number of atoms in the first frame of a dump; 0 if it does not say."""
+    """Return the number of atoms in the first frame of a dump; 0 if it is not stated."""
     with _open(path) as opened:
         for _ in range(HEADER):
             if opened.readline(LONGEST_LINE).startswith(LABELS[COUNT_LABEL]):
@@ -202,7 +202,7 @@ def _whole_frames(
     units: str | Sequence[float] | None,
     scales: list[Units],
 ) -> Iterator[_Frame]:
-    """Yield each whole frame; frames cut short are left out. Units of frames go to `scales`."""
+    """Yield each whole frame, skipping truncated ones; append units of frames to `scales`."""
     lines = _lines(name, opened)
     time = np.nan
     frame = _Frame(time, [])
@@ -233,7 +233,7 @@ def _time(name: str, line: bytes) -> float:
 
 
 def _is_whole(name: str, frame: _Frame, grains: int) -> bool:
-    """Return whether a frame has all lines; raise `InputError` if it is of another column."""
+    """Return whether a frame is complete; raise `InputError` if it has other columns."""
     lines = frame.lines
     if len(lines) < HEADER:
         return False
@@ -284,7 +284,7 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         atoms = np.loadtxt(lines[HEADER:], usecols=indices, ndmin=2, comments=None)
         if len(atoms) != grains:
             raise ValueError(f"an atom has no line at step {step}")
-        # A restarted run writes frames again: the last one counts.
+        # A restarted run writes some frames again; the last one is used.
         rows[step] = _sort(atoms)
         numbers = np.sort(atoms[:, 0])
         times[step] = frame.time

@@ -1,4 +1,4 @@
-"""The grains of a LAMMPS dump whose scene is not known yet."""
+"""The grains of a LAMMPS dump without a known scene."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .dump_frames import AXES, TYPE, Frames, count_atoms, is_dump, read_frames
 from .lammps_dump import last_digit
 
 MOST_FRAMES = 10**6
-FULL_DIGITS = 4.0  # units in the last place of a double, up to which no digits are lost
-STARTED = 1e-6  # of the largest velocity, below which nothing moves in the first frame
+FULL_DIGITS = 4.0  # Error in units in the last place up to which a number has full precision.
+STARTED = 1e-6  # Fraction of the largest velocity below which nothing moves in the first frame.
 
 
 def scene_of_run(
@@ -28,7 +28,7 @@ def scene_of_run(
     options: RunOptions | None = None,
     units: str | Sequence[float] | None = None,
 ) -> Understood:
-    """Return the fields of the scene of a run of LAMMPS, and what was understood.
+    """Return the fields of the scene of a LAMMPS run, and the findings about the run.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def scene_of_run(
         If the files are not understood, or something is missing.
     """
     dumps, inputs = _sorted_files(paths)
-    # A dump that does not name its units has those of its input.
+    # A dump that does not name its units uses those of its input.
     own = units if units is not None or not inputs else units_of(inputs[0])
     grains = read_grains(dumps[0], own) if dumps else None
     source = LammpsInput(inputs[0], grains, units) if inputs else None
@@ -55,7 +55,7 @@ def scene_of_run(
 
 
 def _sorted_files(paths: Sequence[str | PathLike[str]]) -> tuple[list[Path], list[Path]]:
-    """Return the dump, and the input or data file, among these files, at most one of each."""
+    """Return the dump and the input or data file among these files, at most one of each."""
     files = [expanded(path) for path in paths]
     for file in files:
         if not file.is_file():
@@ -69,7 +69,7 @@ def _sorted_files(paths: Sequence[str | PathLike[str]]) -> tuple[list[Path], lis
 
 
 def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGrains:
-    """Return the grains of the first frame of a dump, and what its other frames say of them."""
+    """Return the grains of a dump's first frame, and findings from its other frames."""
     name = str(path)
     count = count_atoms(path)
     if not count:
@@ -145,7 +145,7 @@ def _check_motion(name: str, positions: Array, velocities: Array, along: int) ->
 
 
 def _held(z: Array) -> np.ndarray:
-    """Return which grains never move although a neighbour does, from positions (T, N)."""
+    """Return a mask of grains that never move although a neighbour does, from positions (T, N)."""
     moved = np.abs(z - z[0]).max(0)
     order = np.argsort(z[0])
     held = np.zeros(len(order), dtype=bool)
@@ -163,7 +163,7 @@ def _held(z: Array) -> np.ndarray:
 
 
 def _likely_step(frames: Frames, z: Array, v: Array) -> float:
-    """Return the time step with which positions change as velocities say, s; 0 if unknown."""
+    """Return the time step at which positions and velocities agree, s; 0 if unknown."""
     rates = (v[1:] + v[:-1]) / 2 * np.diff(frames.steps)[:, None]
     size = float(np.square(rates).sum())
     step = float((np.diff(z, axis=0) * rates).sum()) / size if size > 0 else 0.0

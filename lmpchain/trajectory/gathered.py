@@ -26,7 +26,7 @@ QUANTITIES = {
     "arrival_time": Quantity(
         ("grain",), "s", "when the front passes, by the velocity (measure.front.track)"
     ),
-    # The number of the contact follows.
+    # The number of the contact follows this name.
     "peak_force": Quantity((), "N", "largest force at any time of contact"),
     "force": Quantity((TIME,), "N", "force of contact"),
 }
@@ -48,7 +48,7 @@ class ArrayLayout(NamedTuple):
 
 
 def file_name(name: str) -> str:
-    """Return the name of a quantity in files, where names hold no colon.
+    """Return the name of a quantity in files, in which names contain no colon.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def energies(scene: Scene) -> dict[str, ArrayLayout]:
 def variables(
     scene: Scene, values: dict[str, Any]
 ) -> dict[str, tuple[tuple[str, ...], Any, dict[str, str]]]:
-    """Return dimensions, values and metadata of gathered arrays, by name in files."""
+    """Return dimensions, values and metadata of accumulated arrays, by name in files."""
     layouts = arrays(scene)
     return {
         file_name(name): (layouts[name].dimensions, array, layouts[name].labels)
@@ -120,7 +120,7 @@ def numbers(scene: Scene, values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(values: Any) -> Any:
-    """Return numbers as lists of Python; None replaces what is not finite."""
+    """Return numbers as lists of Python numbers, with None for NaN and infinity."""
     given = np.asarray(values, dtype=object)
     given[~np.isfinite(np.asarray(values, dtype=float))] = None
     return given.tolist()

@@ -1,4 +1,4 @@
-"""Read displacements and velocities from LAMMPS dumps of `lmpchain deck` or of other decks."""
+"""Reading of displacements and velocities from LAMMPS dumps of `lmpchain deck` or other decks."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class _Column(NamedTuple):
     Attributes
     ----------
     z, vz : (T, N) arrays
-        m and m/s.
+        Positions, m, and velocities, m/s.
     v_phi : (T, N) array or None
         Displacements, m, where the dump has them.
     slack : float
@@ -76,7 +76,7 @@ def read_dump(
         raise InputError.at(
             name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
         )
-    # Use the numbers of the file, because sums with box lengths have other digits.
+    # The numbers of the file are used, because sums with box lengths have different digits.
     written = frames.columns[frames.position_columns[AXES.index(axis)]]
     length, *_, velocity = frames.units
     z = frames.positions(axis)
@@ -142,7 +142,7 @@ def _orient(
     z, vz, v_phi, slack = column
     faults = []
     for down in directions:
-        # Grains are numbered from the top, whatever the numbers of the atoms.
+        # Grains are numbered from the top, independent of the atom numbers.
         order = np.argsort(down * z[0], kind="stable")
         if v_phi is not None:
             displacement = v_phi[:, order]
@@ -175,7 +175,7 @@ def _find_axis(name: str, frames: Frames) -> str:
 
 
 def _describe_precision(digit: float, speed_digit: float, motion: DumpedMotion) -> str:
-    """Return the precision of a dump in words, given its last digits, m and m/s."""
+    """Return the precision of a dump as text, given its last digits, m and m/s."""
     texts = []
     for quantity, unit, last, values in (
         ("displacement", "m", digit, motion.displacement),

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = False) -> None:
     """Write a trajectory; see `lmpchain.Trajectory.save`."""
-    # Importing xarray, which writes the same file, takes longer than most runs.
+    # Importing xarray, which could write the file, takes longer than most runs.
     import h5netcdf
 
     # HDF5 crashes the process when a disk is full, so it writes to memory.
@@ -39,7 +39,7 @@ def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = Fa
 
 
 def read_netcdf(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
-    """Return metadata, scene and arrays of a file; raise an error for a damaged or foreign file.
+    """Return metadata, scene and arrays of a file; raise an error if it is damaged or foreign.
 
     Only plain arrays in the file itself are read, after a check of their declared size.
     """
@@ -71,7 +71,7 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
     """Return an array with this shape that is stored in this file as one block."""
     import h5py
 
-    # A link may point to any other file of the user.
+    # A link may refer to any other file of the user.
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
         raise ValueError(f"its {name} is not in the file, or a link")
     array = file[name]

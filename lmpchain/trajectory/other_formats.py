@@ -11,16 +11,16 @@ import numpy as np
 from ..util.files import write_aside
 from .record import Record
 
-HEAD = 2**12  # bytes that are looked at
+HEAD = 2**12  # Number of bytes that are examined.
 NUMERAL = rb"[+-]?[\d.]+(?:[eE][+-]?\d+)?"
 DECK = rb"(?:units|atom_style|pair_style|pair_coeff|read_data|boundary|timestep|fix|run)[ \t]+\S"
-# Each format, and how its files begin.
+# Formats, and patterns of the first bytes of their files.
 OTHER_FORMATS = {
     "a NumPy array (npy)": rb"\x93NUMPY",
     "a ZIP archive, such as npz": rb"PK\x03\x04",
     "a file that gzip has packed": rb"\x1f\x8b",
     "a NetCDF 3 file": rb"CDF[\x01\x02\x05]",
-    # HDF5 would hang on some damaged files, so the name of the group is sought in the bytes.
+    # HDF5 would hang on some damaged files, so the group name is searched in the bytes.
     "an H5MD file": rb"(?s:\x89HDF.*\bh5md\b)",
     "an extended XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*Properties=",
     "an XYZ file": rb"\s*\d+[ \t\r]*\n[^\n]*\n\s*\w+(?:[ \t]+" + NUMERAL + rb"){3}",
@@ -50,7 +50,7 @@ READABLE = (
 
 
 def describe_other_format(path: Path) -> str:
-    """Return the format of another program's file, with a remedy, in words; "" if unknown."""
+    """Return the format of a foreign file as text, with a remedy; "" if unknown."""
     try:
         with open(path, "rb") as file:
             head = file.read(HEAD)

@@ -11,7 +11,7 @@ from ..util.plotting import Axes, chart, draw_map, thin_rows
 from .record import Record
 
 UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
-MOVING = 1e-3  # share of the largest motion below which a grain counts as at rest
+MOVING = 1e-3  # Fraction of the largest motion below which a grain counts as at rest.
 
 
 def draw_motion(

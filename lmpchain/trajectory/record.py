@@ -16,14 +16,14 @@ from ..util.arrays import Array
 from ..util.tables import counted
 from . import gathered
 
-FORMAT = 1  # version of the files
+FORMAT = 1  # Version of the file format.
 DIMENSIONS = ("time", "grain")
 FIELDS = ("displacement", "velocity")
-ROUNDED = 1e-9  # of a duration, by which steps of one length may exceed it
+ROUNDED = 1e-9  # Rounding tolerance relative to the duration, by which equal steps may exceed it.
 # An error of 2 means that nothing is known, because two motions differ by at most twice the larger
 # one.
 LARGEST_ERROR = 2.0
-DATA_TYPES = {"grain": "int64"}  # all other arrays are of float64
+DATA_TYPES = {"grain": "int64"}  # All other arrays are of type float64.
 # Metadata of a file.
 ATTRIBUTES = (
     "lmpchain_format",
@@ -75,7 +75,7 @@ class ErrorEstimate:
 
     @property
     def remark(self) -> str:
-        """Explanation of an estimate of 0 or 2, empty for any other one."""
+        """Explanation of an estimate of 0 or 2; empty for other values."""
         if self.total == 0:
             return ", because no recorded grain can move"
         if LARGEST_ERROR <= self.total < math.inf:
@@ -108,7 +108,7 @@ class Cost(NamedTuple):
         return self.integration_s + self.estimate_s + self.setup_s
 
     def steps_over(self, duration: float) -> str:
-        """Return the number and the length of the steps of a run of this length, s, in words.
+        """Return the number and the length of the steps of a run of this duration, s, as text.
 
         Examples
         --------
@@ -122,7 +122,7 @@ class Cost(NamedTuple):
 
 
 def steps_over(count: int, step: float, duration: float) -> str:
-    """Return the number and the length of the steps of a run in words; `step` is the largest, s."""
+    """Return the number and length of a run's steps as text; `step` is the largest, s."""
     steps = counted(count, "step")
     # Adaptive steps are shorter while contacts open and close.
     if count * step > duration * (1 + ROUNDED):
@@ -131,7 +131,7 @@ def steps_over(count: int, step: float, duration: float) -> str:
 
 
 class Block(NamedTuple):
-    """A block of the solution: realisations x samples x recorded grains.
+    """A block of the solution: realisations, samples and recorded grains.
 
     `columns` are the recorded grains that it holds; the others are still at equilibrium. A block
     without samples lets the caller show progress or stop while the engine is at work, and if it is

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from MDAnalysis import Universe
 
-DRAWN_VALUES = 4_000_000  # of larger trajectories a notebook shows no picture unasked
+DRAWN_VALUES = 4_000_000  # A notebook shows larger trajectories without a picture.
 
 
 class Trajectory(Shown, Record, Tabular):
-    """The solution of a scene by an engine: the arrays of `Record`, in and out of files.
+    """The solution of a scene by an engine: the arrays of `Record` with file formats.
 
     Attributes
     ----------
@@ -37,11 +37,11 @@ class Trajectory(Shown, Record, Tabular):
     equation : int
         Number in the paper of the equation solved.
     time : (T,) array
-        s.
+        Times, s.
     grains : (G,) array
         Numbers of the recorded grains, from 1 at the top.
     displacement, velocity : (T, G) arrays
-        From equilibrium, positive downward; m and m/s.
+        Motion from equilibrium, positive downward; m and m/s.
     error_estimate : ErrorEstimate
     cost : Cost
     provenance : dict
@@ -92,7 +92,7 @@ class Trajectory(Shown, Record, Tabular):
     def plot(
         self, ax: Axes | None = None, field: Literal["velocity", "displacement"] = "velocity"
     ) -> Axes:
-        """Draw the motion over time and depth, downward red, upward blue; return the axes.
+        """Draw the motion over time and depth, downward in red, upward in blue; return the axes.
 
         The colours saturate at the median of the largest sizes of the grains that move, so that the
         wave can be seen where it has become weak.
@@ -108,7 +108,7 @@ class Trajectory(Shown, Record, Tabular):
         return draw_motion(self, field, ax)
 
     def to_xarray(self) -> xarray.Dataset:
-        """Return a labelled dataset of time and grain; stored arrays stay on the disk."""
+        """Return a labelled dataset over time and grain; stored arrays stay on disk."""
         import xarray
 
         variables = {
@@ -128,7 +128,7 @@ class Trajectory(Shown, Record, Tabular):
         write_netcdf(self, path, overwrite)
 
     def to_extxyz(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write extended XYZ for OVITO, ASE and others: one text file, one frame a sample.
+        """Write extended XYZ for OVITO, ASE and others: one text file with a frame per sample.
 
         The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
         0 (as in a deck), id (number of the grain), radius in m, masses in kg, displacement in m,
@@ -177,7 +177,7 @@ class Trajectory(Shown, Record, Tabular):
         axis: str | None = None,
         units: str | Sequence[float] | None = None,
     ) -> Trajectory:
-        """Read a LAMMPS dump of `lmpchain deck` or of your own deck as the trajectory of a scene.
+        """Read a LAMMPS dump of `lmpchain deck` or another deck as the trajectory of a scene.
 
         Grains are numbered by their heights in the first frame, from the top, whatever the numbers
         of their atoms. The column stands along the axis on which they are farthest apart; the gaps
@@ -221,7 +221,7 @@ class Trajectory(Shown, Record, Tabular):
 
     @classmethod
     def load(cls, path: str | PathLike[str]) -> Trajectory:
-        """Read a file that `save` wrote, or a run folder; raise `InputError` for anything else.
+        """Read a file written by `save`, or a run folder; raise `InputError` for other files.
 
         The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run,
         the complete samples are returned with the error estimate so far, relative to the motion so

@@ -1,4 +1,4 @@
-"""A run folder as an xarray dataset, by `xarray.open_dataset("folder")`."""
+"""A run folder as an xarray dataset for `xarray.open_dataset("folder")`."""
 
 from __future__ import annotations
 

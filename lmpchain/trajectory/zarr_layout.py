@@ -1,4 +1,4 @@
-"""Layout of the arrays of a run folder in their Zarr store, and its check.
+"""Layout of a run folder's arrays in their Zarr store, and its check.
 
 The check reads plain JSON and file names only: no codec is made and no chunk opened before it has
 passed.
@@ -16,9 +16,9 @@ from ..scene.scene import Scene
 from ..util.files import LARGEST_JSON, check_readable
 from .record import DATA_TYPES, FIELDS, shapes
 
-MOST_SHRUNK = 1000  # times that a codec shrinks numbers which count up
+MOST_SHRUNK = 1000  # Largest factor by which a codec compresses consecutive numbers.
 SHRUNK = ["bytes", "blosc", "crc32c"]
-SHRUNK_ONCE = ["bytes", "zstd"]  # the numbers of the grains in older stores
+SHRUNK_ONCE = ["bytes", "zstd"]  # Codecs of the grain numbers in older stores.
 INDEX = ["bytes", "crc32c"]
 KEYS = {
     "shape",
@@ -50,11 +50,11 @@ class ChunkSizes(NamedTuple):
     Attributes
     ----------
     samples : int
-        In a shard, or a multiple that fills a chunk.
+        Number in a shard, or a multiple that fills a chunk.
     grains : int
-        Most in a chunk: the trace of a grain and a snapshot are then both read in some 20 ms.
+        Largest number in a chunk: a grain's trace and a snapshot are then read in some 20 ms.
     times : int
-        Least in a chunk.
+        Smallest number in a chunk.
     """
 
     samples: int = 16
@@ -81,7 +81,7 @@ def file_shapes(samples: int, grains: int) -> dict[str, Piece]:
 
 
 def stores(scene: Scene, present: Collection[str]) -> dict[str, Piece]:
-    """Return the shapes of the files of each array of a scene; see `pieces` and `shapes`."""
+    """Return the file shapes of each array of a scene; see `pieces` and `shapes`."""
     return shapes(scene, present) | file_shapes(scene.samples, scene.count(scene.chain))
 
 
@@ -124,7 +124,7 @@ def check_layout(store: Path, scene: Scene) -> None:
         codecs = codec_names_in_shards(nested, chunk) if name in FIELDS else codec_names(nested)
         if codecs != SHRUNK and not (name == "grain" and codecs == SHRUNK_ONCE):
             raise ValueError(f"{name} is stored with codecs that lmpchain does not use")
-        # Chunks within a shard would have to be searched for.
+        # Chunks within a shard would have to be located first.
         if name not in FIELDS:
             _check_claims(store / name / "c", math.prod(sizes[name]), blosc=codecs == SHRUNK)
 
@@ -132,7 +132,7 @@ def check_layout(store: Path, scene: Scene) -> None:
 def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
     """Raise `ValueError` if a chunk declares more numbers than it can contain."""
     for path in chunks.glob("[0-9]*"):
-        # A file that is still being written has a name with other letters than digits.
+        # A file that is being written has a name with letters other than digits.
         if not path.name.isdecimal():
             continue
         with open(path, "rb") as opened:

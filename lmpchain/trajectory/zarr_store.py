@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     import xarray
 
 NAME = "trajectory.zarr"
-SO_FAR = "error_so_far"  # attribute of a run that is not finished
+SO_FAR = "error_so_far"  # Attribute of an unfinished run.
 
 
 def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> None:
@@ -51,7 +51,7 @@ def create_zarr(folder: Path, scene: Scene, attributes: Mapping[str, Any]) -> No
         labelled: Any = {"dimension_names": dimensions, "attributes": labels}
         group.create_array(name, compressors=shrink, **labelled, **options)
 
-    # Values are NaN until they are written, so that a missing sample is not taken for rest.
+    # Values are NaN until they are written, so that a missing sample is not mistaken for rest.
     unknown: Any = {"dtype": "f8", "fill_value": math.nan}
     fields = {"shape": (samples, grains), "chunks": sizes["chunk"]} | unknown
     for name in FIELDS:
@@ -76,14 +76,14 @@ def _consolidate(store: Path) -> None:
     group = json.loads((store / "zarr.json").read_bytes())
     gathered_in = {"kind": "inline", "must_understand": False}
     group["consolidated_metadata"] = gathered_in | {"metadata": dict(sorted(described.items()))}
-    # The name follows zarr's pattern for files that are being written.
+    # The name matches zarr's pattern for files that are being written.
     aside = store / f"zarr.{token_hex(16)}.partial"
     aside.write_text(json.dumps(group, indent=2), encoding="utf-8")
     os.replace(aside, store / "zarr.json")
 
 
 class Writer:
-    """Appends samples to a store, from a given one on, shard by shard."""
+    """Writer that appends samples to a store, from a given sample on, shard by shard."""
 
     def __init__(self, folder: Path, scene: Scene, sample: int = 0):
         import zarr
@@ -99,7 +99,7 @@ class Writer:
         self._end = sample
 
     def _go_to(self, first: int) -> None:
-        """Begin a shard with its stored samples, so that no reader sees a sample vanish."""
+        """Begin a shard with its stored samples, so that readers never lose a sample."""
         self._first = self._end = first
         self._buffers.fill(math.nan)
         if first < self._stored:
@@ -110,7 +110,7 @@ class Writer:
                     buffer[: len(samples)] = samples
 
     def put(self, block: Block) -> None:
-        """Append samples; write full shards to the disk."""
+        """Append samples; write complete shards to disk."""
         fields = block.displacement[0], block.velocity[0]
         written = 0
         count = len(fields[0])
@@ -130,7 +130,7 @@ class Writer:
                 self._go_to(self._end)
 
     def flush(self) -> None:
-        """Write all pending samples to the disk, their times last."""
+        """Write all pending samples to disk, and their times last."""
         if self._end > self._first:
             last = min(self._first + self._rows, self._times.size)
             for array, buffer in zip(self._fields, self._buffers, strict=True):
@@ -144,14 +144,14 @@ class Writer:
             self._group.attrs[SO_FAR] = {"samples": self._end} | asdict(error)
 
     def conclude(self, error: ErrorEstimate, cost: Cost, quantities: Mapping[str, Array]) -> None:
-        """Store the error estimate, the cost, and the gathered quantities."""
+        """Store the error estimate, the cost and the accumulated quantities."""
         for name, values in quantities.items():
             self._group[gathered.file_name(name)][...] = values
         self._group.attrs.update(verdict(error, cost) | {SO_FAR: None})
 
 
 def usable(folder: Path, scene: Scene, samples: Any) -> bool:
-    """Return whether the first samples are complete, and the shard of the next one readable."""
+    """Return whether the first samples are complete, and the shard of the next is readable."""
     import zarr
 
     if isinstance(samples, bool) or not isinstance(samples, int):

@@ -1,4 +1,4 @@
-"""Read arrays from NumPy, MATLAB, HDF5, Excel and universal (UFF) files of instruments."""
+"""Reading of arrays from NumPy, MATLAB, HDF5, Excel and universal (UFF) files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ TIME_RESPONSE = 1
 SINGLE, DOUBLE = 2, 4
 WIDTHS = {(SINGLE, 1): (13,), (SINGLE, 0): (13, 13), (DOUBLE, 1): (20,), (DOUBLE, 0): (13, 20)}
 HEADER_LINES = 11
-SI_UNITS = 1  # of dataset 164
+SI_UNITS = 1  # Code of SI units in dataset 164.
 # Python library for each kind of file, and the line that loads the file.
 RECIPES = {
     "MATLAB": ("scipy.io", 'data = scipy.io.loadmat("{name}")'),
@@ -73,7 +73,7 @@ class Arrays:
         if array.size == 1:
             self.facts[name.rpartition("/")[2]] = repr(float(array.item()))
             return
-        # MATLAB and HDF5 store vectors as rows, too.
+        # MATLAB and HDF5 may store vectors as rows as well.
         array = array.ravel() if 1 in array.shape else array
         if array.ndim == 1:
             self.columns.append(NamedArray(name, array, unit, facts))
@@ -83,7 +83,7 @@ class Arrays:
 
 
 def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None:
-    """Return the arrays of a binary file, or a worksheet as text; None if it is plain text.
+    """Return the arrays of a binary file, or a worksheet as text; None for plain text.
 
     Nothing in a file is executed: NumPy's objects, MATLAB's objects and functions, and links of
     HDF5 to other files are left out.
@@ -124,7 +124,7 @@ def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None
 
 
 def _reader(path: Path, content: bytes) -> tuple[str, Callable[[bytes, int], Any] | None]:
-    """Return the kind of a file, given its first bytes, and the function that reads it."""
+    """Return the type of a file, from its first bytes, and the function that reads it."""
     if content.startswith(NUMPY):
         return "NumPy", _read_npy
     if content.startswith(ZIP):
@@ -133,7 +133,7 @@ def _reader(path: Path, content: bytes) -> tuple[str, Callable[[bytes, int], Any
         return "Excel", _read_excel
     if content.startswith((HDF5, MATLAB_HDF5)):
         return "HDF5", _read_hdf5
-    # Version 4 has no mark.
+    # Files of version 4 have no signature.
     if content.startswith(MATLAB) or (path.suffix.lower() == ".mat" and b"\0" in content):
         return "MATLAB", _read_matlab
     if UNIVERSAL.match(content):
@@ -191,7 +191,7 @@ def _read_hdf5(content: bytes, largest: int) -> Arrays:
     found: list[tuple[str, Any]] = []
 
     def visit(name: str, node: Any) -> None:
-        # Links to other files are not visited. Parts of data sets may be in other files, too.
+        # Links to other files are not followed. Parts of data sets may also be in other files.
         if isinstance(node, h5py.Dataset) and not (
             name.startswith("#refs#") or node.is_virtual or node.external
         ):
@@ -206,7 +206,7 @@ def _read_hdf5(content: bytes, largest: int) -> Arrays:
             words = dict(_attributes(node.parent)) | dict(_attributes(node))
             unit = next((words[key] for key in UNIT_ATTRIBUTES if key in words), "")
             values = node[()]
-            # An oscilloscope stores converter levels, and their unit beside them.
+            # An oscilloscope stores converter levels, with their unit as an attribute.
             if node.dtype.kind in "iu" and "yinc" in words:
                 unit = f"level of {words['yinc']}"
             # MATLAB stores the rows of a matrix as columns.
@@ -287,13 +287,13 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
     if label.lower() not in ("", "none", "s", "sec", "seconds"):
         raise ValueError(f"its abscissa is in {label}, not in s")
     node, direction = head[41:51].strip(), head[51:55].strip()
-    # Node 0 means none.
+    # Node 0 means that there is none.
     name = lines[0].strip() if node in ("", "0") else f"{node}:{direction}"
     return name, time, table[:, -1], "" if unit.lower() == "none" else unit
 
 
 def _fixed(lines: Iterable[str], widths: tuple[int, ...], count: int) -> Iterator[float]:
-    """Yield numbers of fixed widths without separating blanks; at most one too many."""
+    """Yield numbers of fixed width that may have no blanks between them; at most one extra."""
     for line in lines:
         place = 0
         while line[place:].strip() and count >= 0:

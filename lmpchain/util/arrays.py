@@ -1,4 +1,4 @@
-"""Arrays that hold physical quantities, and the precision of their numbers."""
+"""Arrays of physical quantities, and the precision of their numbers."""
 
 import math
 from decimal import Decimal
@@ -12,11 +12,11 @@ from ..errors import InputError, shown
 
 Array = NDArray[np.float64]
 AnyArray = TypeVar("AnyArray", bound=NDArray[Any])
-EPSILON = float(np.finfo(float).eps)  # spacing of the doubles at 1
-SMALLEST = float(np.nextafter(0.0, 1.0))  # above 0
-# Bits of a double without the sign bit. The bits of positive doubles sort like the numbers.
+EPSILON = float(np.finfo(float).eps)  # Spacing of doubles near 1.
+SMALLEST = float(np.nextafter(0.0, 1.0))  # Smallest positive double.
+# Bits of a double without the sign bit. The bits of positive doubles are ordered like the numbers.
 MAGNITUDE = (1 << 63) - 1
-# Kinds of data that numpy would convert to numbers.
+# Data types that numpy would convert to numbers.
 NO_NUMBERS = {
     "b": "truth values: give 0 and 1 if these are meant",
     "S": "text: read it with float first",
@@ -40,7 +40,7 @@ def last_digit(size: float) -> float:
 
 
 def numbers(value: Any, key: str = "") -> Array:
-    """Return numbers in SI units as an array of float64, without a copy if they are one already.
+    """Return numbers in SI units as an array of float64, without a copy if possible.
 
     NumPy alone would convert text, truth values and dates to numbers, and drop masks and units.
 
@@ -72,7 +72,7 @@ def numbers(value: Any, key: str = "") -> Array:
 
 
 def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:
-    """Return whole numbers as an array of int64; raise `InputError` for anything else."""
+    """Return integers as an array of int64; raise `InputError` for other values."""
     array = numbers(value, key)
     if not (np.isfinite(array) & (array == np.round(array))).all():
         raise InputError.at(key, "must be whole numbers")
@@ -80,20 +80,20 @@ def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:
 
 
 def plain(value: Any) -> Any:
-    """Return a number of numpy as a Python number, and anything else unchanged.
+    """Return a NumPy number as a Python number, and other values unchanged.
 
     Examples
     --------
     >>> plain(np.float64(2.0)), plain("a")
     (2.0, 'a')
     """
-    # NumPy treats time spans as whole numbers, and would drop their unit.
+    # NumPy treats time spans as integers, and would drop their unit.
     is_number = isinstance(value, np.generic) and value.dtype.kind in "biuf"
     return value.item() if is_number else value
 
 
 def check_flags(**flags: Any) -> None:
-    """Raise `InputError` unless each value is True or False, because Python takes "no" for true."""
+    """Raise `InputError` unless each value is True or False, because the text "no" is truthy."""
     faults = [
         (key, f"must be True or False (got {shown(flag)})")
         for key, flag in flags.items()
@@ -104,12 +104,12 @@ def check_flags(**flags: Any) -> None:
 
 
 def objection(value: Any) -> str:
-    """Return why a value is not a number in SI units, with a remedy; "" if it is."""
+    """Return the reason why a value is not a number in SI units, with a remedy; "" if it is."""
     if isinstance(value, list | tuple):
-        # Python numbers, of which there may be millions, need no check.
+        # Python numbers, possibly millions, need no check.
         others = (objection(item) for item in value if type(item) not in (int, float))
         return next(filter(None, others), "")
-    # The attribute is `units` in pint, unyt and xarray, and `unit` in astropy.
+    # The unit attribute is `units` in pint, unyt and xarray, and `unit` in astropy.
     unit = getattr(value, "units", None) or getattr(value, "unit", None)
     if unit is not None:
         return f"has a unit of its own, {unit}: convert it to SI units and give the numbers alone"

@@ -31,15 +31,15 @@ from .remarks import warn
 BESIDE = re.compile(r"^from \.(\w+) import", re.MULTILINE)
 KERNELS = Path(__file__).parents[1] / "integrators" / "kernels"
 OF_KERNELS = re.compile(r"^from \.\.\.integrators\.kernels\.(\w+) import", re.MULTILINE)
-# Numba numbers the functions that a process compiles, from 1, to distinguish functions of one name.
-# Functions that two processes have cached may then have the same names. A process that loads both
-# calls the wrong one: a force with another exponent, or a step of another method
-# (https://github.com/numba/numba/issues/10486). Random numbers are unique, in forks, too.
+# Numba numbers the functions that a process compiles, from 1, to distinguish functions of equal
+# name. Functions that two processes have cached may then have the same names. A process that loads
+# both calls the wrong one: a force with another exponent, or a step of another method
+# (https://github.com/numba/numba/issues/10486). Random numbers are unique, also in forks.
 FunctionIdentity._unique_ids = iter(partial(secrets.randbits, 64), -1)  # type: ignore[assignment]
 
 
 def _equal_flags(one: Flags, other: object) -> bool:
-    """Return whether two sets of flags are equal, without reading each flag of equal ones."""
+    """Return whether two sets of flags are equal, without reading each flag of identical sets."""
     given = isinstance(other, Flags) and one._values == other._values
     return given or TargetConfig.__eq__(one, other)
 
@@ -62,7 +62,7 @@ if BLAS not in sys.modules:
     arraymath._HAVE_BLAS = True  # type: ignore[attr-defined]
     del sys.modules[BLAS]
 
-LONG_S = 3  # what compiles as long is announced, and has a bar from then on
+LONG_S = 3  # Longer compilations are announced with a progress bar.
 # Number of new objects between two searches for garbage during a compilation. Numba makes millions
 # of objects; with Python's 700, the searches take 10 % of the time.
 GARBAGE = 500_000
@@ -75,14 +75,14 @@ class _Job(NamedTuple):
     seconds: int
 
 
-_jobs: dict[Callable, _Job] = {}  # the compilation of each function
+_jobs: dict[Callable, _Job] = {}  # Compilation jobs by function.
 _announced: set[str] = set()
 _complained: set[Path] = set()
 DIGEST = sha256().digest_size
 
 
 class _Announcer(Listener):
-    """Announcer of compilations that take long; loading a cached result is silent.
+    """Announcer of long compilations; loading a cached result is silent.
 
     Meanwhile, garbage is collected less often.
     """
@@ -123,7 +123,7 @@ class _Announcer(Listener):
 
 
 class _Stopwatch(Listener, threading.local):
-    """Stopwatch that adds up the time for compiling and loading cached results in each thread."""
+    """Stopwatch of the time that each thread spends on compiling and loading cached results."""
 
     def __init__(self) -> None:
         self.depth = 0
@@ -147,7 +147,7 @@ register("numba:compiler_lock", _stopwatch)
 
 
 def compiled_s() -> float:
-    """Return the time that this thread has compiled or loaded cached results so far, s."""
+    """Return the time that this thread has spent on compiling or loading cached results, s."""
     return _stopwatch.total_s
 
 
@@ -158,7 +158,7 @@ def clock() -> float:
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of this module, a module, and its imports among its neighbours and kernels."""
+    """Return a hash of this module, a module, and its imports among neighbours and kernels."""
     sources = {}
     waiting = [module, Path(__file__)]
     while waiting:
@@ -172,7 +172,7 @@ def _sources(module: Path) -> str:
 
 
 class _Unplaced:
-    """Replacement for the memory of compiled code that is never executed in place."""
+    """Stand-in for the memory of compiled code that is never executed in place."""
 
     def set_env(self, name: str, environment: Any) -> None:
         """Do nothing, because no environment of Python is needed."""
@@ -261,7 +261,7 @@ class _KeptFile(IndexDataCacheFile):
 
 
 class _KeptCode(FunctionCache):
-    """The cache of a function; functions of one factory differ by their `kind`.
+    """The cache of a function; functions of one factory are distinguished by their `kind`.
 
     Numba would distinguish them by their closures, which differ between processes.
     """
@@ -320,7 +320,7 @@ def compiled_once(
         For `numba.njit`.
     """
 
-    # No kernel is passed as a C function.
+    # Kernels are never passed as C functions.
     compiler: Any = partial(numba.njit, no_cfunc_wrapper=True, **options)
 
     def decorate(function: Callable) -> Any:
@@ -328,8 +328,8 @@ def compiled_once(
         try:
             dispatcher = compiler(cache=True)(function)
             # Numba checks only the source of this module, but a function may call modules beside
-            # it. The version is checked before the rest of the file is read, which may name records
-            # that no longer exist.
+            # it. The version is checked before the rest of the file is read, which may refer to
+            # records that no longer exist.
             code: Any = dispatcher._cache
             code.__class__ = _KeptCode
             code.kind = kind

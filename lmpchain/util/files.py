@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 SEAL = b"lmpchain sha256 "
 UNSEALED = "it ends without the seal of lmpchain: copy it again, or save it anew"
-SEALED = "seal"  # key of the hash of a JSON file, by which lmpchain knows what it wrote
-# Extended attribute with the size and the modification time of a file as lmpchain wrote it.
+SEALED = "seal"  # Key of the hash of a JSON file, which identifies files of lmpchain.
+# Extended attribute with the size and the modification time of a file as written by lmpchain.
 WRITTEN = "user.lmpchain.written"
-LARGEST_JSON = 2**30  # bytes of a file that describes a store, a run or a sweep
+LARGEST_JSON = 2**30  # Largest size of a file that describes a store, a run or a sweep, bytes.
 
 
 @contextmanager
@@ -139,7 +139,7 @@ def is_foreign(path: Path) -> bool:
 
 
 def _written(path: Path) -> bytes:
-    """Return the value of the attribute `WRITTEN` for a file as it is now."""
+    """Return the value of the attribute `WRITTEN` for the current state of a file."""
     status = path.stat()
     return f"{status.st_size} {status.st_mtime_ns}".encode()
 
@@ -198,7 +198,7 @@ def check_seal(path: Path) -> None:
     # An empty file cannot be mapped.
     if path.stat().st_size < length:
         raise ValueError(UNSEALED)
-    # Map the file, because it may be larger than the memory.
+    # The file is mapped, because it may exceed the memory.
     content = np.memmap(path, np.uint8, "r")
     end = content[-length:].tobytes()
     if not end.startswith(SEAL):
@@ -224,7 +224,7 @@ def read_sealed_json(path: Path) -> dict[str, Any] | None:
 
 
 def _json_seal(record: Mapping[str, Any]) -> str:
-    # Numbers and texts that were read are written identically.
+    # Numbers and texts that were read are written in the same form.
     return hashlib.sha256(json.dumps(record, sort_keys=True).encode()).hexdigest()
 
 
@@ -236,7 +236,7 @@ def unpack(content: bytes | memoryview) -> dict[str, np.ndarray]:
 
 
 def unpack_one(path: Path, name: str) -> np.ndarray:
-    """Return one array of a `numpy.savez` file, as `unpack` does."""
+    """Return one array of a `numpy.savez` file, checked as in `unpack`."""
     check_readable(path, sys.maxsize)
     with zipfile.ZipFile(path) as packed:
         return _plain_array(packed, packed.getinfo(f"{name}.npy"))
@@ -255,11 +255,11 @@ def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
 
 
 def expanded(name: str | PathLike[str]) -> Path:
-    """Return a name as a path, with ~ and ~user at its beginning replaced as in a shell."""
+    """Return a name as a path, with a leading ~ or ~user replaced as in a shell."""
     path = Path(name)
     try:
         return path.expanduser()
-    # There is no such user: the name itself begins with ~.
+    # There is no such user, so the name itself begins with ~.
     except RuntimeError:
         return path
 
@@ -281,7 +281,7 @@ def path_of(name: Any, key: str = "folder") -> Path:
 
 
 def make_folder(name: str | PathLike[str]) -> Path:
-    """Make a folder unless it exists; raise `InputError` if it cannot be made."""
+    """Create a folder unless it exists; raise `InputError` if this is impossible."""
     path = path_of(name)
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -293,7 +293,7 @@ def make_folder(name: str | PathLike[str]) -> Path:
 
 
 LOCK = ".lock"
-LARGEST = 1000  # bytes
+LARGEST = 1000  # Bytes.
 # Process and machine, if the file system has no locks and the file itself is the lock.
 HELD = re.compile(rb"(\d+\n.*)?", re.DOTALL)
 
@@ -349,7 +349,7 @@ def has_locks(folder: Path) -> bool:
 
 
 def describe_holder(folder: Path) -> str:
-    """Return the process that holds the lock of a folder in words, if the lock names it.
+    """Return the process that holds a folder's lock as text, if the lock names it.
 
     Only locks on file systems without `flock` name it, and they outlive a killed process.
     """

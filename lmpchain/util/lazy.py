@@ -75,7 +75,7 @@ if TYPE_CHECKING or sys.version_info >= (3, 12):
 else:
 
     class cached_property(functools.cached_property):
-        """Like `functools.cached_property` of Python 3.12.
+        """A property computed once, like `functools.cached_property` of Python 3.12.
 
         The lock of Python 3.11 is shared by all objects. A process that is forked while another
         thread holds the lock waits for it for ever. Two threads may compute a value twice.

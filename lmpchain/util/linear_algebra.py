@@ -1,4 +1,4 @@
-"""Threads of BLAS and LAPACK."""
+"""Thread control of BLAS and LAPACK."""
 
 from __future__ import annotations
 

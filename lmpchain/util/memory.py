@@ -1,4 +1,4 @@
-"""Memory of this process: how much is free, and a limit for a short piece of work."""
+"""Memory of this process: free memory, and a limit for a short computation."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def machine_memory() -> dict[str, int]:
 
 
 def _address_space() -> int | None:
-    """Return the size of the address space of this process, bytes; None if it is unknown."""
+    """Return the size of the address space of this process, bytes; None if unknown."""
     try:
         pages = int(Path("/proc/self/statm").read_text().split()[0])
     except (OSError, ValueError, IndexError):
@@ -59,7 +59,7 @@ def _address_space() -> int | None:
 
 
 def _available() -> float:
-    """Return the memory that the machine has left, bytes; infinite if that is unknown."""
+    """Return the free memory of the machine, bytes; infinite if unknown."""
     try:
         return machine_memory()["MemAvailable"]
     except (OSError, KeyError):
@@ -67,7 +67,7 @@ def _available() -> float:
 
 
 def _control_group() -> Iterator[float]:
-    """Yield the memory that the control group of this process has left, if it has a limit."""
+    """Yield the remaining memory of this process's control group, if it has a limit."""
     group = Path("/sys/fs/cgroup")
     for limit, usage in (
         ("memory.max", "memory.current"),

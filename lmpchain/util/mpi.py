@@ -1,4 +1,4 @@
-"""MPI world of this process under mpirun or srun, and removal of what killed runs leave behind."""
+"""MPI world of this process under mpirun or srun, and removal of leftovers of killed runs."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ VARIABLES = ("PMI_", "PMIX_", "OMPI_", "MPI_LOCAL", "SLURM_PROCID")
 RANKS = ("PMI_RANK", "PMIX_RANK", "OMPI_COMM_WORLD_RANK", "SLURM_PROCID")
 # First letters of the names of programs that start the processes of mpirun and srun.
 LAUNCHERS = ("hydra", "mpiexec", "mpirun", "orted", "prte", "pmi_proxy", "slurmstepd")
-MESSAGE_S = 0.5  # for mpiexec to pass a message on, which an abort would lose
+MESSAGE_S = 0.5  # Time for mpiexec to forward a message, which an abort would lose, s.
 SHARED_MEMORY = Path("/dev/shm")
-MPICH = "mpich_shm_"  # begins the names of its shared memory
-TEMPORARY = Path("/tmp")  # MPICH does not look at TMPDIR
-OLD_S = 60.0  # by then every rank of a run has started
+MPICH = "mpich_shm_"  # Prefix of the names of MPICH's shared memory.
+TEMPORARY = Path("/tmp")  # MPICH ignores TMPDIR.
+OLD_S = 60.0  # Time after which every rank of a run has started, s.
 _joined: list[Any] = []
 _idle: list[int] = []
 
@@ -70,7 +70,7 @@ def leave() -> None:
 
 
 def join() -> Any:
-    """Return the MPI world of this process with rank 0 as leader; a kill of any part ends all.
+    """Join the MPI world of this process, led by rank 0; killing any part ends all.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def join() -> Any:
 
 
 def settle(world: Any) -> None:
-    """Make sure that a kill leaves no shared memory of these ranks behind."""
+    """Ensure that a kill leaves no shared memory of these ranks behind."""
     # All processes have attached to the shared memory.
     world.Barrier()
     unname_shared_memory()
@@ -109,7 +109,7 @@ def alone() -> Any:
 def library() -> Any:
     """Return mpi4py's MPI; raise `EngineUnavailable` with a remedy if it cannot be loaded."""
     if count_processes() > 1:
-        # MPI waits for ever if launcher and peers are killed while it starts or ends.
+        # MPI waits forever if launcher and peers are killed while it starts or ends.
         end_with_parent()
     try:
         from mpi4py import MPI
@@ -122,7 +122,7 @@ def library() -> Any:
 
 
 def launcher() -> str:
-    """Return the path of the mpiexec beside Python, or else of the first one in the search path."""
+    """Return the path of the mpiexec beside Python, or else the first one in the search path."""
     neighbour = Path(sys.executable).with_name("mpiexec")
     path = str(neighbour) if neighbour.exists() else which("mpiexec")
     if path is None:
@@ -170,7 +170,7 @@ def remove_leftovers() -> None:
                 if status.st_uid == os.getuid() and status.st_mtime < time.time() - OLD_S:
                     leftovers.append(path)
     if leftovers:
-        # Shared memory that a living process has mapped stays, whatever its age.
+        # Shared memory that a living process has mapped is kept, regardless of its age.
         used = _names_in_use(path for path in Path("/proc").iterdir() if path.name.isdigit())
         for path in leftovers:
             if path.name not in used:

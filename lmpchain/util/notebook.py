@@ -1,4 +1,4 @@
-"""Display of values in a prompt (one line) and a notebook (a table and a small picture)."""
+"""Display of values at a prompt (one line) and in a notebook (a table and a picture)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ import numpy as np
 
 from ..errors import LmpchainError
 
-FEW_VALUES = 4  # are shown one by one
+FEW_VALUES = 4  # Largest number of values that are shown one by one.
 STYLE = "text-align:left;vertical-align:top;padding:2px 12px 2px 0"
 
 
 class Shown:
-    """A value with a short `repr` and, in a notebook, a table of its fields and a picture."""
+    """A value with a short `repr` and, in a notebook, a table of fields and a picture."""
 
     def _fields(self) -> Iterator[tuple[str, Any]]:
         """Yield the names and values to show."""
@@ -74,7 +74,7 @@ class Shown:
 
 
 def brief(value: Any, letters: int = 60) -> str:
-    """Return a value in few letters; for an array, its shape and the range of its values.
+    """Return a value in a few letters; for an array, its shape and range.
 
     Examples
     --------
@@ -95,7 +95,7 @@ def brief(value: Any, letters: int = 60) -> str:
 
 
 def _brief_array(values: np.ndarray) -> str:
-    """Return the shape of an array and the range of its values, or all values if they are few."""
+    """Return the shape and range of an array, or all values if there are few."""
     if values.ndim == 1 and values.size <= FEW_VALUES:
         return np.array2string(values, precision=5)
     # Complex numbers have no order.
@@ -107,7 +107,7 @@ def _brief_array(values: np.ndarray) -> str:
 
 
 def _brief_group(values: Any, letters: int) -> str:
-    """Return the fields of a record, or a list of few values, or the number of many values."""
+    """Return the fields of a record, a list of few values, or the number of many values."""
     if hasattr(values, "_fields"):
         pairs = zip(values._fields, values, strict=True)
         said = ", ".join(f"{name}={brief(item, letters)}" for name, item in pairs)

@@ -1,4 +1,4 @@
-"""Read tables of numbers in text files of any layout, as from instruments and spreadsheets."""
+"""Reading of tables of numbers in text files of any layout, from instruments or spreadsheets."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from .arrays import Array
 from .files import check_readable
 from .units import BRACKETS, split_unit, unit_of
 
-LARGEST_FILE = 2**28  # bytes
-SAMPLED_LINES = 400  # by which the layout is recognised
+LARGEST_FILE = 2**28  # Bytes.
+SAMPLED_LINES = 400  # Number of lines from which the layout is recognised.
 
 
 class TableLayout(NamedTuple):
-    """How the lines of a table are written.
+    """Text layout of the lines of a table.
 
     Attributes
     ----------
     delimiter : str
-        Between columns; a blank stands for any number of blanks.
+        Separator of columns; a blank stands for any number of blanks.
     decimal : "." or ","
     """
 
@@ -50,11 +50,11 @@ class TableLayout(NamedTuple):
 
     def is_number(self, cell: str) -> bool:
         """Return whether a cell contains a finite number in this number format."""
-        # The number 1e400 is infinite.
+        # A number such as 1e400 would be infinite.
         return bool(CELLS[self.decimal].fullmatch(cell)) and math.isfinite(self.number(cell))
 
     def numeric(self, cells: Sequence[str]) -> tuple[int, ...]:
-        """Return the places of the cells with numbers."""
+        """Return the positions of the cells with numbers."""
         return tuple(place for place, cell in enumerate(cells) if self.is_number(cell))
 
     def number(self, cell: str) -> float:
@@ -62,7 +62,7 @@ class TableLayout(NamedTuple):
         return float(cell.replace(",", ".") if self.decimal == "," else cell)
 
     def rows(self, numeric: Sequence[int]) -> re.Pattern[str]:
-        """Return a pattern of lines with numbers in these columns, and no words in others."""
+        """Return a pattern for lines with numbers in these columns and no words in others."""
         number = DIGITS.format(re.escape(self.decimal))
         if self.delimiter == " ":
             return re.compile(rf"\s*{number}(\s+{number}){{{numeric[-1]},}}\s*", re.ASCII)
@@ -75,7 +75,7 @@ class TableLayout(NamedTuple):
 
     @property
     def words(self) -> str:
-        """The layout in words."""
+        """The layout as text."""
         names = {" ": "blanks", "\t": "tabs", ";": "semicolons", ",": "commas"}
         if self.delimiter not in names:
             return self.delimiter
@@ -103,7 +103,7 @@ class ColumnHeader(NamedTuple):
     cell: str = ""
 
 
-# Facts about the columns of a file: by a lower-case name, then by the place of the column.
+# Facts about the columns of a file, by lower-case name and then by the position of the column.
 Facts = dict[str, dict[int, str]]
 
 
@@ -153,7 +153,7 @@ class NumberTable:
         try:
             return self._read_quickly(places)
         except ValueError:
-            # There are quotes, decimal commas between commas, or a cell without a number.
+            # The lines contain quotes, decimal commas between commas, or a cell without a number.
             values = np.empty((len(self.lines), len(places)))
         for row, line in enumerate(zip(self.numbers, self.lines, strict=True)):
             cells = layout.cells(line[1])
@@ -178,13 +178,13 @@ class NumberTable:
         return values
 
     def word(self, place: int, *names: str) -> str:
-        """Return the text of the file about a column, under the first of these names."""
+        """Return the file's text about a column, under the first of these names that occurs."""
         words = (self.facts.get(name, {}).get(place, "") for name in names)
         # Siglent begins a value with the name of its channel.
         return next(filter(None, words), "").rpartition(":")[2].strip()
 
     def fact(self, place: int, *names: str) -> float | None:
-        """Return the number in the file about a column under one of these names, or None."""
+        """Return the file's number for a column under one of these names, or None."""
         for cell in (self.word(place, name) for name in names):
             # Headers may have decimal points in a table with decimal commas.
             for layout in (self.layout, TableLayout(",", ".")):
@@ -193,7 +193,7 @@ class NumberTable:
         return None
 
     def unit(self, place: int, *names: str) -> str:
-        """Return the unit of a column from its header, or from the file's text under these names.
+        """Return the unit of a column from its header, or from the file under these names.
 
         A text that names no unit, such as a remark in brackets, is returned if there is no other.
         """
@@ -201,14 +201,14 @@ class NumberTable:
         return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
 
     def describe(self, place: int) -> str:
-        """Return number and header of a column in words."""
+        """Return number and header of a column as text."""
         column = self.columns[place]
         name = f" ({column.name})" if column.name else ""
         return f"column {place + 1}{name}" + (f" in {column.unit}" if column.unit else "")
 
 
 def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
-    """Find the table of numbers in a text file or a binary file.
+    """Read the table of numbers in a text file or a binary file.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
 
 
 def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable:
-    """Return the table of the most equally long arrays of a file, or of the longest one."""
+    """Return a table of the most equally long arrays of a file, or of the longest one."""
     lengths = Counter(len(array.values) for array in arrays.columns if len(array.values) > skip)
     if not lengths:
         raise InputError.at("file", f"{path} holds no table of numbers: name another file")
@@ -300,7 +300,7 @@ def _read_text(path: Path) -> str | Arrays:
     try:
         text = content.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
-        # Every byte is a letter in this encoding, the micro sign among them.
+        # Every byte is a letter in this encoding, including the micro sign.
         text = content.decode("latin-1")
     if "\0" in text:
         cure = f"save it as text (CSV), or read it in Python and {BY_POINTS}"
@@ -368,7 +368,7 @@ def _first_row(
 
 
 def _numbers_and_words(layout: TableLayout, line: str) -> tuple[set[int], tuple[int, ...]]:
-    """Return the places of the numbers, and of the other cells that are not empty, in a line."""
+    """Return the positions of the numbers, and of the other non-empty cells, in a line."""
     cells = layout.cells(line)
     numbers = set(layout.numeric(cells))
     return numbers, tuple(n for n, cell in enumerate(cells) if cell and n not in numbers)
@@ -489,13 +489,13 @@ def _columns(header: Sequence[Sequence[str]], numeric: tuple[int, ...]) -> list[
     if _are_units([cells[place] for place in numeric], len(header) == 2):
         names = header[1][:width] if len(header) == 2 else [""] * width
         units = ["" if unit in NO_UNIT else unit for unit in units]
-        # The name may have a unit, too, or a remark in brackets.
+        # The name may also have a unit, or a remark in brackets.
         return [ColumnHeader(n, unit, n) for n, unit in zip(names, units, strict=True)]
     return [ColumnHeader(*split_unit(cell), cell) for cell in cells]
 
 
 def _are_units(cells: Sequence[str], below: bool) -> bool:
-    """Return whether cells contain units; below names, a dash or an empty cell counts, too."""
+    """Return whether cells contain units; below names, a dash or an empty cell is allowed too."""
     if not below:
         return all(map(_is_unit, cells))
     return any(map(_is_unit, cells)) and all(_is_unit(cell) or cell in NO_UNIT for cell in cells)

@@ -23,7 +23,7 @@ else:
     Axes = Any
 
 
-# Okabe and Ito, Color Universal Design (2008): distinct for every kind of colour vision.
+# Okabe and Ito, Color Universal Design (2008): distinct for all types of colour vision.
 COLOURS = {
     "blue": "#0072B2",
     "vermilion": "#D55E00",
@@ -34,19 +34,19 @@ COLOURS = {
 }
 # Means with their errors, joined by a line.
 ERROR_BARS: dict[str, Any] = {"fmt": "o-", "ms": 3, "capsize": 2}
-NARROW = 3.5  # inches: axes that share a page with others
-LEAST_ERROR = 1e-17  # below all round-off: drawn in place of 0 on a logarithmic axis
+NARROW = 3.5  # Width in inches of axes that share a page with others.
+LEAST_ERROR = 1e-17  # Drawn in place of 0 on a logarithmic axis; below all rounding errors.
 # Colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness.
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
 SHAPES = ("o", "D", "s", "v", "^", "P", "X", "p")
 # Each integrator has the same colour and marker in every picture.
 INTEGRATORS = ("kahan-li6", "kahan-li8", "verlet", "rkn6", "rkn4", "dop853", "gear4")
-# A number in the notation of computers: 2e-08.
+# A number in computer notation, such as 2e-08.
 POWER = re.compile(r"(?<![\w.$])(\d(?:\.\d+)?)e\+?(-?)0*(\d+)(?!\w)")
-PLAIN = (1e-3, 1e3)  # between these, numbers are written without a power of ten
-# A hyphen that means a minus: between two terms, or before one.
+PLAIN = (1e-3, 1e3)  # Between these bounds, numbers are written without a power of ten.
+# A hyphen that is a minus sign, between two terms or before one.
 MINUS = re.compile(r"(?<=\S )-(?= \S)|(?<![^\s(])-(?=[\w.])")
-LABEL_HEIGHT = 0.055  # of the axes: what a line of small letters takes
+LABEL_HEIGHT = 0.055  # Height of a line of small letters as a fraction of the axes.
 
 
 def look_of(integrator: str) -> dict[str, Any]:
@@ -88,14 +88,14 @@ def _typeset_number(said: re.Match[str]) -> str:
 
 
 def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
-    """Write names at the right of axes at the heights of the curves' ends, without overlap.
+    """Write names at the right of axes at the heights of the curve ends, without overlap.
 
     Parameters
     ----------
     ends : list of (height, name, colour)
         Heights in units of the vertical axis.
     """
-    # This call fixes the limits, on which places depend.
+    # This call fixes the limits, on which positions depend.
     ax.get_ylim()
     place = ax.transData.transform
     low, high = ax.transAxes.transform([(0, 0), (0, 1)])[:, 1]
@@ -116,7 +116,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
 
 
 def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Array]:
-    """Return fewer rows of a map: from each group, the row that differs most from its first value.
+    """Return fewer rows of a map: from each group, the row that deviates most from its first value.
 
     Examples
     --------
@@ -130,7 +130,7 @@ def thin_rows(rows: Array, values: Array, most: int = 2000) -> tuple[Array, Arra
 
 
 def loudest_rows(values: Array, most: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return two rows of each group: the first, and the one that differs most from its first value.
+    """Return two rows of each group: the first one, and the one that deviates most from it.
 
     Examples
     --------
@@ -172,7 +172,7 @@ def edges(middles: Array) -> Array:
 
 
 def figure(width: float = 8.0, height: float = 7.0) -> Figure:
-    """Return an empty figure of this size in inches for saving, unknown to `pyplot`."""
+    """Return an empty figure of this size in inches for saving, not registered in `pyplot`."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -220,14 +220,14 @@ def with_error(value: float, error: float, unit: str) -> str:
 
 
 def window(width: float = 6.4, height: float = 4.2) -> Figure:
-    """Return an empty figure of this size in inches that `pyplot.show` and notebooks show."""
+    """Return an empty figure of this size in inches for `pyplot.show` and notebooks."""
     from matplotlib import pyplot
 
     return pyplot.figure(figsize=(width, height), layout="constrained")
 
 
 def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
-    """Return axes, given or new, in our colours, with labels in these units with SI prefixes.
+    """Return axes, given or new, in our style, with labels in these units with SI prefixes.
 
     Those named in `logarithmic`, "x", "y" or "xy", become so: a scale that is set later forgets its
     unit.
@@ -256,7 +256,7 @@ def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axe
 
 
 def panels(ax: Axes | Sequence[Axes]) -> list[Axes]:
-    """Return the given axes, one or several, in our colours."""
+    """Return the given axes, one or several, in our style."""
     several = ax if isinstance(ax, Sequence | np.ndarray) else [ax]
     return [axes_in_units(single, "", "") for single in several]
 
@@ -351,7 +351,7 @@ def draw_map(
 
 
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
-    """Explain the colours of axes beside them, in letters of the same size.
+    """Add a colour bar beside axes, with letters of equal size.
 
     The unit of a label in brackets, as in "force [N]", is written with an SI prefix.
     """

@@ -12,7 +12,7 @@ RATE = "{desc}: {percentage:3.0f}% |{bar}| {rate_fmt}, {remaining} left{postfix}
 
 
 class ProgressBar:
-    """A progress bar on stderr while its `with` block lasts, or nothing where none is shown.
+    """A progress bar on stderr during its `with` block, if progress is shown.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class ProgressBar:
         if self._bar is not None:
             if error is None:
                 self._bar.n = self._bar.total
-                # Fast work has shown nothing since the beginning.
+                # Fast work has not displayed anything since the beginning.
                 self._bar.refresh()
             self.close()
 
@@ -98,6 +98,6 @@ class ProgressBar:
             self._bar.set_description_str(text)
 
     def remark(self, text: str) -> None:
-        """Change the text behind the bar, from its next update on; only `RATE` shows one."""
+        """Change the text after the bar from its next update on; only `RATE` displays it."""
         if self._bar is not None:
             self._bar.set_postfix_str(text, refresh=False)

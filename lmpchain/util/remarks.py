@@ -8,8 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
-# Python's own filters are one list for all threads. If two threads change and restore the list in
-# turns, the warnings that one suppresses stay suppressed for all threads.
+# Python's warning filters are shared by all threads. If two threads change and restore the list in
+# turn, warnings may stay suppressed for all threads.
 _aside: ContextVar[list[str] | None] = ContextVar("warnings that are put aside", default=None)
 
 

@@ -33,7 +33,7 @@ def did_you_mean(name: object, known: Iterable[str]) -> str:
 
 
 def unknown_key(key: object, known: Iterable[str], elsewhere: Iterable[str] = ()) -> str:
-    """Return the fault of a key that is not among the known ones; suggest also names `elsewhere`.
+    """Return the fault of an unknown key, with suggestions; `elsewhere` are further names.
 
     Examples
     --------
@@ -46,7 +46,7 @@ def unknown_key(key: object, known: Iterable[str], elsewhere: Iterable[str] = ()
 
 
 def either(names: Iterable[str]) -> str:
-    """Return names as alternatives in words.
+    """Return names as alternatives in a text.
 
     Examples
     --------

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     pass
 
-LINE_WIDTH = 80  # letters, which every terminal has
-GAP = 2  # letters between the columns of a table
+LINE_WIDTH = 80  # Number of letters that fit on every terminal.
+GAP = 2  # Number of letters between the columns of a table.
 
 
 def line_width() -> int:
-    """Return the width of a line in letters: the width of the terminal, at least 80."""
+    """Return the width of a line in letters: the terminal's width, at least 80."""
     on_terminal = sys.stdout is not None and sys.stdout.isatty()
     return max(LINE_WIDTH, shutil.get_terminal_size().columns if on_terminal else 0)
 
@@ -38,7 +38,7 @@ def align(rows: Iterable[Sequence[str]]) -> list[str]:
 
 
 def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
-    """Return a table whose widest columns are narrowed until it fits; do not break words."""
+    """Return a table whose widest columns are narrowed until it fits; words are not broken."""
     # A word, such as a path to copy, stays whole, even if the line becomes longer.
     longest = [max(map(len, " ".join(column).split(" "))) for column in zip(*rows, strict=True)]
     while sum(widths) + GAP * (len(widths) - 1) > line_width():
@@ -58,7 +58,7 @@ def _wrap_cells(rows: Sequence[Sequence[str]], widths: list[int]) -> list[str]:
 
 
 def wrap(*sentences: str) -> list[str]:
-    """Return sentences in lines of the terminal, with further lines of each indented.
+    """Return sentences in lines of the terminal's width, with continuation lines indented.
 
     Examples
     --------
@@ -73,7 +73,7 @@ def wrap(*sentences: str) -> list[str]:
 def number(
     value: float, form: str = ".3g", unit: str = "", *, missing: str = "", infinite: str = "inf"
 ) -> str:
-    """Return a number with its unit, or words for NaN and infinity, without a unit.
+    """Return a number with its unit, or a word without a unit for NaN and infinity.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def duration(seconds: float, missing: str = "-") -> str:
 
 
 def counted(count: int, thing: str) -> str:
-    """Return a number of items in words, in the singular for one.
+    """Return a number of items as text, in the singular for one.
 
     Examples
     --------
@@ -111,7 +111,7 @@ def counted(count: int, thing: str) -> str:
 
 
 def finite(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a row in which None, JSON's null, replaces numbers that are not finite."""
+    """Return a row in which None, JSON's null, replaces NaN and infinity."""
     return {
         key: None if isinstance(value, float) and not math.isfinite(value) else value
         for key, value in row.items()

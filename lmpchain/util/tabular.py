@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class NamedColumn(NamedTuple):
-    """A column of a table.
+    """A column of a table of results.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class NamedColumn(NamedTuple):
 
     @property
     def header(self) -> str:
-        """Name and unit, as in `time [s]`."""
+        """Name and unit, for example `time [s]`."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 class Tabular:
-    """A result along an axis, with its values as columns of a table.
+    """A result along an axis whose values are columns of a table.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Tabular:
         return DataFrame({column.header: column.values for column in self._columns()})
 
     def to_csv(self, path: str | PathLike[str], overwrite: bool = False) -> None:
-        """Write a CSV file, atomically, with all digits of each number and units in the header.
+        """Write a CSV file atomically, with all digits of each number and units in the header.
 
         `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read it. A file that lmpchain
         did not write is replaced only if `overwrite` is true.
@@ -109,10 +109,10 @@ def of_rows(rows: Sequence[Mapping[str, Any]]) -> Iterator[NamedColumn]:
 
 
 def _plain_list(values: Any) -> list[Any]:
-    """Return values as numbers and words of Python."""
+    """Return values as Python numbers and words."""
     return values if isinstance(values, list) else np.asarray(values).tolist()
 
 
 def _digits(value: Any) -> Any:
-    """Return a number with all its digits, and anything else unchanged."""
+    """Return a number with all its digits, and other values unchanged."""
     return f"{value:.17g}" if isinstance(value, float) else value

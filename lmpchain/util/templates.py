@@ -16,9 +16,9 @@ from jinja2.sandbox import ImmutableSandboxedEnvironment, SecurityError
 from ..errors import InputError, short, shown
 from .memory import memory_limit
 
-LARGEST_TEXT = 2**28  # bytes of memory that the template of a user may take
+LARGEST_TEXT = 2**28  # Largest memory that a user's template may use, bytes.
 _PACKAGE = Path(__file__).parent.parent
-_FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # in a wheel, in a source tree
+_FOLDERS = [_PACKAGE / "templates", _PACKAGE.parent / "templates"]  # In a wheel; in a source tree.
 
 
 class _Sandbox(ImmutableSandboxedEnvironment):
@@ -56,7 +56,7 @@ class _Sandbox(ImmutableSandboxedEnvironment):
 
 
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
-    """Fill in a template of the package; raise an error for a missing value, and escape HTML.
+    """Fill in a template of the package, with HTML escapes; raise an error for a missing value.
 
     Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
     nothing is read.
@@ -65,7 +65,7 @@ def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
 
 
 def render_pieces(name: str, closed: tuple[type, ...] = (), **values: Any) -> Iterator[str]:
-    """Fill in a template of the package piece by piece, for long text; see `render`."""
+    """Fill in a template of the package in pieces, for long text; see `render`."""
     template = _environment(closed, name.endswith(".html")).get_template(name)
     return template.generate(version=version("lmpchain"), **values)
 

@@ -1,4 +1,4 @@
-"""Plain numbers at ticks, with their unit and its prefix in the label of the axis."""
+"""Plain numbers at ticks, with the prefixed unit in the label of the axis."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from matplotlib.ticker import EngFormatter
 
-ROUND_OFF = 1e-14  # of the largest tick: a smaller one is 0
+ROUND_OFF = 1e-14  # Fraction of the largest tick; smaller ticks are set to 0.
 
 
 class UnitFormatter(EngFormatter):
-    """Ticks as plain numbers of a unit whose prefix suits the axis, as in "energy (µJ)".
+    """Tick formatter with plain numbers and a unit prefix for the axis, as in "energy (µJ)".
 
     An axis without a label has units at its ticks, as numbers under the pointer have.
     """
@@ -20,7 +20,7 @@ class UnitFormatter(EngFormatter):
     axis: Any
 
     def format_ticks(self, values: list[float]) -> list[str]:
-        """Return the numbers at the ticks, and write their unit into the label of the axis."""
+        """Return the numbers at the ticks, and write their unit to the label of the axis."""
         label = self.axis.label
         text = label.get_text()
         if not text:

@@ -1,4 +1,4 @@
-"""Units and names in the headers of tables: `time [s]`, `CH1 (mV)`, `t / ms`, `in s`."""
+"""Units and names in table headers, such as `time [s]`, `CH1 (mV)`, `t / ms`, `in s`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ PREFIXES = {
     "p": 1e-12,
     "n": 1e-9,
     "u": 1e-6,
-    # The micro sign and the Greek letter.
+    # Micro sign and Greek letter.
     "\u00b5": 1e-6,
     "\u03bc": 1e-6,
     "m": 1e-3,
@@ -39,7 +39,7 @@ KNOWN_UNITS = {
     for base in ("s", "V", "N", "m", "m/s")
     for prefix, factor in PREFIXES.items()
 }
-# Some oscilloscopes write units in this way.
+# Some oscilloscopes write units in this form.
 KNOWN_UNITS |= {f"{prefix}sec": Unit("s", factor) for prefix, factor in PREFIXES.items()}
 KNOWN_UNITS |= {"S": KNOWN_UNITS["s"], "v": KNOWN_UNITS["V"]}
 KNOWN_UNITS |= {
@@ -51,7 +51,7 @@ KNOWN_UNITS |= {
 
 
 def unit_of(text: str) -> Unit | None:
-    """Return the unit named by a text; None if it names no unit.
+    """Return the unit that a text names; None if it names no unit.
 
     Examples
     --------
@@ -75,7 +75,7 @@ def split_unit(cell: str) -> tuple[str, str]:
     (('hammer (trigger)', 'mV'), ('hammer', 'trigger'))
     """
     if match := BRACKETS.fullmatch(cell):
-        # A remark in brackets must not hide a unit, so the last brackets with a unit count.
+        # A remark in brackets must not hide a unit, so the last brackets with a unit are used.
         known = [found for found in IN_BRACKETS.finditer(cell) if unit_of(found[1])]
         if not known:
             name, unit = split_unit(match[1])

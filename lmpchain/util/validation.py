@@ -18,11 +18,11 @@ from .notebook import Shown
 from .remarks import warn
 from .suggestions import did_you_mean, unknown_key
 
-NOT_GIVEN: Any = None  # default of array fields that are filled in when they are not given
+NOT_GIVEN: Any = None  # Default of array fields that are computed if they are not given.
 
 
 class Checked(Shown, BaseModel):
-    """A frozen value that raises `InputError` with all faults on construction.
+    """A frozen value that raises `InputError` with all faults at construction.
 
     Use `replace` for a changed copy, which is checked, too.
     """
@@ -36,17 +36,17 @@ class Checked(Shown, BaseModel):
         ignored_types=(cached_property,),
     )
 
-    # Attribute of each argument. The two names differ if the value follows from other fields when
-    # the argument is not given.
+    # Attribute of each argument. The two names differ if the value is computed from other fields
+    # when the argument is not given.
     arguments: ClassVar[dict[str, str]] = {}
-    # Advice for names that are no arguments, but may be meant as one.
+    # Advice for names that are not arguments but may be confused with one.
     elsewhere: ClassVar[dict[str, str]] = {}
-    # Further arguments, which a class converts to the fields.
+    # Further arguments that a class converts to fields.
     other_arguments: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
     def __pydantic_init_subclass__(cls, **_: Any) -> None:
-        """Store the names of the arguments, and let `help` begin with them and their defaults."""
+        """Store the names of the arguments, and let `help` list them first with their defaults."""
         cls.arguments = {field.alias or name: name for name, field in cls.model_fields.items()}
         parameters = []
         for name, field in cls.model_fields.items():
@@ -185,7 +185,7 @@ class Checked(Shown, BaseModel):
         return hash((type(self), *map(_hashable, values)))
 
     def __dir__(self) -> list[str]:
-        """Return the names of this value, without pydantic's additional names."""
+        """Return the names of this value without pydantic's additional names."""
         of_python = set(dir(object))
         of_pydantic = set(dir(BaseModel)) - of_python
         names = set(super().__dir__()) - of_pydantic
@@ -197,7 +197,7 @@ Made = TypeVar("Made")
 
 
 def make_unchecked(kind: type[Value], **fields: Any) -> Value:
-    """Return a value of arguments that are known to be valid, without checks.
+    """Return a value from arguments that are known to be valid, without checks.
 
     Pydantic's own function takes ten times as long.
     """
@@ -216,17 +216,17 @@ def make_unchecked(kind: type[Value], **fields: Any) -> Value:
 
 
 def with_derived(value: Value, **derived: Any) -> Value:
-    """Return a new value with these cached properties, which follow from others."""
+    """Return a new value with these cached properties, derived elsewhere."""
     value.__dict__.update(derived)
     return value
 
 
 def each(items: Iterable[Any], make: Callable[[Any], Made]) -> tuple[Made, ...]:
-    """Return the results of `make` for all items; raise `InputError` with all faults, by place."""
+    """Return the results of `make` for all items; raise `InputError` with all faults by index."""
     values = []
     faults: list[tuple[str, str]] = []
     for place, item in enumerate(items):
-        # A fault of one item must not hide those of the others.
+        # A fault of one item must not hide the faults of the others.
         try:
             values.append(make(item))
         except InputError as error:
@@ -239,12 +239,12 @@ def each(items: Iterable[Any], make: Callable[[Any], Made]) -> tuple[Made, ...]:
 
 
 def _hashable(value: Any) -> Any:
-    """Return a hashable form in which equal values agree, such as 0 and -0."""
+    """Return a hashable form that is the same for equal values, such as 0 and -0."""
     return (value + 0.0).tobytes() if isinstance(value, np.ndarray) else value
 
 
 def _plain(value: Any) -> Any:
-    """Return a number of numpy as a Python number; reject values that pydantic would convert."""
+    """Return a NumPy number as a Python number; reject values that pydantic would convert."""
     convertible = hasattr(value, "__float__") and not isinstance(value, int | float)
     if convertible and (reason := objection(value)):
         raise ValueError(reason)
@@ -286,7 +286,7 @@ def _one_or_many(value: Any) -> Any:
 
 
 def check_positive(key: str, value: Any, what: str = "a number above 0") -> float:
-    """Return a positive number; raise `InputError` with the text `what` for anything else."""
+    """Return a positive number; raise `InputError` with the text `what` for other values."""
     real = isinstance(value, int | float | np.floating) and not isinstance(value, bool)
     if not real or not 0 < value < np.inf:
         raise InputError.at(key, f"must be {what} (got {shown(value)})")
@@ -294,7 +294,7 @@ def check_positive(key: str, value: Any, what: str = "a number above 0") -> floa
 
 
 def non_negative(value: Any) -> Any:
-    """Return a number from 0 as a float, or a list of them as an array."""
+    """Return a non-negative number as a float, or a list of them as an array."""
     value = _plain(value)
     if isinstance(value, bool | str):
         raise ValueError(f"must be a number or a list of numbers (got {shown(value)})")
@@ -318,7 +318,7 @@ OneOrMany = Annotated[float | Array, BeforeValidator(_one_or_many)]
 
 
 def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
-    """Yield (key, message) for every fault that pydantic found, in the words of a physicist."""
+    """Yield (key, message) for every fault that pydantic found, in plain words."""
     for fault in error.errors():
         key = ".".join(map(str, fault["loc"]))
         cause = fault.get("ctx", {}).get("error")
@@ -334,7 +334,7 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
 
 
 def _name_kind(fault: str, value: Any, limits: Mapping[str, Any], message: str) -> str:
-    """Return the message of a fault in our words, or pydantic's message for rare faults."""
+    """Return our message for a fault, or pydantic's message for rare faults."""
     simple = isinstance(value, bool | int | float | str | list)
     got = f"(got {shown(value) if simple else f'a {type(value).__name__}'})"
     if fault == "finite_number":

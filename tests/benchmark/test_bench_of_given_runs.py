@@ -1,4 +1,4 @@
-"""Which steps and tolerances are measured, of runs whose errors and times are given."""
+"""Steps and tolerances that a bench measures for runs with given errors and times."""
 
 import math
 from collections.abc import Callable
@@ -79,7 +79,7 @@ def fourth_order(stable: int, floor: float = 0.0) -> Callable[[int], float]:
 
 
 @pytest.mark.parametrize("stable", [1, 2, 7, 37, 700])
-def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(
+def test_steps_shorten_by_the_root_of_2_from_the_longest_stable_step(
     monkeypatch: pytest.MonkeyPatch, stable: int
 ):
     made = timed(monkeypatch, Given(fourth_order(stable, 1e-9)))
@@ -90,16 +90,16 @@ def test_steps_shorten_by_the_root_of_2_from_the_longest_that_holds(
     assert [point.longest for point in points] == [True, *[False] * (len(points) - 1)]
     errors = [point.error for point in points]
     at_floor = errors.count(1e-9)
-    # Four in a row do no better.
+    # The search ends after four points without improvement.
     assert at_floor == (5 if 0.8 * errors[-at_floor - 1] > 1e-9 else 4)
 
 
-def test_an_error_of_1_does_not_hold(monkeypatch: pytest.MonkeyPatch):
+def test_a_step_with_an_error_of_1_is_unstable(monkeypatch: pytest.MonkeyPatch):
     made = timed(monkeypatch, Given(lambda steps: 1.0 if steps < 16 else 0.999 * (16 / steps) ** 4))
     assert next(made.over_steps("native", "rkn4")).steps == 16
 
 
-def test_what_improves_by_a_fifth_goes_on(monkeypatch: pytest.MonkeyPatch):
+def test_improvements_by_a_fifth_continue_the_search(monkeypatch: pytest.MonkeyPatch):
     """The search stops after four points that do not reduce the error by a fifth."""
     for factor, ends in ((0.75, False), (0.85, True)):
         made = timed(monkeypatch, Given(lambda steps, f=factor: 0.5 * f ** (2 * math.log2(steps))))
@@ -108,7 +108,7 @@ def test_what_improves_by_a_fifth_goes_on(monkeypatch: pytest.MonkeyPatch):
 
 
 @pytest.mark.parametrize("share", [1.0, 3.0, 100.0])
-def test_no_point_begins_that_would_take_longer_than_there_is_time(
+def test_no_point_begins_that_would_exceed_the_time_limit(
     monkeypatch: pytest.MonkeyPatch, share: float
 ):
     made = timed(monkeypatch, Given(lambda steps: 0.5 / steps, lambda steps: 1e-3 * steps))
@@ -125,13 +125,13 @@ def test_no_point_begins_that_would_take_longer_than_there_is_time(
 
 def test_the_search_takes_a_quarter_of_the_time(monkeypatch: pytest.MonkeyPatch):
     """A step is found by doubling, and its refinement stops when the time is used up."""
-    for share, steps in ((math.inf, 544), (0.12, 640), (0.06, 768)):  # halves of 512 to 1024
+    for share, steps in ((math.inf, 544), (0.12, 640), (0.06, 768)):  # Between 512 and 1024.
         made = timed(monkeypatch, Given(fourth_order(520), lambda _: 0.02))
         made.share_s = share
         assert next(made.over_steps("native", "rkn4")).steps == steps
 
 
-def test_nothing_is_measured_where_no_step_holds(monkeypatch: pytest.MonkeyPatch):
+def test_nothing_is_measured_if_no_step_is_stable(monkeypatch: pytest.MonkeyPatch):
     made = timed(monkeypatch, Given(lambda _: math.inf))
     assert list(made.over_steps("native", "rkn4")) == []
     assert made.tried == [2**k for k in range(20)]
@@ -153,12 +153,12 @@ def test_tolerances_tighten_by_the_root_of_10_until_one_is_not_met(monkeypatch: 
     for k in range(17):
         tolerance = 10.0 ** (-1 - k / 2)
         counts.setdefault(math.ceil(tolerance**-0.25), tolerance)
-    # One of those with the same steps.
+    # Points with equal steps are listed once.
     assert asked == pytest.approx(list(counts.values()), rel=1e-12)
     assert [point.steps for point in points] == list(counts)
 
 
-def test_the_tightest_tolerance_is_of_round_off(monkeypatch: pytest.MonkeyPatch):
+def test_the_tightest_tolerance_is_limited_by_rounding(monkeypatch: pytest.MonkeyPatch):
     made = timed(monkeypatch, Given(lambda steps: steps**-4.0))
     list(made.over_tolerances("native"))
     assert sorted(set(made.tolerances)) == pytest.approx(
@@ -192,7 +192,7 @@ def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
     made = timed(monkeypatch, Given(lambda steps: 0.5 * steps**-4.0, lambda _: 0.02))
     point = next(made.over_steps("native", "rkn4"))
     last = len(made.tried)
-    assert last == 1 + 1 + 3  # the search, a run to warm up, and three
+    assert last == 1 + 1 + 3  # One run for the search, one to warm up, and three that are timed.
     assert point.integration_s == point.seconds == pytest.approx(2.0 + 0.1 / last, rel=1e-12)
     assert point.setup_s == pytest.approx(0.5 + 0.1 / last, rel=1e-12)
     # This is the cost of the run that was timed first.
@@ -204,10 +204,10 @@ def test_a_point_has_the_least_of_each_time(monkeypatch: pytest.MonkeyPatch):
     assert made.dropped == 0
     tight = next(made.over_tolerances("native"))
     assert tight.tolerance == 0.1
-    assert tight.seconds == pytest.approx(3.0, rel=1e-12)  # with the estimate
+    assert tight.seconds == pytest.approx(3.0, rel=1e-12)  # Includes the estimate.
 
 
-def test_errors_that_the_reference_cannot_tell_are_dropped(monkeypatch: pytest.MonkeyPatch):
+def test_errors_below_the_accuracy_of_the_reference_are_dropped(monkeypatch: pytest.MonkeyPatch):
     for error, dropped in ((1.01e-15, 0), (0.99e-15, 1)):
         made = timed(monkeypatch, Given(lambda _, e=error: e))
         points = list(made._points(SimpleNamespace(step=INTERVAL)))

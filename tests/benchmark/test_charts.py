@@ -1,4 +1,4 @@
-"""Data, labels and colours of the charts, of points and answers that are given by hand."""
+"""Data, labels and colours of the charts for given points and trajectories."""
 
 import math
 from dataclasses import replace
@@ -101,7 +101,7 @@ def test_curves_that_reach_an_error_soonest_are_in_colour(panels: Any):
         assert all(line.get_marker() == "." and line.get_zorder() == 1 for line in grey)
 
 
-def test_the_front_is_drawn_through_the_points_that_lead(panels: Any):
+def test_the_pareto_front_is_drawn(panels: Any):
     for ax, cost in zip(panels, ("seconds", "force_evaluations"), strict=False):
         points = [(getattr(p, cost), p.error) for p in RESULT.points] + [
             (r[cost], r["error"]) for r in OTHERS
@@ -132,7 +132,7 @@ def test_rings_mark_the_longest_stable_steps_of_leading_curves(panels: Any):
         ]
 
 
-def test_engines_of_one_point_stand_alone_and_are_named_together(panels: Any):
+def test_engines_with_one_point_are_labelled_together(panels: Any):
     over_time, over_evaluations, _ = panels
     alone = [
         line for line in over_time.lines if line.get_markersize() == 8 and line.get_marker() != "*"
@@ -141,8 +141,8 @@ def test_engines_of_one_point_stand_alone_and_are_named_together(panels: Any):
     assert data == {Modes.style[1]: (0.01, 1e-4), Bessel.style[1]: (0.003, 1.05e-4)}
     (label,) = (text for text in over_time.texts if "modes" in text.get_text())
     assert label.get_text() == "modes, bessel"
-    assert label.xy == (0.01, 1e-4)  # right of the slowest
-    assert not any("modes" in text.get_text() for text in over_evaluations.texts)  # they take none
+    assert label.xy == (0.01, 1e-4)  # To the right of the slowest one.
+    assert not any("modes" in text.get_text() for text in over_evaluations.texts)
 
 
 def test_axes_of_errors(panels: Any):
@@ -165,11 +165,11 @@ def test_axes_of_errors(panels: Any):
         assert words.xy == (0.01, floor)
         (better,) = (text for text in ax.texts if text.get_text() == "better")
         assert better.xy[0] < better.xyann[0]
-        assert better.xy[1] < better.xyann[1]  # the arrow goes to the lower left
+        assert better.xy[1] < better.xyann[1]  # The arrow points to the lower left.
     assert over_evaluations.get_ylim() == over_time.get_ylim()
 
 
-def test_slopes_of_orders_are_theirs(panels: Any):
+def test_slopes_of_orders_are_correct(panels: Any):
     ax = panels[1]
     slopes = [line for line in ax.lines if line.get_color() == "0.5"]
     labels = [text.get_text() for text in ax.texts if text.get_text() in "2468"]
@@ -208,11 +208,11 @@ def test_dots_are_times_to_one_error(panels: Any):
     assert bars.get_xscale() == "log"
     assert " ".join(bars.get_xlabel().split()) == "time (ms) never: lammps, verlet, modes, bessel"
     low, high = bars.get_ylim()
-    assert low > len(reached) - 1 + 0.4  # the fastest on top
+    assert low > len(reached) - 1 + 0.4  # The fastest engine is at the top.
     assert high < -0.4
 
 
-def test_title_and_footer_say_what_was_measured():
+def test_title_and_footer_describe_the_measurement():
     picture = RESULT.plot(others=OTHERS).figure
     label = SCENE.excitation.label
     number = f"{SCENE.strike_number:.2g}"
@@ -234,7 +234,7 @@ def test_title_and_footer_say_what_was_measured():
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
 
-def test_the_front_of_points_by_brute_force():
+def test_the_pareto_front_equals_a_brute_force_search():
     rng = np.random.default_rng(2)
     for _ in range(20):
         points = [tuple(row) for row in rng.integers(1, 7, (12, 2)).astype(float).tolist()]
@@ -243,14 +243,14 @@ def test_the_front_of_points_by_brute_force():
         }
         places = front(points)
         assert [points[place] for place in places] == sorted(lead)
-        assert len(places) == len(lead)  # of equal points one
+        assert len(places) == len(lead)  # Only one of several equal points is listed.
 
 
 def test_the_time_to_an_error_is_a_power_law_between_points():
     points = [(4.0, 1e-6), (1.0, 1e-2), (2.0, 5e-2)]
     assert time_to(1e-2, points) == 1.0
     exponent = math.log(1e-2 / 5e-2) / math.log(1.0 / 2.0)
-    assert exponent > 0  # the slower one in between is worse, and the law goes on from it
+    assert exponent > 0  # The slower point in between is worse, and the law continues from it.
     steep = math.log(5e-2 / 1e-6) / math.log(4.0 / 2.0)
     assert time_to(1e-4, points) == pytest.approx(2.0 * (5e-2 / 1e-4) ** (1 / steep), rel=1e-12)
     assert math.isnan(time_to(1e-7, points))
@@ -283,7 +283,7 @@ def test_rows_and_tables_of_given_points():
     assert machine().startswith(f"{processor()}, ")
 
 
-def test_a_row_a_tolerance_names_the_cheapest_way_and_lammps():
+def test_each_tolerance_has_a_row_with_the_cheapest_engine_and_lammps():
     rows = [
         (each.target, each.engine, each.integrator, each.error, each.seconds)
         for each in RESULT.cheapest()
@@ -314,7 +314,7 @@ def test_a_row_a_tolerance_names_the_cheapest_way_and_lammps():
     assert {each.why for each in without.cheapest("lammps")} == {"it is not installed"}
 
 
-def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
+def test_lammps_has_its_colour_and_the_rows_are_below(panels: Any):
     for ax in panels[:2]:
         lines = lines_of(ax)
         for name in ("lammps, verlet", "lammps, rkn4"):
@@ -329,11 +329,11 @@ def test_lammps_is_in_its_colour_and_the_rows_are_below(panels: Any):
     }
 
 
-# --- the comparison of answers
+# --- the comparison of trajectories
 
 
 def answer(engine: str, scene: Scene, off: float, **cost: Any) -> Trajectory:
-    """Return an answer with an error in its velocities alone, relative to the largest velocity."""
+    """Return a trajectory with an error only in its velocities, relative to the largest one."""
     u, v = wave(scene)
     counts = {"integrator": "rkn4", "steps": 40, "integration_s": 0.3} | cost
     paid = Cost(0.3, 0.1, 0.2, 40, 160, 8, "rkn4", 1e-8, 1, 2.0)._replace(**counts)
@@ -361,7 +361,7 @@ def compared(
     truth = Reference(scene.time, u, v, 1e-12, "made up")
     answers = [answer(name, scene, share) for name, share in zip(names, off, strict=True)]
     comparison: Comparison = compare(answers, truth)
-    # The map is the first of the axes, its colour bar the last.
+    # The map is in the first axes, its colour bar in the last.
     return comparison, comparison.plot().figure.axes[1:4]
 
 
@@ -404,7 +404,7 @@ def test_the_wave_is_drawn_in_units_of_the_strike():
     assert not compared(LONG, (1e-3, -0.2))[1][0].texts
 
 
-def test_of_linear_engines_the_best_is_drawn_with_the_wave():
+def test_only_the_best_linear_engine_is_drawn_with_the_wave():
     u, v = wave(LONG)
     truth = Reference(LONG.time, u, v, 1e-12, "made up")
     answers = [answer("native", LONG, 1e-9), answer("modes", LONG, 1e-2)]
@@ -431,7 +431,7 @@ def test_without_a_strike_velocities_are_in_m_per_s():
 
 
 def test_a_wide_wave_is_shown_around_its_fastest_grain():
-    """At most 60 grains: from 30 above the fastest, or as near to an end as there are."""
+    """At most 60 grains are shown: 30 on either side of the fastest, or up to an end."""
     from lmpchain.benchmark.comparison import _window
 
     velocity = np.ones(200)
@@ -498,7 +498,7 @@ def test_errors_over_time_and_cost_are_drawn_to_scale():
     assert ends == [pytest.approx([0.3, 3e-4])] * 2
 
 
-def test_no_error_and_no_time_are_drawn_at_the_end_of_the_scale():
+def test_zero_error_and_zero_time_are_drawn_at_the_end_of_the_scale():
     scene = LONG
     u, v = wave(scene)
     exact = replace(answer("modes", scene, 0.0, integrator="modes", integration_s=0.0),

@@ -1,4 +1,4 @@
-"""The reference, and the errors of answers relative to it."""
+"""The reference, and the errors of trajectories relative to it."""
 
 import json
 from dataclasses import replace
@@ -24,7 +24,7 @@ def test_the_reference_starts_where_the_scene_does():
     assert not truth.displacement[:, 2].any()
 
 
-def test_the_reference_keeps_its_digits_however_weak_the_wave():
+def test_the_reference_is_accurate_for_weak_waves():
     """Halving a weak strike halves the motion, to the accuracy of linear theory."""
     chain = Chain(grains=10, diameter=1e-3)
     motion = [
@@ -37,7 +37,7 @@ def test_the_reference_keeps_its_digits_however_weak_the_wave():
     assert motion[0] == pytest.approx(motion[1], abs=1e-11)
 
 
-def test_nothing_happens_where_nothing_strikes():
+def test_a_chain_without_excitation_stays_at_rest():
     chain = Chain(grains=4, diameter=1e-3)
     for quiet in (chain, Chain(grains=4, diameter=1e-3, gravity=0.0)):
         truth = reference(
@@ -66,13 +66,13 @@ def replace_scene(scene: Scene, **changes: Any) -> Scene:
     return Scene(**scene.given() | changes)
 
 
-# --- errors, on answers made up by hand
+# --- errors of trajectories made by hand
 
 CHAIN = Chain(grains=4, diameter=1e-3)
 
 
 def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
-    """Return an answer without error and its reference.
+    """Return a trajectory without error, and its reference.
 
     U = 1, 2, -4, 0 and v = 10 u at all times.
     """
@@ -86,14 +86,14 @@ def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
     return answer, Reference(scene.time, u, 10 * u, 1e-12, "made up")
 
 
-def test_equal_answers_have_no_error():
+def test_equal_trajectories_have_no_error():
     answer, truth = made_up()
     assert errors(answer, truth) == (0.0, 0.0)
     assert error(answer, truth) == 0.0
     assert error_over_time(answer, truth).tolist() == [0, 0, 0]
 
 
-def test_the_error_is_the_larger_of_both_and_relative_to_the_largest_of_all():
+def test_the_error_is_the_larger_of_both_relative_to_the_largest_motion():
     answer, truth = made_up()
     answer.displacement[1, 0] += 0.4
     answer.velocity[2, 1] -= 2.0
@@ -102,15 +102,15 @@ def test_the_error_is_the_larger_of_both_and_relative_to_the_largest_of_all():
     assert error_over_time(answer, truth) == pytest.approx([0, 0.1, 0.05], rel=1e-14, abs=0)
 
 
-def test_recorded_grains_are_matched_and_the_whole_chain_is_the_measure():
+def test_recorded_grains_are_compared_relative_to_the_whole_chain():
     answer, truth = made_up(grains=[2, 1])
     assert answer.displacement[0].tolist() == [2, 1]
     assert errors(answer, truth) == (0.0, 0.0)
-    answer.displacement[0, 1] += 0.4  # grain 1, and 4 is the largest displacement, of grain 3
+    answer.displacement[0, 1] += 0.4  # The largest displacement is 4, of grain 3.
     assert errors(answer, truth)[0] == pytest.approx(0.1, rel=1e-14, abs=0)
 
 
-def test_what_is_not_a_number_stays_visible():
+def test_nan_is_propagated():
     answer, truth = made_up()
     answer.velocity[1, 1] = np.nan
     assert np.isnan(error(answer, truth))
@@ -121,14 +121,14 @@ def test_what_is_not_a_number_stays_visible():
     assert error(answer, truth) == np.inf
 
 
-def test_a_truth_at_rest():
+def test_a_reference_at_rest():
     answer, truth = made_up()
     truth.displacement[:] = truth.velocity[:] = 0
     answer.displacement[:] = answer.velocity[:] = 0
     assert errors(answer, truth) == (0.0, 0.0)
 
 
-def test_what_cannot_be_compared():
+def test_incomparable_trajectories_are_rejected():
     answer, truth = made_up()
     with pytest.raises(InputError, match="time"):
         errors(answer, replace(truth, time=truth.time * 1.001))
@@ -138,7 +138,7 @@ def test_what_cannot_be_compared():
         errors(answer, replace(truth, displacement=np.zeros((3, 5)), velocity=np.zeros((3, 5))))
 
 
-def test_rows_repeat_what_the_answers_say():
+def test_rows_contain_the_numbers_of_the_trajectories():
     first, truth = made_up()
     second = replace(first, engine="lammps", velocity=1.5 * first.velocity)
     comparison = compare([first, second], truth)
@@ -158,7 +158,7 @@ def test_rows_repeat_what_the_answers_say():
     assert "made up" in comparison.table()
 
 
-def test_json_has_the_agreed_shape_and_no_nan():
+def test_json_has_the_documented_form_without_nan():
     answer, truth = made_up()
     broken = replace(answer, velocity=np.full_like(answer.velocity, np.nan))
     data = compare([answer, broken], truth).to_json()
@@ -178,7 +178,7 @@ def test_json_has_the_agreed_shape_and_no_nan():
 # --- the picture
 
 
-def test_a_picture_in_axes_of_ones_own():
+def test_a_picture_in_axes_of_the_user():
     answer, truth = made_up()
     mine = figure()
     axes = mine.subplots(1, 3)

@@ -1,4 +1,4 @@
-"""Scenes whose force is sampled much more densely than the chain can move."""
+"""Scenes whose force is sampled much more densely than the motion of the chain requires."""
 
 from pathlib import Path
 from typing import Any
@@ -35,14 +35,14 @@ def scene_of(force: Force, samples: int = 401, **options: Any) -> Scene:
 
 
 def test_steps_and_samples_follow_the_motion_and_not_the_points():
-    """Of the same push by its formula, the chain is the fastest; by points up to the spectrum."""
+    """Steps depend on the chain for a push by formula, and on the spectrum for a sampled one."""
     formula = Force(grain=1, shape="half-sine", amplitude=3.0, duration=LENGTH)
     exact = scene_of(formula)
     dense = scene_of(hammer())
     assert exact.highest_frequency <= dense.highest_frequency < 0.1 * RATE
     run = simulate(dense, "native")
     truth = simulate(exact, "native", 1e-9)
-    # The noise changes the motion by less than its own share.
+    # The noise changes the motion by less than its own amplitude.
     assert np.abs(run.velocity - truth.velocity).max() < 1e-3 * np.abs(truth.velocity).max()
     track, true_track = front.track(run), front.track(truth)
     assert track.grain.tolist() == true_track.grain.tolist()
@@ -50,7 +50,7 @@ def test_steps_and_samples_follow_the_motion_and_not_the_points():
     assert front_below(run).grain[0] == 2
     traces = Traces(run.time, [6], run.velocity[:, 5])
     assert Problem(dense, [traces], {"masses": "common"}).looks < 2000
-    # A native run with few equal steps meets what it says.
+    # A native run with few equal steps has the estimated error.
     fixed = simulate(dense, engines.Native(integrator="rkn6", step=5e-7))
     error = np.abs(fixed.velocity - run.velocity).max() / np.abs(run.velocity).max()
     assert error < 2 * fixed.error_estimate.total + 1e-6
@@ -58,7 +58,7 @@ def test_steps_and_samples_follow_the_motion_and_not_the_points():
 
 @pytest.mark.parametrize("driven", [False, True])
 def test_noise_between_samples_is_in_the_doubt_of_what_is_imposed(driven: bool):
-    """Between samples the acceleration is a cubic that misses the noise of 50 points."""
+    """Between samples, the acceleration is a cubic that misses the noise of 50 points."""
     force = hammer(noise=0.02)
     excitation: Force | Drive = force
     if driven:
@@ -71,7 +71,7 @@ def test_noise_between_samples_is_in_the_doubt_of_what_is_imposed(driven: bool):
     cubic = CubicHermiteSpline(scene.time, *imposed.acceleration)
     off = np.abs(share * excitation.waveform.at(fine, order) - cubic(fine))
     off = off[:-1].reshape(100, 200).max(axis=1)
-    # The last interval ends in a kink of its own.
+    # The last interval ends in an additional kink.
     assert (off[:-1] <= 1.1 * imposed.doubt[:-2]).all()
     assert off.max() > 1e-3 * np.abs(imposed.acceleration[0]).max()
 
@@ -84,7 +84,7 @@ def test_a_reference_is_expected_to_take_a_step_for_each_point():
 
 @pytest.mark.parametrize("driven", [False, True])
 def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.MonkeyPatch):
-    """The change of the answer is that between two runs of another integrator."""
+    """The reported change is the difference between two runs of another integrator."""
     monkeypatch.setattr(truth, "MOST_POINTS", 100)
     force = hammer()
     path = np.cumsum(np.cumsum(force.force)) / 2e13
@@ -106,7 +106,7 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
     assert truth.thin_trace(thinner, 1e-8) == (thinner, "")
 
 
-def test_compare_ends_soon_on_a_hammer_of_25_megasamples(
+def test_compare_ends_soon_for_a_hammer_trace_of_25_megasamples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(truth, "MOST_POINTS", 100)

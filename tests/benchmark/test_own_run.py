@@ -1,4 +1,4 @@
-"""Errors of runs: dumps of `lmp`, causes of their errors, cures, and decks before a run."""
+"""Errors of users' runs: dumps of `lmp`, causes, remedies, and decks before a run."""
 
 import json
 import re
@@ -32,12 +32,12 @@ from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.measure import front
 
-STEP = 4e-7  # s, too long
+STEP = 4e-7  # Too long a step, s.
 VACUUM = small(Impulse(velocity=8.57e-3), gravity=0.0, bottom="wall")
 
 
 def run(scene: Scene, folder: Path, edit: tuple[str, str] = ("", ""), **options) -> Path:
-    """Run a deck by the stand-alone LAMMPS, edited before, and return its dump."""
+    """Run an edited deck with the stand-alone LAMMPS, and return its dump."""
     deck = write_deck(scene, folder, **({"step": STEP} | options))
     text = deck.read_text()
     assert re.search(edit[0], text)
@@ -65,7 +65,7 @@ def dump(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run(small(), tmp_path_factory.mktemp("deck"))
 
 
-def test_a_step_that_is_too_long_has_the_error_that_it_has(dump: Path):
+def test_the_error_of_too_long_a_step_is_measured(dump: Path):
     found = check(dump, small())
     assert found.error == pytest.approx(true_error(small(), read_dump(dump)), rel=1e-9)
     assert found.error == max(found.error_displacement, found.error_velocity) > 1e-3
@@ -76,7 +76,7 @@ def test_a_step_that_is_too_long_has_the_error_that_it_has(dump: Path):
     assert causes(found)["digits"] < 1e-6
 
 
-def test_each_cure_reaches_its_error_and_no_much_longer_step_does(dump: Path):
+def test_each_cure_reaches_its_error_and_longer_steps_do_not(dump: Path):
     found = check(dump, small())
     assert {(cure.target, cure.integrator) for cure in found.cures} == {
         (target, name) for target in (1e-3, 1e-6) for name in ("verlet", "kahan-li6", "rkn6")
@@ -95,7 +95,7 @@ def test_each_cure_reaches_its_error_and_no_much_longer_step_does(dump: Path):
 
 
 def test_the_energy_is_that_of_the_motion(tmp_path: Path):
-    """In a vacuum nothing cancels, so that sums over grains and contacts show it."""
+    """In a vacuum nothing cancels, so that sums over grains and contacts show the energy."""
     found = check(run(VACUUM, tmp_path), VACUUM)
 
     def total(u, v):
@@ -111,14 +111,14 @@ def test_the_energy_is_that_of_the_motion(tmp_path: Path):
     assert "no stability limit at rest" in found.table()
 
 
-def test_the_front_is_late_by_what_an_independent_solution_says(tmp_path: Path):
+def test_the_delay_of_the_front_agrees_with_an_independent_solution(tmp_path: Path):
     scene = small().replace(samples=41, duration=4e-5)
     dump = run(scene, tmp_path)
     found = check(dump, scene)
     fine = with_dense_samples(scene)
     velocity = taylor_series.reference(fine, 1e-17)[0].velocity
     n = found.arrival.grain
-    # The peak of a parabola through the highest sample and its neighbours.
+    # The peak of the parabola through the highest sample and its neighbours.
     k = int(velocity[:, n - 1].argmax())
     before, top, after = velocity[k - 1 : k + 2, n - 1]
     offset = (before - after) / (before - 2 * top + after) / 2
@@ -149,7 +149,7 @@ def test_few_digits_are_named_as_the_cause(tmp_path: Path):
     assert left_out < expected < 10 * left_out
 
 
-def test_single_precision_is_few_digits(dump: Path, tmp_path: Path):
+def test_single_precision_has_too_few_digits(dump: Path, tmp_path: Path):
     rounded = []
     for line in dump.read_text().splitlines():
         words = line.split()
@@ -167,7 +167,7 @@ def test_single_precision_is_few_digits(dump: Path, tmp_path: Path):
     assert re.search(r"some [78] digits", found.causes[1].why)
 
 
-def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
+def test_errors_without_a_known_cause_are_reported(tmp_path: Path):
     damp = (r"\nfix +motion", r"\nfix damp mobile viscous 1e-4\g<0>")
     found = check(run(small(), tmp_path, damp, step=1e-8), small())
     assert found.cause == "another cause"
@@ -189,7 +189,7 @@ def test_what_neither_step_nor_digits_explain_is_said(tmp_path: Path):
 def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path, monkeypatch):
     scene = small(damping=Damping(viscoelastic=2e-7, drag=1e3))
     if integrator == "lagged-verlet":
-        # Decks of earlier versions, and the fixes and atoms that most users have.
+        # Decks of earlier versions, and the fixes and atoms of most users.
         monkeypatch.setattr(LammpsColumn, "predicts", False)
     dump = run(scene, tmp_path, step=1e-7, pair_style=pair_style)
     monkeypatch.undo()
@@ -203,13 +203,13 @@ def test_damped_dumps_and_decks(integrator: str, pair_style: str, tmp_path: Path
     assert before.error == pytest.approx(found.error, rel=1e-3)
 
 
-def test_atoms_of_another_style_than_that_of_the_deck_are_refused(tmp_path: Path, monkeypatch):
+def test_atoms_of_another_style_are_rejected(tmp_path: Path, monkeypatch):
     scene = small(damping=Damping(viscoelastic=2e-7))
     write_deck(scene, tmp_path, step=1e-7)
     monkeypatch.setattr(LammpsColumn, "predicts", False)
     write_data(LammpsColumn(scene, 0.0), tmp_path / "column.data")
     monkeypatch.undo()
-    with pytest.raises(InputError, match="has another header"):
+    with pytest.raises(InputError, match="does not have the header"):
         read_deck(tmp_path)
 
 
@@ -232,7 +232,7 @@ DECKS = {
 
 
 @pytest.mark.parametrize("name", DECKS)
-def test_a_deck_holds_its_scene(name: str, tmp_path: Path):
+def test_a_deck_contains_its_scene(name: str, tmp_path: Path):
     scene = DECKS[name]
     write_deck(scene, tmp_path, step=1e-7)
     deck = read_deck(tmp_path)
@@ -241,7 +241,8 @@ def test_a_deck_holds_its_scene(name: str, tmp_path: Path):
     assert deck.scene.time == pytest.approx(scene.time, rel=1e-12)
     read = simulate(deck.scene, "native", 1e-9)
     true = simulate(scene, "native", 1e-9)
-    # Heights of LAMMPS leave so much of the overlaps at rest, on which a drive alone depends.
+    # Heights in LAMMPS limit the accuracy of overlaps at rest, which determine the effect of a
+    # drive.
     loose = 1e-6 if name in ("drive", "wall") else 1e-10
     for field in ("displacement", "velocity"):
         answer = getattr(true, field)
@@ -265,7 +266,7 @@ def test_every_kind_of_deck_is_read(options: dict[str, str], tmp_path: Path):
     assert causes(before)["step"] == pytest.approx(causes(after)["step"], rel=1e-6)
 
 
-def test_a_deck_through_points_takes_its_scene(tmp_path: Path):
+def test_a_deck_with_points_contains_its_scene(tmp_path: Path):
     times = [0.0, 1e-6, 2e-5]
     scene = small(Force(grain=1, times=times, force=[0.0, 1e-3, 0.0]), bottom="wall")
     write_deck(scene, tmp_path, step=1e-7)
@@ -301,23 +302,23 @@ EDITS = [
     ("index 9.81", "index 9.0", r"column.data: .* overlap by"),
     (r"fix +motion mobile nve", "fix motion mobile nve/limit 1e-9", r"line \d+ .*nve/limit"),
     (r"\nfix +weight.*", "", r"is not `fix weight"),
-    (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* holds no number"),
+    (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* contains no number"),
     (r"\nrun .*", "\nrun 2.5", r"must hold a whole number"),
     (r"\nrun .*", "\nrun 1", r"ends before the first dump"),
     (r"\nrun .*", r"\g<0>\nshell touch gone", r"line \d+ \(shell touch gone\) is not known"),
     (r"\nrun .*", "", r"has no command run"),
-    (r"dt      index .*", "dt index nan", r"holds no number"),
-    (r"dt      index .*", "dt index 1e999", r"must hold a finite number"),
+    (r"dt      index .*", "dt index nan", r"contains no number"),
+    (r"dt      index .*", "dt index 1e999", r"must contain a finite number"),
     (r"dt      index .*", "dt index -1e-7", r"must be a time above 0"),
     (r"id 1:24", "id 1:20", r"moves other grains"),
-    (r"hertz 4\S+", "hertz x", r"holds no number"),
-    ("pair_style      granular", "pair_style granular 1", r"is no force that lmpchain writes"),
+    (r"hertz 4\S+", "hertz x", r"contains no number"),
+    ("pair_style      granular", "pair_style granular 1", r"is not a force that lmpchain writes"),
     (r"%\.17g\n\nthermo", "%d\n\nthermo", r"must end in a format"),
 ]
 
 
 @pytest.mark.parametrize(("pattern", "text", "fault"), EDITS)
-def test_what_cannot_be_understood_is_refused_in_a_line(
+def test_invalid_commands_are_rejected_in_one_line(
     pattern: str, text: str, fault: str, tmp_path: Path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
@@ -333,7 +334,7 @@ def test_what_cannot_be_understood_is_refused_in_a_line(
     assert not list(tmp_path.rglob("gone"))
 
 
-def test_data_that_cannot_be_understood(tmp_path: Path):
+def test_invalid_data_are_rejected(tmp_path: Path):
     write_deck(small(), tmp_path, step=1e-7)
     data = tmp_path / "column.data"
     text = data.read_text()
@@ -346,7 +347,7 @@ def test_data_that_cannot_be_understood(tmp_path: Path):
         check_deck(tmp_path)
 
 
-def test_saved_runs_carry_their_scene(tmp_path: Path, monkeypatch, capsys):
+def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     small().to_toml("scene.toml")
     small(Impulse(velocity=1e-3)).to_toml("other.toml")
@@ -383,7 +384,7 @@ def test_a_dump_needs_its_scene(dump: Path, capsys):
     assert "scene: is missing" in capsys.readouterr().err
 
 
-def test_a_solution_of_another_equation_is_off_by_that():
+def test_a_solution_of_another_equation_has_a_model_error():
     scene = small(Impulse(velocity=1e-5))
     with pytest.warns(UserWarning, match="leaves out"):
         t = simulate(scene, "modes")
@@ -393,7 +394,7 @@ def test_a_solution_of_another_equation_is_off_by_that():
     assert "Eq. (3)" in found.table()
 
 
-def test_grains_that_were_not_recorded_leave_the_energy_open():
+def test_unrecorded_grains_make_the_energy_unknown():
     found = check(simulate(small().replace(grains="1:5"), Native("verlet", STEP)))
     assert np.isnan(found.error_energy)
     assert found.to_json()["error_energy"] is None
@@ -401,7 +402,7 @@ def test_grains_that_were_not_recorded_leave_the_energy_open():
 
 
 def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):
-    """Steps that adapt where contacts open and close are more than equal ones."""
+    """Adaptive steps around contact openings are more than equal steps."""
     scene = small(Impulse(velocity=8.57e-3)).replace(duration=1e-4, samples=26)
     t = simulate(scene, "native", 1e-4)
     t.save(tmp_path / "run.nc")

@@ -1,4 +1,4 @@
-"""The reference against exact solutions, conserved energy, and an integrator of another kind."""
+"""The reference against exact solutions, conserved energy, and an integrator of another type."""
 
 from itertools import product
 from typing import Any
@@ -74,7 +74,7 @@ KINDS = {
 
 
 @pytest.mark.parametrize("kind", thinned(KINDS, 5))
-def test_the_error_of_the_reference_is_what_it_says(kind: str):
+def test_the_error_estimate_of_the_reference_holds(kind: str):
     scene = KINDS[kind]
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
@@ -170,14 +170,14 @@ def test_a_grain_that_is_thrown_up_falls_back_as_fast():
     assert np.diff(speed) / np.diff(up) == pytest.approx(9.81, rel=1e-11, abs=0)
 
 
-def test_energy_is_kept_where_contacts_open():
+def test_energy_is_conserved_if_contacts_open():
     scene = strong(21)
     truth = reference(scene)
     energy = scene.chain.excess_energy(truth.displacement, truth.velocity)
     assert energy == pytest.approx(energy[0], rel=1e-14, abs=0)
 
 
-def test_grains_that_nothing_has_reached_make_no_difference():
+def test_grains_beyond_the_wave_have_no_effect():
     """The chains have 120 and 10,000 grains, with different units of time and length."""
     short = paper("fig5 g", samples=3)
     long = Scene(**short.given() | {"chain": Chain(grains=10_000, diameter=1e-3)})
@@ -197,7 +197,7 @@ def test_grains_that_nothing_has_reached_make_no_difference():
     assert not many.displacement[:, 200:].any()
 
 
-def test_samples_between_steps_are_as_good():
+def test_samples_between_steps_are_as_accurate():
     """Samples are exact up to the rounding of their times, which contributes 2e-15."""
     few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
     assert (
@@ -209,7 +209,7 @@ def test_samples_between_steps_are_as_good():
     assert relative_error(u, v, middle.displacement[-1:], middle.velocity[-1:]) < 1e-14
 
 
-def test_it_says_how_it_was_found():
+def test_the_reference_states_its_method():
     found = reference(smooth())
     assert "Taylor series of order 32" in found.method
     assert ("18 digits" in found.method) == (np.finfo(np.longdouble).precision == 18)
@@ -227,7 +227,7 @@ def test_steps_end_at_the_first_root_of_an_overlap():
         digits = 1e-16 if EXTENDED else 1e-14
         assert place <= wide(first) * (1 + wide(digits))
         assert place >= wide(first) * (1 - wide(digits if roots.count(first) == 1 else 1e-6))
-    never = np.array([1, -2, 1.25], dtype=wide)  # it comes near to 0 at 0.8, and is 0.2 there
+    never = np.array([1, -2, 1.25], dtype=wide)  # It is 0.2 at its minimum, at 0.8.
     assert _first_root(never, wide(1)) >= 1
     rising = np.array([0.1, 1, 3], dtype=wide)
     assert _first_root(rising, wide(0.7)) >= 0.7
@@ -249,7 +249,7 @@ FORCED = {
 
 
 @pytest.mark.parametrize("name", thinned(FORCED, 2))
-def test_the_reference_of_laws_by_formula_is_that_of_powers(name: str) -> None:
+def test_laws_by_formula_have_the_reference_of_power_laws(name: str) -> None:
     options, excitation = FORCED[name]
     chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
     scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=41)

@@ -1,4 +1,4 @@
-"""Speed against accuracy.
+"""Work-precision curves.
 
 What is measured, what is marked, the picture, the command and the script.
 """
@@ -70,7 +70,7 @@ def stepped(found):
     return [curve for curve in found.curves if curve.integrator]
 
 
-def test_every_engine_and_integrator_is_there(found):
+def test_every_engine_and_integrator_is_listed(found):
     names = {curve.name for curve in found.curves}
     kinds = {
         (engine, kind)
@@ -98,7 +98,7 @@ def test_errors_are_true(found):
 
 
 def native(name, until):
-    """Return the points of an integrator, however long they take, down to an error."""
+    """Return the points of an integrator down to an error, without a time limit."""
     points = Bench(SCENE, reference(SCENE)).over_steps("native", name)
     return list(takewhile(lambda point: point.error > until, points))
 
@@ -142,18 +142,18 @@ def longest_holds(scene, name):
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_no_longer_step_holds(name):
+def test_no_longer_step_is_stable(name):
     assert longest_holds(SCENE, name)
 
 
-def test_where_no_linear_limit_helps_the_longest_step_is_found_by_trying():
+def test_in_the_sonic_vacuum_the_longest_step_is_found_by_trials():
     """The sonic vacuum has no band edge, so that no step is refused beforehand."""
     chain = Chain(grains=8, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=3e-5, samples=2)
     assert longest_holds(scene, "verlet")
 
 
-def test_times_are_kept_apart(found):
+def test_times_are_stored_separately(found):
     for curve in found.curves:
         for p in curve.points:
             assert 0 < p.integration_s < 60
@@ -170,12 +170,12 @@ def test_times_are_kept_apart(found):
     assert native.grain_steps_per_s == pytest.approx(rate, rel=0.3)
 
 
-def test_what_is_too_accurate_to_tell_is_dropped():
+def test_points_below_the_reference_error_are_dropped():
     truth = reference(SCENE)
     bench = Bench(SCENE, replace(truth, error=1e-8))
     points = list(bench.over_steps("native", "rkn6"))
     assert min(point.error for point in points) >= 1e-7
-    assert bench.dropped == 4  # and then it stops, for none gets better
+    assert bench.dropped == 4  # The search then stops, because no point improves.
 
 
 def test_the_pareto_front(found):
@@ -199,7 +199,7 @@ def test_time_to_an_error():
     assert math.isnan(time_to(1e-9, []))
 
 
-def test_json_has_the_agreed_shape(found):
+def test_json_has_the_documented_form(found):
     data = found.to_json()
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert data["reference"]["error"] == found.reference.error < 1e-14
@@ -223,7 +223,7 @@ def test_the_picture(found, tmp_path):
     } == {"log"}
     assert over_time.get_xlabel() == "time (s)"
     assert over_time.get_ylabel() == "relative error"
-    # Beside the cheapest ways, where no curve is.
+    # The legend is beside the cheapest engines, away from the curves.
     assert over_evaluations.get_legend() is None
     shown = [text.get_text().replace("\n", " ") for text in ways.get_legend().get_texts()]
     assert {"native, to a tolerance", "others", "Pareto front"} <= set(shown)
@@ -231,7 +231,7 @@ def test_the_picture(found, tmp_path):
     assert {"lammps, verlet", "lammps, rkn6"} <= set(shown)
     lines = [text.get_text() for text in ways.texts]
     assert lines[1].startswith("10⁻³")
-    # Columns of raised powers stand below each other.
+    # Columns of raised powers are aligned.
     start = lines[0].index("engine")
     assert all(re.fullmatch(r" \S", line[start - 1 : start + 1]) for line in lines)
     assert not any(" us" in line for line in lines)
@@ -253,7 +253,7 @@ def test_the_picture(found, tmp_path):
 
 
 def test_runs_to_a_tolerance_are_named_however_few(found):
-    """Time may be over after the first, on a busy machine."""
+    """On a busy machine the time may end after the first point."""
     curves = tuple(
         replace(curve, points=curve.points[: 1 if curve.to_tolerance else None])
         for curve in found.curves
@@ -262,16 +262,16 @@ def test_runs_to_a_tolerance_are_named_however_few(found):
     assert "native, to a tolerance" in axes.figure.axes[1].get_legend_handles_labels()[1]
 
 
-def test_a_picture_in_axes_of_ones_own(found):
+def test_a_picture_in_axes_of_the_user(found):
     mine = figure()
     axes = mine.subplots(1, 3)
-    # A busy machine may measure nothing that reaches the target, but the others do.
+    # On a busy machine no curve may reach the target, but the other codes do.
     assert found.plot(axes, PEERS) is axes[0]
     assert found.plot(ax=figure().subplots()).lines
     assert all(ax.has_data() for ax in axes)
 
 
-def test_the_table_gives_the_time_to_each_error(found):
+def test_the_table_lists_the_time_to_each_error(found):
     lines = found.table({"other": [(1e-2, 1e-5), (3e-2, 1e-9)]}).splitlines()
     assert max(map(len, lines)) <= 80
     head = lines[lines.index("") + 1]
@@ -281,7 +281,7 @@ def test_the_table_gives_the_time_to_each_error(found):
 
 
 def test_the_cheapest_way_to_an_error_has_it(found):
-    """A run with the engine, the integrator and the step of a row, by an independent integrator."""
+    """A run with the engine, integrator and step of a row has the error by another integrator."""
     u, v, _ = extended_reference(SCENE)
     ways = [*found.cheapest(), *found.cheapest("lammps")]
     # On a busy machine the time ends early.
@@ -297,17 +297,17 @@ def test_the_cheapest_way_to_an_error_has_it(found):
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, math.nan, math.inf])
-def test_a_budget_is_a_time(budget):
+def test_a_budget_limits_the_time(budget):
     with pytest.raises(InputError, match="budget"):
         work_precision(SCENE, budget)
 
 
-def test_a_scene_whose_reference_takes_forever():
+def test_a_scene_with_too_expensive_a_reference_is_rejected():
     with pytest.raises(InputError, match="duration"):
         work_precision(Scene(**SCENE.given() | {"duration": 1e3}))
 
 
-def test_what_takes_longer_than_there_is_time_is_left_out():
+def test_engines_beyond_the_time_limit_are_left_out():
     scene = Scene(
         chain=Chain(grains=3000, diameter=1e-3),
         excitation=Impulse(velocity=1e-6),
@@ -342,9 +342,9 @@ def test_ctrl_c_leaves_nothing_behind(tmp_path):
     SCENE.to_toml(tmp_path / "scene.toml")
     words = ["workprec", "scene.toml", "--budget", 600, "-o", "chart.png"]
     with on_a_terminal(*COMMAND, *words, cwd=tmp_path) as (process, read_until):
-        read_until(r" [1-9]\d* of \d+ \|")  # the progress bar, once an integrator is done
+        read_until(r" [1-9]\d* of \d+ \|")  # The progress bar has appeared.
         process.send_signal(signal.SIGINT)
-        assert process.wait(PATIENCE) in (130, -signal.SIGINT)  # a shell says 130 of either
+        assert process.wait(PATIENCE) in (130, -signal.SIGINT)  # A shell reports 130 for either.
         assert "Traceback" not in read_until("stopped by Ctrl-C")
     assert [path.name for path in tmp_path.iterdir()] == ["scene.toml"]
 

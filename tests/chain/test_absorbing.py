@@ -1,4 +1,4 @@
-"""Ends that absorb: what sponges give back, against linear systems solved as a whole."""
+"""Absorbing boundaries: reflection, compared with linear systems solved as a whole."""
 
 import numpy as np
 import pytest
@@ -14,14 +14,14 @@ DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
 
 
 def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
-    """Return the amplitude that comes back of a wave in the first grains of a chain.
+    """Return the reflected amplitude of a wave in the first grains of a chain.
 
     Forced on grain 1, all grains follow from one linear system; in one grain of every cell the wave
     is a exp(i q j) + b exp(-i q j).
     """
     diagonal, coupling = chain.dynamical_matrix()
     drag = chain.drag[: chain.movable].astype(complex)
-    # losses of the sponge above, which is no end here
+    # The losses of the upper layer are removed, because this end is open.
     drag[:before] = 0.0
     matrix = np.diag(diagonal - omega**2 - 1j * omega * drag)
     matrix += np.diag(coupling, 1) + np.diag(coupling, -1)
@@ -38,7 +38,7 @@ def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
 
 @pytest.mark.parametrize(("chain", "cell"), [(UNIFORM, 1), (DIMER, 2)], ids=["uniform", "dimer"])
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
-def test_reflection_is_that_of_the_whole_system(chain, cell, bottom):
+def test_reflection_equals_that_of_the_whole_linear_system(chain, cell, bottom):
     absorbs = patterns.absorbing(chain.replace(bottom=bottom), bottom=60)
     bands = scattering.reflection(absorbs, 60).bands
     assert len(bands) == cell
@@ -54,7 +54,7 @@ def test_reflection_is_that_of_the_whole_system(chain, cell, bottom):
     ("chain", "grains", "amplitude"),
     [(UNIFORM, 60, 1.3e-3), (UNIFORM, 80, 1e-3), (DIMER, 60, 7.5e-3), (DIMER, 120, 1e-3)],
 )
-def test_as_little_comes_back_as_the_page_says(chain, grains, amplitude):
+def test_reflections_are_as_small_as_documented(chain, grains, amplitude):
     absorbs = patterns.absorbing(chain, bottom=grains, top=grains)
     for end in ("bottom", "top"):
         wave = scattering.reflection(absorbs, grains, end)
@@ -64,7 +64,7 @@ def test_as_little_comes_back_as_the_page_says(chain, grains, amplitude):
 
 
 @pytest.mark.parametrize("share", [0.3, 0.5])
-def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
+def test_transmission_of_a_driven_dimer_agrees_with_theory(share):
     leads = ["steel"] * 20
     material = [*leads, *["steel", "aluminium"] * 30, *leads]
     chain = Chain(grains=100, material=material, diameter=1e-2, **PRESSED)
@@ -94,7 +94,7 @@ def test_a_driven_dimer_between_sponges_lets_through_what_theory_says(share):
     assert 0.4 < through.transmitted[0] < 0.99
 
 
-def test_a_chain_goes_on_as_it_ends():
+def test_added_layers_continue_the_pattern_of_the_chain():
     with pytest.warns(UserWarning, match="layer of [67] grains reflects"):
         absorbs = patterns.absorbing(DIMER, bottom=7, top=6)
     names = [material.name for material in absorbs.material]
@@ -129,7 +129,7 @@ def test_a_column_under_gravity_absorbs_at_its_bottom():
         patterns.absorbing(column, top=60)
 
 
-def test_a_striker_keeps_its_side_of_the_chain():
+def test_a_striker_stays_on_its_side_of_the_chain():
     striker = UNIFORM.replace(load_grain=2)
     absorbs = patterns.absorbing(striker, bottom=60)
     assert absorbs.load_grain == 2
@@ -147,12 +147,12 @@ def test_a_striker_keeps_its_side_of_the_chain():
         (UNIFORM.replace(top_load=0.0), {}, "carry no force at rest"),
     ],
 )
-def test_what_cannot_absorb_is_refused(chain, sizes, message):
+def test_unsuitable_chains_are_rejected(chain, sizes, message):
     with pytest.raises(InputError, match=message):
         patterns.absorbing(chain, **sizes)
 
 
-def test_reflection_of_a_short_end_or_beyond_the_bands_is_refused():
+def test_reflection_of_a_short_end_or_outside_the_bands_is_rejected():
     absorbs = patterns.absorbing(UNIFORM, bottom=60)
     for options, message in (
         ({"grains": 2}, "three cells"),

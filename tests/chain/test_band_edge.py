@@ -1,4 +1,4 @@
-"""Band edges against LAPACK, exact values and band edges of long chains."""
+"""Band edges against LAPACK, exact values, and band edges of long chains."""
 
 import numpy as np
 from scipy.linalg.lapack import dstebz
@@ -9,15 +9,15 @@ from lmpchain.chain.contacts import dynamical_matrix
 EPSILON = np.finfo(float).eps
 
 
-def test_they_are_those_of_lapack():
+def test_band_edges_agree_with_lapack():
     rng = np.random.default_rng(1)
     for _ in range(1500):
         moving = int(10 ** rng.uniform(0.4, 3))
         unlike = rng.choice([0.0, 0.1, 1.0, 5.0, 20.0])
         stiffness = np.exp(unlike * rng.normal(size=moving + 1))
-        if rng.random() < 0.3:  # under its own weight
+        if rng.random() < 0.3:  # Under its own weight.
             stiffness = np.arange(1.0, moving + 2) ** rng.uniform(0.1, 1)
-        stiffness[[0, -1]] *= rng.integers(2, size=2)  # with and without walls
+        stiffness[[0, -1]] *= rng.integers(2, size=2)  # With and without walls.
         masses = 10 ** rng.uniform(-50, 50) * np.exp(
             rng.choice([0.0, 0.1, 1.0, 5.0]) * rng.normal(size=moving)
         )
@@ -28,7 +28,7 @@ def test_they_are_those_of_lapack():
 
 
 def test_they_are_exact_in_a_uniform_chain():
-    """Of N equal masses and N + 1 equal springs: omega^2 = 4 k / m sin^2(N pi / 2 (N + 1))."""
+    """N equal masses and N + 1 equal springs: omega^2 = 4 k / m sin^2(N pi / 2 (N + 1))."""
     for grains in (1, 2, 3, 10, 1000, 10**6):
         diagonal, coupling = dynamical_matrix(np.full(grains + 1, 3.0), np.full(grains, 0.5))
         (edge,) = band_edges(diagonal[None], coupling[None])
@@ -37,7 +37,7 @@ def test_they_are_exact_in_a_uniform_chain():
 
 
 def test_an_end_of_a_long_chain_that_swings_alone_above_the_band():
-    """A stiff wall: its mode decays along the chain, and lies apart from thousands of others."""
+    """The mode of a stiff wall decays along the chain and is separate from thousands of others."""
     rng = np.random.default_rng(3)
     for _ in range(100):
         moving = int(10 ** rng.uniform(2.5, 4.5))
@@ -51,7 +51,7 @@ def test_an_end_of_a_long_chain_that_swings_alone_above_the_band():
         assert abs(edge**2 / square - 1) < 8 * EPSILON
 
 
-def test_many_at_once_are_those_of_each_to_the_last_bit():
+def test_a_batch_has_the_bits_of_single_chains():
     rng = np.random.default_rng(2)
     diagonal, coupling = dynamical_matrix(
         rng.gamma(2.0, size=(50, 101)), rng.gamma(2.0, size=(50, 100))
@@ -61,5 +61,5 @@ def test_many_at_once_are_those_of_each_to_the_last_bit():
     assert together.tolist() == alone
 
 
-def test_nothing_moves_where_nothing_is_pressed():
+def test_uncompressed_chains_have_band_edge_0():
     assert band_edges(np.zeros((2, 5)), np.zeros((2, 4))).tolist() == [0.0, 0.0]

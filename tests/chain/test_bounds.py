@@ -1,6 +1,4 @@
-"""Bounds that are known without arrays: never crossed by what the arrays say,
-and close for the paper's column.
-"""
+"""Bounds without arrays: never violated by the arrays, and close for the paper's column."""
 
 import numpy as np
 import pytest
@@ -10,9 +8,9 @@ from lmpchain.util.validation import make_unchecked
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_arrays_stay_within_them(seed: int):
+def test_arrays_are_within_the_bounds(seed: int):
     random = np.random.default_rng(seed)
-    # rubber is crushed by most of these loads
+    # Rubber would be crushed by most of these loads.
     materials = ["glass", "steel", "ptfe", "brass", "tungsten_carbide"]
     top = random.choice(["free", "wall"])
     bottom = random.choice(["fixed", "wall"])
@@ -62,14 +60,14 @@ def test_arrays_stay_within_them(seed: int):
 
 @pytest.mark.parametrize("velocity", [1e-6, 8.57e-4, 0.05, -0.05])
 @pytest.mark.parametrize("gravity", [0.0, 9.81])
-def test_frequency_of_a_scene_is_that_of_its_arrays(velocity: float, gravity: float):
+def test_the_frequency_of_a_scene_equals_that_of_its_arrays(velocity: float, gravity: float):
     chain = Chain(grains=40, diameter=1e-3, gravity=gravity)
     scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-4)
     pair = np.sqrt(2 * chain.contacts.stiffness_at(scene.first_overlaps).max() / chain.masses.min())
     assert scene.highest_frequency == (max(chain.band_edge, pair) or 1e4)
 
 
-def test_they_are_close_for_the_column_of_the_paper():
+def test_bounds_are_close_for_the_column_of_the_paper():
     chain = Chain(grains=120, diameter=1e-3)
     assert chain.bounds.overlap == pytest.approx(chain.contacts.overlap.max(), rel=0.01)
     assert chain.bounds.hardest == pytest.approx(
@@ -80,5 +78,5 @@ def test_they_are_close_for_the_column_of_the_paper():
 @pytest.mark.parametrize(
     "fields", [{"diameter": [1e-3] * 5}, {"masses": [1e-6] * 5}, {"contact_constants": [1e9] * 4}]
 )
-def test_arrays_have_none(fields: dict[str, list[float]]):
+def test_listed_grains_have_no_bounds(fields: dict[str, list[float]]):
     assert Chain(**{"grains": 5, "diameter": 1e-3} | fields).bounds is None

@@ -1,6 +1,4 @@
-"""The chain at rest, its band edge and its energy, against formulas and methods
-that the package does not use.
-"""
+"""The chain at rest, its band edge and its energy, against independent formulas and methods."""
 
 import dataclasses
 import tracemalloc
@@ -56,9 +54,7 @@ def test_the_chain_of_the_paper():
 
 @pytest.mark.parametrize("exponent", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_contact_constant_for_any_exponent(exponent: float):
-    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta) with everything from the
-    two grains of the contact.
-    """
+    """K = (4/3) E* sqrt(R*) dbar^(1.5 - delta), with values from the two grains of the contact."""
     chain = Chain(
         grains=3, material=[GLASS, STEEL, PTFE], diameter=[1e-3, 2e-3, 5e-3], exponent=exponent
     )
@@ -82,7 +78,7 @@ def test_contact_constant_for_any_exponent(exponent: float):
     )
 
 
-def test_uniform_is_the_same_as_all_equal():
+def test_equal_lists_make_a_uniform_chain():
     one = Chain(grains=5, material="steel", diameter=1e-3)
     many = Chain(grains=5, material=[STEEL] * 5, diameter=[1e-3] * 5)
     assert np.array_equal(one.masses, many.masses)
@@ -111,9 +107,7 @@ def test_a_wall_of_the_same_material_is_sqrt_2_times_as_stiff(exponent: float):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 def test_wall_constants_of_other_materials(exponent: float):
-    """K = (4/3) E* sqrt(R) d^(1.5 - delta) with the radius and the diameter of
-    the grain that touches the wall.
-    """
+    """K = (4/3) E* sqrt(R) d^(1.5 - delta), with radius and diameter of the grain at the wall."""
     chain = Chain(
         grains=3,
         material=[GLASS, STEEL, PTFE],
@@ -168,7 +162,7 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
     contacts = chain.contacts
     force = contacts.constant * contacts.overlap**chain.exponent
     push = force.copy()
-    push[0] = chain.top_load  # whether it is that of a wall or not
+    push[0] = chain.top_load  # The load acts with or without a wall.
     weight = chain.masses * chain.gravity
     last = chain.movable
     assert np.diff(push)[:last] == pytest.approx(weight[:last], rel=1e-9, abs=1e-14 * force.max())
@@ -187,9 +181,7 @@ def test_forces_balance_at_rest_between_walls(chain: Chain):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 def test_the_contact_law_and_what_follows_from_it(exponent: float):
-    """Stiffness is the slope of the force, a collision ends where the energy is
-    spent, and loads scale stiffnesses.
-    """
+    """Stiffness is the slope of the force, a collision ends at its energy, and loads scale."""
     every = Chain(grains=5, diameter=1e-3, exponent=exponent).contacts
     contacts = every.of(np.flatnonzero(every.pressed))
     o = contacts.overlap
@@ -247,14 +239,14 @@ def test_band_edge_against_a_dense_eigensolver(chain: Chain):
     matrix = np.zeros((size, size))
     for n, stiffness in enumerate(k):
         matrix[n : n + 2, n : n + 2] += stiffness * np.array([[1, -1], [-1, 1]])
-    moving = matrix[:-1, :-1]  # grain N is held
+    moving = matrix[:-1, :-1]  # Grain N is fixed.
     highest = np.sqrt(np.linalg.eigvals(moving / m[:-1, None]).real.max())
     assert chain.band_edge == pytest.approx(highest, rel=1e-11, abs=0)
 
 
 @each_walled
 def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
-    """Walls are bodies like the others here, but held; a wall that only touches is no spring."""
+    """Walls are fixed bodies here; a wall that only touches is no spring."""
     size = chain.grains
     k = chain.contact_constants
     delta = chain.exponent
@@ -278,9 +270,7 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
 
 
 def test_band_edge_between_like_walls():
-    """N equal springs between equal walls of constant kappa k: the determinant
-    in closed form for two grains.
-    """
+    """N equal springs between equal walls of constant kappa k: the determinant for two grains."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
     k = chain.contact_constants[0]
     m = chain.masses[0]
@@ -300,7 +290,7 @@ def test_band_edge_of_a_free_pair_and_of_a_vacuum():
 
 
 def contact_energy(chain: Chain, n: int, r: float) -> float:
-    """Return the work (J) on contact n beyond that of its force at rest, if it is closer by r.
+    """Return the work done on contact n by a closer approach r, less the work of its rest force, J.
 
     Contact 0 is with a wall above.
     """
@@ -316,7 +306,7 @@ def contact_energy(chain: Chain, n: int, r: float) -> float:
             epsrel=1e-13,
         )[0]
 
-    def change(s: float) -> float:  # (1 + s)^delta - 1, without cancellation, -1 where open
+    def change(s: float) -> float:  # (1 + s)^delta - 1 without cancellation, -1 if open.
         return np.expm1(delta * np.log1p(s)) if s > -1 else -1.0
 
     total = 0.0
@@ -387,9 +377,7 @@ def test_excess_energy_between_walls(chain: Chain):
 
 
 def test_excess_energy_of_contacts_that_rest():
-    """Of many samples, columns that never move are left out, and the others are
-    what each sample alone gives.
-    """
+    """Columns at rest in many samples are skipped, without effect on the other energies."""
     contacts = Chain(grains=9, diameter=1e-3, bottom="wall").contacts
     r = np.random.default_rng(1).normal(size=(5, 10)) * contacts.overlap[-1]
     r[:, [0, 4, 8, 9]] = 0.0
@@ -407,7 +395,7 @@ def test_excess_energy_in_the_vacuum():
 
 
 def test_minus_its_slope_is_the_force():
-    """-dU/dx from differences is what the integrators push with."""
+    """The forces of the integrators equal -dU/dx from differences."""
     chain = DISORDERED
     rng = np.random.default_rng(5)
     u = rng.normal(size=30) * chain.length_scale
@@ -464,10 +452,10 @@ def test_no_contact_exceeds_the_bound_on_its_overlap():
         used = overlap[:, there] / chain.contacts.overlap_bound(scene.energy)[there]
         assert used.max() <= 1 + 1e-4
         closest = max(closest, used.max())
-    assert closest > 0.9  # the bound is not so wide that it says nothing
+    assert closest > 0.9  # The bound is not so wide that it is useless.
 
 
-def test_the_bound_is_met_by_a_grain_thrown_at_the_held_one():
+def test_the_bound_is_reached_by_a_grain_thrown_at_the_fixed_grain():
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=2e-5, samples=2001)
     run = simulate(scene, "native", 1e-9)
@@ -478,7 +466,7 @@ def test_the_bound_is_met_by_a_grain_thrown_at_the_held_one():
     assert run.displacement[:, 0].max() == pytest.approx(deepest, rel=1e-5, abs=0)
 
 
-def test_the_bound_is_met_by_a_grain_thrown_at_a_wall():
+def test_the_bound_is_reached_by_a_grain_thrown_at_a_wall():
     chain = Chain(
         grains=2, diameter=1e-3, gravity=0.0, top="wall", top_material=STEEL, bottom="free"
     )
@@ -490,7 +478,7 @@ def test_the_bound_is_met_by_a_grain_thrown_at_a_wall():
 
 
 def test_an_impurity_is_a_grain_given_by_itself():
-    """By diameter, by material and by both: as if the lists had been written out."""
+    """An impurity by diameter, by material and by both equals listed grains."""
     odd = [
         Impurity(grain=2, diameter=3e-3),
         {"grain": 5, "material": "steel"},
@@ -533,7 +521,7 @@ def test_an_impurity_by_its_mass_alone():
 
 
 def test_an_impurity_is_mixed_with_other_materials_and_diameters():
-    """Both contacts of the impurity by hand; an impurity at the end is what touches the wall."""
+    """Both contacts of the impurity are computed by hand, as is a wall contact of an impurity."""
     chain = Chain(
         grains=3, material=[GLASS, STEEL, STEEL], diameter=[1e-3, 2e-3, 4e-3], bottom="wall",
         impurity=[Impurity(grain=2, material=BRASS), Impurity(grain=3, diameter=3e-3)],
@@ -551,7 +539,7 @@ def test_an_impurity_is_mixed_with_other_materials_and_diameters():
 
 OWN = {"contact_constants": [1e9] * 4}
 SOFT = Material(density=1.0, youngs_modulus=1.0, poissons_ratio=0.0)
-FAULTY = {  # what is given, the key that must be named and some of what must be said
+FAULTY = {  # Arguments, the key in the message, and a part of the message.
     "impurity that is no grain": (
         {"impurity": [Impurity(grain=6, mass=1e-6)]},
         "impurity.0.grain",
@@ -565,7 +553,7 @@ FAULTY = {  # what is given, the key that must be named and some of what must be
     "impurity twice": (
         {"impurity": [{"grain": 2, "mass": 1e-6}, {"grain": 2, "diameter": 1e-3}]},
         "impurity.1.grain",
-        "a second time",
+        "repeats grain",
     ),
     "impurity like the others": (
         {"impurity": [{"grain": 2}]},
@@ -654,9 +642,7 @@ def test_a_fault_names_its_key_and_says_what_to_do(keys: dict, key: str, message
 
 
 def test_the_strike_is_held_against_walls_too():
-    """Grain 1 thrown up at a wall of rubber, or driven into grain 2, goes
-    in too deep for Hertz's law.
-    """
+    """Grain 1 thrown at a rubber wall, or driven into grain 2, is beyond Hertz's law."""
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=5, diameter=1e-3, top="wall", top_material=rubber)
     strikes = [
@@ -702,7 +688,7 @@ def test_materials():
 
 
 def test_names_of_materials():
-    """Whatever their capitals, spaces and marks, and by what else they are called."""
+    """Capitals, spaces and punctuation are ignored, and synonyms are known."""
     for name, material in {
         "Steel": STEEL,
         "316": STEEL,
@@ -724,7 +710,7 @@ def test_names_of_materials():
         Chain(grains=2, material={"rho": 1e3, "E": 1e9, "nu": 0.3}, diameter=1e-3)
 
 
-def test_rubber_warns_where_hertz_ends():
+def test_rubber_warns_beyond_hertz():
     with pytest.warns(UserWarning, match="Hertz's law holds"):
         Chain(grains=30, material="rubber", diameter=1e-2)
 
@@ -733,8 +719,8 @@ def test_rubber_warns_where_hertz_ends():
     "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
 )
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
-    """A hundred million grains would be gigabytes; the bound is what arrays say
-    of a chain that is just long.
+    """A hundred million grains would take gigabytes; the bound agrees with the arrays of long
+    chains.
     """
     tracemalloc.start()
     try:

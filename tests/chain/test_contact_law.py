@@ -1,6 +1,4 @@
-"""Contacts one by one: force, energy, bounds and what follows from them, in
-40 digits or in closed form.
-"""
+"""Single contacts: force, energy and bounds, in 40 digits or in closed form."""
 
 from pathlib import Path
 from typing import Any
@@ -23,14 +21,14 @@ STRAINS = np.append(STRAINS, [1e-14, 1e-7, 0.0199, 0.0201, 0.3, 1.0, 50.0])
 
 
 def by_formulas(exponent: float) -> Law:
-    """Return a power law whose energy, overlaps and bounds are computed as for any formula."""
+    """Return a power law whose energy, overlaps and bounds are computed as for a formula."""
     return Law("k*max(o, 0)**delta", delta=exponent)
 
 
 @pytest.mark.parametrize("kind", [PowerForce, by_formulas])
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kind: Any) -> None:
-    """Pressed, open and torn apart: K [eps + r]^delta - F, and its integral over r."""
+    """Compressed, open and separated contacts: K [eps + r]^delta - F, and its integral over r."""
     size = STRAINS.size
     contacts = Contacts.at_rest(np.full(size, 3e9), np.full(size, 2e-4), kind(exponent))
     r = STRAINS * contacts.overlap
@@ -43,7 +41,7 @@ def test_force_and_energy_of_one_contact_to_the_last_digits(exponent: float, kin
         force = [float(k * o**delta - f) for o in closed]
         held = [(k * o ** (delta + 1) - k * eps ** (delta + 1)) / (delta + 1) for o in closed]
         energy = [float(e - f * mp.mpf(x)) for e, x in zip(held, r.tolist(), strict=True)]
-    with np.errstate(all="raise"):  # nothing to warn of
+    with np.errstate(all="raise"):  # No warning may occur.
         change = contacts.force_change(r)
         above_rest = contacts.energy(r)
     assert change == pytest.approx(force, rel=2e-14, abs=1e-40)
@@ -66,13 +64,13 @@ def test_a_loose_contact_only_pushes(exponent: float) -> None:
     assert contacts.force_at(r) == pytest.approx(force, rel=1e-14)
     energy = 3e9 * 2e-8 ** (exponent + 1) / (exponent + 1)
     assert contacts.energy(r) == pytest.approx([energy, 0.0, 0.0], rel=1e-14)
-    # virial theorem
+    # Virial theorem.
     assert contacts.law.elastic_share == pytest.approx(1 / (1 + (exponent + 1) / 2), rel=1e-15)
 
 
 @pytest.mark.parametrize("kind", [PowerForce, by_formulas])
 @pytest.mark.parametrize("exponent", EXPONENTS)
-def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float, kind: Any) -> None:
+def test_a_force_squeezes_a_contact_until_it_balances(exponent: float, kind: Any) -> None:
     pressed = Contacts.at_rest(np.array([3e9]), np.array([2e-4]), kind(exponent)).of(0)
     loose = Contacts.at_rest(np.array([3e9]), np.array([0.0]), kind(exponent)).of(0)
     for force in (1e-12, 1e-4, 0.3):
@@ -87,7 +85,7 @@ def test_a_force_more_squeezes_a_contact_as_far_as_it_takes(exponent: float, kin
 
 @pytest.mark.parametrize("exponent", EXPONENTS)
 def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
-    """Bounds of approaches hold the whole energy, and a stiffness bends by its curvature."""
+    """Contacts at their bound store the whole energy, and the curvature fits the stiffness."""
     law = by_formulas(exponent)
     contacts = Contacts.at_rest(np.array([3e9, 0.0, 1e9]), np.array([2e-4, 0.0, 0.0]), law)
     for energy in (1e-25, 1e-14, 1e-6):
@@ -124,14 +122,12 @@ def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
         chain.replace(exponent=2.0)
     with pytest.raises(InputError, match="law: an exponent holds for powers"):
         _ = chain.exponent
-    with pytest.raises(InputError, match="law: is no law"):
+    with pytest.raises(InputError, match="law: is not a law"):
         Chain(grains=3, diameter=1e-3, law="hertz")
 
 
 def test_energy_bounds_overlaps_and_strains() -> None:
-    """No contact holds more than all: K r^(delta+1) / (delta+1) and k r^2 / 2;
-    the lesser of the two counts.
-    """
+    """No contact stores more than the total energy, K r^(delta+1) / (delta+1) or k r^2 / 2."""
     constant = np.array([1e9, 2e9, 5e8])
     force = np.array([1e-4, 3e-4, 2e-4])
     contacts = Contacts.at_rest(constant, force, PowerForce(1.5))
@@ -180,7 +176,7 @@ def test_contacts_of_many_chains_are_rows() -> None:
     assert rows.law == PowerForce(1.5)
 
 
-def test_contacts_above_a_held_grain() -> None:
+def test_contacts_above_a_fixed_grain() -> None:
     whole = Chain(grains=6, diameter=1e-3, top="wall", top_load=1e-3, bottom="wall").contacts
     above = whole.above(3)
     assert above.constant.tolist() == [*whole.constant[:3], 0.0]
@@ -188,7 +184,7 @@ def test_contacts_above_a_held_grain() -> None:
 
 
 def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
-    """Of grains that move, M^(-1/2) K M^(-1/2), written out as the energy of springs has it."""
+    """For moving grains M^(-1/2) K M^(-1/2) is written out from the energy of springs."""
     stiffness = np.array([2.0, 3.0, 5.0, 7.0, 11.0])
     masses = np.array([1.0, 4.0, 9.0, 16.0])
     for moving in (3, 4):
@@ -205,9 +201,7 @@ def test_the_dynamical_matrix_is_that_of_masses_and_springs() -> None:
 
 
 def test_bounds_are_reached_where_grains_are_alike() -> None:
-    """Masses, sizes and sound exactly; constants between two grains and at
-    a wall; the lowest overlap.
-    """
+    """Mass, size and sound bounds are exact, as are constants between two grains and at a wall."""
     chain = Chain(
         grains=2,
         diameter=2e-3,
@@ -226,7 +220,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert (known.lightest, known.heaviest) == pytest.approx((mass, mass), rel=1e-14)
     assert known.narrowest == 2e-3
     assert known.slowest == pytest.approx(np.sqrt(193e9 / 8000), rel=1e-14)
-    overlap = np.sqrt((0.5 + 3.0 * 3 * mass) / between)  # as if there were a grain more
+    overlap = np.sqrt((0.5 + 3.0 * 3 * mass) / between)  # As if there were an additional grain.
     assert 0.9 * overlap < known.overlap <= overlap
     assert known.compression == known.overlap / 2e-3
     collision = (1.5 * mass * 0.04 / between) ** (1 / 3)
@@ -249,7 +243,7 @@ def test_bounds_are_reached_where_grains_are_alike() -> None:
     assert mixed.overlap == pytest.approx((weight / soft) ** (2 / 3), rel=1e-4)
 
 
-def test_what_overflows_has_no_bounds() -> None:
+def test_overflow_has_no_bounds() -> None:
     for diameter, density in ((1e-300, 1.0), (1e150, 1.0), (1e-120, 1e-10)):
         material = GLASS.replace(density=density)
         assert bounds(kinds(material, diameter, ()), 5, (), 0.0, 9.81, PowerForce(3.0)) is None
@@ -267,7 +261,7 @@ def test_depths_and_loads_from_grain_to_grain() -> None:
     assert chain.equilibrium_force == pytest.approx(carried[1:-1], rel=1e-14)
 
 
-def test_energy_that_a_moved_wall_puts_in() -> None:
+def test_the_energy_by_a_moved_wall() -> None:
     chain = Chain(grains=3, diameter=1e-3, top="wall", top_load=1e-3)
     still = np.zeros(3)
     wall = np.array(2e-9)
@@ -281,9 +275,7 @@ def test_energy_that_a_moved_wall_puts_in() -> None:
 
 
 def test_a_long_chain_is_judged_by_its_common_grains() -> None:
-    """From a million grains on, at least what the grains well above the
-    lowest ones weigh is carried.
-    """
+    """From a million grains on, the weight of the common grains gives a lower bound."""
     material = Material(density=1.0, youngs_modulus=6e10, poissons_ratio=0.0)
     both = Kinds([material, material], [1e-3, 2e-3], [1e-6, 1e-5])
     assert least_compression(both, LIMITS.long_chain - 1, 0.0, 9.81, PowerForce(1.5)) == 0.0
@@ -309,7 +301,7 @@ def faults(**fields: object) -> list[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("alike", [True, False])
-def test_a_tenth_of_the_diameter_is_the_most_that_a_load_may_squeeze(alike: bool) -> None:
+def test_a_load_may_squeeze_by_a_tenth_of_the_diameter_at_most(alike: bool) -> None:
     constant = 2 / 3 * 62e9 / 0.96 * np.sqrt(0.25e-3)
     most = constant * 1e-4**1.5
     rest = {"gravity": 0.0} | ({} if alike else {"diameter": [1e-3] * 4})
@@ -337,12 +329,12 @@ def test_forces_too_small_to_compute_with_are_refused() -> None:
     assert (key, text[:30]) == ("gravity", "must be 0, or at least 1e-100 ")
     assert [key for key, _ in faults(gravity=1e-101, top_load=1e-101)] == ["gravity", "top_load"]
     assert not faults(gravity=0.0, top_load=1e-100)
-    loaded = {"gravity": 0.0, "top_load": 1.0}  # springs of some 1e7 N/m
+    loaded = {"gravity": 0.0, "top_load": 1.0}  # Springs of some 1e7 N/m.
     assert not faults(masses=[1e-140] * 4, **loaded)
     assert [key for key, _ in faults(masses=[1e-145] * 4, **loaded)] == ["masses"]
 
 
-def test_what_does_not_fit_to_the_ends_is_refused() -> None:
+def test_arguments_that_contradict_the_ends_are_rejected() -> None:
     for fields, key in (
         ({"wall_constants": [-1.0, 1e9], "bottom": "wall"}, "wall_constants"),
         ({"wall_constants": [0.0, 0.0], "bottom": "wall"}, "wall_constants"),
@@ -370,11 +362,11 @@ def test_what_does_not_fit_to_the_ends_is_refused() -> None:
     ((_, text),) = faults(contact_constants=[1e9] * 4)
     assert text == "must have 3 entries for 4 grains, not 4"
     ((_, text),) = faults(material=[STEEL] * 3)
-    assert text == "must be one or 4 (one a grain), not 3"
+    assert text == "must be one or 4 (one per grain), not 3"
 
 
 @pytest.mark.parametrize("numbers", [2, slice(1, 4), np.array([3, 1])])
-def test_some_contacts_keep_their_own_parameters(numbers: Any) -> None:
+def test_a_selection_of_contacts_keeps_its_parameters(numbers: Any) -> None:
     law = Law("k*max(o, 0)**p", k=1e6, p=[1.2, 1.4, 1.6, 1.8, 2.0])
     contacts = Chain(grains=6, diameter=1e-3, law=law).contacts
     overlap = np.full(contacts.overlap.shape, 1e-6)

@@ -1,6 +1,4 @@
-"""Copies: a changed one is checked and owes nothing to the old one, and
-nothing else changes a value.
-"""
+"""A changed copy is checked and independent of the original; nothing else changes a value."""
 
 import copy
 import pickle
@@ -28,7 +26,7 @@ ARRAYS = (
 
 
 def used() -> Chain:
-    """Return a chain with everything computed that it computes on first use."""
+    """Return a chain after computing everything that is computed on first use."""
     chain = Chain(
         grains=6,
         diameter=1e-3,
@@ -55,7 +53,7 @@ def scene(chain: Chain) -> Scene:
     ],
     ids=["replace", "model_copy", "model_copy deep", "copy"],
 )
-def test_a_changed_copy_of_a_used_chain_moves_as_a_new_one_does(changed):
+def test_a_changed_copy_of_a_used_chain_moves_like_a_new_chain(changed):
     before = used()
     after = changed(before)
     afresh = Chain(**before.given() | {"gravity": 98.1})
@@ -102,7 +100,7 @@ def test_a_changed_copy_is_checked(value, changes, key):
         assert caught.value.faults[0][0] == key
 
 
-def test_none_takes_a_field_back_that_need_not_be_given():
+def test_none_resets_an_optional_field():
     assert Chain(grains=3, diameter=1e-3, masses=[1e-6] * 3).replace(masses=None) == Chain(
         grains=3, diameter=1e-3
     )
@@ -113,7 +111,7 @@ def test_none_takes_a_field_back_that_need_not_be_given():
     [used(), scene(used()), GLASS, Impulse(velocity=1.0), Displacement(displacement=1e-9)],
     ids=type,
 )
-def test_no_other_way_leads_past_the_checks(value):
+def test_checks_cannot_be_circumvented(value):
     field = next(iter(type(value).model_fields))
     for wrong in (
         lambda: setattr(value, field, -1),

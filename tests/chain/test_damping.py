@@ -1,4 +1,4 @@
-"""Damping of a chain: what may be given, and the rebound of two spheres."""
+"""Damping of a chain: allowed values, and the rebound of two spheres."""
 
 import math
 from itertools import product
@@ -16,19 +16,19 @@ def chain(**damping) -> Chain:
     return Chain(grains=5, diameter=1e-3, damping=damping)
 
 
-def test_one_number_or_one_of_each():
+def test_common_values_and_lists():
     one = chain(viscoelastic=2e-8, drag=3.0)
     assert one.contact_viscosity == pytest.approx(np.full(6, 2e-8))
     assert one.drag == pytest.approx(np.full(5, 3.0))
     many = chain(viscoelastic=[1e-8, 2e-8, 3e-8, 4e-8], drag=[1.0, 2.0, 3.0, 4.0, 5.0])
-    # a wall is as viscous as the contact next to it
+    # A wall contact has the viscosity of the contact next to it.
     assert many.contact_viscosity.tolist() == [1e-8, 1e-8, 2e-8, 3e-8, 4e-8, 4e-8]
     assert many.drag.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0]
     assert many.part(2, 4).contact_viscosity.tolist() == [2e-8, 2e-8, 3e-8, 3e-8]
     assert many.part(2, 4).drag.tolist() == [2.0, 3.0, 4.0]
 
 
-def test_a_dict_and_a_record_are_one_chain():
+def test_a_dict_and_a_record_are_equal():
     assert chain(drag=2.0) == Chain(grains=5, diameter=1e-3, damping=Damping(drag=2.0))
     assert not Chain(grains=5, diameter=1e-3, damping={}).damped
     assert not chain(drag=2.0).replace(damping=None).damped
@@ -55,13 +55,13 @@ def test_a_scene_file_has_a_table():
         (0.1, "damping", "lmpchain.Damping"),
     ],
 )
-def test_what_is_no_damping(damping, key, words):
+def test_invalid_damping_is_rejected(damping, key, words):
     with pytest.raises(InputError, match=words) as raised:
         Chain(grains=5, diameter=1e-3, damping=damping)
     assert raised.value.faults[0][0] == key
 
 
-def test_a_dashpot_is_remarked_on():
+def test_a_dashpot_causes_a_warning():
     damped = Chain(grains=5, diameter=1e-3, damping={"viscoelastic": 1e-4})
     with pytest.warns(UserWarning, match="A omega is 32, so that contacts act as rigid dashpots"):
         Scene(chain=damped, excitation=Impulse(velocity=1e-6), duration=1e-5)
@@ -71,7 +71,7 @@ def test_a_dashpot_is_remarked_on():
 
 
 def collision(viscosity: float, exponent: float) -> float:
-    """Return the restitution by the velocity form, stopped where the overlap is 0 again."""
+    """Return the restitution from the velocity form, integrated until the overlap is 0 again."""
 
     def move(_, state):
         o, rate = state
@@ -83,7 +83,7 @@ def collision(viscosity: float, exponent: float) -> float:
 
     apart.terminal = True
     apart.direction = -1
-    # small steps at the end, where the force is not smooth
+    # Steps are short at the end, where the force is not smooth.
     options = {"rtol": 1e-12, "atol": 1e-15, "max_step": 0.01, "events": apart}
     return -solve_ivp(move, (0.0, 1e3), (0.0, 1.0), method="DOP853", **options).y[1, -1]
 
@@ -91,7 +91,7 @@ def collision(viscosity: float, exponent: float) -> float:
 @pytest.mark.parametrize(
     ("exponent", "viscosity"), thinned(product([1.2, 1.5, 2.0, 3.0], [1e-4, 1e-2, 0.3, 1.0]), 3)
 )
-def test_the_rebound_is_that_of_the_velocity_form(viscosity, exponent):
+def test_the_rebound_agrees_with_the_velocity_form(viscosity, exponent):
     assert rebound(viscosity, exponent) == pytest.approx(collision(viscosity, exponent), abs=1e-9)
 
 
@@ -116,7 +116,7 @@ def test_springs_rebound_as_a_damped_oscillator(ratio):
     ("exponent", "restitution"),
     thinned(product([1.0, 1.5, 2.5], [1e-3, 0.5, 0.93, 0.9999, 1.0]), 2),
 )
-def test_a_restitution_gives_its_viscosity(restitution, exponent):
+def test_a_restitution_determines_its_viscosity(restitution, exponent):
     assert rebound(viscosity_of(restitution, exponent), exponent) == pytest.approx(
         restitution, abs=1e-11
     )
@@ -126,7 +126,7 @@ def test_a_faster_collision_of_the_same_spheres_loses_more():
     spheres = {"material": "steel", "diameter": 1e-2}
     slow = Damping.from_restitution(0.93, velocity=0.3, **spheres)
     fast = Damping.from_restitution(0.93, velocity=3.0, **spheres)
-    # the loss goes as A v^(1/5)
+    # The loss is proportional to A v^(1/5).
     assert fast.viscoelastic == pytest.approx(slow.viscoelastic * 10**-0.2, rel=1e-9)
 
 
@@ -140,7 +140,7 @@ def test_a_faster_collision_of_the_same_spheres_loses_more():
         ("material", "stel"),
     ],
 )
-def test_what_no_viscosity_follows_from(key, value):
+def test_impossible_restitutions_are_rejected(key, value):
     options = {"restitution": 0.9, "velocity": 1.0, "material": "steel", "diameter": 1e-2}
     with pytest.raises(InputError, match=key):
         Damping.from_restitution(**options | {key: value})

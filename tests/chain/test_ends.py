@@ -1,4 +1,4 @@
-"""Walls by their constants, chains of one grain, and the wall that mirrors a chain."""
+"""Walls given by constants, chains of one grain, and a wall that mirrors a chain."""
 
 from pathlib import Path
 from typing import Any
@@ -21,9 +21,7 @@ from lmpchain.theory import scattering
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"]
 )
 def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
-    """With K_wall = 2^delta K it is half of a symmetric chain, whose middle
-    contact is squeezed from both sides.
-    """
+    """With K_wall = 2^delta K the chain is half of a symmetric one around a squeezed contact."""
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
         return
     rng = np.random.default_rng(5)
@@ -56,7 +54,7 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
 
     one = run(half, speed)
     two = run(double, np.append(speed, -speed[::-1]))
-    tolerance = 1e-8 if engine == "lammps" else 1e-12  # round-off of heights
+    tolerance = 1e-8 if engine == "lammps" else 1e-12  # LAMMPS has the rounding errors of heights.
     assert (
         relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n])
         < tolerance
@@ -66,7 +64,7 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
     )
 
 
-def test_wall_constants_take_the_place_of_materials():
+def test_wall_constants_replace_materials():
     given = {"grains": 7, "diameter": 1e-3, "top": "wall", "bottom": "wall", "top_load": 1e-3}
     usual = Chain(**given, top_material="steel", bottom_material="ptfe")
     same = Chain(**given, wall_constants=usual.wall_constants)
@@ -109,14 +107,14 @@ def test_one_grain(name: str, strike: float):
 
 
 @pytest.mark.parametrize("end", [{"bottom": "fixed"}, {"bottom": "free", "top": "free"}])
-def test_one_grain_that_cannot_move_or_touches_nothing(end: dict[str, str]):
+def test_one_grain_that_is_fixed_or_has_no_contact(end: dict[str, str]):
     with pytest.raises(InputError, match="grains: a single grain that is held, or touches nothing"):
         Chain(grains=1, diameter=1e-3, gravity=0.0, **{"top": "wall"} | end)
 
 
 @pytest.mark.parametrize("name", thinned(["between walls", "under gravity on a wall"], 2))
 def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
-    """The report tells what there is; what takes a wave or two grains is refused in a line."""
+    """The report of one grain works; measures that need a wave or two grains are rejected."""
     chain = Chain(grains=1, diameter=1e-3, **LONE[name])
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101
@@ -148,7 +146,7 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
 
 
 def test_the_bounce_of_one_grain():
-    """A grain on a wall in a vacuum of forces: the time of a Hertzian collision by quadrature."""
+    """A grain on a wall without gravity: the time of a Hertzian collision by quadrature."""
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
     m = float(chain.masses[0])
     k = float(chain.wall_constants[1])

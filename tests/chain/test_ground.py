@@ -1,4 +1,4 @@
-"""Forces from the ground: their formulas, parts of chains, files, and what refuses them."""
+"""Ground forces: their formulas, parts of chains, files, and what rejects them."""
 
 from __future__ import annotations
 
@@ -43,16 +43,16 @@ def struck(chain: Chain, velocity: float = 1e-3, samples: int = 41) -> Scene:
         (Law("u + c", c=1.0), "ground.force", "is not 0 at u = 0"),
         (Law("u*t + sin(t)"), "ground.force", "is not 0 at u = 0"),
         (Law("c*u**0.5", c=1.0), "ground.force", "no finite stiffness"),
-        (Law("c*u", c=[1.0, 2.0]), "ground.c", "12, one a grain, not 2"),
+        (Law("c*u", c=[1.0, 2.0]), "ground.c", "12, one per grain, not 2"),
     ],
 )
-def test_a_ground_that_is_none_is_refused(law, key, message):
+def test_an_invalid_ground_is_rejected(law, key, message):
     with pytest.raises(InputError, match=message) as raised:
         on(law)
     assert raised.value.faults[0][0] == key
 
 
-def test_a_force_is_one_of_displacement_and_time():
+def test_a_ground_force_depends_on_displacement_and_time():
     law = laws.mathieu(1e3, depth=0.5, frequency=1e4)
     u = np.array([0.0, 1e-6, -2e-6])
     np.testing.assert_allclose(law.force(u, 25e-6), 1e3 * u, atol=1e-18)
@@ -60,7 +60,7 @@ def test_a_force_is_one_of_displacement_and_time():
     assert law.stiffness(1e-6, 50e-6) == pytest.approx(500.0)
 
 
-def test_a_part_and_a_file_keep_the_ground(tmp_path):
+def test_parts_and_files_preserve_the_ground(tmp_path):
     stiffness = np.linspace(1e5, 1e6, 12)
     chain = on(Law("k*u + b*u**3", k=stiffness.tolist(), b=1e15))
     part = chain.part(3, 7)
@@ -132,7 +132,7 @@ def test_a_batch_gives_the_bits_of_single_runs():
 
 
 def test_quantities_between_samples_hold_their_errors():
-    """They follow from the samples alone, because the ground may depend on the time."""
+    """They are computed from the samples alone, because the ground may depend on time."""
     scene = struck(on(GROUNDS["in time"]), samples=161)
     peaks, exact = (
         lmpchain.measure.motion.peaks(simulate(each, "native", tolerance=1e-9))
@@ -276,12 +276,12 @@ def run():
 
 
 @pytest.mark.parametrize("name", REFUSING)
-def test_what_knows_no_ground_says_so(name, run):
+def test_functions_without_ground_support_reject_it(name, run):
     with pytest.raises(InputError, match="ground"):
         REFUSING[name](run)
 
 
-def test_modes_take_springs_alone():
+def test_modes_allow_only_springs():
     simulate(struck(on(SPRING), velocity=1e-7), "modes")
     for name in ("periodic", "two wells", "in time"):
         with pytest.raises(InputError, match="no spring of one stiffness"):

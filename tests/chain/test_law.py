@@ -1,4 +1,4 @@
-"""Laws written as formulas: what they compute, how they are printed, and what is refused."""
+"""Laws as formulas: evaluation, printing, and rejected formulas."""
 
 import pickle
 import time
@@ -68,17 +68,17 @@ def test_lepton_has_the_same_force_and_energy(text: str, parameters: dict[str, f
 
 
 @pytest.mark.parametrize("key", ["r", "p", "n", "given", "q0"])
-def test_a_parameter_may_have_the_name_of_a_variable_inside(key: str) -> None:
+def test_a_parameter_may_have_the_name_of_an_internal_variable(key: str) -> None:
     law = Law(f"k*(max(o, 0) + {key}*min(o, 0))", k=1e5, **{key: 0.3})
     chain = Chain(grains=3, diameter=1e-3, top_load=1e-3, law=law)
     closer = np.array([0.0, -3e-8, 1e-7, 0.0])
     found = chain.contacts.force_change(closer)
-    # The contacts are pressed by 10 nm and more.
+    # The contacts are compressed by at least 10 nm.
     expected = law.force(chain.contacts.overlap + closer) - law.force(chain.contacts.overlap)
     assert found[1:3] == pytest.approx(expected[1:3], rel=1e-12)
 
 
-def test_parameters_are_one_for_each_contact() -> None:
+def test_parameters_may_be_given_for_each_contact() -> None:
     law = Law("k*max(o, 0)**n", n=[1.5, 1.3, 0.6], k=1e6)
     expected = 1e6 * np.float64(1e-6) ** np.array([1.5, 1.3, 0.6])
     assert law.force(1e-6) == pytest.approx(expected, rel=1e-14)
@@ -88,7 +88,7 @@ def test_parameters_are_one_for_each_contact() -> None:
     assert len({law, law.replace(), law.replace(n=2)}) == 2
 
 
-def test_a_wall_takes_the_constant_of_the_contact_next_to_it() -> None:
+def test_a_wall_has_the_constant_of_the_contact_next_to_it() -> None:
     ends = {"top": "wall", "bottom": "wall", "gravity": 0.0, "top_load": 1.0}
     chain = Chain(grains=4, diameter=1e-3, law=Law("k*o", k=[1e6, 2e6, 3e6]), **ends)
     assert chain.contact_constants.tolist() == [1e6, 2e6, 3e6]
@@ -97,7 +97,7 @@ def test_a_wall_takes_the_constant_of_the_contact_next_to_it() -> None:
     assert alike.wall_constants.tolist() == [2e6, 2e6]
 
 
-# Separated by | and by ends of lines.
+# Formulas are separated by | and by line ends.
 WRONG = """a*o|k*o)|__import__('os')|o.real|o[0]|k*o+force|u*o|3|o if o else 1|lambda: 0|9**9**9*o
 1e999*o|o^2|sin*o|max(o)|o+1j|True*o|None|nan*o|ö*o|o;o|o\nk|f(o)|exp(o, o)|exp(x=o)|max(*[o])|o@o
 o//2|o%2|o and o|not o|~o|o<0|[o]|{o}|(o,o)|"o"|b"o"|f"{o}"|...|o:=1|__o*o|o**1e200|print(o)|eval(o)
@@ -127,7 +127,7 @@ WRONG += [
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_what_is_no_formula_is_refused_at_once(text: str) -> None:
+def test_invalid_formulas_are_rejected_at_once(text: str) -> None:
     begun = time.perf_counter()
     with pytest.raises(InputError):
         Law(text)

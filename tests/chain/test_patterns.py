@@ -1,6 +1,4 @@
-"""Patterned chains: their grains one by one, and what follows from them
-by formulas written out here.
-"""
+"""Patterned chains: single grains, and derived values by formulas written out here."""
 
 from math import pi, sqrt
 from pathlib import Path
@@ -80,7 +78,7 @@ def test_cells_of_several_kinds():
     ]
 
 
-def test_one_value_stands_for_all_kinds():
+def test_one_value_applies_to_all_kinds():
     assert periodic(6, 1e-3, ["steel", "ptfe"]).diameters.tolist() == [1e-3] * 6
     assert periodic(6, [1e-3, 2e-3], "steel").material == STEEL
     assert periodic(4, [1e-3, 2e-3], ["steel"]) == periodic(4, [1e-3, 2e-3], ["steel", "steel"])
@@ -92,13 +90,13 @@ def test_one_value_stands_for_all_kinds():
         1e-3,
         1e-3,
     ]
-    # one kind, whatever the count
+    # A single kind, whatever the count.
     assert periodic(5, 1e-3, counts=10**12).diameters.tolist() == [1e-3] * 5
     assert periodic(5, np.array([1e-3, 2e-3]), counts=np.array([1, 2])).diameters[2] == 2e-3
 
 
 @each_chain
-def test_masses_and_contacts_follow_from_the_two_grains(chain: Chain):
+def test_masses_and_contacts_are_computed_from_the_two_grains(chain: Chain):
     made = materials(chain)
     for n in range(chain.grains):
         assert chain.masses[n] == pytest.approx(
@@ -123,7 +121,7 @@ def test_patterned_chains_are_written_read_and_run(chain: Chain, tmp_path: Path)
     assert Scene.from_toml(tmp_path / "scene.toml") == scene
 
 
-def test_patterns_take_all_that_a_chain_takes():
+def test_patterns_accept_all_arguments_of_a_chain():
     chain = tapered(
         5,
         1e-3,
@@ -143,7 +141,7 @@ def test_patterns_take_all_that_a_chain_takes():
 
 
 def faults(make: Any, *arguments: Any, **named: Any) -> list[str]:
-    """Return the keys of the faults, and make sure that each is explained."""
+    """Return the keys of the faults, after checking that each has an explanation."""
     with pytest.raises(InputError) as caught:
         make(*arguments, **named)
     assert all(len(message) > 10 for _, message in caught.value.faults)
@@ -180,14 +178,14 @@ def test_faults_are_named(made: tuple, keys: list[str]):
     assert faults(*made) == keys
 
 
-def test_faults_of_the_chain_and_of_what_the_pattern_decides():
+def test_faults_of_the_chain_inside_a_pattern():
     assert faults(tapered, 5, 1e-3, 0.1, gravity=-1.0, colour="red") == ["colour", "gravity"]
     assert faults(periodic, 5, 1e-3, material="steel", diameter=1e-3) == ["diameter", "material"]
-    # squashed at rest
+    # Crushed at rest.
     assert faults(decorated, 100, 1e-3, 0.01, material="ptfe", gravity=1e7) == ["diameter"]
 
 
-def test_faults_of_patterns_say_their_numbers():
+def test_faults_of_patterns_contain_their_numbers():
     for make, fault in (
         (
             lambda: periodic(5, 1e-3, material="steel"),
@@ -203,7 +201,7 @@ def test_faults_of_patterns_say_their_numbers():
         ),
         (
             lambda: periodic(5, [1e-3, 2e-3, 3e-3], ["steel", "ptfe"]),
-            ("materials", "must be one or 3 (one a kind), not 2"),
+            ("materials", "must be one or 3 (one per kind), not 2"),
         ),
         (
             lambda: periodic(5, 1e-3, "steel", 0),
@@ -247,7 +245,7 @@ def from_file(folder: Path, lines: str) -> Chain:
 
 
 def test_a_cell_in_a_file(tmp_path):
-    """Materials and diameters, written out by hand."""
+    """Materials and diameters equal those written out by hand."""
     steel, soft = lmpchain.STEEL, lmpchain.ALUMINIUM
     chain = from_file(tmp_path, 'cell = ["steel", "Aluminum"]\ndiameter = 5e-3')
     assert chain == Chain(grains=5, material=[steel, soft, steel, soft, steel], diameter=5e-3)
@@ -257,7 +255,7 @@ def test_a_cell_in_a_file(tmp_path):
     assert list(chain.material) == [steel, pom, steel, pom, steel]
     by_hand = [5e-3, 2e-3 * 0.95, 5e-3 * 0.95**2, 2e-3 * 0.95**3, 5e-3 * 0.95**4]
     assert chain.diameters == pytest.approx(by_hand, rel=1e-15, abs=0)
-    # Keys that a grain does not give are those of the chain.
+    # The chain supplies keys that a grain lacks.
     sizes = from_file(tmp_path, 'cell = [{diameter = 1e-3}, {diameter = 2e-3}]\nmaterial = "pom"')
     assert sizes == periodic(5, [1e-3, 2e-3], pom)
     assert repeated(5, [{"diameter": 1e-3}, {"diameter": 2e-3}], material="pom") == sizes
@@ -278,7 +276,7 @@ def test_a_cell_of_one_kind_needs_no_arrays():
     assert plain == {"grains": 10**6, "material": STEEL, "diameter": 1e-3}
 
 
-def test_a_chain_in_python_names_the_function_for_a_cell(tmp_path):
+def test_python_names_the_function_that_replaces_a_cell(tmp_path):
     with pytest.raises(InputError) as caught:
         Chain(grains=4, cell=["steel", "pom"], taper=0.1, diameter=1e-3)
     assert dict(caught.value.faults) == {

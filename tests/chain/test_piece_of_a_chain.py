@@ -1,6 +1,4 @@
-"""Pieces of a chain, and what long chains cost, against the whole and against
-chains written out grain by grain.
-"""
+"""Parts of a chain and costs of long chains, against the whole and against listed grains."""
 
 import tracemalloc
 from itertools import combinations
@@ -57,7 +55,7 @@ def some_parts(chain: Chain) -> list[tuple[int, int]]:
 
 
 @each_chain
-def test_a_part_is_as_the_whole_at_rest(chain: Chain):
+def test_a_part_equals_the_whole_at_rest(chain: Chain):
     for first, last in some_parts(chain):
         part = chain.part(first, last)
         assert part.grains == last - first + 1
@@ -84,7 +82,7 @@ def test_a_part_is_as_the_whole_at_rest(chain: Chain):
 
 
 @each_chain
-def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: Chain):
+def test_the_largest_part_is_the_chain_and_parts_are_valid_chains(chain: Chain):
     assert chain.part(1, chain.grains) == chain
     for first, last in some_parts(chain):
         part = chain.part(first, last)
@@ -106,9 +104,7 @@ def test_the_largest_part_is_the_chain_and_parts_are_chains_like_others(chain: C
     ids=["top", "middle", "near the wall", "driven", "profile"],
 )
 def test_a_part_moves_as_the_whole(strike, first: int, last: int):
-    """Until the wave comes to its ends; grain 60 is an impurity, and
-    below grain 120 lies a wall.
-    """
+    """The motions agree until the wave reaches the ends; there is an impurity and a wall."""
     chain = Chain(
         grains=120,
         diameter=1e-3,
@@ -128,13 +124,13 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 3), (3, 3), (4, 2), (2, 6), (-2, 3)])
-def test_a_piece_must_lie_within_the_chain(first: int, last: int):
+def test_a_part_must_be_within_the_chain(first: int, last: int):
     with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
         Chain(grains=5, diameter=1e-3).part(first, last)
 
 
 def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
-    """A hundred million grains, whose masses alone are 800 MB."""
+    """A hundred million grains, whose masses alone would take 800 MB."""
     tracemalloc.start()
     chain = Chain(
         grains=10**8, diameter=1e-3, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)]
@@ -152,7 +148,7 @@ def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
 
 
 def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
-    """Grains without a wave need no memory; an array of the whole chain has 8 MB."""
+    """Grains without a wave need no memory; an array of the whole chain takes 8 MB."""
     runs = []
     for grains in (10**4, 10**6):
         tracemalloc.start()
@@ -169,9 +165,7 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
 
 
 def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
-    """Bounds spare sound chains the arrays; they must never let a faulty one
-    pass, nor refuse a sound one.
-    """
+    """Bounds avoid arrays of valid chains, and never accept a faulty or reject a valid chain."""
     rng = np.random.default_rng(11)
     refused = 0
     for _ in range(300):
@@ -219,7 +213,7 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
     assert 50 < refused < 250
 
 
-def test_masses_and_constants_that_were_given_stay():
+def test_given_masses_and_constants_are_preserved():
     given = {"masses": [1e-6, 2e-6, 3e-6], "contact_constants": [1e9, 2e9]}
     chain = Chain(grains=3, diameter=1e-3, **given)
     assert {key: getattr(chain, key).tolist() for key in given} == given
@@ -230,7 +224,7 @@ def test_masses_and_constants_that_were_given_stay():
 
 @pytest.mark.parametrize(("bottom", "loaded"), [("fixed", 5), ("wall", 5), ("wall", 8)])
 def test_a_load_below_the_top_is_kept_if_its_grain_moves_in_the_part(bottom: str, loaded: int):
-    """A part holds its last grain unless the chain ends with it."""
+    """The last grain of a part is fixed unless the chain ends with it."""
     chain = Chain(
         grains=8, diameter=1e-3, gravity=0.0, top_load=0.02, load_grain=loaded, bottom=bottom
     )

@@ -1,4 +1,4 @@
-"""What a chain says of itself: remarks, table and picture."""
+"""Display of a chain: remarks, table and picture."""
 
 import re
 import warnings
@@ -19,7 +19,7 @@ def remarks(**fields: object) -> list[str]:
 
 
 @pytest.mark.parametrize("alike", [True, False])
-def test_grains_of_metres_are_remarked_on(alike: bool) -> None:
+def test_grains_of_metres_cause_a_remark(alike: bool) -> None:
     for width, count in ((0.3, 0), (0.31, 1)):
         texts = remarks(diameter=width if alike else [1e-3, width, 1e-3, 1e-3])
         assert len(texts) == count
@@ -27,7 +27,7 @@ def test_grains_of_metres_are_remarked_on(alike: bool) -> None:
 
 
 @pytest.mark.parametrize("alike", [True, False])
-def test_a_load_beyond_hertz_is_remarked_on(alike: bool) -> None:
+def test_a_load_beyond_hertz_causes_a_remark(alike: bool) -> None:
     most = 2 / 3 * 62e9 / 0.96 * np.sqrt(0.25e-3) * 1e-5**1.5
     width = {} if alike else {"diameter": [1e-3] * 4}
     assert not remarks(top_load=0.999 * most, **width)
@@ -58,7 +58,7 @@ def test_a_notebook_shows_the_units_of_a_chain() -> None:
     assert "data:image/png" not in long._repr_html_()
 
 
-def test_the_picture_of_a_chain_has_masses_and_overlaps_over_their_largest() -> None:
+def test_the_picture_shows_relative_masses_and_overlaps() -> None:
     chain = Chain(grains=5, diameter=[1e-3, 2e-3, 1e-3, 1e-3, 3e-3])
     axes = chain.plot(Figure().subplots())
     masses, overlaps = axes.get_lines()

@@ -29,13 +29,13 @@ def test_averages(scene: Path, capsys: pytest.CaptureFixture):
     written = json.loads(numbers.read_text())
     low, high = written["quantities"]["kinetic_energy"]["interval"]
     energy = Scene.from_toml(scene).energy
-    # (delta + 1) / (delta + 3), exactly in any motion between walls
+    # The value (delta + 1) / (delta + 3) is exact for any motion between walls.
     assert low < 5 / 9 * energy < high
     assert written["quantities"]["force:3"]["unit"] == "N"
     assert written["time_s"] == pytest.approx(0.02, rel=0.01)
     assert picture.read_bytes()[:4] == b"\x89PNG"
 
 
-def test_wrong_quantities_are_a_line(scene: Path, capsys: pytest.CaptureFixture):
+def test_wrong_quantities_are_reported_in_one_line(scene: Path, capsys: pytest.CaptureFixture):
     assert main(["averages", str(scene), "--of", "kinetic"]) == 2
     assert "error: quantities: must be kinetic_energy |" in capsys.readouterr().err

@@ -74,14 +74,14 @@ def test_version(capsys: pytest.CaptureFixture[str]):
     [["walk"], ["run"], ["run", "a", "b"], ["run", "a", "--step", "long"], ["deck", "a"],
      ["run", "a", "--diameter", "huge"], ["compare", "a", "--colour"], ["run", "a", "--tol", "1"]],
 )  # fmt: skip
-def test_arguments_that_make_no_sense(arguments: list[str], capsys: pytest.CaptureFixture[str]):
+def test_invalid_arguments(arguments: list[str], capsys: pytest.CaptureFixture[str]):
     assert main(arguments) == 2
     said = capsys.readouterr()
     assert len(keys(said)) == 1
     assert "--help" in said.err
 
 
-def test_help_needs_nothing_heavy():
+def test_help_imports_no_heavy_module():
     heavy = {
         "numpy",
         "scipy",
@@ -148,7 +148,7 @@ def test_run_with_every_option(scene: Path, tmp_path: Path):
     assert names(tmp_path) == ["scene.toml", "there.nc"]
 
 
-def test_a_tighter_tolerance_is_kept(scene: Path):
+def test_a_tighter_tolerance_is_used(scene: Path):
     assert main(["run", str(scene), "--tolerance", "1e-11"]) == 0
     assert Trajectory.load(scene.with_suffix(".nc")).error_estimate.total <= 1e-11
 
@@ -187,10 +187,10 @@ def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.C
     capsys.readouterr()
     assert main([*run, "modes"]) == 2
     assert "replace it with --force" in capsys.readouterr().err
-    assert main([*run, "bessel", "--step", "1", "--force"]) == 2  # wrong: nothing is removed for it
+    assert main([*run, "bessel", "--step", "1", "--force"]) == 2  # An invalid step.
     assert main(["resume", str(folder)]) == 0
     assert (folder / "status.json").read_bytes() == said
-    assert main([*run, "modes", "--force"]) == 1  # saved, but above its tolerance
+    assert main([*run, "modes", "--force"]) == 1  # Its tolerance is missed.
     assert Trajectory.load(folder).engine == "modes"
     (folder / "mine").touch()
     (folder / "run.json").unlink()
@@ -257,7 +257,7 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
         assert keys(capsys.readouterr()) == [output]
         assert main(["compare", str(scene), "--json", output]) == 2
         assert keys(capsys.readouterr()) == [output]
-    # The output of `run` is a run folder.
+    # The output of `run` may be a run folder.
     assert main(["compare", str(scene), "--json", f"{tmp_path}/new/"]) == 2
     assert keys(capsys.readouterr()) == [f"{tmp_path}/new/"]
     assert main(["compare", str(scene), "-o", f"{tmp_path}/picture.txt"]) == 2
@@ -279,7 +279,7 @@ def test_a_folder_that_may_not_be_written_to(
     assert keys(capsys.readouterr()) == [f"{locked}/run.nc"]
 
 
-def test_a_missed_tolerance_keeps_the_file(
+def test_a_missed_tolerance_preserves_the_file(
     scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     answer = simulate(Scene.from_toml(scene), "native", 1e-3)
@@ -295,7 +295,7 @@ def test_a_missed_tolerance_keeps_the_file(
     assert Trajectory.load(scene.with_suffix(".nc")) == answer
 
 
-def test_a_tolerance_known_to_be_out_of_reach(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_tolerance_known_to_be_unreachable(scene: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["run", str(scene), "--tolerance", "1e-17"]) == 1
     said = capsys.readouterr()
     assert said.err.startswith("error: ")
@@ -399,7 +399,7 @@ def test_compare(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 def test_compare_loosens_the_tolerance_of_an_engine_above_the_budget(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ):
-    """An engine that no tolerance brings below the budget is left out."""
+    """An engine that exceeds the budget at every tolerance is left out."""
 
     def tell(cost_s: float, work: str, *_: object) -> None:
         if "modes" in work or re.search("tolerance of 1e-0[56]$", work):
@@ -447,14 +447,14 @@ def test_the_predictable_part_of_a_chaotic_scene_is_compared(
 
 
 @pytest.mark.parametrize("engines", ["native,abacus", "", ","])
-def test_compare_with_engines_that_are_not_there(
+def test_compare_with_unavailable_engines(
     engines: str, scene: Path, capsys: pytest.CaptureFixture[str]
 ):
     assert main(["compare", str(scene), "--engines", engines]) == 2
     assert keys(capsys.readouterr()) == ["engines"]
 
 
-def test_an_engine_that_refuses_has_one_short_line(scene: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_refusal_of_an_engine_is_one_short_line(scene: Path, capsys: pytest.CaptureFixture[str]):
     pushed = SCENE.replace('kind = "impulse"', 'kind = "impulse"\ngrain = 3')
     assert pushed != SCENE
     scene.write_text(pushed)
@@ -564,7 +564,7 @@ def test_exit_codes_of_the_process(scene: Path):
         return subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
 
     done = run("run", str(scene))
-    assert (done.returncode, done.stderr) == (0, "")  # no progress bar: stderr is no terminal
+    assert (done.returncode, done.stderr) == (0, "")  # Without a progress bar.
     missed = run("run", str(scene), "--tolerance", "1e-17", "--force")
     assert (missed.returncode, missed.stdout) == (1, "")
     wrong = run("run", str(scene.with_name("none.toml")))
@@ -588,7 +588,7 @@ def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path
         process,
         read_until,
     ):
-        read_until(f"{engine}:")  # the progress bar
+        read_until(f"{engine}:")  # The progress bar.
         process.send_signal(sent)
         assert process.wait(PATIENCE) == code
         assert "Traceback" not in read_until("stopped by")
@@ -596,7 +596,7 @@ def test_a_long_run_stops_at_once(engine: str, sent: int, code: int, scene: Path
 
 
 def test_from_another_thread(scene: Path):
-    """Only the main thread may handle signals; main works in any."""
+    """Only the main thread may handle signals, but main works in any thread."""
     import threading
 
     codes: list[int] = []
@@ -606,7 +606,7 @@ def test_from_another_thread(scene: Path):
     assert codes == [0]
 
 
-def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_accumulated_quantities_are_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "scene.toml"
     text = tomli_w.dumps(tomllib.loads(SCENE) | {
         "chain": {"grains": 20, "diameter": 1e-3},
@@ -635,7 +635,7 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     assert re.search(r"arrival_time +nothing: no front has passed\n", capsys.readouterr().out)
 
 
-# --- ends of pipes, and values in error lines
+# --- closed pipes, and values in error lines
 
 
 @pytest.mark.parametrize(
@@ -647,7 +647,7 @@ def test_what_was_gathered_is_told(tmp_path: Path, capsys: pytest.CaptureFixture
     ],
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
-    """A closed reader, such as `| head`, gives the exit code of SIGPIPE."""
+    """A closed reader, such as `| head`, leads to the exit code of SIGPIPE without a message."""
     (tmp_path / "scene.toml").write_text(SCENE)
     read, write = os.pipe()
     os.close(read)
@@ -674,7 +674,7 @@ def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
     assert re.fullmatch(r"error: .*No space left on device\n", done.stderr)
 
 
-def test_closed_streams_are_no_fault(tmp_path: Path):
+def test_closed_streams_are_allowed(tmp_path: Path):
     (tmp_path / "scene.toml").write_text(SCENE)
     command = f"{shlex.join(COMMAND)} run scene.toml --engine modes --tolerance 0.5 >&- 2>&-"
     assert subprocess.run(command, shell=True, cwd=tmp_path).returncode == 0
@@ -694,7 +694,7 @@ def test_error_lines_show_the_beginning_of_long_values(
         assert main(["run", str(tmp_path / "scene.toml")]) == 2
         said = capsys.readouterr().err
         for line in said.splitlines():
-            # The list of keys is as long as it is.
+            # The list of keys is not shortened.
             message, _, _ = line.partition("; the keys here are")
             assert message.startswith("error: ")
             assert len(message) < 300, said[:1000]

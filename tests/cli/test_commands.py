@@ -1,4 +1,4 @@
-"""What commands print, number by number, their defaults, exit codes and refusals."""
+"""Output of commands, number by number, with defaults, exit codes and refusals."""
 
 import argparse
 import io
@@ -50,7 +50,7 @@ def scene(tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def answer() -> Trajectory:
-    """A run whose numbers are all different."""
+    """A trajectory whose numbers are all different."""
     chain = Chain(grains=20, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-4), duration=20e-6, samples=11)
     run = simulate(scene, "native", 1e-6)
@@ -60,7 +60,7 @@ def answer() -> Trajectory:
 
 
 def start_under_mpirun(monkeypatch: pytest.MonkeyPatch, rank: int) -> list[Any]:
-    """Make this process one of two of mpirun; the list tells which workers wait and are ended."""
+    """Pretend that this process is one of two under mpirun; return the list of worker events."""
     calls: list[Any] = []
     loops = "lmpchain.engines.lammps.communicators"
     monkeypatch.setenv("PMI_SIZE", "2")
@@ -93,7 +93,7 @@ def test_the_summary_of_a_run_number_by_number(
 
     monkeypatch.setattr("lmpchain.simulation.api.simulate", simulated)
     monkeypatch.setattr("lmpchain.util.tables.line_width", lambda: 200)
-    assert main(["run", str(scene), "--tolerance", "1e-4"]) == 1  # the model error is 3e-3
+    assert main(["run", str(scene), "--tolerance", "1e-4"]) == 1  # The model error is 3e-3.
     said = lines(capsys.readouterr().out)
     assert said == {
         "engine": "native, which solves Eq. (1), on 3 ranks",
@@ -117,7 +117,7 @@ def test_the_summary_of_a_run_number_by_number(
     assert said["engine"] == "native, which solves Eq. (1)"
 
 
-def test_what_is_doubtful_is_said_before_the_run(
+def test_warnings_are_printed_before_the_run(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(
@@ -135,7 +135,7 @@ def test_what_is_doubtful_is_said_before_the_run(
         assert capsys.readouterr().err == (one if alone else "")
 
 
-def test_a_run_that_max_wall_stops_is_to_be_resumed(scene: Path, monkeypatch: Any, capsys: Any):
+def test_a_run_stopped_by_max_wall_can_be_resumed(scene: Path, monkeypatch: Any, capsys: Any):
     asked: dict[str, Any] = {}
 
     def stops(*_: Any, **options: Any) -> None:
@@ -149,7 +149,7 @@ def test_a_run_that_max_wall_stops_is_to_be_resumed(scene: Path, monkeypatch: An
     assert (asked["max_wall"], Path(asked["folder"])) == (90.0, folder)
 
 
-def test_a_missed_tolerance_without_an_answer_is_told(scene: Path, monkeypatch: Any, capsys: Any):
+def test_a_missed_tolerance_without_result(scene: Path, monkeypatch: Any, capsys: Any):
     def misses(*_: Any, **__: Any) -> None:
         raise ToleranceNotMet("out of reach", None)
 
@@ -172,16 +172,17 @@ def terminate(*_: Any, **__: Any) -> None:
 @pytest.mark.parametrize(
     ("stop", "code", "name"), [(interrupt, 130, "Ctrl-C"), (terminate, 143, "SIGTERM")]
 )
-def test_a_stopped_command_says_what_is_kept(
+def test_a_stopped_command_reports_saved_files(
     stop: Any, code: int, name: str, scene: Path, monkeypatch: Any, capsys: Any
 ):
-    # Sweeps first: their import takes `simulate` by name, and would keep what is put in its place.
+    # The sweeps are imported first, because they import `simulate` by name and would keep the
+    # stand-in.
     monkeypatch.setattr("lmpchain.sweeps.run.sweep", stop)
     monkeypatch.setattr("lmpchain.simulation.api.simulate", stop)
     monkeypatch.setattr("lmpchain.simulation.planner.plan", stop)
     before = signal.getsignal(signal.SIGTERM)
     nothing = "nothing unfinished was kept"
-    hint = "with -o FOLDER/ what is done is kept and can be resumed"
+    hint = "with -o FOLDER/ a stopped run is kept and can be resumed"
     folder = scene.parent / "run"
     for words, kept in (
         (["run", str(scene)], f"{nothing}; {hint}"),
@@ -189,7 +190,7 @@ def test_a_stopped_command_says_what_is_kept(
         (["plan", str(scene)], nothing),
         (
             ["sweep", str(scene), "-o", str(folder)],
-            f"what is done is kept in {folder}; the same command continues from there",
+            f"finished scenes are kept in {folder}; repeat the command to continue",
         ),
     ):
         assert main(words) == code
@@ -197,9 +198,7 @@ def test_a_stopped_command_says_what_is_kept(
         assert signal.getsignal(signal.SIGTERM) == before
 
 
-def test_a_stopped_run_folder_names_the_command_that_goes_on(
-    scene: Path, monkeypatch: Any, capsys: Any
-):
+def test_a_stopped_run_folder_names_the_resume_command(scene: Path, monkeypatch: Any, capsys: Any):
     folder = scene.parent / "run"
     assert main(["run", str(scene), "-o", f"{folder}/", "--engine", "native"]) == 0
     monkeypatch.setattr("lmpchain.simulation.api.resume", interrupt)
@@ -207,10 +206,10 @@ def test_a_stopped_run_folder_names_the_command_that_goes_on(
     assert main(["resume", str(folder)]) == 130
     said = capsys.readouterr()
     assert said.out == f"{folder}: this run is finished; there is nothing left to do\n"
-    assert said.err == f"stopped by Ctrl-C; to go on: lmpchain resume {folder}\n"
+    assert said.err == f"stopped by Ctrl-C; continue with: lmpchain resume {folder}\n"
 
 
-def test_a_killed_run_says_where_it_goes_on(
+def test_a_killed_run_names_the_resume_command(
     tmp_path: Path, answer: Trajectory, monkeypatch: Any, capsys: Any
 ):
     about = {
@@ -222,7 +221,7 @@ def test_a_killed_run_says_where_it_goes_on(
     }
     monkeypatch.setattr("lmpchain.simulation.run_folder.status", lambda folder: about)
     monkeypatch.setattr("lmpchain.simulation.api.resume", lambda folder, **options: answer)
-    assert main(["resume", str(tmp_path)]) == 1  # the model error is above the tolerance
+    assert main(["resume", str(tmp_path)]) == 1  # The model error exceeds the tolerance.
     first, *rest = capsys.readouterr().out.splitlines()
     assert (
         first
@@ -233,9 +232,7 @@ def test_a_killed_run_says_where_it_goes_on(
     assert said["estimated error"].endswith("(tolerance 0.0001)")
 
 
-def test_a_sweep_tells_how_many_scenes_have_an_answer(
-    tmp_path: Path, monkeypatch: Any, capsys: Any
-):
+def test_a_sweep_prints_the_number_of_solved_scenes(tmp_path: Path, monkeypatch: Any, capsys: Any):
     asked: dict[str, Any] = {}
     reasons = np.array([["", "too fast"], ["", "too slow"]], dtype=object)
 
@@ -247,8 +244,8 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(
     words = ["sweep", "s.toml", "-o", str(tmp_path)]
     assert main(words) == 1
     said = capsys.readouterr()
-    assert said.out == f"2 of 4 scenes are answered in {tmp_path}\n"
-    assert said.err == "error: 2 scenes have no answer, the first because: too fast\n"
+    assert said.out == f"2 of 4 scenes are solved in {tmp_path}\n"
+    assert said.err == "error: 2 scenes failed, the first because: too fast\n"
     assert (asked["workers"], asked["scheduler"], asked["progress"]) == (
         len(os.sched_getaffinity(0)),
         None,
@@ -257,7 +254,7 @@ def test_a_sweep_tells_how_many_scenes_have_an_answer(
     reasons[:] = ""
     assert main([*words, "--workers", "3"]) == 0
     assert asked["workers"] == 3
-    assert capsys.readouterr().out == f"4 of 4 scenes are answered in {tmp_path}\n"
+    assert capsys.readouterr().out == f"4 of 4 scenes are solved in {tmp_path}\n"
     start_under_mpirun(monkeypatch, 0)
     assert main(words) == 2
     assert keys(capsys.readouterr()) == ["sweep"]
@@ -282,7 +279,7 @@ def test_under_mpirun_rank_0_runs_lammps_and_ends_the_others(monkeypatch: Any, c
     assert capsys.readouterr().err == "error: of another MPI\n"
 
 
-def test_under_mpirun_rank_0_alone_does_what_needs_no_lammps(monkeypatch: Any, capsys: Any):
+def test_under_mpirun_only_rank_0_works_without_lammps(monkeypatch: Any, capsys: Any):
     for rank in (0, 1):
         calls = start_under_mpirun(monkeypatch, rank)
         assert main(["--version"]) == 0
@@ -346,7 +343,7 @@ WORDS = {
 }
 
 
-def test_what_a_command_must_be_given(capsys: pytest.CaptureFixture[str]):
+def test_required_arguments(capsys: pytest.CaptureFixture[str]):
     parser = command_line._parser()
     assert WORDS.keys() == verbs().keys()
     for verb, words in WORDS.items():
@@ -386,7 +383,7 @@ def test_times_as_hours_minutes_and_seconds(text: str):
 @pytest.mark.parametrize(
     "text", ["0", "0:00:00", "1:60:00", "1:00:60", "1:00", "-5", "1h", "", "٣", "1:0:5"]
 )
-def test_times_that_are_none(text: str, capsys: pytest.CaptureFixture[str]):
+def test_invalid_times(text: str, capsys: pytest.CaptureFixture[str]):
     assert main(["resume", "run", f"--max-wall={text}"]) == 2
     assert "must be a time above 0, as H:MM:SS or in seconds" in capsys.readouterr().err
 
@@ -462,7 +459,7 @@ def test_the_reference_of_a_long_scene_is_a_hundred_times_tighter(
 
 
 @pytest.mark.parametrize("verb", ["workprec", "stability"])
-def test_charts_say_what_they_leave_out_and_where_they_are(
+def test_charts_report_omissions_and_their_location(
     verb: str, scene: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     asked: list[Any] = []
@@ -496,7 +493,7 @@ def test_charts_say_what_they_leave_out_and_where_they_are(
 # --- plan, docs, orbit
 
 
-def test_a_calibration_says_what_it_found(
+def test_a_calibration_prints_its_results(
     tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(
@@ -534,7 +531,7 @@ def test_a_plan_needs_a_scene_or_a_calibration(scene: Path, capsys: pytest.Captu
     assert json.loads(numbers.read_text())["engine"] in printed
 
 
-def test_pages_are_opened_where_they_are_built(tmp_path: Path, monkeypatch: Any, capsys: Any):
+def test_documentation_is_opened_where_it_was_built(tmp_path: Path, monkeypatch: Any, capsys: Any):
     opened: list[str] = []
     monkeypatch.setattr(pages.webbrowser, "open", opened.append)
     assert (pages.SOURCES / "index.md").exists()
@@ -554,7 +551,7 @@ def test_pages_are_opened_where_they_are_built(tmp_path: Path, monkeypatch: Any,
     assert opened == [page.as_uri()]
 
 
-def test_an_orbit_is_told_in_numbers():
+def test_an_orbit_is_described_in_numbers():
     chain = Chain(grains=3, diameter=1e-3)
     family = orbits.follow(orbits.normal_mode(chain, 1, 1e-14), "energy", 2e-14)
     last = family[-1]
@@ -602,7 +599,7 @@ def test_an_orbit_is_told_in_numbers():
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("warning", 0), ("fault", 1)])
-def test_the_doctor_says_each_finding_and_how_many_are_bad(
+def test_the_doctor_prints_each_finding_and_the_number_of_faults(
     state: Any, code: int, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     findings = (doctor.Finding("Python", "ok", "3.13"), doctor.Finding("memory", state, "8 GB"))
@@ -623,7 +620,7 @@ def test_the_doctor_says_each_finding_and_how_many_are_bad(
 
 
 @pytest.mark.parametrize("arguments", [[], ["--compile"]])
-def test_the_doctor_compiles_if_it_is_asked_to(arguments: list[str], monkeypatch: Any):
+def test_the_doctor_compiles_on_request(arguments: list[str], monkeypatch: Any):
     compiled = []
     monkeypatch.setattr(doctor, "diagnose", lambda tell: doctor.Diagnosis(()))
     monkeypatch.setattr(doctor, "compile_all", lambda progress: compiled.append(progress))
@@ -633,7 +630,7 @@ def test_the_doctor_compiles_if_it_is_asked_to(arguments: list[str], monkeypatch
 
 @pytest.mark.parametrize(("pace_s", "said"), [(0.7, True), (0.01, False)])
 def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: Any):
-    """What one job takes tells what the others will: next to nothing if they are kept."""
+    """The time of one job predicts the time of the others, which is nearly 0 if they are cached."""
     total_s = [0.0]
 
     def take(*_: Any, **__: Any) -> None:
@@ -652,10 +649,10 @@ def test_long_compilation_is_announced(pace_s: float, said: bool, monkeypatch: A
     assert not said or "takes about 2.3 minutes: without --compile" in texts[0]
 
 
-# --- files and words
+# --- files and texts
 
 
-def test_outputs_that_are_refused(tmp_path: Path):
+def test_invalid_outputs(tmp_path: Path):
     scene = tmp_path / "scene.toml"
     scene.touch()
     (tmp_path / "folder").mkdir()
@@ -682,7 +679,7 @@ def test_outputs_that_are_refused(tmp_path: Path):
     assert common.beside("a/run.v2.nc", ".html") == "a/run.v2.html"
 
 
-def test_a_place_where_one_may_not_write(tmp_path: Path, monkeypatch: Any):
+def test_a_folder_without_write_permission(tmp_path: Path, monkeypatch: Any):
     (tmp_path / "there.nc").touch()
     for locked in (tmp_path, tmp_path / "there.nc"):
         monkeypatch.setattr(os, "access", lambda path, mode, locked=locked: Path(path) != locked)
@@ -693,7 +690,7 @@ def test_a_place_where_one_may_not_write(tmp_path: Path, monkeypatch: Any):
     assert common.output(f"{tmp_path}/new.nc", "")
 
 
-def test_each_command_has_an_example_that_it_takes(capsys: pytest.CaptureFixture[str]):
+def test_the_example_of_each_command_is_valid(capsys: pytest.CaptureFixture[str]):
     for name, verb in VERBS.items():
         words = shlex.split(verb.example)
         assert words[0] == name
@@ -729,7 +726,7 @@ def test_complaints_are_one_printable_line(capsys: pytest.CaptureFixture[str]):
     assert capsys.readouterr().err == "error: bad\n"
 
 
-def test_progress_is_shown_on_a_terminal_only(monkeypatch: Any):
+def test_progress_is_shown_only_on_a_terminal(monkeypatch: Any):
     for stream, shown in (
         (None, False),
         (SimpleNamespace(isatty=lambda: True), True),
@@ -739,7 +736,7 @@ def test_progress_is_shown_on_a_terminal_only(monkeypatch: Any):
         assert common.on_terminal() is shown
 
 
-def test_faults_of_all_checks_come_at_once():
+def test_faults_of_all_checks_are_reported_at_once():
     def fails(key: str) -> None:
         raise InputError([(key, "wrong")])
 
@@ -750,7 +747,7 @@ def test_faults_of_all_checks_come_at_once():
     assert issubclass(InputError, LmpchainError)
 
 
-def test_numbers_that_are_none_are_no_json(tmp_path: Path):
+def test_nan_and_infinity_become_null_in_json(tmp_path: Path):
     with pytest.raises(ValueError, match="JSON"):
         common.write_json({"a": float("nan")}, tmp_path / "a.json")
     assert names(tmp_path) == []
@@ -759,7 +756,7 @@ def test_numbers_that_are_none_are_no_json(tmp_path: Path):
 # --- saved runs
 
 
-def test_saved_runs_and_dumps_are_told_apart(
+def test_saved_runs_and_dumps_are_distinguished(
     scene: Path, answer: Trajectory, capsys: pytest.CaptureFixture[str]
 ):
     file = scene.parent / "run.nc"
@@ -781,7 +778,7 @@ def test_saved_runs_and_dumps_are_told_apart(
         assert keys(capsys.readouterr()) == [key]
 
 
-def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any, capsys: Any):
+def test_options_of_a_sensitivity_are_passed_on(scene: Path, monkeypatch: Any, capsys: Any):
     asked: list[Any] = []
     result = SimpleNamespace(table=lambda: "the table")
     monkeypatch.setattr(
@@ -807,7 +804,7 @@ def test_a_sensitivity_asks_for_what_it_was_given(scene: Path, monkeypatch: Any,
     ]
 
 
-def test_a_saved_run_is_evaluated_as_asked(
+def test_options_for_saved_runs_are_passed_on(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: Any
 ):
     file = scene.parent / "run.nc"

@@ -1,4 +1,4 @@
-"""The job scripts for PBS and for a cluster of Dask, each run once with stand-ins for the queue."""
+"""Job scripts for PBS and for a Dask cluster, each run once with a stand-in for the queue."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ from lmpchain import Trajectory, load_sweep, simulate
 from lmpchain.scene.scene import Scene
 
 TEMPLATES = Path(__file__).parents[2] / "templates"
-# A cluster of this machine in place of one in a queue; it notes what it was asked for.
+# A cluster on this machine instead of a queue; it records the requested resources.
 STAND_IN = """
 from dask.distributed import LocalCluster
 
@@ -37,7 +37,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def submitted(here: Path, **variables: str) -> subprocess.CompletedProcess[str]:
-    """Run the script as PBS does: in another folder, with the variables of `qsub -v`."""
+    """Run the script like PBS: in a different folder, with the variables of `qsub -v`."""
     elsewhere = here / "spool"
     elsewhere.mkdir(exist_ok=True)
     # `mpiexec` starts one process, whose engine is the native one, because LAMMPS is slow to start.
@@ -59,7 +59,7 @@ def submitted(here: Path, **variables: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_the_script_for_pbs_runs_and_resumes(here: Path):
+def test_the_pbs_script_runs_and_resumes(here: Path):
     asked = {"scene": "scene.toml", "folder": "run", "options": "--tolerance 1e-7"}
     done = submitted(here, **asked)
     assert done.returncode == 0, done.stderr
@@ -73,7 +73,7 @@ def test_the_script_for_pbs_runs_and_resumes(here: Path):
     ]
 
 
-def test_the_script_for_pbs_asks_for_qsub(here: Path):
+def test_the_pbs_script_requires_qsub(here: Path):
     environment = {key: value for key, value in os.environ.items() if key != "PBS_O_WORKDIR"}
     done = subprocess.run(
         ["bash", str(TEMPLATES / "pbs.sh")],
@@ -103,7 +103,7 @@ def test_a_sweep_runs_on_a_cluster_of_dask(here: Path):
     assert done.stdout.splitlines() == [
         "asked for 16 16 32GB 04:00:00",
         "jobs 10",
-        "2 of 2 scenes are answered",
+        "2 of 2 scenes are solved",
     ]
     peaks = load_sweep("results").peak_velocity.sel({"chain.gravity": 1.62})
     scene = Scene.from_toml("scene.toml")

@@ -1,4 +1,4 @@
-"""Misspelt names: every message says which name was probably meant."""
+"""Misspelt names: every message contains the name that was probably meant."""
 
 import re
 
@@ -74,7 +74,7 @@ def swept(**keys):
         (lambda: disorder.factors(1.0, 3, None, law="dysen"), "dyson"),
     ],
 )
-def test_python_guesses_what_was_meant(ask, meant):
+def test_python_suggests_names(ask, meant):
     with pytest.raises(InputError) as caught:
         ask()
     assert f"(did you mean '{meant}'?)" in caught.value.faults[0][1]
@@ -89,7 +89,7 @@ def test_python_guesses_what_was_meant(ask, meant):
         ("deck s.toml -o d --integrator velvet", "verlet"),
     ],
 )
-def test_the_command_line_guesses_what_was_meant(line, meant, capsys):
+def test_the_command_line_suggests_names(line, meant, capsys):
     assert main(line.split()) == 2
     (said,) = capsys.readouterr().err.splitlines()
     assert said.startswith("error: ")
@@ -106,7 +106,7 @@ def test_the_command_line_guesses_what_was_meant(line, meant, capsys):
     ],
 )
 def test_every_key_that_a_section_takes_is_listed_and_no_other(section: str, more: set[str]):
-    """Each listed key is accepted by name, whatever becomes of its value."""
+    """Each listed key is accepted by name, regardless of its value."""
     listed = said_of_keys(section, "qqqq = 1")["qqqq"].split("; the keys here are ")[1].split(", ")
     assert more <= set(listed)
     for key in listed:
@@ -115,7 +115,7 @@ def test_every_key_that_a_section_takes_is_listed_and_no_other(section: str, mor
 
 
 def said_of_keys(section: str, line: str) -> dict[str, str]:
-    """Return the faults of a scene with a line more in a section, by the last name of their key."""
+    """Return the faults of a scene with an additional line, by the last name of their keys."""
     text = TEXT.replace(f"[{section}]", f"[{section}]\n{line}")
     try:
         Scene.from_text(text)
@@ -138,7 +138,7 @@ def test_unknown_keys_and_wrong_values_are_reported_together():
     assert faults["chain.grains"].startswith("must be")
 
 
-def test_nothing_is_guessed_where_nothing_is_near():
+def test_no_suggestion_without_a_similar_name():
     with pytest.raises(InputError) as caught:
         Chain(grains=3, diameter=1e-3, material="wood")
     assert "did you mean" not in str(caught.value)
@@ -162,7 +162,7 @@ def help_of(verb: str, option: str) -> str:
     ],
 )
 def test_the_help_lists_what_is_accepted(verb: str, option: str, owned: set[str]):
-    """The help is typed, because the owners of these names are slow to import."""
+    """The help lists the names as text, because importing their modules is slow."""
     words = set(re.findall(r"[a-z][a-z0-9_-]+", help_of(verb, option)))
     assert owned
     assert owned <= words

@@ -1,4 +1,4 @@
-"""The command `new`: scenes to begin with, each as its comments say."""
+"""The command `new`: example scenes that agree with their comments."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ def made(folder: Path, example: str) -> Path:
 
 @each_example
 def test_an_example_is_a_scene_that_moves(example: str, tmp_path: Path):
-    """Its wave goes down the chain, to the lower half of the grains within the recording."""
+    """The wave travels down to the lower half of the grains within the recording."""
     scene = Scene.from_toml(made(tmp_path, example))
     run = simulate(scene, "native", 1e-6)
     largest = np.abs(run.velocity).max(0)
@@ -30,7 +30,7 @@ def test_an_example_is_a_scene_that_moves(example: str, tmp_path: Path):
     assert run.error_estimate.total < 1e-6
 
 
-def test_examples_are_what_they_say(tmp_path: Path):
+def test_examples_agree_with_their_descriptions(tmp_path: Path):
     scenes = {example: Scene.from_toml(made(tmp_path, example)) for example in EXAMPLES}
     column = scenes["column"].chain
     assert (column.material, column.gravity, column.bottom) == (lmpchain.GLASS, 9.81, "fixed")
@@ -43,16 +43,16 @@ def test_examples_are_what_they_say(tmp_path: Path):
     assert np.abs(scenes["disorder"].chain.diameters / 5e-3 - 1).max() <= 0.05
     struck = scenes["striker"].chain
     assert struck.by_grain("density").tolist() == [2200.0] + [8000.0] * 60
-    # The striker touches, and the row is pressed together.
+    # The striker touches the row, which is compressed.
     assert struck.equilibrium_force == pytest.approx([0.0] + [2.38] * 59, rel=1e-12)
 
 
 def test_examples_with_a_file_of_an_instrument(tmp_path: Path, monkeypatch, capsys):
-    """The forces and motions are those that the files show; both lie beside the scene."""
+    """Forces and motions equal those in the files beside the scenes."""
     path = made(tmp_path, "hammer")
     assert f"data: {tmp_path / 'hammer.csv'}" in capsys.readouterr().out
     push = Scene.from_toml(path).excitation
-    # A half-sine of 1.5 V in 40 us, and 100 N/V.
+    # A half-sine of 1.5 V in 40 us, with 100 N/V.
     inside = push.times <= 40e-6
     exact = 150.0 * np.sin(np.pi * push.times[inside] / 40e-6)
     assert push.force[inside] == pytest.approx(exact, abs=2e-2)
@@ -60,14 +60,14 @@ def test_examples_with_a_file_of_an_instrument(tmp_path: Path, monkeypatch, caps
     assert plate.excitation.grain == 0
     assert plate.chain.material == lmpchain.PTFE
     assert np.abs(plate.excitation.displacement).max() == pytest.approx(3.745e-7, rel=1e-4)
-    # No file is replaced unasked, and data cannot go to standard output.
+    # No file is replaced without --force, and data cannot go to standard output.
     (tmp_path / "other.csv").write_text("mine")
     assert main(["new", str(tmp_path / "other.toml"), "--example", "hammer"]) == 2
     assert "other.csv: is there already" in capsys.readouterr().err
     assert not (tmp_path / "other.toml").exists()
     assert main(["new", "-", "--example", "hammer"]) == 2
     assert "name a file" in capsys.readouterr().err
-    # Any name works in the scene.
+    # Any file name is allowed in the scene.
     odd = tmp_path / 'a "b" \\ é.toml'
     assert main(["new", str(odd), "--example", "hammer"]) == 0
     assert Scene.from_toml(odd) == Scene.from_toml(path)
@@ -84,7 +84,7 @@ def test_comments_name_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
     assert "lmpchain run 'my balls.toml'" in said
 
 
-def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "scene.toml"
     path.write_text("mine")
     assert main(["new", str(path)]) == 2
@@ -102,7 +102,7 @@ def test_nothing_is_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert fault in capsys.readouterr().err
 
 
-def test_it_is_what_help_and_readme_begin_with(capsys: pytest.CaptureFixture[str]):
+def test_help_and_readme_begin_with_new(capsys: pytest.CaptureFixture[str]):
     main(["--help"])
     text = capsys.readouterr().out
     assert text.split("\nbegin:\n")[1].split()[0] == "new"

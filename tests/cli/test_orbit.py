@@ -38,7 +38,7 @@ def test_orbit(tmp_path: Path):
     assert found["parameter"] == "energy"
 
 
-def test_a_mode_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture):
+def test_an_unknown_mode_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixture):
     scene = tmp_path / "scene.toml"
     chain = Chain(grains=6, diameter=1e-3)
     Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2).to_toml(scene)
@@ -47,7 +47,7 @@ def test_a_mode_that_there_is_not(tmp_path: Path, capsys: pytest.CaptureFixture)
 
 
 def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture):
-    """The scene file has damping, and the curve passes two folds."""
+    """The scene file has damping, and the response curve passes two folds."""
     level = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
     chain = Chain(grains=2, material="steel", damping={"drag": 2000.0}, **level)
     drive = Drive(amplitude=1e-7, frequency=1.2e4)
@@ -71,8 +71,8 @@ def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.Captur
         ("--follow", "drive.frequency"): "--follow: must be a number and its last value",
         ("--follow", "drive.speed=1"): "parameter: must be period, a number of the drive",
         ("--follow", "drive.frequency=1.3e4", "--of", "force:9"): "of: the contacts are numbered",
-        ("--mode", "1"): "orbit: is a mode or the answer to a drive",
-        (): "orbit: is a mode or the answer to a drive",
+        ("--mode", "1"): "orbit: follows a mode or the response to a drive",
+        (): "orbit: follows a mode or the response to a drive",
     }.items():
         assert main(["orbit", str(scene), *wrong]) == 2
         assert message in capsys.readouterr().err

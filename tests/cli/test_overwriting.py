@@ -1,4 +1,4 @@
-"""Files that lmpchain did not write are kept, whatever command or call would write there."""
+"""Files that lmpchain did not write are preserved by all commands and functions."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ from lmpchain.cli.verbs import VERBS
 from lmpchain.engines.lammps import export
 from lmpchain.measure import traces
 
-# Options of each command that writes files, and the files.
+# Options of each command that writes files, and these files.
 WRITERS = {
     "new": ("FILE.toml", ()),
     "run": ("-o FILE.nc", ()),
@@ -47,7 +47,7 @@ def answer() -> Trajectory:
     params=thinned([(case,) for case in CASES], 2), ids=[" ".join(case) for case in CASES]
 )
 def command(request, tmp_path: Path, answer: Trajectory) -> tuple[list[str], Path]:
-    """A command, and a file of a user's own in its way."""
+    """A command with a user's file at its output path."""
     verb, words = request.param
     (tmp_path / "scene.toml").write_text(SCENE)
     answer.save(tmp_path / "run.nc")
@@ -64,11 +64,11 @@ def command(request, tmp_path: Path, answer: Trajectory) -> tuple[list[str], Pat
     return [verb, *given, *arguments], file
 
 
-def test_every_command_that_writes_a_file_is_tried():
+def test_all_commands_that_write_files_are_tested():
     assert set(WRITERS) | WRITE_FOLDERS_OR_NOTHING == set(VERBS)
 
 
-def test_a_command_keeps_a_file_of_a_user(command, capsys: pytest.CaptureFixture[str]):
+def test_a_command_preserves_a_file_of_a_user(command, capsys: pytest.CaptureFixture[str]):
     arguments, file = command
     assert main(arguments) == 2
     assert "--force" in capsys.readouterr().err
@@ -78,7 +78,7 @@ def test_a_command_keeps_a_file_of_a_user(command, capsys: pytest.CaptureFixture
         assert file.read_bytes() != b"my own"
 
 
-def test_a_command_replaces_what_it_wrote_until_that_is_edited(tmp_path: Path, answer: Trajectory):
+def test_a_command_replaces_its_own_output_until_it_is_edited(tmp_path: Path, answer: Trajectory):
     answer.save(tmp_path / "run.nc")
     page = tmp_path / "run.html"
     export = ["export", str(tmp_path / "run.nc"), "-o", str(tmp_path / "run.csv")]
@@ -86,7 +86,7 @@ def test_a_command_replaces_what_it_wrote_until_that_is_edited(tmp_path: Path, a
     table = tmp_path / "run.csv"
     table.write_text(table.read_text() + "\n")
     assert main(export) == 2
-    page.symlink_to(table)  # a link is a user's, wherever it points to
+    page.symlink_to(table)  # A link belongs to the user, whatever its target is.
     assert main(["report", str(tmp_path / "run.nc")]) == 2
 
 
@@ -104,7 +104,7 @@ WRITES = {
 
 
 @pytest.mark.parametrize("write", WRITES.values(), ids=WRITES)
-def test_a_call_keeps_a_file_of_a_user(write, answer: Trajectory, tmp_path: Path):
+def test_a_call_preserves_a_file_of_a_user(write, answer: Trajectory, tmp_path: Path):
     path = tmp_path / "file"
     path.write_text("my own")
     with pytest.raises(InputError, match=r"lmpchain did not write: .*overwrite=True"):
@@ -113,11 +113,11 @@ def test_a_call_keeps_a_file_of_a_user(write, answer: Trajectory, tmp_path: Path
     write(answer, path, overwrite=True)
     content = path.read_bytes()
     assert content != b"my own"
-    write(answer, path)  # as a script does that is run again
+    write(answer, path)  # As in a script that runs again.
 
 
 @pytest.mark.parametrize("name", ["column.data", "column.lammpstrj", "log.lammps", "in.column"])
-def test_files_of_lammps_are_kept(name, answer: Trajectory, tmp_path: Path):
+def test_files_of_lammps_are_preserved(name, answer: Trajectory, tmp_path: Path):
     (tmp_path / name).write_text("my own")
     with pytest.raises(InputError, match=r"did not write|not written by lmpchain"):
         export.write_deck(answer.scene, tmp_path)

@@ -1,4 +1,4 @@
-"""What shells use: standard streams in place of files, JSON, completion and the manual page."""
+"""Features for shells: standard streams instead of files, JSON, completion and manual page."""
 
 import io
 import json
@@ -33,7 +33,7 @@ def give(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
 # --- JSON
 
 
-def test_the_numbers_of_a_run_are_one_object_on_standard_output(scene: Path, capsys):
+def test_the_numbers_of_a_run_are_one_json_object_on_standard_output(scene: Path, capsys):
     assert main(["run", str(scene), "--json"]) == 0
     said = capsys.readouterr()
     told = json.loads(said.out)
@@ -58,11 +58,11 @@ def test_the_numbers_of_a_run_are_one_object_on_standard_output(scene: Path, cap
         "errors": float(run.gathered["peak_force:5_error"]),
         "unit": "N",
     }
-    # The text that people read is on standard error, with the same figures.
+    # The readable text is on standard error, with the same numbers.
     assert f"peak_force:5     {force['values']:.6g} N" in said.err
 
 
-def test_a_missed_tolerance_is_in_the_object_too(scene: Path, capsys):
+def test_a_missed_tolerance_is_part_of_the_json_object(scene: Path, capsys):
     assert main(["run", str(scene), "--engine", "modes", "--json", "numbers.json"]) == 1
     told = json.loads(Path("numbers.json").read_text())
     assert told["tolerance_met"] is False
@@ -73,7 +73,7 @@ def test_a_missed_tolerance_is_in_the_object_too(scene: Path, capsys):
     assert json.loads(capsys.readouterr().out)["tolerance"] is None
 
 
-def test_a_resumed_run_says_the_same(scene: Path, capsys):
+def test_a_resumed_run_prints_the_same(scene: Path, capsys):
     assert main(["run", str(scene), "-o", "job/", "--json"]) == 0
     first = json.loads(capsys.readouterr().out)
     assert main(["resume", "job", "--json"]) == 0
@@ -94,15 +94,15 @@ def test_other_numbers_go_to_standard_output(scene: Path, capsys):
     assert names(Path()) == ["numbers.json", "scene.toml"]
 
 
-# --- standard input and output in place of files
+# --- standard input and output instead of files
 
 
-def test_a_scene_comes_from_standard_input(scene: Path, monkeypatch, capsys):
+def test_a_scene_is_read_from_standard_input(scene: Path, monkeypatch, capsys):
     Path("push.csv").write_text("time,force\n" + "".join(f"{n}e-6,{n % 3}\n" for n in range(20)))
     text = re.sub(r'kind = "impulse"\nvelocity = .*', 'kind = "force"\nfile = "push.csv"', MEASURED)
     give(text, monkeypatch)
     assert main(["run", "-", "-o", "pushed.nc"]) == 0
-    # A file that the scene names lies in the current folder.
+    # A file that the scene names is in the current folder.
     Path("pushed.toml").write_text(text)
     assert Trajectory.load("pushed.nc").scene == Scene.from_toml("pushed.toml")
     capsys.readouterr()
@@ -114,7 +114,7 @@ def test_a_scene_comes_from_standard_input(scene: Path, monkeypatch, capsys):
     assert capsys.readouterr().err.startswith("error: standard input: is not valid TOML")
 
 
-def test_traces_go_to_standard_output_alone(scene: Path, capsys):
+def test_standard_output_contains_only_traces(scene: Path, capsys):
     assert main(["run", str(scene)]) == 0
     choice = ["--velocity", "3", "--energies"]
     assert main(["export", "scene.nc", "-o", "traces.csv", *choice]) == 0
@@ -152,7 +152,7 @@ def test_pages_pictures_and_runs_are_files(words: list[str], scene: Path, capsys
 
 
 def test_an_option_takes_the_same_everywhere():
-    """One spelling has one kind of value, but for the file that -o names.
+    """Each spelling has one type of value, except for the file that -o names.
 
     The integrators of `deck` are listed as choices, those of other engines depend on the engine.
     """
@@ -209,7 +209,7 @@ def test_messages_are_wrapped_on_terminals(monkeypatch: pytest.MonkeyPatch, caps
     lines = re.sub(r"\x1b\[\d*m", "", screen.getvalue()).splitlines()
     assert lines[0].startswith("error: chain.cells: unknown key")
     assert all(line.startswith("  ") for line in lines[1:])
-    # What is copied stays in one piece.
+    # Text to be copied is not wrapped.
     assert f"  {path}" in lines
     assert max(len(line) for line in lines if path not in line) <= 80
     assert " ".join(map(str.strip, lines)) == f"error: {text}"
@@ -219,7 +219,7 @@ def test_messages_are_wrapped_on_terminals(monkeypatch: pytest.MonkeyPatch, caps
 
 
 def completions(line: str, script: Path) -> list[str]:
-    """Return what bash proposes for the last word of a command line."""
+    """Return the completions that bash proposes for the last word of a command line."""
     words = line.split(" ")
     program = (
         f"source {script}; COMP_WORDS=({' '.join(words[:-1])} '{words[-1]}'); "
@@ -246,14 +246,14 @@ def test_bash_completes_commands_options_and_files(scene: Path, capsys):
         assert "sensitivity" in capsys.readouterr().out
 
 
-def test_completion_without_shtab_says_what_to_install(monkeypatch: pytest.MonkeyPatch, capsys):
+def test_completion_without_shtab_names_the_package(monkeypatch: pytest.MonkeyPatch, capsys):
     monkeypatch.setitem(sys.modules, "shtab", None)
     assert main(["--print-completion", "bash"]) == 1
     assert "pip install 'lmpchain[completion]'" in capsys.readouterr().err
     assert main(["--print-completion", "fish"]) == 2
 
 
-def test_the_manual_has_every_command_and_option(capsys):
+def test_the_manual_lists_every_command_and_option(capsys):
     assert main(["--print-manual"]) == 0
     page = capsys.readouterr().out
     plain = page.replace(r"\-", "-")

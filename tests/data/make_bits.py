@@ -1,5 +1,4 @@
-"""Hash the answers to 200 random scenes by every engine, integrator and end: `bits.json` beside
-this file.
+"""Hash the results of 200 random scenes for every engine, integrator and end, as `bits.json`.
 
     python tests/data/make_bits.py                         # makes the table anew
     python tests/data/make_bits.py --check [EVERY]   # prints what differs; of every 10th scene, say
@@ -41,10 +40,10 @@ NATIVE = ("auto", "verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8", "dop853", 
 LAMMPS = ("rkn6", "kahan-li6", "verlet")
 LINEAR = ("modes", "chebyshev", "bessel", "continuum")
 FAILURES = (InputError, RunFailed, ToleranceNotMet)
-Row = list[Any]  # hashes, numbers, names
+Row = list[Any]  # Hashes, numbers and names.
 HASH = re.compile("[0-9a-f]{16}")
-ROUND_OFF = 1e-12  # error estimates below it are chance
-# Variables with which numba, NumPy and OpenBLAS use instructions of another processor.
+ROUND_OFF = 1e-12  # Error estimates below this value are random.
+# Variables that make numba, NumPy and OpenBLAS use instructions of another processor.
 INSTRUCTIONS = (
     "NUMBA_CPU_NAME",
     "NUMBA_CPU_FEATURES",
@@ -55,7 +54,7 @@ INSTRUCTIONS = (
 
 
 def fingerprint() -> dict[str, str]:
-    """Return the versions and processor on which the last bit of an answer depends."""
+    """Return the versions and the processor that determine the last bit of a result."""
     packages = {name: version(name) for name in ("numpy", "scipy", "numba", "llvmlite", "lammps")}
     return packages | {
         "machine": platform.machine(),
@@ -74,8 +73,7 @@ def digest(*arrays: np.ndarray) -> str:
 def answer(
     scene: Scene, engine: str, tolerance: float, folder: Path | None = None, **options: Any
 ) -> Row:
-    """Return the hash of an answer, its error estimates, engine and steps; or the name of what was
-    raised.
+    """Return the hash of a trajectory, its errors, engine and steps, or the name of an exception.
 
     With a folder the run is stopped after its first samples and resumed.
     """
@@ -110,9 +108,7 @@ def drawn(number: int) -> tuple[Scene, float]:
 
 
 def engine_cases(number: int) -> Iterator[tuple[str, Row]]:
-    """Yield the name of every case of an engine that is asked for by name, and its answer to one
-    scene.
-    """
+    """Yield the name of every case of a named engine, and its result for one scene."""
     scene, tolerance = drawn(number)
     loose = max(tolerance, 1e-4)
     velocities = repr(sorted(scene.initial()[1])).encode()
@@ -142,7 +138,7 @@ def engine_cases(number: int) -> Iterator[tuple[str, Row]]:
 
 
 def choice_cases(number: int) -> Iterator[tuple[str, Row]]:
-    """Yield the cases of one scene in which an engine is chosen, or a run goes on after a stop."""
+    """Yield the cases of one scene with engine choice or with a resumed run."""
     scene, tolerance = drawn(number)
     yield "auto", answer(scene, "auto", tolerance)
     if number % 5 == 0:
@@ -157,7 +153,7 @@ def choice_cases(number: int) -> Iterator[tuple[str, Row]]:
 
 
 def cases(number: int) -> Iterator[tuple[str, Row]]:
-    """Yield the name and the answer of every case of one scene."""
+    """Yield the name and the result of every case of one scene."""
     yield from engine_cases(number)
     yield from choice_cases(number)
 
@@ -174,9 +170,7 @@ def planned(scene: Scene, tolerance: float) -> Row:
 
 
 def batches() -> Iterator[tuple[str, Row]]:
-    """Yield the name and the answer of ensembles of random chains and of sweeps, which go in
-    batches.
-    """
+    """Yield name and result of ensembles and sweeps, which are run in batches."""
     column = Chain(grains=40, diameter=1e-3)
     for velocity in (1e-6, 8.57e-4):
         scene = Scene(chain=column, excitation=Impulse(velocity=velocity), duration=4e-5, samples=5)
@@ -208,8 +202,7 @@ def batches() -> Iterator[tuple[str, Row]]:
 
 
 def alike(one: Row, other: Row) -> bool:
-    """Say whether two rows differ in bits only: engine and failure are the same, numbers agree to
-    1e-3.
+    """Return whether two rows differ only in bits: equal engine and failure, numbers within 1e-3.
 
     Estimates of LAMMPS agree to a tenth: a part of them is its round-off as measured, which is
     chance. Steps agree to 2 %: last digits decide which steps of an adaptive method are refused,
@@ -229,7 +222,7 @@ def alike(one: Row, other: Row) -> bool:
 
 
 def differences(key: str, found: Iterable[tuple[str, Row]], some: bool = False) -> Iterator[str]:
-    """Yield a line for every case of a scene, or of the batches, that is not as in the table.
+    """Yield a line for every case of a scene, or of the batches, that differs from the table.
 
     `some` says that these are not all of its cases.
     """
@@ -245,7 +238,7 @@ def differences(key: str, found: Iterable[tuple[str, Row]], some: bool = False) 
 
 
 def main() -> None:
-    """Make the table, or print what differs from it."""
+    """Make the table, or print the differences from it."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Make two traces of instruments, that of `lmpchain new --example hammer` and one in this folder.
+"""Make two measured traces: one for `lmpchain new --example hammer`, and one in this folder.
 
 What they show is known in closed form; `tests/scene/test_trace_files.py` compares with it.
 """
@@ -12,7 +12,7 @@ EXAMPLE = HERE.parents[1] / "templates" / "examples" / "hammer.csv"
 
 
 def hammer() -> str:
-    """Return an oscilloscope's trace: a hammer at 0, volts, points between columns, noise before.
+    """Return an oscilloscope trace: a hammer at 0, volts, points between columns, noise before.
 
     As Tektronix writes it, with what was set beside the first rows: 0.05 V of offset, and a
     half-sine of 1.5 V in 40 us.
@@ -43,7 +43,7 @@ def hammer() -> str:
 
 
 def vibrometer() -> str:
-    """Return a vibrometer's trace: a piston from 1 ms on, volts, decimal commas, milliseconds."""
+    """Return a vibrometer trace: a piston from 1 ms on, volts, decimal commas, milliseconds."""
     lines = ["Messung;12", "Empfindlichkeit;5 \u00b5m/V", "", "Zeit (ms);Kanal A (mV)"]
     for n in range(301):
         time = n * 0.01

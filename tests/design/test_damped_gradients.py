@@ -1,5 +1,5 @@
-"""Gradients of damped chains against differences of Taylor series in extended precision, which
-share nothing with the package, and adjoints against tangents.
+"""Gradients of damped chains against differences of independent Taylor series in extended
+precision, and adjoints against tangents.
 """
 
 from collections.abc import Callable
@@ -92,14 +92,14 @@ def difference(answer: Callable[[float], np.longdouble], step: float) -> float:
 
 
 def known(case: Scene) -> list[str]:
-    """Return the parameters that a scene has, and keeps when they change."""
+    """Return the parameters of a scene that remain valid when they change."""
     names = []
     for name in NAMES:
         try:
             parameters.check(case, [name])
         except InputError:
             continue
-        # a displacement opens a contact that only touches: no differences are right there
+        # A displacement opens a contact that only touches, so that differences are wrong there.
         touches = not case.chain.contacts.pressed[1 - bool(case.chain.contacts.exists[0])]
         if name in START and (case.excitation.does_work or touches):
             continue
@@ -126,7 +126,7 @@ def test_gradients_agree_with_differences_of_taylor_series(name: str):
         def answer(change: float, key=key, base=base, unit=unit) -> np.longdouble:
             return energy_at_end(changed(case, {key: base + change * unit}))
 
-        # samples of the reference are rounded to double precision
+        # Samples of the reference are rounded to double precision.
         allowed = found.errors[key] + 1e-9 * np.abs(found[key]).max() + 1e-15 * energy / step
         assert abs(found[key][entry] - difference(answer, step)) <= allowed, key
 
@@ -148,7 +148,7 @@ def test_adjoints_agree_with_tangents(name: str):
 
 
 def test_adjoints_of_long_chains_agree_with_tangents():
-    """Through windows that grow, and several pieces."""
+    """Long runs with growing windows and several pieces."""
     rng = np.random.default_rng(1)
     start = np.zeros(600)
     start[:5] = 1e-2 * rng.uniform(0.5, 1, 5)
@@ -191,7 +191,7 @@ def test_errors_cover_what_a_finer_gradient_shows(name: str, objective: Any):
 
 
 def small(seed: int) -> Scene:
-    """Draw a damped scene of a few grains, struck or acted upon, that does not last long."""
+    """Draw a short damped scene of a few grains, struck or forced."""
     rng = np.random.default_rng([77, seed])
     while True:
         case = damped(rng, acted_trial_scene(rng) if seed % 2 else trial_scene(rng))
@@ -216,9 +216,7 @@ def test_errors_cover_what_a_finer_gradient_of_random_scenes_shows(seed: int):
 
 
 def test_peak_forces_have_the_slopes_of_peaks_of_taylor_series():
-    """Viscous part included: K (1 + A d/dt) o^delta, by samples so close that a parabola through
-    three of them has the peak.
-    """
+    """Peaks include the viscous part K (1 + A d/dt) o^delta, by parabolas through close samples."""
     case = SCENES["struck"].replace(samples=2001)
 
     def peak(viscoelastic: float) -> float:
@@ -238,7 +236,7 @@ def test_peak_forces_have_the_slopes_of_peaks_of_taylor_series():
 
 
 def test_a_chain_without_damping_has_a_derivative_by_it():
-    """Which dop853 gives; that by masses is as by the splitting, whose default it stays."""
+    """The method dop853 has this derivative; the splitting remains the default for masses."""
     case = scene(damping=None)
     names = ["masses", "damping.viscoelastic"]
     found = gradient(case, Momentum([4]), names, 1e-8)
@@ -251,7 +249,7 @@ def test_a_chain_without_damping_has_a_derivative_by_it():
     assert more / 1e-12 == pytest.approx(found["damping.viscoelastic"][0], rel=1e-4)
 
 
-def test_what_damped_chains_cannot_give_is_refused():
+def test_unsupported_gradients_of_damped_chains_are_rejected():
     case = SCENES["struck"]
     with pytest.raises(InputError, match="integrator: must be dop853 with damping"):
         gradient(case, Momentum([2]), ["masses"], integrator="rkn6")
@@ -260,7 +258,7 @@ def test_what_damped_chains_cannot_give_is_refused():
         gradient(far, DriveWork(), ["masses"])
 
 
-def test_steps_that_are_held_are_those_of_the_engine():
+def test_given_steps_are_those_of_the_engine():
     case = SCENES["contacts that open"]
     method = DIFFERENTIABLE["dop853"]
     step = 0.5 / case.highest_frequency

@@ -1,6 +1,4 @@
-"""Scripts of the design examples against transfer matrices, Bloch waves and the speed of long
-waves.
-"""
+"""Scripts of the design examples against transfer matrices, Bloch waves and long-wave speeds."""
 
 import runpy
 import sys
@@ -30,7 +28,7 @@ def numbers(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("numbers", ["delay_line"], indirect=True)
-def test_a_piece_of_chain_delays_a_pulse_at_hardly_less_peak(numbers: dict[str, float]):
+def test_a_delay_section_hardly_reduces_the_peak(numbers: dict[str, float]):
     assert numbers["delay over that wanted, optimised"] == pytest.approx(1, abs=1e-3)
     assert numbers["delay by the speed of long waves over that wanted"] == pytest.approx(
         1, abs=0.05
@@ -46,7 +44,7 @@ def test_a_piece_of_chain_delays_a_pulse_at_hardly_less_peak(numbers: dict[str, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("numbers", ["filter"], indirect=True)
-def test_a_filter_is_that_of_transfer_matrices_and_stops_in_its_gap(numbers: dict[str, float]):
+def test_a_filter_agrees_with_transfer_matrices_and_blocks_its_gap(numbers: dict[str, float]):
     for mass in (1, 2, 3):
         assert numbers[f"mass {mass}"] == pytest.approx(
             numbers[f"mass {mass} by transfer matrices"], rel=0.01

@@ -1,6 +1,4 @@
-"""Fits against runs of another integrator, draws of noise, and what linear theory of
-errors says.
-"""
+"""Fits against runs of another integrator, random noise, and the linear theory of errors."""
 
 from pathlib import Path
 
@@ -20,7 +18,7 @@ LOOKED_AT = [4, 7]
 def measured(
     noise: float = 0.0, seed: int = 0, late: float = 0.0, scene: Scene = SCENE
 ) -> np.ndarray:
-    """Return velocities (T, 2) of an independent integrator, later by some time, with noise."""
+    """Return noisy velocities (T, 2) of an independent integrator, shifted in time."""
     run = simulate(scene, engine=engines.Native(integrator="dop853"), tolerance=1e-10)
     columns = run.velocity[:, [grain - 1 for grain in LOOKED_AT]]
     steps = round(late / (run.time[1] - run.time[0]))
@@ -33,7 +31,7 @@ def guess(velocity: float = 0.02) -> Scene:
     return SCENE.replace(chain=chain, excitation=Impulse(velocity=velocity), duration=1.05e-4)
 
 
-def test_what_made_a_trace_is_found_again():
+def test_parameters_of_a_trace_are_recovered():
     late = 5e-6
     offsets = np.array([3e-4, -2e-4])
     traces = Traces(SCENE.time, LOOKED_AT, measured(late=late) + offsets, trigger=True, offset=True)
@@ -102,7 +100,7 @@ def test_traces_come_from_oscilloscopes(tmp_path: Path):
         Traces.from_csv(tmp_path / "none.csv", [1])
 
 
-def test_what_traces_do_not_tell_is_refused():
+def test_undetermined_parameters_are_rejected():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
     for parameters, text in (
         ({"youngs_modulus": "common", "contact_constants": "common"}, "tell these apart"),
@@ -123,12 +121,12 @@ def test_what_traces_do_not_tell_is_refused():
 
 
 def test_traces_beyond_the_end_of_a_scene_are_refused():
-    """They were compared with its end for ever after, and the estimate was a wrong one."""
+    """Such traces were once compared with the end of the scene, and gave a wrong estimate."""
     with pytest.raises(InputError, match="must reach to the last value"):
         fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_modulus"])
 
 
-def test_one_parameter_is_fitted_by_its_name_alone():
+def test_a_single_parameter_is_fitted_by_name():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
     found, listed = (
         fit(traces, guess(), names) for names in ("youngs_modulus", ["youngs_modulus"])
@@ -136,7 +134,7 @@ def test_one_parameter_is_fitted_by_its_name_alone():
     assert found.estimate == listed.estimate
 
 
-def test_a_posterior_is_drawn_again_from_its_seed():
+def test_a_posterior_is_reproducible_from_its_seed():
     fitted = fit(Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3), guess(), ["velocity"])
     first, again, other = (fitted.posterior(40, walkers=4, seed=seed) for seed in (3, 3, 4))
     assert np.array_equal(first, again)
@@ -144,7 +142,7 @@ def test_a_posterior_is_drawn_again_from_its_seed():
 
 
 @pytest.mark.soak
-def test_a_posterior_is_as_wide_as_the_covariance_says():
+def test_a_posterior_is_as_wide_as_the_covariance():
     found = fit(
         Traces(SCENE.time, LOOKED_AT, measured(1e-3), noise=1e-3),
         guess(),
@@ -160,7 +158,7 @@ def test_a_posterior_is_as_wide_as_the_covariance_says():
 
 
 DAMPED = CHAIN.replace(grains=8, damping={"viscoelastic": 3e-7})
-# The strike is strong, because weak velocities grow in proportion to it like a gain.
+# The strike is strong, because weak velocities would be proportional to it like a gain.
 HARD = Scene(chain=DAMPED, excitation=Impulse(velocity=0.3), duration=6e-5, samples=151)
 STEPS_LATE = 4
 DAMPED_TRUTH = np.array([193e9, 0.3, 3e-7, STEPS_LATE * HARD.time[1], 1.1])
@@ -168,7 +166,7 @@ DAMPED_PLACES = [3, 6]
 
 
 def damped_fits(sigma: float, draws: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors of fits to noisy Taylor series of a damped chain, and standard deviations.
+    """Return errors and standard deviations of fits to noisy Taylor series of a damped chain.
 
     Both are (draws, 5): modulus, strike, A, trigger and gain.
     """
@@ -192,7 +190,7 @@ def damped_fits(sigma: float, draws: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(misses), np.array(errors)
 
 
-def test_a_damped_chain_is_found_again():
+def test_parameters_of_a_damped_chain_are_recovered():
     misses, errors = damped_fits(1e-9, 1)
     assert (np.abs(misses) <= 4 * errors).all()
     assert (np.abs(misses[0]) <= 1e-6 * DAMPED_TRUTH).all()
@@ -220,14 +218,14 @@ def test_jacobians_of_forces_of_damped_chains_agree_with_differences(field: str)
         assert np.abs(exact[:, k] - slope).max() <= 1e-4 * np.abs(slope).max(), problem.names[k]
 
 
-def test_a_fit_of_damping_begins_above_0():
+def test_a_fit_of_damping_starts_above_0():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
     with pytest.raises(InputError, match=r"damping\.viscoelastic: .*begin with a guess above 0"):
         fit(traces, SCENE, ["damping.viscoelastic"])
 
 
 def test_a_chain_without_damping_is_found_to_have_none():
-    """A does not fall below 0, whatever the noise says."""
+    """The fitted A never falls below 0, whatever the noise is."""
     traces = Traces(SCENE.time, LOOKED_AT, measured(1e-4), noise=1e-4)
     start = SCENE.replace(chain=CHAIN.replace(damping={"viscoelastic": 1e-9}))
     found = fit(traces, start, ["damping.viscoelastic"])
@@ -235,7 +233,7 @@ def test_a_chain_without_damping_is_found_to_have_none():
 
 
 def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors (draws, K) of fits to noisy runs of LAMMPS over their standard deviations.
+    """Return errors (draws, K) of fits to noisy LAMMPS runs, in standard deviations.
 
     The second result is their squared distance.
     """
@@ -257,13 +255,13 @@ def fits_of_lammps(draws: int, sigma: float = 2e-4) -> tuple[np.ndarray, np.ndar
 
 @pytest.mark.slow
 def test_fits_to_noisy_runs_of_lammps_scatter_as_the_covariance_says():
-    squares = fits_of_lammps(25, 2e-5)[1]  # with more, modulus and load trade off along a curve
-    # chi square of 4 numbers in each
+    squares = fits_of_lammps(25, 2e-5)[1]  # Small noise.
+    # Larger noise correlates unknowns.
     assert squares.sum() == pytest.approx(100, abs=3 * np.sqrt(200))
 
 
 @pytest.mark.soak
-def test_intervals_of_fits_to_noisy_runs_of_lammps_cover_the_truth_as_often_as_they_say():
+def test_intervals_of_fits_to_noisy_lammps_runs_have_their_coverage():
     off = fits_of_lammps(1000)[0]
     for reach, share, slack in ((1.0, 0.683, 0.03), (1.96, 0.95, 0.02)):
         within = (off <= reach).mean(0)

@@ -1,4 +1,4 @@
-"""Gradients against differences in extended precision, the linear propagator, and runs at higher
+"""Gradients against extended-precision differences, the linear propagator, and runs at higher
 accuracy.
 """
 
@@ -23,16 +23,16 @@ from lmpchain.integrators.splittings import SPLITTINGS
 
 LOOKS = 6
 STEPS = 4
-DIFFERENCE = np.longdouble(1e-7)  # relative, of central differences in extended precision
+DIFFERENCE = np.longdouble(1e-7)  # Relative step of central differences in extended precision.
 
 
 def drawn(seed: int) -> Scene:
-    """Draw a scene in which contacts open, of any exponent, ends, excitation and grains."""
+    """Draw a scene with contact openings, and any exponent, ends, excitation and grains."""
     rng = np.random.default_rng(seed)
     while True:
         try:
             return draw(rng)
-        except InputError:  # beyond Hertz's law
+        except InputError:  # The strike is beyond Hertz's law.
             continue
 
 
@@ -67,7 +67,7 @@ def draw(rng: np.random.Generator) -> Scene:
         )
     )
     duration = 12 / omega
-    # Contacts in a vacuum begin exactly at their opening.
+    # Contacts in a vacuum start exactly at their opening.
     if top == "free" and not vacuum and rng.random() < 0.4:
         time = np.linspace(0, duration, 6)
         shape = 2 * scale * np.sin(np.linspace(0, 3, 6)) ** 2
@@ -89,9 +89,7 @@ def draw(rng: np.random.Generator) -> Scene:
 
 
 def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np.ndarray:
-    """Return central differences, by parameters of a name, of the sum of weights times displacement
-    and velocity.
-    """
+    """Return central differences, by named parameters, of weighted displacements and velocities."""
     base = extended.parameters(scene)
     u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
     forces = scene.chain.contacts.force
@@ -199,7 +197,7 @@ def acted(what: str) -> Scene:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ACTING)
-def test_what_acts_has_derivatives_as_in_extended_precision(what: str):
+def test_forcing_has_the_derivatives_of_extended_precision(what: str):
     check_scene(1, acted(what), left_out="wall_constants" if what == "burst of grain 1" else "")
 
 
@@ -208,8 +206,8 @@ def test_what_acts_has_derivatives_as_in_extended_precision(what: str):
     reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True
 )
 def test_what_acts_has_derivatives_by_a_distant_wall():
-    """The wave moves grain N by 2e-5 of an overlap; the derivative by the wall's constant is 5e-8
-    off, not 1e-8.
+    """The wave moves grain N by 2e-5 of an overlap, so that the derivative is only accurate to
+    5e-8.
     """
     check_scene(1, acted("burst of grain 1"))
 
@@ -226,7 +224,7 @@ def propagator(
     slope = np.block(
         [[np.zeros((n, n)), np.eye(n)], [-stiffness / masses[:, None], np.zeros((n, n))]]
     )
-    slope[n - 1] = slope[-1] = 0  # grain N is held
+    slope[n - 1] = slope[-1] = 0  # Grain N is fixed.
     return slope, expm(slope * scene.duration)
 
 
@@ -247,7 +245,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     slope = propagator(scene, chain.masses, chain.contact_constants)[0]
 
     def derivative(masses: np.ndarray, constants: np.ndarray) -> float:
-        """Return the directional derivative of the velocity of grain 3, by Frechet's formula."""
+        """Return the directional derivative of grain 3's velocity by Frechet's formula."""
         carried = chain.contacts.force[1:-1]
         growth = (
             constants / chain.contact_constants / 1.5 + 9.81 * np.cumsum(masses)[:-1] / carried / 3
@@ -260,7 +258,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
         change[n:] /= chain.masses[:, None]
         change[n:] -= slope[n:] * (masses / chain.masses)[:, None]
         change[-1] = 0
-        unit = np.append(np.ones(n), np.full(n, 1 / chain.band_edge))  # else entries differ by 1e12
+        unit = np.append(np.ones(n), np.full(n, 1 / chain.band_edge))  # Scales.
         scaled = [unit[:, None] * matrix * scene.duration / unit for matrix in (slope, change)]
         moved = expm_frechet(*scaled, compute_expm=False) / unit[:, None] * unit
         return float((moved @ start)[n + 2])
@@ -304,9 +302,7 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
 def test_adjoints_of_long_chains_agree_with_tangents(
     velocity: float, struck: int, options: dict[str, float]
 ):
-    """Through windows that grow or tiles, and several pieces, for every law by which these are
-    undone or made again.
-    """
+    """Windows grow or form tiles, for every law and both ways of undoing rows."""
     rng = np.random.default_rng(1)
     start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
@@ -340,14 +336,14 @@ def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float,
     found = economise(exponent, reach)
     s = np.linspace(-1, 1, 42, dtype=np.longdouble) * max(reach, 1e-15)
     true = np.expm1(exponent * np.log1p(s)) / s
-    assert found.size == terms or exponent in (1.0, 2.0)  # which fewer make exactly
+    assert found.size == terms or exponent in (1.0, 2.0)  # Fewer terms are exact.
     assert np.abs(np.polynomial.polynomial.polyval(s, found) - true).max() < 3e-16 * exponent
 
 
-@pytest.mark.parametrize("seed", [0, 3])  # delta 1.5 and 1.8
+@pytest.mark.parametrize("seed", [0, 3])  # Exponents 1.5 and 1.8.
 def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
-    """Against very many steps of one length, of which four times as many are at least fifty times
-    as far off.
+    """Compared with very many equal steps, which are fifty times less accurate at four times the
+    number.
     """
     scene = drawn(seed)
     objective = Momentum([2])
@@ -365,7 +361,7 @@ def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
     assert off(step / 8, True) < 0.02 * off(step / 32, False)
 
 
-def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothing():
+def test_adaptive_steps_reach_a_tolerance_and_are_rejected_without_a_gain():
     scene = drawn(3)
     names = ["masses"]
     found = gradient(scene, Momentum([2]), names, 1e-6, adaptive=True)
@@ -382,9 +378,7 @@ def test_adaptive_steps_reach_a_tolerance_and_are_refused_where_they_gain_nothin
     [(21, "top_load", 1.5), (41, "top_load", 2.0), (20, "gravity", 1.0)],
 )
 def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str, exponent: float):
-    """By mirror symmetry the middle grain stays where it is, under any load; springs move alike
-    under any weight.
-    """
+    """By mirror symmetry the middle grain rests under any load, and springs move alike."""
     chain = Chain(
         grains=grains,
         diameter=1e-3,
@@ -401,7 +395,8 @@ def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str
     objective = Momentum([middle + 1]) if name == "top_load" else KineticEnergy([5])
     scene = Scene(chain=chain, excitation=still, duration=1e-5, samples=31)
     found = gradient(scene, objective, [name], 1e-9)
-    # Size of the sum: the largest term of a contact, over the load or gravity, times contacts.
+    # Size of the sum: the largest term of a contact over load or gravity, times the number of
+    # contacts.
     scale = chain.masses[0] * (1e-3 if name == "top_load" else 1e-6) / getattr(chain, name)
     assert np.abs(found[name]).max() <= found.errors[name] <= 1e-13 * grains * scale
     assert found.error <= 1e-9
@@ -409,14 +404,14 @@ def test_derivatives_that_are_zero_are_known_to_round_off(grains: int, name: str
 
 @pytest.mark.parametrize("step", [-1e-7, 0.0, float("nan"), float("inf")])
 def test_steps_that_are_none_are_refused(step: float):
-    """One below 0 was taken for the longest there is, with no word."""
+    """A negative step was once treated as the longest possible one."""
     with pytest.raises(InputError, match="step: must be above 0"):
         gradient(drawn(3), Momentum([2]), ["masses"], step=step)
 
 
 def test_two_steps_that_agree_by_chance_are_no_bound():
-    """A contact opens: gradients at the steps h and 2h are ten times nearer to each other than to
-    the true one.
+    """With an opening, gradients at h and 2h are ten times closer to each other than to the true
+    one.
     """
     chain = Chain(
         grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
@@ -443,7 +438,7 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
     scene = drawn(seed)
     rng = np.random.default_rng(seed)
-    while scene.chain.exponent == 1.0:  # of which derivatives converge at first order only
+    while scene.chain.exponent == 1.0:  # Of first order only.
         scene = drawn(seed := seed + 1000)
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
     objective = [PeakForce(contact), KineticEnergy([1, 2]), Momentum([2])][seed % 3]

@@ -12,7 +12,7 @@ from lmpchain.design.unknowns import Problem
 from lmpchain.engines import Native
 from lmpchain.measure.fit.table import round_to_error
 
-WEAK = 1e-9  # m/s: linear to 1e-7
+WEAK = 1e-9  # Strike velocity, m/s, for which the motion is linear to 1e-7.
 CHAIN = Chain(grains=6, diameter=2e-3, top_load=0.5, gravity=9.81, top="wall", bottom="wall")
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=WEAK), duration=6e-5, samples=61)
 NOISE = np.array([2e-2, 5e-2]) * WEAK
@@ -20,9 +20,7 @@ NOISE = np.array([2e-2, 5e-2]) * WEAK
 
 @cache
 def wave() -> np.ndarray:
-    """Return the velocities (T, 2) of grains 2 and 5 after a strike of 1 m/s in the
-    linear chain.
-    """
+    """Return velocities (T, 2) of grains 2 and 5 for a strike of 1 m/s on the linear chain."""
     return simulate(SCENE, "modes").velocity[:, [1, 4]] / WEAK
 
 
@@ -42,8 +40,7 @@ def columns() -> np.ndarray:
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
-    """Estimate, covariance, chi square and its growth along each number; with a noise that is
-    known, or is not.
+    """Estimate, covariance, chi square and profiles, with known or unknown noise.
 
     Without it residuals are in m/s, 1e-9, and the search for the least squares stopped where it
     began.
@@ -66,7 +63,7 @@ def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
     assert answer.names == ["velocity", "offset 2", "offset 5"]
     deviation = np.sqrt(variance * np.diag(inverse))
     assert np.abs(answer.estimate - estimate).max() < 1e-3 * deviation.max()
-    rtol = 5e-4  # of steps as long as the noise allows
+    rtol = 5e-4  # The error of steps that are as long as the noise allows.
     np.testing.assert_allclose(answer.covariance, variance * inverse, rtol=rtol)
     np.testing.assert_allclose(answer.error, deviation, rtol=rtol)
     assert answer.chi_square == pytest.approx(square[0] if known else 119, rel=1e-4)
@@ -84,7 +81,7 @@ def test_a_linear_fit_is_that_of_the_normal_equations(known: bool):
         np.testing.assert_allclose(growth, [4.0, 0.0, 4.0], rtol=1e-3, atol=1e-5)
 
 
-def test_a_profile_of_one_number_alone_is_a_parabola():
+def test_a_profile_of_a_single_parameter_is_a_parabola():
     answer = fit(Traces(SCENE.time, [2, 5], noisy(2), noise=NOISE), SCENE, ["velocity"])
     at, growth = answer.profile("velocity")
     offsets = np.linspace(-3, 3, 13)
@@ -129,7 +126,7 @@ def test_a_fit_is_written_and_drawn_with_its_data():
     assert ax.get_legend() is not None
 
 
-def test_traces_of_several_units_have_axes_of_their_own():
+def test_traces_of_several_units_have_separate_axes():
     force = Traces(SCENE.time, [3], 1e-3 * noisy(4)[:, 0], field="contact", noise=1e-3)
     answer = fit([Traces(SCENE.time, [2, 5], noisy(3), noise=NOISE), force], SCENE, ["velocity"])
     upper, lower = answer.plot()
@@ -144,7 +141,7 @@ def test_traces_of_several_units_have_axes_of_their_own():
 
 
 def test_estimates_have_their_units():
-    """What is alike has a unit; a factor of entries that differ has none."""
+    """Common values have a unit; a factor of different entries has none."""
     sizes = SCENE.replace(chain=CHAIN.replace(masses=CHAIN.masses * np.linspace(1, 2, 6)))
     for scene, unit in ((SCENE, "kg"), (sizes, "")):
         problem = Problem(scene, [Traces(SCENE.time, [2, 5], noisy(2))], {"masses": "common"})
@@ -156,9 +153,7 @@ def test_estimates_have_their_units():
 
 
 def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
-    """Of 200 draws 68 and 95 % within one and two standard deviations; a draw moves the estimate in
-    proportion.
-    """
+    """Of 200 draws, 68 and 95 % are within one and two standard deviations."""
     answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
     column = columns()[:, 0]
     miss = [
@@ -171,7 +166,7 @@ def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
 
 
 def test_numbers_of_several_traces_have_names_units_and_begins():
-    """A trigger in durations, a gain of 1, offsets in the largest value; of entries in their own
+    """Triggers are in durations, gains in 1, offsets in the largest value, and entries in their
     units.
     """
     one = Traces(SCENE.time, [2, 5], noisy(1), trigger=True, gain=True, offset=True)
@@ -222,7 +217,7 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
     )
     uneven = SCENE.replace(chain=CHAIN.replace(diameter=[1e-3, 2e-3, 1e-3, 2e-3, 1e-3, 1e-3]))
     common = Problem(uneven, [one], {"diameters": "common"})
-    assert (common.origin[0], common.units[0]) == (1.0, 1.0)  # a factor
+    assert (common.origin[0], common.units[0]) == (1.0, 1.0)  # A factor.
     np.testing.assert_allclose(
         common.by_name(np.array([0.1, 0, 0, 0, 0]))["diameters"], 1.1 * uneven.chain.diameters
     )
@@ -241,7 +236,7 @@ def test_numbers_of_several_traces_have_names_units_and_begins():
 
 @pytest.mark.parametrize("field", ["velocity", "displacement", "force", "contact"])
 def test_traces_are_what_another_integrator_says(field: str):
-    """Late by a trigger, times a gain, beyond an offset; before the strike nothing moves."""
+    """Traces are delayed by a trigger, scaled by a gain and shifted by an offset."""
     chain = CHAIN.replace(top_load=0.05)
     late = 7.3e-6
     gain = 1.3
@@ -275,7 +270,7 @@ def test_traces_are_what_another_integrator_says(field: str):
     np.testing.assert_allclose(left, model.ravel() / 2.0, rtol=1e-12)
 
 
-def test_places_and_values_that_are_none_are_refused():
+def test_invalid_places_and_values_are_rejected():
     scene = SCENE.replace(chain=CHAIN.replace(top="free"))
     zeros = np.zeros(3)
     for field, place, allowed in (
@@ -314,7 +309,7 @@ def test_places_and_values_that_are_none_are_refused():
     assert (defaults.trigger, defaults.gain, defaults.offset) == (False, False, False)
 
 
-def test_a_table_of_numbers_needs_two_whole_lines(tmp_path: Path):
+def test_a_table_of_numbers_needs_two_complete_lines(tmp_path: Path):
     path = tmp_path / "scope.csv"
     path.write_text("0.0,1.0,\n1e-6,2.0\n4e-6,5.0,\n")
     traces = Traces.from_csv(path, [4])
@@ -328,7 +323,7 @@ def test_a_table_of_numbers_needs_two_whole_lines(tmp_path: Path):
 
 
 def test_a_scene_must_reach_to_the_last_value():
-    """To a millionth of it; with a trigger to what the strike leaves of it."""
+    """The tolerance is a millionth; with a trigger, the strike may shift the last value."""
     time = SCENE.time * (1 + 1e-4)
     with pytest.raises(
         InputError, match=r"^duration: of the scene must reach to the last value, 6.0006e-05 s"

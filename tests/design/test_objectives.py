@@ -1,6 +1,4 @@
-"""Objectives and their gradients, in chains whose contacts open, against differences and runs at
-higher accuracy.
-"""
+"""Objectives and gradients with contact openings, against differences and accurate runs."""
 
 from typing import Any
 
@@ -79,7 +77,7 @@ def test_objectives_have_the_derivatives_that_differences_show(case: str):
         base = parameters.values(scene, name)
         along = rng.uniform(-1, 1, base.size) * np.abs(base).max()
         if name == "drive":
-            along[0] = 0  # begins with 0
+            along[0] = 0  # The change starts with 0.
         values = []
         for sign in (-2, -1, 1, 2):
             changed: Any = base + sign * step * along
@@ -99,7 +97,7 @@ def test_objectives_have_the_derivatives_that_differences_show(case: str):
 
 
 @pytest.mark.parametrize("group", [[2, 3, 4], [1, 2, 3, 4, 5, 6, 7, 8]])
-def test_energy_is_what_measure_gives_a_part_of_the_chain(group: list[int]):
+def test_energy_equals_the_measured_energy_of_a_part(group: list[int]):
     run = simulate(STRUCK, engine=Native(integrator="dop853"), tolerance=1e-10)
     found = gradient(STRUCK, Energy(group), ["masses"], 1e-7)
     assert found.value == pytest.approx(shares(run).part(group[0], group[-1])[-1], rel=1e-8)
@@ -123,7 +121,7 @@ def test_weak_waves_lose_no_digits_of_the_energy():
         np.testing.assert_allclose(values[1][1][name], 1e-20 * values[0][1][name], rtol=1e-5)
 
 
-def test_a_wall_that_moves_is_not_looked_at():
+def test_a_moving_wall_is_rejected():
     chain = Chain(grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall")
     wall = Drive(grain=0, amplitude=2e-7, frequency=2e5)
     scene = Scene(chain=chain, excitation=wall, duration=1e-5, samples=7)
@@ -149,7 +147,7 @@ def test_error_estimates_cover_the_errors(case: str):
         assert abs(found.value - true.value) <= found.value_error + true.value_error
 
 
-def test_a_peak_is_a_peak():
+def test_a_peak_is_a_maximum():
     found = gradient(STRUCK, PeakForce(3, sharpness=1000), ["top_load"], 1e-4)
     dense = STRUCK.replace(samples=4001)
     run = DifferentiableRun(dense, SPLITTINGS["rkn6"], 1e-8, 4000, np.arange(1, 9))
@@ -159,7 +157,7 @@ def test_a_peak_is_a_peak():
     assert found.value < force.max()
 
 
-def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
+def test_checkpoints_do_not_change_results(monkeypatch: pytest.MonkeyPatch):
     method = SPLITTINGS["rkn4"]
     names = ["masses", "contact_constants"]
     _, whole, run = at_step(STRUCK, PeakForce(3), names, method, 2e-8)
@@ -181,7 +179,7 @@ def test_checkpoints_change_nothing(monkeypatch: pytest.MonkeyPatch):
         ("drive", {}),
     ],
 )
-def test_what_has_no_derivative_is_refused_by_name(name: str, change: dict[str, Any]):
+def test_objectives_without_derivatives_are_rejected_by_name(name: str, change: dict[str, Any]):
     with pytest.raises(InputError) as error:
         gradient(STRUCK.replace(chain=STRUCK.chain.replace(**change)), PeakForce(3), [name])
     assert name in str(error.value)

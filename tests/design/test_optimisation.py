@@ -15,7 +15,7 @@ from lmpchain.design.changes import changed
 from lmpchain.design.optimisation import fingerprint
 from lmpchain.design.parameters import values
 
-# three balls with gaps: m_2 = sqrt(m_1 m_3) gives the third one most (Huygens)
+# Three balls with gaps: m_2 = sqrt(m_1 m_3) maximises the momentum of the third (Huygens).
 BALLS = Scene(
     chain=Chain(grains=3, diameter=1e-2, gravity=0, bottom="free", masses=[1e-3, 2e-3, 9e-3]),
     excitation=Profile(displacement=[0.0, 4e-5, 8e-5], velocity=[1.0, 0.0, 0.0]),
@@ -27,9 +27,7 @@ BOUNDS = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
 
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7])
 def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
-    """By a share e beside the mean the momentum is less by 3/16 e^2: a value within its tolerance
-    says no more.
-    """
+    """At a relative distance e from the geometric mean the momentum is smaller by 3/16 e^2."""
     found = optimise(
         BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=1, tolerance=tolerance
     )
@@ -38,7 +36,7 @@ def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
 
 
 @pytest.mark.slow
-def test_the_ball_between_two_is_their_geometric_mean(tmp_path: Path):
+def test_the_middle_ball_has_the_geometric_mean_of_the_masses(tmp_path: Path):
     task: Any = dict(bounds=BOUNDS, maximise=True, starts=2, tolerance=1e-7, folder=tmp_path)
     found = optimise(BALLS, Momentum([3]), ["masses"], **task)
     np.testing.assert_allclose(found.values["masses"], [1e-3, 3e-3, 9e-3], rtol=1e-4)
@@ -52,7 +50,7 @@ def test_the_ball_between_two_is_their_geometric_mean(tmp_path: Path):
         optimise(BALLS, Momentum([2]), ["masses"], **task)
 
 
-def test_constraints_are_kept():
+def test_constraints_are_satisfied():
     def light(by_name):
         return 2e3 * (2e-3 - by_name["masses"][1]), {"masses": np.array([0, -2e3, 0])}
 
@@ -61,7 +59,7 @@ def test_constraints_are_kept():
 
 
 @pytest.mark.slow
-def test_what_was_finished_is_not_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_finished_starts_are_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     whole = optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3)
 
     def stop(*_):
@@ -108,7 +106,7 @@ def below_a_global(by_name):
 def test_a_folder_is_of_one_task_constraints_included(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """With one constraint more the old optimum, 3 g, was returned for one of 2 g."""
+    """With an additional constraint, the old optimum of 3 g was once returned instead of 2 g."""
     task: Any = dict(maximise=True, starts=1, runs=12, folder=tmp_path / "starts")
     arguments = (BALLS, Momentum([3]), ["masses"], BOUNDS)
     free = optimise(*arguments, **task)
@@ -127,7 +125,7 @@ def test_a_folder_is_of_one_task_constraints_included(
     task = task | {"folder": tmp_path / "light", "constraints": [below(2e-3)]}
     light = optimise(*arguments, **task)
     assert light.values["masses"][1] == pytest.approx(2e-3, rel=1e-5)
-    # the same constraint, defined again, is the same task
+    # The same constraint, defined again, is the same task.
     assert optimise(*arguments, **task | {"constraints": [below(2e-3)]}).value == light.value
     for constraints in ([], [below(2.1e-3)], [below(2e-3), below(4e-3)]):
         with pytest.raises(InputError, match="of another task"):
@@ -152,7 +150,7 @@ def test_a_folder_is_of_one_task_constraints_included(
         '{"mine": 1}',
     ],
 )
-def test_a_foreign_starts_json_is_refused_and_kept(content: str, tmp_path: Path):
+def test_a_foreign_starts_json_is_rejected_and_preserved(content: str, tmp_path: Path):
     (tmp_path / "starts.json").write_text(content)
     with pytest.raises(InputError, match=r"^folder: .*starts\.json is damaged, or not lmpchain's"):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path)
@@ -165,7 +163,7 @@ def test_names_that_no_folder_can_bear(name: Any):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=name)
 
 
-def test_a_file_is_no_folder(tmp_path: Path):
+def test_a_file_is_not_a_folder(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is no folder and cannot be made one"):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path / "file")
@@ -189,12 +187,12 @@ def test_a_file_is_no_folder(tmp_path: Path):
         (Momentum([3]).grains, Momentum([2]).grains),
     ],
 )
-def test_a_fingerprint_tells_apart(one: Any, other: Any):
+def test_a_fingerprint_distinguishes_values(one: Any, other: Any):
     assert fingerprint(one) != fingerprint(other)
     assert fingerprint(one) == fingerprint(deepcopy(one))
 
 
-def test_a_fingerprint_is_of_the_contents():
+def test_a_fingerprint_depends_on_the_contents():
     assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
     assert fingerprint(lambda x: x + LIMIT) == fingerprint(lambda x: x + LIMIT)
 
@@ -219,7 +217,7 @@ def test_scenes_change_by_name():
         np.testing.assert_array_equal(values(made, name), value)
 
 
-def test_what_cannot_be_is_refused():
+def test_invalid_tasks_are_rejected():
     with pytest.raises(InputError, match="bounds"):
         optimise(BALLS, Momentum([3]), ["masses"], {})
     with pytest.raises(InputError, match="nothing free"):

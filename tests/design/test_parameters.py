@@ -1,6 +1,4 @@
-"""How what a motion depends on follows from what a scene is made of, against differences of scenes
-made anew.
-"""
+"""Dependence of a motion's inputs on a scene's properties, against differences of new scenes."""
 
 from typing import Any
 
@@ -61,7 +59,7 @@ def check_dependence(made: Scene, name: str) -> None:
     rng = np.random.default_rng(base.size)
     directions = np.abs(base).max() * rng.uniform(-1, 1, (2, base.size))
     if name in ("displacement", "velocity", "drive"):
-        directions[:, 0] = 0  # grain 1 or time 0 may be held
+        directions[:, 0] = 0  # Grain 1 or time 0 may be fixed.
     if name in ("displacement", "velocity") and made.chain.bottom == "fixed":
         directions[:, -1] = 0
     if name == "wall_constants":
@@ -73,7 +71,7 @@ def check_dependence(made: Scene, name: str) -> None:
         for field, up, down, slope in zip(Inputs._fields, *ends, pushed, strict=True):
             difference = (up - down) / 2e-5
             if field in ("displacement", "velocity") and made.excitation.kind == "drive":
-                difference[0] = 0.0  # of the driven grain; the motion has it from the drive
+                difference[0] = 0.0  # The motion of the driven grain is given by the drive.
             size = np.abs(up).max(initial=0.0) * np.abs(direction).max() / np.abs(base).max()
             assert slope[number] == pytest.approx(difference, rel=1e-6, abs=1e-7 * size), (
                 name,
@@ -94,7 +92,7 @@ def check_dependence(made: Scene, name: str) -> None:
 
 
 @pytest.mark.parametrize("chain", CHAINS)
-def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
+def test_inputs_depend_on_all_properties_of_a_chain(chain: str):
     made = scene(chain)
     names = {
         "masses",
@@ -123,7 +121,7 @@ def test_inputs_follow_all_that_a_chain_is_made_of(chain: str):
         ("force", ["force"]), ("sine force", ["amplitude", "frequency"]),
     ],
 )  # fmt: skip
-def test_inputs_follow_what_acts(acting: str, names: list[str]):
+def test_inputs_depend_on_the_forcing(acting: str, names: list[str]):
     for name in names:
         check_dependence(scene(acting=acting), name)
 
@@ -179,17 +177,17 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
         ),
         ("top_load", {"top_load": 0.0, "top": "wall"}, "strike", "has no derivative at 0"),
         ("wall_constants", {}, "strike", "there is no wall"),
-        ("amplitude", {}, "strike", "is that of a sine"),
-        ("frequency", {}, "points", "is that of a sine"),
-        ("amplitude", {}, "force", "is that of a sine"),
-        ("drive", {}, "strike", "is the samples of a drive"),
-        ("drive", {}, "sine", "is the samples of a drive"),
-        ("drive", {}, "force", "is the samples of a drive"),
-        ("force", {}, "points", "is the samples of a force"),
-        ("force", {}, "sine force", "is the samples of a force"),
+        ("amplitude", {}, "strike", "belongs to a sine"),
+        ("frequency", {}, "points", "belongs to a sine"),
+        ("amplitude", {}, "force", "belongs to a sine"),
+        ("drive", {}, "strike", "contains the samples of a drive"),
+        ("drive", {}, "sine", "contains the samples of a drive"),
+        ("drive", {}, "force", "contains the samples of a drive"),
+        ("force", {}, "points", "contains the samples of a force"),
+        ("force", {}, "sine force", "contains the samples of a force"),
     ],
 )
-def test_what_a_scene_has_not_has_no_derivative(
+def test_missing_properties_have_no_derivative(
     name: str, change: dict[str, Any], acting: str, message: str
 ):
     made = Scene(
@@ -216,7 +214,7 @@ def test_names_are_checked_at_once():
     with pytest.raises(InputError) as error:
         parameters.check(scene(), ["colour", "amplitude"])
     assert str(error.value).startswith("parameters: ")
-    assert "amplitude: is that of" in str(error.value)
+    assert "amplitude: belongs to" in str(error.value)
     with pytest.raises(
         InputError, match=r"^parameters: name one or more of masses, contact_constants"
     ):

@@ -1,6 +1,4 @@
-"""Forces of contacts, quadrature, and what objectives give, against closed forms and
-plain NumPy.
-"""
+"""Contact forces, quadrature and objectives, against closed forms and plain NumPy."""
 
 from typing import Any
 
@@ -26,12 +24,12 @@ from lmpchain.engines import Native
 from lmpchain.integrators.splittings import SPLITTINGS
 
 METHOD = SPLITTINGS["kahan-li8"]
-ONE = Chain(grains=2, diameter=1e-3)  # one grain that moves, under its weight
-WEAK = 1e-13  # m/s: linear to 1e-8
+ONE = Chain(grains=2, diameter=1e-3)  # One grain moves, under its weight.
+WEAK = 1e-13  # Strike velocity, m/s, for which the motion is linear to 1e-8.
 
 
 def swinging(turns: float, samples: int) -> Scene:
-    """Return a scene of an oscillator, v = WEAK cos(w t), over a number of turns."""
+    """Return a scene of an oscillator, v = WEAK cos(w t), over a number of periods."""
     omega = float(np.sqrt(ONE.linear_stiffness[0] / ONE.masses[0]))
     duration = 2 * np.pi * turns / omega
     return Scene(chain=ONE, excitation=Impulse(velocity=WEAK), duration=duration, samples=samples)
@@ -43,9 +41,7 @@ def value(scene: Scene, objective: Any, step: float = 2e-8) -> float:
 
 @pytest.mark.parametrize("size", range(2, 14))
 def test_sums_with_corrected_ends_integrate_polynomials(size: int):
-    """Of degree 2k + 1 at least, k the number of corrections on either side; up to 5 of them, where
-    they have room.
-    """
+    """With k corrections at each end the degree is at least 2k + 1; up to 5 corrections fit."""
     corrections = min(5, (size - 1) // 2)
     x = np.arange(size) / (size - 1)
     weight = quadrature(size) / (size - 1)
@@ -58,8 +54,8 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
 def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
     contact: int, viscosity: float
 ):
-    """Closed, then open; by overlap and its rate, by the force at rest at fixed constant, by the
-    constant at fixed force, and by the viscosity (Kuwabara and Kono).
+    """Derivatives of closed and open contacts by overlap, rate, force at rest, constant and
+    viscosity.
     """
     chain = Chain(
         grains=4,
@@ -75,7 +71,7 @@ def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
     eps = chain.contacts.overlap.max()
     grains = np.array([1, 2, 3, 4])
     u = 0.4 * eps * rng.normal(size=(6, 4))
-    u[5] = eps * np.array([9.0, 6.0, 9.0, -9.0])  # open
+    u[5] = eps * np.array([9.0, 6.0, 9.0, -9.0])  # Open.
     v = 1e6 * rng.permutation(u)
     force = contact_force(Seen(scene, scene.time, grains, u, v), contact)
     closer, closing = (-np.diff(y, axis=1, prepend=0.0, append=0.0)[:, contact] for y in (u, v))
@@ -103,9 +99,7 @@ def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
 
 
 def test_a_smooth_peak_is_the_mean_of_the_force_with_its_powers_as_weights():
-    """By quadrature of a run of another integrator; of a contact that opens, and one that no wave
-    has reached.
-    """
+    """Quadrature of a run of another integrator gives the mean, also for open contacts."""
     chain = Chain(grains=5, diameter=1e-3, top_load=0.02, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=5e-3), duration=1e-5, samples=401)
     run = simulate(scene, engine=Native(integrator="dop853"), tolerance=1e-10)
@@ -114,19 +108,19 @@ def test_a_smooth_peak_is_the_mean_of_the_force_with_its_powers_as_weights():
         law = chain.contacts
         force = law.constant[contact] * np.maximum(law.overlap[contact] + closer, 0.0) ** 1.5
         weight = np.full(401, 1.0)
-        weight[1:-1:2], weight[2:-1:2] = 4.0, 2.0  # Simpson's rule
+        weight[1:-1:2], weight[2:-1:2] = 4.0, 2.0  # Simpson's rule.
         relative = force / force.max()
         mean = force.max() * (weight @ relative ** (sharpness + 1)) / (weight @ relative**sharpness)
         objective = PeakForce(contact) if sharpness == 100 else PeakForce(contact, sharpness)
         assert value(scene, objective, 1e-8) == pytest.approx(mean, rel=2e-6)
     loose = Chain(grains=2, diameter=1e-3, gravity=0.0)
-    apart = Profile(displacement=[0.0, 1e-6], velocity=[1e-3, 0.0])  # for 1 ms
+    apart = Profile(displacement=[0.0, 1e-6], velocity=[1e-3, 0.0])  # Apart for 1 ms.
     vacuum = Scene(chain=loose.replace(bottom="free"), excitation=apart, duration=1e-5, samples=3)
     still, slopes, _ = at_step(vacuum, PeakForce(1), ["masses"], METHOD, 1e-6)
     assert (still, np.abs(slopes["masses"]).max()) == (0.0, 0.0)
 
 
-def test_contacts_and_sharpness_that_are_none_are_refused():
+def test_invalid_contacts_and_sharpness_are_rejected():
     chain = Chain(grains=5, diameter=1e-3, top_load=0.02)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-6, samples=3)
     walls = scene.replace(chain=chain.replace(top="wall", bottom="wall"))
@@ -145,7 +139,7 @@ def test_contacts_and_sharpness_that_are_none_are_refused():
     assert PeakForce(1, 0.1).grains(scene) == [1, 2]
 
 
-def test_groups_and_times_that_are_none_are_refused():
+def test_invalid_groups_and_times_are_rejected():
     scene = swinging(1.0, 9)
     for objective in (Momentum([]), Momentum([0]), Momentum([1, 3]), ArrivalTime(3, 1e-3)):
         with pytest.raises(InputError, match=r"^grains: must be some of 1 to 2 \(got \["):
@@ -167,7 +161,7 @@ def test_groups_and_times_that_are_none_are_refused():
     assert Misfit([1], np.zeros((9, 1)), "displacement").grains(scene) == [1]
 
 
-def test_energy_looks_at_the_neighbours_of_a_group():
+def test_energy_depends_on_the_neighbours_of_a_group():
     chain = Chain(grains=7, diameter=1e-3, top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-6, samples=3)
     for group, grains in (
@@ -181,9 +175,7 @@ def test_energy_looks_at_the_neighbours_of_a_group():
 
 @pytest.mark.parametrize("at", [0.0, 0.26, 0.34, None])
 def test_an_oscillator_has_its_energy_and_momentum_at_the_nearest_sample(at: float | None):
-    """m v0 cos(w t) and m v0^2 / 2 cos^2(w t); their sum with the potential is what the strike
-    gave.
-    """
+    """The values are m v0 cos(w t) and m v0^2 / 2 cos^2(w t), and the total energy is constant."""
     scene = swinging(1.3, 9)
     m = ONE.masses[0]
     time = None if at is None else at * scene.duration
@@ -193,20 +185,18 @@ def test_an_oscillator_has_its_energy_and_momentum_at_the_nearest_sample(at: flo
     kinetic = m * (WEAK * cosine) ** 2 / 2
     assert value(scene, KineticEnergy([1], time)) == pytest.approx(kinetic, rel=1e-6)
     assert value(scene, Energy([1, 2], time)) == pytest.approx(m * WEAK**2 / 2, rel=1e-6)
-    # grain 2 has half of what the contact holds
+    # Grain 2 has half of the energy of the contact.
     half = m * WEAK**2 / 2 * (1 - cosine**2) / 2
     assert value(scene, Energy([2], time)) == pytest.approx(half, rel=1e-6, abs=1e-12 * m * WEAK**2)
 
 
 @pytest.mark.parametrize("share", [0.5, -0.5, -0.99])
 def test_an_oscillator_arrives_when_its_cosine_does(share: float):
-    """At w t = arccos(share), upwards for a negative threshold; a positive one is
-    reached at once.
-    """
+    """The arrival is at w t = arccos(share); a positive threshold is reached at once."""
     scene = swinging(0.9, 4)
     if share > 0:
         with pytest.raises(
-            InputError, match=r"^velocity: grain 1 has that velocity at once: use another"
+            InputError, match=r"^velocity: grain 1 has that velocity at t = 0: use another"
         ):
             value(scene, ArrivalTime(1, share * WEAK))
         return
@@ -217,13 +207,13 @@ def test_an_oscillator_arrives_when_its_cosine_does(share: float):
         InputError, match=r"^velocity: grain 1 is never faster than 1e-13 m/s: use another"
     ):
         value(scene, ArrivalTime(1, -1.001 * WEAK))
-    # cos(w t) = c / v0: dt/dv0 = c / (v0^2 w sin(w t))
+    # From cos(w t) = c / v0 follows dt/dv0 = c / (v0^2 w sin(w t)).
     omega = 2 * np.pi * 0.9 / scene.duration
     rate = share / (WEAK * omega * np.sqrt(1 - share**2))
     assert slopes["velocity"][0] == pytest.approx(rate, rel=0.02)
 
 
-def test_an_arrival_near_the_end_or_the_begin_is_found_by_the_last_or_first_four_looks():
+def test_an_arrival_near_an_end_is_found_from_the_nearest_four_times():
     for turns, share, reach in ((0.26, -0.06, 1e-5), (0.9, -0.99, 1e-3)):
         scene = swinging(turns, 3)
         arrival = scene.duration * np.arccos(share) / (2 * np.pi * turns)
@@ -252,9 +242,7 @@ def test_a_misfit_is_half_the_sum_of_squares():
 
 
 def test_the_work_of_a_drive_is_that_of_its_force():
-    """A sine of grain 1 against a grain that moves: by quadrature of a run of another
-    integrator.
-    """
+    """A sine motion of grain 1 against a moving grain, by quadrature of another integrator."""
     chain = Chain(grains=3, diameter=1e-3, top_load=0.02)
     amplitude = 0.3 * chain.length_scale
     frequency = 2e4
@@ -275,7 +263,7 @@ def test_the_work_of_a_drive_is_that_of_its_force():
     )
 
 
-def test_a_function_takes_the_samples_and_no_more():
+def test_a_function_receives_only_the_samples():
     scene = swinging(1.0, 5)
     counts = []
 
@@ -287,7 +275,7 @@ def test_a_function_takes_the_samples_and_no_more():
         slope[2, 1] = 3.0
         return 3.0 * v[2, 1] + 1.0, np.zeros(u.shape), slope
 
-    assert value(scene, Function(first, [1, 2])) == 1.0  # grain 2 is held
+    assert value(scene, Function(first, [1, 2])) == 1.0  # Grain 2 is fixed.
     assert counts == [(5, (5, 2), (5, 2))]
     assert value(scene, Function(first, [1, 2], dense=True)) == 1.0
     assert counts[1][0] > 5
@@ -308,7 +296,7 @@ def test_dense_objectives_look_at_every_quarter_of_a_radian_of_the_fastest_motio
 
 
 def test_the_error_of_gradients_is_some_ten_times_the_true_one_where_the_order_holds():
-    """Of Verlet with steps h, 2h and 1.5h: 2.5 (3 + 1.25) = 10.6 times the error of order h^2."""
+    """For Verlet with steps h, 2h and 1.5h: 2.5 (3 + 1.25) = 10.6 times the error of order h^2."""
     chain = Chain(grains=6, diameter=1e-3, top_load=0.05)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=2)
     names = ["masses", "contact_constants"]

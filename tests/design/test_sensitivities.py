@@ -26,7 +26,7 @@ DAMPED = VACUUM.replace(chain=VACUUM.chain.replace(damping={"viscoelastic": 3e-7
 
 
 def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
-    """Forces go as E^(2/5) v^(6/5) at all times that are long enough, whatever the chain."""
+    """Forces scale as E^(2/5) v^(6/5) at sufficiently long times, for any chain."""
     found = sensitivity(VACUUM, "peak_force:6")
     assert found.relative["youngs_modulus"].sum() == pytest.approx(0.4 * found.value, rel=1e-3)
     assert found.relative["velocity"].sum() == pytest.approx(1.2 * found.value, rel=1e-3)
@@ -37,7 +37,7 @@ def test_a_vacuum_chain_scales_with_its_modulus_and_strike():
 
 
 def test_damping_scales_with_the_time_that_a_collision_takes():
-    """Of which A and 1 / gamma are parts: it goes as E^(-2/5) v^(-1/5)."""
+    """A and 1 / gamma scale as the collision time E^(-2/5) v^(-1/5)."""
     found = sensitivity(DAMPED, "peak_force:3", tolerance=1e-3)
     by_time = float(found.relative["damping.viscoelastic"][0] - found.relative["damping.drag"][0])
     assert abs(by_time) > 1e-3 * found.value
@@ -48,7 +48,7 @@ def test_damping_scales_with_the_time_that_a_collision_takes():
 
 
 @pytest.mark.slow
-def test_damping_that_is_uncertain_scatters_an_answer():
+def test_uncertain_damping_scatters_a_result():
     found = sensitivity(DAMPED, "peak_force:3", {"damping.viscoelastic": 0.1, "damping.drag": 0.1})
     shares = [float(0.1 * found.relative[name][0]) for name in found.uncertainty]
     assert found.deviation == pytest.approx(np.hypot(*shares), rel=1e-12)
@@ -72,7 +72,7 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [1e-3, 3e-3])
-def test_drawn_chains_tell_what_the_first_order_leaves_out(share: float):
+def test_drawn_chains_show_the_error_of_first_order(share: float):
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
     rng = np.random.default_rng(4)
     diameters = values(VACUUM, "diameters")
@@ -113,7 +113,7 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
 
 
 @pytest.mark.slow
-def test_the_command_knows_damping(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_the_command_supports_damping(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     scene = DAMPED.replace(duration=3e-5)
     scene.to_toml(tmp_path / "scene.toml")
     wanted = ["sensitivity", str(tmp_path / "scene.toml"), "--of", "momentum:3"]
@@ -131,12 +131,12 @@ def test_the_command_knows_damping(tmp_path: Path, capsys: pytest.CaptureFixture
         ("peak_force:99", "12"),
     ],
 )  # fmt: skip
-def test_a_wrong_answer_is_named(of: str, text: str):
+def test_an_unknown_objective_is_named(of: str, text: str):
     with pytest.raises(InputError, match=text):
         sensitivity(VACUUM, of)
 
 
-def test_what_is_given_takes_the_place_of_diameters():
+def test_given_masses_replace_diameters():
     chain = Chain(
         grains=4,
         diameter=1e-3,

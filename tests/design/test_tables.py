@@ -1,6 +1,4 @@
-"""What sensitivities, optima and boxes say and draw: numbers in text, JSON and pictures; draws
-against closed forms.
-"""
+"""Text, JSON and pictures of sensitivities, optima and boxes; random draws against closed forms."""
 
 import json
 from pathlib import Path
@@ -27,7 +25,7 @@ from lmpchain.design.sensitivities import Sensitivity, objective, sensitivity
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.plotting import COLOURS
 
-FLYING = Scene(  # one grain in free flight: its velocity is that at t = 0
+FLYING = Scene(  # One grain in free flight, whose velocity is that at t = 0.
     chain=Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free"),
     excitation=Profile(displacement=[0.0, 1e-3], velocity=[-2.0, 0.0]),
     duration=1e-5,
@@ -43,7 +41,7 @@ def cubed(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarra
 
 @pytest.mark.parametrize("share", [0.02, 0.2])
 def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
-    """-8 (1 + s z)^3 of a normal z: exact for the draws, and near the ensemble for 16 pairs."""
+    """The result is -8 (1 + s z)^3 for a normal z: exact for given draws, close for 16 pairs."""
     answer = sensitivity(FLYING, Function(cubed, [1]), {"velocity": share})
     assert answer.value == pytest.approx(-8, rel=1e-12)
     assert answer.relative["velocity"] == pytest.approx([-24.0, 0.0], rel=1e-9, abs=1e-12)
@@ -64,7 +62,7 @@ def test_scatter_and_shift_are_those_of_a_cubic_answer(share: float):
     assert answer.shift == pytest.approx(even.mean(), rel=1e-6)
 
 
-def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_known():
+def test_no_uncertainty_gives_no_scatter_and_invalid_draws_give_nan():
     exact = sensitivity(FLYING, Function(cubed, [1]))
     assert (exact.scatter, exact.shift, exact.deviation) == (0.0, 0.0, 0.0)
     with pytest.raises(
@@ -74,7 +72,7 @@ def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_
     with pytest.raises(InputError, match=r"^velocity: must be from 0"):
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": -0.1})
     assert sensitivity(FLYING, Function(cubed, [1]), {"velocity": 0.0}).scatter == 0
-    # No grain reaches the threshold at half of the velocity.
+    # No grain reaches the threshold of half the velocity.
     column = Scene(
         chain=Chain(grains=3, diameter=1e-3),
         excitation=Impulse(velocity=1e-4, grain=1),
@@ -86,7 +84,7 @@ def test_without_uncertainty_nothing_scatters_and_beyond_what_may_be_nothing_is_
     assert "beyond first order: unknown" in often.table()
 
 
-def test_a_contact_that_no_wave_reaches_says_so():
+def test_a_contact_beyond_the_wave_causes_a_remark():
     column = Scene(
         chain=Chain(grains=60, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),
@@ -109,7 +107,7 @@ def test_a_contact_that_no_wave_reaches_says_so():
 
 
 def shown(scatter: float = 0.25, **uncertainty: float) -> Sensitivity:
-    """Return a sensitivity of given numbers."""
+    """Return a sensitivity with given numbers."""
     relative = {
         "diameters": np.array([0.5, -2.0, 1e-4, 0.0]),
         "contact_constants": np.array([0.1, 0.2, 0.3]),
@@ -121,7 +119,7 @@ def shown(scatter: float = 0.25, **uncertainty: float) -> Sensitivity:
     return Sensitivity("peak_force:3", "N", gradient, relative, uncertainty, scatter, -0.0125)
 
 
-def test_a_table_ranks_what_matters():
+def test_a_table_is_sorted_by_influence():
     table = shown(diameters=0.3, gravity=0.4)
     ranks = table.ranked()
     names = [
@@ -159,7 +157,7 @@ def test_a_table_ranks_what_matters():
     ]
     assert shown().table().splitlines()[-1] == "derivatives known to 2.0e-05"
     unknown = shown(float("nan"), gravity=0.4).table().splitlines()[-1]
-    assert unknown == "beyond first order: unknown, as not every drawn chain has an answer"
+    assert unknown == "beyond first order: unknown, because some random chains have no value"
     many = shown()
     many.relative["diameters"] = np.arange(20.0)
     assert sum(line.startswith("diameters") for line in many.table().splitlines()) == 12
@@ -186,7 +184,7 @@ def test_all_numbers_are_written():
 
 
 def test_a_picture_has_the_change_in_percent_along_the_chain():
-    """Contacts between grains; to where anything matters by a thousandth."""
+    """Contacts are drawn between grains, up to the last change above a thousandth."""
     ax = shown().plot()
     drawn = {line.get_label(): line for line in ax.lines[:-1]}
     assert list(drawn) == ["diameters", "contact constants"]
@@ -218,7 +216,7 @@ def test_a_picture_has_the_change_in_percent_along_the_chain():
         ("arrival_time:4@-1e-3", ArrivalTime(4, -1e-3), "s"),
     ],
 )
-def test_answers_are_named_in_one_word(of: str, exact: Any, unit: str):
+def test_objectives_are_named_in_one_word(of: str, exact: Any, unit: str):
     assert objective(of) == (exact, unit)
 
 
@@ -230,13 +228,13 @@ def test_answers_are_named_in_one_word(of: str, exact: Any, unit: str):
         ("momentum:3-2", "momentum:GRAIN or momentum:FIRST-LAST"),
     ],
 )  # fmt: skip
-def test_the_form_of_an_answer_is_said(of: str, form: str):
+def test_the_form_of_an_objective_is_explained(of: str, form: str):
     with pytest.raises(InputError) as error:
         objective(of)
     assert str(error.value) == f"of: must be {form} (got '{of}')"
 
 
-def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
+def test_a_result_depends_on_given_parameters_that_are_not_0():
     drive = Drive(amplitude=1e-9, frequency=1e5)
     plain = Chain(grains=3, diameter=1e-3, bottom="wall")
     for chain, excitation, names in (
@@ -259,8 +257,8 @@ def test_what_an_answer_depends_on_is_what_is_given_and_not_0():
 
 
 def test_steps_are_halved_until_two_comparisons_are_enough():
-    """First against twice the step; if that is enough, against half again the step, or shorter if
-    these are few.
+    """The first comparison is with twice the step, the second with 1.5 times the step or a shorter
+    one.
     """
     asked: list[tuple[float, int]] = []
 
@@ -278,13 +276,13 @@ def test_steps_are_halved_until_two_comparisons_are_enough():
         return sum(abs(answer.value - other.value) for other in others)
 
     error = refine(solve, judge, lambda off: off / 0.05, 1.0, 12)
-    # 3 h^2 is enough at 1/8, with 1.25 h^2 more no longer; at 1/16 both are
+    # The value 3 h^2 is small enough at 1/8, but not with 1.25 h^2 added; at 1/16 both are.
     last = [(0.125, 16), (0.1875, 16), (0.0625, 32), (0.09375, 32)]
     assert asked == [(2.0, 1), (1.0, 2), (0.5, 4), (0.25, 8), *last]
     assert error == pytest.approx(4.25 / 256, rel=1e-12)
     asked.clear()
     refine(solve, judge, lambda _: 0.0, 1.0, 1)
-    # 8 steps between 4 looks: a shorter one
+    # There are 8 steps between 4 times, so a shorter step is used.
     assert asked == [(2.0, 1), (1.0, 2), (round(1 / 1.5, 12), 2)]
     asked.clear()
     error = refine(solve, judge, lambda off: 1e9 * off, 1.0, 3)
@@ -292,7 +290,7 @@ def test_steps_are_halved_until_two_comparisons_are_enough():
     assert error == pytest.approx(3 / 16, rel=1e-12)
 
 
-def test_a_box_takes_parameters_to_numbers_from_0_to_1():
+def test_a_box_scales_parameters_to_numbers_from_0_to_1():
     chain = Chain(grains=3, diameter=1e-3, masses=[1e-3, 2e-3, 9e-3], top_load=0.2)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5)
     bounds = {"masses": ([1e-3, 1e-3, 10e-3], [1e-3, 6e-3, 12e-3]), "top_load": (0.1, 0.5)}
@@ -307,7 +305,7 @@ def test_a_box_takes_parameters_to_numbers_from_0_to_1():
     np.testing.assert_allclose(slopes, [0.0, 0.0, 1.2], rtol=1e-12)
     for wrong, message in (
         ({"masses": (0, 1)}, "^bounds: give a lower and an upper one of top_load"),
-        (bounds | {"gravity": (1, 2)}, "^bounds: 'gravity' is none of the parameters"),
+        (bounds | {"gravity": (1, 2)}, "^bounds: 'gravity' is not one of the parameters"),
         (bounds | {"top_load": (0.5, 0.1)}, "^bounds: must be finite, the lower one not above"),
         (bounds | {"top_load": (0.1, np.inf)}, "^bounds: must be finite"),
         (bounds | {"top_load": (-np.inf, 0.1)}, "^bounds: must be finite"),
@@ -334,7 +332,7 @@ def test_a_picture_has_the_best_value_so_far_of_every_start(maximise: bool):
 
 
 def pulled(target: float) -> Function:
-    """Return the square of the distance of the velocity of a flying grain from a target."""
+    """Return the squared distance of the velocity of a flying grain from a target."""
 
     def square(_: np.ndarray, u: np.ndarray, v: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         slope = np.zeros(v.shape)
@@ -350,7 +348,7 @@ VELOCITY = {"velocity": ([-4.0, 0.0], [-1.0, 0.0])}
 def test_starts_go_down_to_the_least_value_and_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """(v - t)^2 + 1 in a box; finished starts are not repeated, and another task is rejected."""
+    """The value is (v - t)^2 + 1 in a box; finished starts are reused, other tasks are rejected."""
     task: Any = dict(
         scene=FLYING, objective=pulled(-3.0), parameters=["velocity"], bounds=VELOCITY, starts=3
     )
@@ -360,7 +358,7 @@ def test_starts_go_down_to_the_least_value_and_are_kept(
     assert best.scene.excitation.velocity.tolist() == best.values["velocity"].tolist()
     assert best.error < 1e-12
     assert len(best.history) == 3
-    assert best.history[0][0] == pytest.approx(2.0, rel=1e-12)  # begins with the scene
+    assert best.history[0][0] == pytest.approx(2.0, rel=1e-12)  # The first start is the scene.
     begins = {round(float(part[0]), 9) for part in best.history}
     assert len(begins) == 3
     assert all(part.min() == pytest.approx(1, rel=1e-6) for part in best.history)
@@ -391,7 +389,7 @@ def test_starts_go_down_to_the_least_value_and_are_kept(
         optimise(**task, folder=tmp_path / "new" / "folder")
 
 
-def test_the_most_is_at_the_far_bound_and_runs_are_counted():
+def test_the_maximum_is_at_the_far_bound_and_runs_are_counted():
     far = optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, maximise=True, starts=2)
     assert far.value == pytest.approx(5, rel=1e-9)
     assert far.values["velocity"][0] == -1.0
@@ -400,7 +398,7 @@ def test_the_most_is_at_the_far_bound_and_runs_are_counted():
     assert few.runs == 4
 
 
-def test_limits_are_kept_and_starts_without_an_answer_are_said():
+def test_constraints_hold_and_failed_starts_are_reported():
     def slow(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
         return 2.5 + by_name["velocity"][0], {"velocity": np.array([1.0, 0.0])}
 
@@ -411,15 +409,15 @@ def test_limits_are_kept_and_starts_without_an_answer_are_said():
     def never(by_name: dict[str, np.ndarray]) -> tuple[float, dict[str, np.ndarray]]:
         return -1.0, {"velocity": np.zeros(2)}
 
-    with pytest.raises(RunFailed, match=r"^no start came to an answer"):
+    with pytest.raises(RunFailed, match=r"^no start converged"):
         optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [never], starts=1, runs=3)
 
 
-def test_a_tolerance_that_cannot_be_met_is_said_with_what_is_known():
+def test_an_unreachable_tolerance_is_reported_with_the_best_value():
     from lmpchain.design import gradient
 
     scene = FLYING.replace(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-3))
     with pytest.raises(
-        ToleranceNotMet, match=r"^the gradient is known to [0-9.e-]+ only; use a shorter time"
+        ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+; use a shorter time"
     ):
         gradient(scene, Momentum([1]), ["masses"], 1e-16)

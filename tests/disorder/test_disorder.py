@@ -1,6 +1,4 @@
-"""Chains with random contacts: the law of the factors, averages over many chains, and the command
-`dyson`.
-"""
+"""Chains with random contacts: distribution of factors, averages, and the command `dyson`."""
 
 import json
 import signal
@@ -33,7 +31,7 @@ from lmpchain.measure.dyson import relative_stiffness, sums
 def column(
     grains: int = 30, tau: float = 8.0, samples: int = 2, speed: float = 1e-12, **recorded: Any
 ) -> Scene:
-    """Return the paper's column, its top grain struck."""
+    """Return the paper's column with a strike on the top grain."""
     chain = Chain(grains=grains, diameter=1e-3)
     strike = Impulse(velocity=speed)
     return Scene(
@@ -51,7 +49,7 @@ def generator(seed: int = 1) -> np.random.Generator:
 @pytest.mark.parametrize("m", [0.7, 1, 2.5, 20, 300])
 @pytest.mark.parametrize(("law", "shape"), [("dyson", lambda m: m), ("paper", lambda m: m + 1)])
 def test_moments_of_the_factors(m, law, shape):
-    """Mean 1 and variance 1/m; of Eq.
+    """The mean is 1, and the variance is 1/m.
 
     (23) as printed 1 + 1/m and (m+1)/m^2; within 5 standard errors.
     """
@@ -66,12 +64,12 @@ def test_moments_of_the_factors(m, law, shape):
 
 @pytest.mark.parametrize("m", [2, 5, 30])
 def test_mean_compliance_of_the_printed_law(m):
-    """The mean of 1/zeta is 1 for every m, its variance 1/(m-1), so that long waves are as fast as
-    in order.
+    """The mean of 1/zeta is 1 for every m, and its variance 1/(m-1), so that long waves keep their
+    speed.
     """
     compliance = 1 / factors(m, 10**6, generator(2), "paper")
     assert compliance.mean() == pytest.approx(1, rel=0, abs=5e-3 * np.sqrt(1 / (m - 1)))
-    if m > 3:  # below, the variance of the variance is infinite
+    if m > 3:  # For smaller m, the variance of the variance is infinite.
         assert compliance.var() == pytest.approx(1 / (m - 1), rel=0.02)
 
 
@@ -134,7 +132,7 @@ def test_constants_are_multiplied_by_the_factors(exponent):
 
 
 @pytest.mark.parametrize("of", ["stiffness", "constant"])
-def test_masses_and_diameters_stay_as_stiffness_is_drawn(of):
+def test_masses_and_diameters_are_unchanged_by_random_stiffness(of):
     for chain in chains(1.5):
         drawn = disordered(chain, 3, generator(), of=of)
         for name in ("masses", "diameters", "equilibrium_force"):
@@ -157,9 +155,7 @@ def test_a_vacuum_has_constants_but_no_stiffness():
 
 
 def test_contacts_too_soft_for_hertz():
-    """A chain by itself is refused; an average keeps it, or the distribution would be another, and
-    says so.
-    """
+    """A single chain is rejected; an average includes it with a warning."""
     scene = column(grains=40)
     with pytest.raises(InputError, match=r"^diameter: contact .* is compressed by"):
         disordered(scene.chain, 0.05, generator())
@@ -193,7 +189,7 @@ def test_options_that_are_wrong(change, key):
 
 @pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
 def test_mean_and_standard_error(engine, count):
-    """Against all chains at once, each answered by itself."""
+    """Compared with all chains at once, each solved separately."""
     scene = column(samples=5, grains=20, tau=6.0) if engine == "native" else column(samples=5)
     found = ensemble(scene, 2, count, seed=5, engine=engine)
     alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]
@@ -218,7 +214,7 @@ def test_mean_and_standard_error(engine, count):
 
 
 def test_first_moments_of_a_motion_just_begun():
-    """phi_1' = v0 (1 - zeta_1 tau^2 / 2) at first, so zeta_1 determines its mean and spread."""
+    """Initially phi_1' = v0 (1 - zeta_1 tau^2 / 2), so that zeta_1 determines mean and scatter."""
     tau = 0.02
     m = 4
     count = 400
@@ -229,17 +225,14 @@ def test_first_moments_of_a_motion_just_begun():
     assert error == pytest.approx(np.sqrt(1 / m / count), rel=0.15)
 
 
-# largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by
-# another code with
-# other random numbers
+# Largest mean velocity over 400 chains with kappa_n = n^(1/3) zeta_n of 60 grains at tau = 15, by
+# another code with other random numbers.
 PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 
 
 @pytest.mark.slow
 def test_largest_mean_velocity():
-    """The true averages: disorder lowers them, and each is within 3 standard errors of the
-    difference.
-    """
+    """Disorder lowers the true averages, and each average is within 3 standard errors."""
     scene = column(grains=60, tau=15.0)
     ordered = simulate(scene, "modes").velocity[-1] / 1e-12
     assert ordered.max() == pytest.approx(0.364, abs=5e-4)
@@ -256,7 +249,7 @@ def test_largest_mean_velocity():
 
 @pytest.mark.parametrize("law", ["dyson", "paper"])
 def test_order_is_the_limit_of_large_m(law):
-    """The mean is off by some 1/m, a single chain by some 1/sqrt(m)."""
+    """The mean deviates by some 1/m, a single chain by some 1/sqrt(m)."""
     scene = column()
     ordered = simulate(scene, "chebyshev").velocity[-1]
     size = np.abs(ordered).max()
@@ -271,7 +264,7 @@ def test_order_is_the_limit_of_large_m(law):
 
 
 def test_weak_strikes_are_linear_and_strong_ones_are_not():
-    """The same chains by Eq. (3) and by Eq. (1)."""
+    """The same chains are solved by Eq. (3) and by Eq. (1)."""
     weak = column(grains=20, tau=6.0, speed=1e-12)
     strong = column(grains=20, tau=6.0, speed=2e-5)
     linear, full = (ensemble(weak, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
@@ -294,7 +287,7 @@ MADE = {
 
 @pytest.mark.parametrize("engine", MADE)
 def test_a_batch_is_its_chains(engine, monkeypatch):
-    """Bit for bit, together or alone, in batches of any size."""
+    """The bits are equal for single chains and batches of any size."""
     scene = column(samples=4)
     made = MADE[engine](scene)
     scenes = [realisation(scene, 3, 11, i) for i in range(5)]
@@ -325,7 +318,7 @@ def test_seeds():
     first = ensemble(scene, 2, 10, seed=4)
     assert_same(first, ensemble(scene, 2, 10, seed=4, progress=True))
     assert not np.array_equal(first.velocity, ensemble(scene, 2, 10, seed=5).velocity)
-    more = ensemble(scene, 2, 11, seed=4)  # the same ten and one more
+    more = ensemble(scene, 2, 11, seed=4)  # The same ten chains, and one more.
     last = simulate(realisation(scene, 2, 4, 10), "chebyshev").velocity
     assert more.velocity == pytest.approx(
         (10 * first.velocity + last) / 11, rel=0, abs=1e-15 * np.abs(last).max()
@@ -347,7 +340,7 @@ class Watched(engines.Native):
 
 
 def test_a_longer_series_begins_with_the_shorter_one():
-    """Also where the step is found for a batch: the same chains at the same steps."""
+    """The same chains have the same steps, also if the step is determined for a batch."""
     short = Watched()
     long = Watched()
     scene = column(grains=12, tau=4.0, speed=1e-6)
@@ -357,7 +350,7 @@ def test_a_longer_series_begins_with_the_shorter_one():
     assert len(long.asked) > len(short.asked)
 
 
-def test_ensembles_that_fail_say_why():
+def test_failing_ensembles_state_the_reason():
     scene = column(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
@@ -369,7 +362,7 @@ def test_ensembles_that_fail_say_why():
         ensemble(loose, 5, 2, seed=1)
 
 
-def test_everything_is_released_when_it_is_stopped(monkeypatch):
+def test_an_interruption_releases_all_resources(monkeypatch):
     closed = []
     engine = engines.Chebyshev()
     begin = engine.start
@@ -414,7 +407,7 @@ def test_picture_of_a_mean():
 
 
 def test_averages_at_the_end():
-    """The ordered chain and each average of all grains, at the start and at the end."""
+    """The ordered chain and averages of all grains, at the start and at the end."""
     scene = column(samples=7, grains=12)
     ordered, averages = at_the_end(scene.replace(grains=[3]), [2, 5], 4, seed=3)
     end = column(samples=2, grains=12)
@@ -428,7 +421,7 @@ def test_averages_at_the_end():
     assert len(at_the_end(scene, [2], 2, 0)[1]) == 1
 
 
-def test_what_is_kept_with_the_averages():
+def test_metadata_of_averages():
     found = ensemble(column(grains=12), 3, 4, 7, law="paper", of="constant")
     assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
     alone = [
@@ -447,9 +440,7 @@ def test_what_is_kept_with_the_averages():
 
 
 def test_materials_of_grains_whose_modulus_is_drawn():
-    """Density and Poisson's ratio stay, Young's modulus has the factors, of a list of materials
-    too.
-    """
+    """Density and Poisson's ratio are unchanged; Young's modulus is multiplied by the factors."""
     chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
     zeta = factors(9, 6, generator())
     drawn = disordered(chain, 9, generator(), of="youngs_modulus")
@@ -470,7 +461,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
 
 # --- Eq. (22) and the command
 
-# Sums over 60 grains at tau = 15, by another code.
+# Sums over 60 grains at tau = 15, from another code.
 SUMS = {
     1: 0.1523,
     3: 0.0258,
@@ -563,14 +554,12 @@ def test_lines_of_the_picture_differ_in_colour_and_dash():
         (["--m", "1", "--scene", "none.toml"], "scene"),
     ],
 )
-def test_dyson_with_options_that_are_wrong(
-    options, key, saved: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_dyson_with_invalid_options(options, key, saved: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["dyson", str(saved), *options]) == 2
     assert keys(capsys.readouterr()) == [key.rstrip(":")]
 
 
-def test_dyson_of_what_it_cannot_do(saved: Path, capsys: pytest.CaptureFixture[str]):
+def test_unsuitable_runs_for_dyson_are_rejected(saved: Path, capsys: pytest.CaptureFixture[str]):
     chain = Chain(grains=12, diameter=1e-3)
     strike = Impulse(velocity=1e-9)
     some = Scene(chain=chain, excitation=strike, duration=1e-5, samples=3, grains=[1, 5])

@@ -19,7 +19,7 @@ SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
 
 @pytest.mark.slow
 def test_intervals_cover_mean_and_quantiles() -> None:
-    """Of 2000 ensembles, 95 % or more of the intervals contain the truth."""
+    """Of 2000 ensembles, at least 95 % of the intervals contain the true value."""
     rng = np.random.default_rng(2)
     law = stats.gamma(5, scale=0.2)
     covers = np.zeros((2000, 4), bool)
@@ -69,7 +69,7 @@ def test_the_transformation_is_that_of_hall() -> None:
 
 
 def test_drawn_factors_come_back() -> None:
-    """The masses of random chains have the mean and the quantiles of the gamma distribution."""
+    """The masses of random chains have the mean and quantiles of the gamma distribution."""
     found = measured_over(
         SHORT, lambda t: t.scene.chain.masses[1], 4, realisations=400, seed=3, of="mass"
     )
@@ -89,7 +89,7 @@ def test_drawn_factors_come_back() -> None:
 
 
 def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
-    """Values of every chain agree with runs made one by one, and statistics with NumPy."""
+    """Values of every chain agree with single runs, and statistics with NumPy."""
 
     def measure(t):
         return {"spectrum": spectrum.spectrum(t).amplitude[:, 5], "top": t.velocity[-1, 0]}
@@ -109,7 +109,7 @@ def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
 
 
 def test_tolerances_of_modulus_and_load_follow_the_law_of_sound() -> None:
-    """The speed goes as E^(1/3) F^(1/6) of the load, so relative deviations add in squares."""
+    """The speed is proportional to E^(1/3) F^(1/6), so that relative deviations add in squares."""
     modulus = CHAIN.material.youngs_modulus
     found = within(
         SCENE,
@@ -127,7 +127,7 @@ def test_tolerances_of_modulus_and_load_follow_the_law_of_sound() -> None:
 
 
 def test_tolerances_of_diameters_add_up_to_first_order() -> None:
-    """The scatter of an energy is the root of the sum of squares of its derivatives."""
+    """The scatter of an energy is the root of the summed squares of its derivatives."""
     width = 2e-6
 
     def kinetic(t):
@@ -153,13 +153,13 @@ def test_tolerances_of_diameters_add_up_to_first_order() -> None:
             values.append(kinetic(simulate(small.replace(chain=chain), "native", 1e-9)))
         slopes.append((values[0] - values[1]) / 2)
     nominal = kinetic(simulate(small, "native", 1e-9))
-    # The energy goes as the square of the velocity; a uniform law has a third of the square.
+    # The energy is proportional to the squared velocity; a uniform law has a third of the square.
     expected = np.sqrt((np.sum(np.square(slopes)) + (2 * nominal * 1e-2) ** 2) / 3)
     assert found.deviation == pytest.approx(expected, rel=0.12)
 
 
 def test_a_common_diameter_is_one_of_all_grains() -> None:
-    """What is common is drawn once, other properties for each grain, and seeds repeat."""
+    """Common properties are drawn once, others for each grain, and seeds are reproducible."""
     options = {"realisations": 6, "seed": 8}
 
     def spread(t):
@@ -221,13 +221,13 @@ def test_pictures_have_labels() -> None:
     ],
 )
 def test_wrong_tolerances_are_refused(tolerances: dict, match: str) -> None:
-    """The message names the key."""
+    """The message contains the key."""
     with pytest.raises(InputError, match=match):
         within(SHORT, tolerances, lambda t: 0.0, realisations=3, seed=1)
 
 
 def test_wrong_measures_are_refused() -> None:
-    """A measure that fails names the chain; ragged arrays and words are no numbers."""
+    """A failing measure names the chain; ragged arrays and texts are rejected."""
     with pytest.raises(InputError, match=r"realisations\.0"):
         measured_over(SHORT, lambda t: flight.time_of_flight(t, 2, 3), 5, 3, seed=1)
     with pytest.raises(InputError, match="one shape"):

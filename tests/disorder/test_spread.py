@@ -1,6 +1,4 @@
-"""Spreading of energy: ordered chains against Bessel functions, averages against all chains at
-once.
-"""
+"""Spreading of energy: ordered chains against Bessel functions, averages against single chains."""
 
 import tracemalloc
 from typing import Any
@@ -13,13 +11,13 @@ from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, sim
 from lmpchain.disorder import disordered, factors, realisation, spreading
 from lmpchain.measure.energy import shares
 
-ORDER = 1e26  # factors of 1 to the last digit
+ORDER = 1e26  # All factors are 1 to the last digit.
 
 
 def scene(
     grains: int = 81, tau: float = 20.0, moved: bool = False, samples: int = 6, **chain: Any
 ) -> Scene:
-    """Return a loaded chain between walls, with the grain in its middle struck or displaced."""
+    """Return a loaded chain between walls with its middle grain struck or displaced."""
     line = Chain(
         **{"grains": grains, "diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall"}
         | chain
@@ -35,16 +33,14 @@ def scene(
 
 @pytest.mark.parametrize("engine", ["chebyshev", "native"])
 def test_an_ordered_chain_that_is_struck(engine):
-    """Grain n moves with J_2n(2 tau) and contact n + 1/2 holds J_2n+1: m2 = tau^2 / 2 + (1 - J_0(4
-    tau)) / 8.
-    """
+    """Grain n moves with J_2n(2 tau), so that m2 = tau^2 / 2 + (1 - J_0(4 tau)) / 8."""
     case = scene()
     found = spreading(case, ORDER, 2, 1, engine, tolerance=1e-10)
     tau = case.time / case.chain.time_scale
     moment = tau**2 / 2 + (1 - j0(4 * tau)) / 8
     assert found.second_moment[1:] == pytest.approx(moment[1:], rel=2e-8)
-    assert found.second_moment[0] == pytest.approx(0, abs=1e-30)  # grains squared
-    k = np.arange(-81, 82)  # grains are even, contacts odd
+    assert found.second_moment[0] == pytest.approx(0, abs=1e-30)  # Grains squared.
+    k = np.arange(-81, 82)  # Even numbers are grains, odd ones contacts.
     energy = jv(k, 2 * tau[:, None]) ** 2
     of_grain = energy[:, 1:-1:2] + (energy[:, 0:-2:2] + energy[:, 2::2]) / 2
     assert found.participation == pytest.approx(1 / (of_grain**2).sum(1), rel=2e-8)
@@ -55,7 +51,7 @@ def test_an_ordered_chain_that_is_struck(engine):
 
 
 def test_an_ordered_chain_that_is_displaced():
-    """Velocities and forces are derivatives of those Bessel functions."""
+    """Velocities and forces are derivatives of the same Bessel functions."""
     case = scene(moved=True)
     found = spreading(case, ORDER, 1, 1)
     k = np.arange(-81, 82)
@@ -68,7 +64,7 @@ def test_an_ordered_chain_that_is_displaced():
 
 
 def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> float:
-    """Return the slope of log moment over log time from the normal equations, all octaves alike."""
+    """Return the slope of log moment over log time by normal equations, with equal octaves."""
     within = (time >= begin) & (time <= end)
     x = np.log(time[within])
     y = np.log(moment[within])
@@ -79,7 +75,7 @@ def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> flo
 
 @pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "youngs_modulus"])
 def test_means_and_errors(of):
-    """Against the energies of every chain, each answered by itself by the nonlinear engine."""
+    """Compared with the energies of every chain, solved separately by the nonlinear engine."""
     case = scene(grains=21, tau=6.0)
     count = 19
     found = spreading(case, 6, count, 5, "native", of=of, tolerance=1e-9)
@@ -213,7 +209,7 @@ def test_picture_of_spreading():
         assert len(spreading(scene(), 3, count, 1).plot().collections) == bands
 
 
-def test_what_is_kept_with_the_means():
+def test_metadata_of_spreading():
     case = scene(grains=21, tau=3.0)
     found = spreading(case.replace(grains=[1, 2]), 3, 4, 7, of="constant", law="paper")
     assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
@@ -225,7 +221,7 @@ def test_what_is_kept_with_the_means():
     ]
     assert found.model_error == max(t.error_estimate.model for t in alone)
     largest = max(t.error_estimate.solver for t in alone)
-    assert found.solver_error == pytest.approx(largest, rel=0.3)  # of rounding
+    assert found.solver_error == pytest.approx(largest, rel=0.3)  # Only rounding.
     assert found.squeezed == 0
     assert spreading(column_of_soft_contacts(), 0.05, 20, 1).squeezed == 20
 

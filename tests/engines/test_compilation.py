@@ -1,4 +1,4 @@
-"""Compiling, or loading what was compiled before, is no part of the cost of an integration."""
+"""Compilation and loading of cached code are not part of the cost of an integration."""
 
 import json
 import os
@@ -14,8 +14,7 @@ from lmpchain import simulate
 from lmpchain.trajectory.record import Cost
 from lmpchain.util.compilation import clock, compiled_s
 
-# Time is counted, not measured: a look at the clock takes a microsecond, a compilation or a load
-# 1000 s.
+# A simulated clock: reading it takes a microsecond, a compilation or a load takes 1000 s.
 COUNTED = """
 import itertools, json, sys, time, warnings
 from numba.core.event import Listener, register
@@ -48,8 +47,8 @@ print(json.dumps(rows))
 """
 
 
-def test_the_clock_stands_still_while_something_is_compiled(monkeypatch):
-    """A compilation that takes 1000 s by the clock of this test is no time by the package's."""
+def test_the_clock_stops_during_compilation(monkeypatch):
+    """A compilation of 1000 s by the simulated clock takes no time by the package's clock."""
     now = [0.0]
     monkeypatch.setattr("time.perf_counter", lambda: now[0])
 
@@ -89,8 +88,8 @@ LONG = ("auto", "native", "chebyshev", "bessel", "continuum")
         for name in QUICK + LONG
     ],
 )
-def test_no_compilation_is_counted_as_cost_on_a_new_machine(engine, tmp_path):
-    """Nor what the next process loads that the first has kept.
+def test_compilation_on_a_new_machine_is_not_counted_as_cost(engine, tmp_path):
+    """Loading of cached code in the next process is not counted either.
 
     A second run in one process compiles nothing.
     """
@@ -130,8 +129,8 @@ def by_two(n):
 
 
 @pytest.mark.slow
-def test_what_two_processes_have_compiled_is_told_apart_by_a_third(tmp_path):
-    """Functions that are made in one place have one name.
+def test_functions_compiled_by_two_processes_are_distinguished_by_a_third(tmp_path):
+    """Functions from one factory have equal names.
 
     Numba tells them apart by a number that starts anew.
     """

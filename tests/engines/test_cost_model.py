@@ -1,4 +1,4 @@
-"""Announcements of long work before it begins, and budgets that it may not exceed."""
+"""Announcements of long work before it begins, and budgets that limit it."""
 
 import warnings
 from collections.abc import Callable
@@ -23,7 +23,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=5e-6, sam
 GRID = {"scene": SCENE, "grid": {"excitation.velocity": [1e-4, 1e-3]}, "keep": ["peak_velocity"]}
 SLIDER = {"scene": SCENE, "over": {"excitation.velocity": [1e-4, 1e-3]}}
 OBJECTIVE = design.Momentum([1])
-# Parts of the announcement, and the work that makes it.
+# Parts of the announcement, and the work that causes it.
 WORK: dict[str, Callable[[Path], object]] = {
     "the run by native with .* steps of": lambda _: simulate(SCENE, "native"),
     "the reference by Taylor series": lambda _: truth(SCENE),
@@ -38,14 +38,14 @@ WORK: dict[str, Callable[[Path], object]] = {
 
 
 class Begun(Exception):
-    """The announcement was made."""
+    """Raised when the announcement is made."""
 
 
 @pytest.mark.parametrize("said", WORK)
-def test_work_above_the_patience_is_announced(
+def test_work_above_the_limit_is_announced(
     said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Patience of 0 stands for work that takes long; the first announcement ends it."""
+    """A limit of 0 makes all work long; the test ends at the first announcement."""
     monkeypatch.setattr("lmpchain.engines.cost_model.PATIENCE_S", 0.0)
     with warnings.catch_warnings():
         warnings.filterwarnings("error", message="(the|an|2) .* takes about .*: .* takes less")
@@ -62,20 +62,20 @@ def test_parts_of_announced_work_are_not_announced():
     assert len(told) == 1
 
 
-def test_a_budget_ends_what_exceeds_it(monkeypatch: pytest.MonkeyPatch):
+def test_work_beyond_a_budget_is_stopped(monkeypatch: pytest.MonkeyPatch):
     with budget(10.0), pytest.raises(TooLong, match="a run would take about 12 s"):
         announce(8.0, "a run", "", spent_s=4.0)
     monkeypatch.setattr("lmpchain.engines.cost_model.OVERRUN", 1e12)
     with budget(1e-9), pytest.raises(TooLong, match="the run by native with"):
         simulate(SCENE, "native")
     monkeypatch.undo()
-    # Work that promised less than it takes ends as well.
+    # Work with an underestimated time is stopped as well.
     monkeypatch.setattr(Native, "cost", lambda *_: 0.0)
     with budget(1e-9), pytest.raises(TooLong, match="far longer than was expected"):
         simulate(SCENE, "native")
 
 
-def test_work_within_a_budget_leaves_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
+def test_work_within_a_budget_restores_half_of_its_time(monkeypatch: pytest.MonkeyPatch):
     used = [0.0]
     monkeypatch.setattr("lmpchain.engines.cost_model._cpu_time", lambda: used[0])
     ends = []

@@ -1,4 +1,4 @@
-"""Error estimates of damped springs against exact solutions, where they were once too small."""
+"""Error estimates of damped springs against exact solutions, in formerly underestimated cases."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from lmpchain.engines import Native
 
 
 def spring(viscous: float, drag: float) -> Chain:
-    """Return one grain on a spring, with A omega and gamma / omega."""
+    """Return one grain on a spring with A omega and gamma / omega."""
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
     omega = chain.band_edge
     return chain.replace(damping={"viscoelastic": viscous / omega, "drag": drag * omega})
@@ -49,7 +49,7 @@ def exact(scene: Scene, t: np.ndarray) -> np.ndarray:
 
     motion = sine(t)
     if half:
-        # The second sine, which begins where the first one has made half a turn, takes it back.
+        # A second sine, which starts after half a period of the first one, cancels it.
         later = t > wide(excitation.duration)
         motion[:, later] += sine(t[later] - wide(excitation.duration))
     return motion
@@ -64,14 +64,14 @@ def true_error(run: Trajectory) -> float:
 
 
 def strike(viscous: float, drag: float, reach: float) -> Scene:
-    """Return a struck spring with three steps of this length, over the stable one, a sample."""
+    """Return a struck spring with three steps per sample of this length over the stable one."""
     chain = spring(viscous, drag)
     duration = 20 * reach / chain.fastest_rate
     return Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)
 
 
 def push(viscous: float, drag: float, part: float) -> Scene:
-    """Return a spring that half a sine pushes for this part of the duration."""
+    """Return a spring pushed by a half-sine for this fraction of the duration."""
     chain = spring(viscous, drag)
     duration = 40 / chain.fastest_rate
     force = Force(amplitude=1e-6, shape="half-sine", duration=part * duration)
@@ -79,7 +79,7 @@ def push(viscous: float, drag: float, part: float) -> Scene:
 
 
 def creep(viscous: float, drag: float, radians: float) -> Scene:
-    """Return a spring that a force loads slowly: its velocity is far below drag times way."""
+    """Return a slowly loaded spring, whose velocity is far below drag times displacement."""
     chain = spring(viscous, drag)
     duration = radians / chain.band_edge
     force = Force(amplitude=1e-3, frequency=0.08 / duration)
@@ -89,39 +89,40 @@ def creep(viscous: float, drag: float, radians: float) -> Scene:
 @pytest.mark.parametrize(
     ("scene", "tolerance"),
     [
-        # The errors of one companion at longer steps cancel.
+        # The errors of a single auxiliary run at longer steps cancel.
         (strike(1.5, 1.5, 1.5), 1e-3),
         (strike(1.5, 1.5, 1.53), 1e-3),
-        # The end of the push cuts steps before the sample in other parts than in the companions.
+        # The end of the push cuts the step before the sample at a different fraction than in
+        # auxiliary runs.
         (push(0.5, 1.0, 0.4625), 1e-9),
         (push(0.0, 1.0, 0.475), 1e-9),
-        # All runs pass from the end of the push to the sample in one step.
+        # All runs make one step from the end of the push to the sample.
         (push(0.0, 1.0, 0.4875), 1e-9),
         # Reduced velocities cancel.
         (creep(0.0, 5.0, 100.0), 1e-9),
         (creep(0.0, 10.0, 100.0), 1e-9),
     ],
 )
-def test_estimates_are_no_less_than_a_third_of_the_error(scene: Scene, tolerance: float):
+def test_estimates_are_at_least_a_third_of_the_error(scene: Scene, tolerance: float):
     run = simulate(scene, "native", tolerance)
     assert true_error(run) < min(tolerance, 3 * run.error_estimate.total)
-    # Nor are they far above.
+    # The estimates are not far above the error either.
     assert run.error_estimate.total < 300 * true_error(run)
 
 
 @pytest.mark.parametrize(
     ("viscous", "radians", "force"),
     [
-        # Critical damping, whose two rates must not be taken apart by more than rounding.
+        # Critical damping, whose two rates must be separated by rounding only.
         (2.0 - 2e-11, 10.0, {}),
         (2.0 - 2e-11, 10.0, {"frequency": 1.0}),
-        # A force that is slow or has just begun: its two exponentials cancel.
+        # The two exponentials of a slow or recent force cancel.
         (0.06, 0.18, {"frequency": 0.004}),
         (0.12, 6.0, {"frequency": 0.0013}),
         (0.0015, 147.0, {"shape": "half-sine", "duration": 565.5}),
     ],
 )
-def test_rounding_of_damped_modes_is_within_its_estimate(viscous, radians, force):
+def test_rounding_of_damped_modes_is_within_the_estimate(viscous, radians, force):
     chain = spring(viscous, 0.0)
     omega = chain.band_edge
     units = {"frequency": omega / (2 * np.pi), "duration": 1 / omega}
@@ -135,7 +136,7 @@ def test_rounding_of_damped_modes_is_within_its_estimate(viscous, radians, force
 
 @pytest.mark.parametrize(("viscoelastic", "drag"), [(1e-6, 1e6), (5e-6, 1e6), (5e-6, 3e6)])
 def test_estimates_refer_to_the_motion_itself_while_a_force_is_still_weak(viscoelastic, drag):
-    """A burst that has hardly begun moves grains by far less than its amplitude would."""
+    """A burst that has hardly begun moves grains by far less than its amplitude."""
     damping = {"viscoelastic": viscoelastic, "drag": drag}
     chain = Chain(grains=3, diameter=1e-3, top_load=0.1, damping=damping)
     burst = Force(amplitude=1e-3, frequency=10.0, cycles=10)

@@ -1,4 +1,4 @@
-"""Modes of damped chains: their decay, what acts on them, and what linearising leaves out."""
+"""Modes of damped chains: decay, forcing, and the error of linearisation."""
 
 import numpy as np
 import pytest
@@ -47,7 +47,7 @@ def column(**fields) -> Chain:
 
 
 def drawn(seed: int) -> Scene:
-    """Return a random damped chain that something acts on."""
+    """Return a random damped chain with a forcing."""
     rng = np.random.default_rng(seed)
     grains = int(rng.integers(3, 30))
     load = 10 ** rng.uniform(-2, 0)
@@ -104,7 +104,7 @@ def test_a_packet_is_exact():
 
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 1e-7, 1e-6, 2.5e-6])
 @pytest.mark.parametrize("drag", [0.0, 1e2, 1e5])
-def test_a_mode_decays_as_one_oscillator(viscoelastic, drag):
+def test_a_mode_decays_like_an_oscillator(viscoelastic, drag):
     lossless = modes.eigenmodes(column())
     damped = modes.eigenmodes(column(damping={"viscoelastic": viscoelastic, "drag": drag}))
     assert damped.shape.tolist() == lossless.shape.tolist()
@@ -121,7 +121,7 @@ def test_a_mode_decays_as_one_oscillator(viscoelastic, drag):
         assert share == pytest.approx(amplitude.real, abs=1e-10)
 
 
-def test_a_critical_mode_divides_nothing_by_zero():
+def test_a_critical_mode_causes_no_division_by_zero():
     chain = column()
     lowest = float(modes.eigenmodes(chain).frequency[0])
     damped = chain.replace(damping={"drag": 2 * lowest})
@@ -135,7 +135,7 @@ def test_a_critical_mode_divides_nothing_by_zero():
     assert error < t.error_estimate.model + t.error_estimate.solver
 
 
-def test_what_linearising_leaves_out_is_within_its_estimate():
+def test_the_error_of_linearisation_is_within_its_estimate():
     ratios = []
     for seed in range(60):
         scene = drawn(seed)
@@ -148,7 +148,7 @@ def test_what_linearising_leaves_out_is_within_its_estimate():
     assert np.median(ratios) > 0.03
 
 
-def test_the_choice_of_engine_takes_modes_where_they_cost_least():
+def test_modes_are_chosen_where_they_are_cheapest():
     chain = column(damping={"viscoelastic": 1e-9})
     long = Scene(chain=chain, excitation=Impulse(velocity=1e-13), duration=0.1, samples=11)
     assert plan(long).engine == "modes"
@@ -156,7 +156,7 @@ def test_the_choice_of_engine_takes_modes_where_they_cost_least():
     assert plan(strong).engine == "native"
 
 
-def test_the_energy_that_is_lost():
+def test_the_dissipated_energy():
     chain = column(damping={"viscoelastic": 3e-8, "drag": 1e3})
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-8), duration=6e-5, samples=801)
     linear = energy.ledger(simulate(scene, engine="modes"))
@@ -173,7 +173,7 @@ def test_the_energy_that_is_lost():
         ("drag", {"drag": np.linspace(1.0, 2.0, 12)}),
     ],
 )
-def test_damping_that_couples_modes_is_refused(key, damping):
+def test_damping_that_couples_modes_is_rejected(key, damping):
     chain = column(damping=damping)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5)
     words = f"damping.{key}: differs from .* one number"

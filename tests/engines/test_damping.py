@@ -62,20 +62,20 @@ def test_energy_and_momentum_balance(act):
     assert abs(total - balance.dissipated).max() <= lost.error < 1e-4 * put_in
 
 
-def test_an_undamped_chain_loses_nothing():
+def test_an_undamped_chain_dissipates_nothing():
     balance = energy.ledger(simulate(scene_of(ACTS["strike"], 21, damping={}), "native", 1e-9))
     assert not balance.dissipated.any()
     assert balance.dissipated_error == 0.0
 
 
-def test_forces_of_contacts_are_those_that_accelerate_grains():
+def test_contact_forces_agree_with_accelerations():
     t = simulate(scene_of(ACTS["strike"], 4001), "native", 1e-11)
     history = contact.contacts(t)
     inside = history.change[:, :-1] - history.change[:, 1:]
     chain = t.scene.chain
     a = inside / chain.masses - chain.drag * t.velocity
     h = t.time[1]
-    # differences of velocities at five samples
+    # Differences of velocities at five samples.
     v = t.velocity
     slope = (8 * (v[3:-1] - v[1:-3]) - (v[4:] - v[:-4])) / (12 * h)
     assert abs(a[2:-2] - slope).max() < 1e-5 * abs(slope).max()
@@ -96,13 +96,13 @@ def test_peaks_between_samples_are_within_their_error():
 
 
 @pytest.mark.parametrize("engine", ["chebyshev", "bessel", "continuum"])
-def test_engines_that_conserve_energy_refuse(engine):
+def test_engines_that_conserve_energy_reject_damping(engine):
     scene = scene_of(Impulse(velocity=1e-9), 11, top="free", bottom="fixed", top_load=0.0)
     with pytest.raises(InputError, match=r"chain\.damping: .* conserves energy"):
         simulate(scene, engine=engine)
 
 
-def test_the_choice_of_engine_knows():
+def test_the_choice_of_engine_considers_damping():
     scene = scene_of(Impulse(velocity=1e-9), 11)
     assert plan(scene).engine == "native"
     assert plan(scene).integrator == "dop853"
@@ -120,19 +120,19 @@ def test_the_choice_of_engine_knows():
         lambda scene: bands.branches(scene.chain, [0.1]),
     ],
 )
-def test_what_knows_no_damping_refuses(compute):
+def test_functions_without_damping_support_reject_it(compute):
     scene = scene_of(ACTS["strike"], 5, gravity=0.0)
-    with pytest.raises(InputError, match=r"chain\.damping: .* knows no damping"):
+    with pytest.raises(InputError, match=r"chain\.damping: .* does not support damping"):
         compute(scene)
 
 
 @pytest.mark.parametrize("seed", range(24))
-def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
-    """Of weak waves, struck and driven, by an integrator that is not the package's."""
+def test_the_effect_of_damping_is_within_its_estimate(seed: int):
+    """Weak waves, struck and driven, are compared by an independent integrator."""
     rng = np.random.default_rng([55, seed])
     draw = acted_trial_scene if seed % 3 == 0 else trial_scene
     lossless = draw(rng, work=1e3)
-    # a weak wave in a short chain
+    # A weak wave in a short chain.
     while not lossless.strike_number < 0.1 or lossless.chain.grains > 60:
         lossless = draw(rng, work=1e3)
     lossless = lossless.replace(samples=100)
@@ -149,7 +149,7 @@ def test_leaving_damping_out_changes_no_more_than_a_run_says(seed: int):
 
 
 @pytest.mark.slow
-def test_an_answer_says_what_leaving_damping_out_would_change():
+def test_a_run_states_the_effect_of_damping():
     scene = scene_of(ACTS["strike"], 5)
     weak = scene_of(ACTS["strike"], 5, damping={"drag": 100.0})
     remark = "leaving it out would change the answer by at most about 0.3 %"
@@ -160,7 +160,7 @@ def test_an_answer_says_what_leaving_damping_out_would_change():
     planned = plan(weak)
     assert planned.table().endswith(f"damping: {remark}")
     assert planned.to_json()["damping_effect"] == pytest.approx(math.expm1(3e-3), rel=1e-12)
-    # a batch has one record for all but this
+    # A batch shares one record except for this number.
     strong, again = simulate_many([scene, weak], 1e-6, "native")
     assert again.provenance["damping"] == remark
     assert "up to all of it" in strong.provenance["damping"]
@@ -170,7 +170,7 @@ def test_an_answer_says_what_leaving_damping_out_would_change():
     assert "damping:" not in plan(undamped).table()
 
 
-def test_a_comparison_runs_the_lossless_chain_beside(tmp_path, capsys):
+def test_a_comparison_includes_the_lossless_chain(tmp_path, capsys):
     path = tmp_path / "scene.toml"
     numbers = tmp_path / "numbers.json"
     scene = scene_of(ACTS["strike"], 21, damping={"viscoelastic": 1e-9, "drag": 100.0})
@@ -191,8 +191,8 @@ def test_a_comparison_runs_the_lossless_chain_beside(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 3e-8, 1e-6])
-def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
-    """The front of a damped wave is no longer sharp: it spreads as in a parabolic equation."""
+def test_the_wave_is_negligible_beyond_the_light_cone(viscoelastic):
+    """The front of a damped wave is not sharp: it spreads as in a parabolic equation."""
     chain = Chain(
         grains=900, diameter=1e-3, gravity=0.0, top_load=1.0,
         damping={"viscoelastic": viscoelastic, "drag": 1e3},
@@ -212,7 +212,7 @@ def test_beyond_the_light_cone_nothing_can_be_seen(viscoelastic):
     assert cone.scene.chain.grains < 1.5 * (inside[-1] - inside[0] + 1) + 100
 
 
-def test_the_largest_force_on_a_wall_is_that_of_samples():
+def test_the_largest_wall_force_is_at_least_that_of_samples():
     t = simulate(scene_of(ACTS["strike"], 21), engine="native")
     with pytest.raises(InputError, match=r'add "peak_force:.*or use wall_force'):
         motion.motion_of(t).largest_wall_force()

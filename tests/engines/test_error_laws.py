@@ -1,4 +1,4 @@
-"""The laws of an error.
+"""The models of step and rounding errors.
 
 What differences of runs say of it, what rounding makes of it, and how steps follow it.
 """
@@ -52,7 +52,7 @@ PROPOSAL = Proposal(
 
 
 def differences(order: float, error: float, ratios: tuple[float, float]) -> tuple[float, float]:
-    """Return the differences of runs at steps h, r1 h and r2 h whose error is of this order."""
+    """Return the differences of runs with steps h, r1 h and r2 h and an error of this order."""
     first, second = (error * ratio**order for ratio in ratios)
     return second - first, first - error
 
@@ -67,7 +67,7 @@ def estimate(
 @pytest.mark.parametrize("order", [2, 4, 6, 8])
 @pytest.mark.parametrize("ratios", [(2.0, 4.0), (1.9, 3.7), (3.0, 6.0)])
 def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
-    """Exactly for steps that double.
+    """The factor is exact for steps that double.
 
     Else the gain follows from a rate that is not quite the order.
     """
@@ -78,19 +78,19 @@ def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
 
 
 @pytest.mark.parametrize("seen", [1.0, 2.5, 5.0])
-def test_three_runs_give_twice_the_error_of_the_order_that_they_show(seen):
+def test_three_runs_give_twice_the_error_of_the_observed_order(seen):
     coarse, fine = differences(seen, 1e-7, (2.0, 4.0))
     assert estimate(6, coarse, fine) == pytest.approx(2e-7, rel=1e-9)
 
 
-def test_the_rate_that_three_runs_show_is_trusted_within_limits():
-    """No more than the order, for they may agree by chance.
+def test_the_observed_rate_is_trusted_within_limits():
+    """The rate is at most the order, because runs may agree by chance.
 
     Never less than one and a half times a doubling.
     """
     coarse, fine = differences(4, 1e-7, (2.0, 4.0))
     assert estimate(4, 1.001 * coarse, fine) == pytest.approx(2e-7, rel=1e-9)
-    # the coarse difference alone
+    # Only the coarse difference.
     assert estimate(4, coarse, fine / 100) == pytest.approx(1e-7, rel=1e-9)
     assert estimate(4, coarse, 0.0) == pytest.approx(1e-7, rel=1e-9)
     for flat in (0.0, 1e-3, 1.5e-3):
@@ -102,8 +102,8 @@ def test_the_rate_that_three_runs_show_is_trusted_within_limits():
 
 
 @pytest.mark.parametrize(("fast", "slow"), [(1e-7, 0.0), (1e-8, 3e-8), (1e-9, 1e-5)])
-def test_an_error_of_two_orders_is_told_by_the_rate_between_them(fast: float, slow: float):
-    """An observed rate alone makes it too small: a part of h^6 hides one of h^2."""
+def test_an_error_of_two_orders_is_estimated_from_both(fast: float, slow: float):
+    """The observed rate alone underestimates the error, because h^6 hides h^2."""
     coarse, fine = np.add(
         differences(6, fast, (2.0, 4.0)), differences(2, slow, (2.0, 4.0))
     ).tolist()
@@ -120,7 +120,7 @@ def test_an_error_of_two_orders_is_told_by_the_rate_between_them(fast: float, sl
     ],
     ids=["striker", "touching grains are pushed", "springs in the vacuum"],
 )
-def test_errors_fall_with_the_order_of_the_method_where_touching_grains_part(changes, excitation):
+def test_errors_have_the_order_of_the_method_where_touching_grains_separate(changes, excitation):
     chain = Chain(**{"grains": 5, "diameter": 1e-3, "gravity": 0.0, "bottom": "wall"} | changes)
     scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
     scene = scene.replace(duration=30 / scene.highest_frequency)
@@ -136,15 +136,15 @@ def test_errors_fall_with_the_order_of_the_method_where_touching_grains_part(cha
     assert errors[0] / errors[1] > 8**5.5
 
 
-def test_one_more_run_nearby_confirms_a_rate_or_bounds_the_error():
+def test_an_additional_run_confirms_a_rate_or_bounds_the_error():
     coarse, fine = differences(4, 1e-7, (2.0, 4.0))
     assert estimate(4, coarse, fine / 100, nearby=1e-12) == pytest.approx(2e-9, rel=1e-9)
     assert estimate(4, coarse, fine / 100, nearby=1e-6) == pytest.approx(2e-6, rel=1e-9)
     assert estimate(4, coarse, fine, nearby=1e-8) == pytest.approx(2e-7, rel=1e-9)
 
 
-def test_of_two_runs_the_distance_counts_unless_the_order_is_sure():
-    """Where the force is smooth and they are near.
+def test_two_runs_give_their_distance_unless_the_order_is_certain():
+    """The order is certain if the force is smooth and the runs are close.
 
     A companion at half the step shows an order to nobody.
     """
@@ -158,7 +158,7 @@ def test_of_two_runs_the_distance_counts_unless_the_order_is_sure():
     assert estimate(6, None, small, (0.5,), settled=True) == 2 * small
 
 
-def test_an_error_beyond_all_numbers_stays_that():
+def test_an_infinite_error_remains_infinite():
     assert estimate(6, 1e-3, math.inf) == math.inf
     assert estimate(6, math.inf, 1e-3) == math.inf
     assert estimate(6, None, math.inf) == math.inf
@@ -168,7 +168,7 @@ def test_an_error_beyond_all_numbers_stays_that():
 
 
 def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) -> Scene:
-    """Return a grain on a spring: grain 2 is held."""
+    """Return a grain on a spring; grain 2 is fixed."""
     chain = Chain(
         grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, masses=[mass, mass],
         contact_constants=[stiffness],
@@ -178,7 +178,7 @@ def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) 
 
 
 def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
-    """Return the error at the end of an oscillation, relative to its amplitudes, to 40 digits."""
+    """Return the final error of an oscillation relative to its amplitudes, from 40 digits."""
     stiffness, mass = (
         mpmath.mpf(float(x[0])) for x in (scene.chain.contact_constants, scene.chain.masses)
     )
@@ -192,7 +192,7 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
 
 @pytest.mark.slow
 def test_thousands_of_periods_shift_the_phase_by_rounding():
-    """A last digit of mass, stiffness or step shifts it by that part of itself.
+    """One ulp of mass, stiffness or step shifts the phase by the same relative amount.
 
     More than a walk of roundings makes.
     """
@@ -209,21 +209,21 @@ def test_thousands_of_periods_shift_the_phase_by_rounding():
         assert shift < t.error_estimate.solver < 20 * shift
 
 
-def test_rounding_of_no_step_is_a_few_last_digits_and_grows_with_steps_and_phase():
+def test_rounding_is_a_few_ulps_without_steps_and_grows_with_steps_and_phase():
     least = native_floor(0.0, 0.0)
     assert EPSILON <= least <= 4 * EPSILON
     assert native_floor(1e6, 0.0) - least == pytest.approx(
         10 * (native_floor(1e4, 0.0) - least), rel=1e-9
     )
-    # a walk of half-ulps, as stated
+    # A random walk of half ulps, as stated.
     assert native_floor(1e4, 0.0) - least == pytest.approx(100 * EPSILON, rel=1e-9)
     phase = native_floor(1e4, 1e3) - native_floor(1e4, 0.0)
-    assert 1e3 * EPSILON <= phase <= 4e3 * EPSILON  # up to four last digits of it
+    assert 1e3 * EPSILON <= phase <= 4e3 * EPSILON  # Up to four ulps of the phase.
     assert native_floor(1e4, 1e5) - native_floor(1e4, 0.0) == pytest.approx(100 * phase, rel=1e-9)
 
 
-def test_what_the_plain_force_loses_is_in_the_estimate():
-    """A weak wave under a heavy load.
+def test_the_loss_of_the_plain_force_is_in_the_estimate():
+    """A weak wave under a large load.
 
     The last digit of the load at every step walks into the velocity.
     """
@@ -248,8 +248,8 @@ def test_what_the_plain_force_loses_is_in_the_estimate():
     )
 
 
-def test_rounding_presses_the_contacts_of_a_column_by_its_height():
-    """Of heights: half the stiffness times the squared last digit of ten grains, walked.
+def test_rounding_of_heights_adds_energy_to_contacts():
+    """The energy is half the stiffness times the squared ulp of ten grains, as a random walk.
 
     And of springs, exactly.
     """
@@ -260,14 +260,14 @@ def test_rounding_presses_the_contacts_of_a_column_by_its_height():
     assert rounded_energy(scene, 1e4) == pytest.approx(expected, rel=1e-9)
 
 
-def test_what_interpolated_samples_lose_grows_with_steps_and_distance():
+def test_the_loss_of_interpolated_samples_grows_with_steps_and_distance():
     assert interpolation_loss(2e3, 2.0) == pytest.approx(interpolation_loss(1e3, 1.0), rel=1e-12)
     assert 1e3 * EPSILON < interpolation_loss(1e3) < 1e5 * EPSILON
     assert interpolation_loss(2e3) == pytest.approx(2 * interpolation_loss(1e3), rel=1e-12)
 
 
 def test_equal_steps_may_round_to_one_side():
-    """A walk of n digits is sqrt(n) long, a drift n, which is longer from some sixty on."""
+    """A random walk of n ulps is sqrt(n) long, but a drift has the length n."""
     assert accumulate(1e8) == pytest.approx(1e4, rel=1e-12)
     assert accumulate(1e8, flights=1.0) == pytest.approx(1e8 / 8, rel=1e-12)
     assert accumulate(25.0, flights=1.0) == 5.0
@@ -275,7 +275,7 @@ def test_equal_steps_may_round_to_one_side():
     assert native_floor(1e8, 0.0, flights=1.0) > 1e3 * native_floor(1e8, 0.0)
 
 
-# --- runs that begin nearby
+# --- runs from nearby initial states
 
 
 @pytest.mark.parametrize("kind", ["struck", "released", "driven"])
@@ -290,7 +290,7 @@ def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
     near = perturb(scene, 1e-3)
     (u, v) = scene.initial()
     (near_u, near_v) = near.initial()
-    turns = np.array([1.0, -1.0, 1.0, -1.0, 0.0])  # the last grain is held
+    turns = np.array([1.0, -1.0, 1.0, -1.0, 0.0])  # The last grain is fixed.
     if kind == "driven":
         assert near.excitation.amplitude == pytest.approx(1.001e-9, rel=1e-12)
         return
@@ -298,8 +298,8 @@ def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
     np.testing.assert_allclose(near_u - u, 3e-12 * turns * (kind == "released"), rtol=1e-9, atol=0)
 
 
-def test_the_divergence_of_two_runs_is_that_of_two_answers():
-    """At all samples, of grains not recorded, too, over the largest motion between samples."""
+def test_the_divergence_of_two_runs_is_relative_to_the_largest_motion():
+    """The divergence is computed at all samples and for unrecorded grains as well."""
     scene = smooth(samples=6).replace(grains=[2])
     candidate = Native("rkn6").propose(scene.replace(grains="all"), 1e-10)
     apart = divergence(scene, candidate, 1e-4)
@@ -315,8 +315,8 @@ def test_the_divergence_of_two_runs_is_that_of_two_answers():
     assert apart[0] == pytest.approx(1e-4, rel=0.02)
 
 
-def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
-    """In a chain whose contacts open again and again.
+def test_amplification_of_an_ulp_equals_that_of_a_small_change():
+    """Contacts of this chain open again and again.
 
     Of a change that is a million times as large, a millionth.
     """
@@ -334,15 +334,15 @@ def test_what_becomes_of_a_last_digit_is_what_becomes_of_a_small_change():
     np.testing.assert_allclose(amplify_rounding(scene, 1e6), digits * grown, rtol=1e-12, atol=0)
 
 
-def test_runs_that_break_down_are_no_growth():
-    """A drive that presses contacts beyond all measure, which ask for shorter steps to show it."""
+def test_runs_that_break_down_show_no_growth():
+    """The drive compresses contacts so strongly that shorter steps are needed for the growth."""
     scene, *_ = draw("native", 20865)
-    # two answers of an independent integrator that begin a last digit apart: 7e-9
+    # Two solutions of an independent integrator from states one ulp apart differ by 7e-9.
     assert 1e-9 < amplify_rounding(scene, 1.0).max() < 3e-8
 
 
-def test_no_scene_makes_more_of_a_digit_than_its_phase_allows():
-    """An exponent of 0.06 a radian, and the rounding that adds up."""
+def test_amplification_is_limited_by_the_phase():
+    """The exponent is 0.06 per radian, and rounding accumulates."""
     chain = Chain(grains=6, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-3, samples=3)
     radians = scene.highest_frequency * scene.duration
@@ -387,7 +387,7 @@ def test_the_parts_of_an_error_budget():
 
 
 @pytest.mark.parametrize("order", [2, 4, 6])
-def test_the_next_step_aims_at_seven_tenths_of_what_rounding_leaves(order):
+def test_the_next_step_aims_at_seven_tenths_of_the_tolerance_left_by_rounding(order):
     missed = ErrorBudget(2e-5, 2e-7, order)
     ratio = STEP_CONTROL.ratio(missed, 1e-6)
     assert ratio is not None
@@ -396,7 +396,7 @@ def test_the_next_step_aims_at_seven_tenths_of_what_rounding_leaves(order):
     assert quarter == pytest.approx(min(8.0, (2e-5 / (0.7 * 0.25e-6)) ** (1 / order)), rel=1e-9)
 
 
-def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
+def test_the_next_step_is_shortened_by_a_bounded_factor():
     budget = ErrorBudget(1.01e-6, 0.0, 6)
     assert STEP_CONTROL.ratio(budget, 1e-6) == 1.3
     assert STEP_CONTROL.ratio(budget._replace(truncation=0.1, order=2), 1e-6) == 8.0
@@ -406,7 +406,7 @@ def test_the_next_step_is_neither_much_shorter_nor_hardly_so():
     assert STEP_CONTROL.ratio(budget._replace(roundoff=0.9e-6), 1e-6) is not None
 
 
-def test_a_proposal_is_refined_to_the_steps_that_its_error_asks_for():
+def test_a_proposal_is_refined_to_the_steps_that_its_error_requires():
     engine = Native("rkn6")
     scene = smooth(samples=6)
     candidate = engine.propose(scene, 1e-9)
@@ -425,7 +425,7 @@ def test_a_proposal_is_refined_to_the_steps_that_its_error_asks_for():
     assert broken.step <= candidate.step / 8
 
 
-def test_rounding_of_interpolated_samples_is_left_out_by_interpolating_none():
+def test_rounding_of_interpolated_samples_is_avoided_without_interpolation():
     engine = Native("rkn6")
     scene = smooth(samples=1001)
     candidate = engine.propose(scene, 1e-6)
@@ -438,7 +438,7 @@ def test_rounding_of_interpolated_samples_is_left_out_by_interpolating_none():
 # --- options
 
 
-def test_options_of_the_native_engine_are_refused_with_what_is_known():
+def test_options_of_the_native_engine_are_rejected_with_alternatives():
     for threads in (0, -1, 1.0, True, "two"):
         with pytest.raises(InputError, match="threads: must be a whole number from 1"):
             Native(threads=threads)
@@ -460,8 +460,8 @@ def test_options_of_the_native_engine_are_refused_with_what_is_known():
         engines.get("nativ")
 
 
-def test_a_step_that_is_given_may_be_up_to_the_stability_limit():
-    """2 / omega of velocity Verlet, and the highest frequency of the chain."""
+def test_a_given_step_may_be_up_to_the_stability_limit():
+    """The limit is 2 / omega for velocity Verlet and the highest frequency of the chain."""
     scene = paper("weak", samples=3)
     limit = 2 / scene.chain.band_edge
     with pytest.raises(
@@ -473,15 +473,15 @@ def test_a_step_that_is_given_may_be_up_to_the_stability_limit():
     assert run.cost.steps == 2 * math.ceil(5e-5 / (0.999 * limit))
 
 
-def test_runs_of_more_than_ten_years_are_refused():
+def test_runs_of_more_than_ten_years_are_rejected():
     scene = paper("weak", samples=3).replace(duration=1e12)
     with pytest.raises(InputError, match=r"duration: would take some \d.* years: shorten it"):
         Native().propose(scene, 1e-6)
 
 
 @pytest.mark.parametrize("engine", ["native", "auto"])
-def test_a_record_of_what_is_held_has_no_error(engine: str):
-    """Refused it was, with a round-off of other grains; 1e-13 is met by zeros."""
+def test_recording_only_fixed_grains_has_no_error(engine: str):
+    """Such a scene was once rejected because of the rounding of other grains."""
     chain = Chain(grains=8, diameter=1e-3)
     held = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, grains=[8])
     answer = simulate(held, engine, 1e-13)
@@ -491,8 +491,8 @@ def test_a_record_of_what_is_held_has_no_error(engine: str):
 
 
 @pytest.mark.parametrize("duration", [2e-4, 2.5e-4, 3e-4])
-def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_rounding(duration):
-    """Walk times growth is up to hundreds of times as much, and refused what can be had."""
+def test_rounding_is_measured_by_runs_with_the_steps_of_the_main_run(duration):
+    """Random walk times growth can be hundreds of times too large."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=duration, samples=21)
     # Rounding errors are random and differ between versions of NumPy.
@@ -516,8 +516,8 @@ def test_runs_with_the_steps_of_an_answer_show_what_the_scene_makes_of_its_round
         2,
     ),
 )
-def test_rounding_of_free_flights_is_measured_where_bounds_would_refuse(family: str, seed: int):
-    """Bounds were 5 to 20 times the truth, and refused tolerances that were met."""
+def test_rounding_of_free_flights_is_measured_if_bounds_would_reject(family: str, seed: int):
+    """The bounds were 5 to 20 times the true error, and rejected reachable tolerances."""
     scene, engine, tolerance, options = draw(family, seed)
     answer = simulate(scene, engine, tolerance, **options)
     error = reference(scene, 1e-20)[0].error(answer.displacement, answer.velocity)
@@ -528,12 +528,10 @@ def test_rounding_of_free_flights_is_measured_where_bounds_would_refuse(family: 
     ("exponent", "integrator", "place", "steps"),
     [(1.5, "rkn6", 0, 1), (1.5, "rkn6", 5, 2), (1.5, "kahan-li6", 10, 1), (1.0, "rkn6", 7, 1)],
 )
-def test_where_in_a_step_a_striker_leaves_is_in_the_estimate_of_equal_steps(
+def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
     exponent: float, integrator: str, place: int, steps: int
 ):
-    """Errors scatter with it from the first opening on: estimates were 0.34 to 0.68 of the truth,
-    of such steps as LAMMPS makes.
-    """
+    """Errors scatter after the first opening; estimates were once 0.34 to 0.68 of them."""
     chain = Chain(
         grains=6, material="steel", diameter=4.76e-3, gravity=0, top_load=2.38, load_grain=2,
         bottom="wall", exponent=exponent, impurity=[Impurity(grain=1, material="ptfe")],
@@ -549,8 +547,8 @@ def test_where_in_a_step_a_striker_leaves_is_in_the_estimate_of_equal_steps(
 
 
 @pytest.mark.parametrize("steps", [5, 8])
-def test_contacts_that_begin_as_good_as_open_are_in_the_estimate_of_equal_steps(steps: int):
-    """None opens, and yet the force is as rough as where one closes: 0.4 of the truth it was."""
+def test_nearly_open_contacts_are_in_the_estimate_of_equal_steps(steps: int):
+    """No contact opens, but the force is not smooth; once 0.4 of the error was estimated."""
     chain = Chain(
         grains=3, material="steel", diameter=5e-3, gravity=0, top_load=2e-3, bottom="wall"
     )

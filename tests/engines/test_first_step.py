@@ -1,4 +1,4 @@
-"""The first step of an answer, its companions, and scenes that amplify rounding."""
+"""The first step of a run, auxiliary runs, and scenes that amplify rounding."""
 
 import math
 from itertools import pairwise
@@ -37,7 +37,7 @@ RKN6 = METHODS["rkn6"]
 
 
 def column(velocity: float, **changes) -> Scene:
-    """Return a column that is struck on its top."""
+    """Return a column with a strike on its top."""
     excitation = Impulse(velocity=velocity)
     chain = Chain(grains=120, diameter=1e-3)
     return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=21).replace(**changes)
@@ -45,7 +45,7 @@ def column(velocity: float, **changes) -> Scene:
 
 @pytest.mark.parametrize("name", ["rkn4", "rkn6", "kahan-li8"])
 def test_the_step_follows_from_error_constant_order_and_tolerance(name):
-    """C (omega h)^p for 60 radians, half of the tolerance.
+    """C (omega h)^p for 60 radians is half of the tolerance.
 
     For ten times the time it is ten times as large.
     """
@@ -63,8 +63,8 @@ def test_the_step_follows_from_error_constant_order_and_tolerance(name):
     )
 
 
-def test_errors_are_larger_where_contacts_open_and_steps_are_shorter():
-    """By the root of the strain, four to 23 times; thirty times at equal steps."""
+def test_openings_increase_errors_and_shorten_steps():
+    """The factor is the root of the strain, four to 23, and thirty for equal steps."""
     for strain, factor in ((0.3, 1.0), (0.31, 4.0), (3.0, 4.0), (12.0, 8.0), (math.inf, 23.0)):
         assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
     assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
@@ -77,7 +77,7 @@ def test_errors_are_larger_where_contacts_open_and_steps_are_shorter():
 
 
 def test_cost_never_falls_as_the_tolerance_falls():
-    """In weak, strong and unbounded scenes, with few samples and many.
+    """Tested in weak, strong and unbounded scenes, with few and many samples.
 
     The work of the first attempt.
     """
@@ -97,8 +97,8 @@ def test_cost_never_falls_as_the_tolerance_falls():
         assert all(later >= 0.999 * earlier for earlier, later in pairwise(work))
 
 
-def test_of_scenes_that_nothing_bounds_the_first_attempt_shows_the_step(tmp_path):
-    """Tolerances below 1e-6 begin with its step.
+def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
+    """Tolerances below 1e-6 start with the step of 1e-6.
 
     The answer is the same however it was asked for.
     """
@@ -129,8 +129,8 @@ def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
     return [schedule.ratio for schedule in companions.schedules]
 
 
-def test_companions_have_steps_twice_and_four_times_as_long():
-    """As far as these are stable; one more where contacts open and waves come back."""
+def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
+    """The steps must be stable; openings with reflections need one more run."""
     weak = column(1e-6)
     strong = column(1e-2)
     assert ratios(weak, 1e-10) == [2, 4]
@@ -142,14 +142,14 @@ def test_companions_have_steps_twice_and_four_times_as_long():
     assert ratios(returning, 1e-10, adaptive=False) == [2, 4]
     springs = strong.replace(chain=Chain(grains=20, diameter=1e-3, exponent=1.0))
     assert ratios(springs, 1e-10) == [2, 4, 1.75]
-    # contacts that only touch open and close from the beginning
+    # Contacts that only touch open and close from the beginning.
     assert ratios(VACUUM, 1e-10) == [2, 4, 1.5]
     striker = strong.chain.replace(gravity=0.0, top_load=1.0, load_grain=2)
     assert ratios(strong.replace(chain=striker), 1e-10) == [2, 4, 1.5]
 
 
-def test_the_order_that_is_trusted():
-    """That of the method where nothing opens.
+def test_the_trusted_order():
+    """The order of the method is trusted if no contact opens.
 
     Six, four if coarse, and two at equal steps.
     """
@@ -174,7 +174,7 @@ def test_the_order_that_is_trusted():
     assert verlet.order(True, True) == 2
 
 
-def test_estimates_of_calm_answers_are_near_the_truth_and_above_it():
+def test_estimates_of_smooth_runs_are_close_upper_bounds():
     scene = Scene(
         chain=Chain(grains=20, diameter=1e-3),
         excitation=Impulse(velocity=1e-6),
@@ -190,8 +190,8 @@ def test_estimates_of_calm_answers_are_near_the_truth_and_above_it():
         assert error < answer.error_estimate.total < 4 * error
 
 
-def test_the_longest_steps_of_companions_fit_between_two_corners_of_what_acts():
-    """Else all runs have the same steps there: an error of 5e-11 was estimated at 1e-12."""
+def test_the_longest_steps_of_auxiliary_runs_fit_between_two_corners():
+    """Otherwise all runs have equal steps there; an error of 5e-11 was once estimated as 1e-12."""
     times = np.linspace(0, 7e-5, 15)
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)
@@ -204,8 +204,8 @@ def test_the_longest_steps_of_companions_fit_between_two_corners_of_what_acts():
         assert {2, 4} <= {schedule.ratio for schedule in schedules}
 
 
-def test_a_scene_that_amplifies_rounding_is_refused_at_once_with_the_time_up_to_which_it_is_known():
-    """Recorded up to there, it is answered."""
+def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
+    """Recorded up to this time, the scene can be solved."""
     rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)
@@ -219,8 +219,8 @@ def test_a_scene_that_amplifies_rounding_is_refused_at_once_with_the_time_up_to_
     assert simulate(shorter, "native", 1e-7).error_estimate.total <= 1e-7
 
 
-def test_a_landing_is_at_least_eight_steps_later():
-    """On a multiple of four samples, as blocks end on these, or on the last one."""
+def test_landings_are_at_least_eight_steps_apart():
+    """Landings are at multiples of four samples, where blocks end, or at the last sample."""
     many = column(1e-6, samples=2001)
     for rate in (0.03, 0.1, 0.34, 0.7, 1.9):
         steps, stride = land(many, rate)
@@ -231,8 +231,8 @@ def test_a_landing_is_at_least_eight_steps_later():
     assert land(many.replace(samples=6), 0.1) == (1, 5)
 
 
-def test_what_moves_many_grains_opens_contacts_again_without_a_reflection():
-    """An answer at 2.1e-11 was estimated at 7.1e-12, for a wave of one grain had not returned."""
+def test_motion_of_many_grains_opens_contacts_without_a_reflection():
+    """An error of 2.1e-11 was once estimated as 7.1e-12, as for a wave from one grain."""
     rng = np.random.default_rng(8)
     chain = Chain(grains=60, diameter=1e-3, gravity=9.81)
     velocity = np.zeros(60)
@@ -247,8 +247,8 @@ def test_what_moves_many_grains_opens_contacts_again_without_a_reflection():
 
 
 @pytest.mark.slow
-def test_a_wave_comes_back_from_the_nearer_end():
-    """An answer at 5.8e-12 was estimated at 3.0e-12: the wall is 14 grains away, not 40."""
+def test_a_wave_returns_from_the_nearer_end():
+    """An error of 5.8e-12 was once estimated as 3.0e-12; the wall is 14 grains away, not 40."""
     diameters = np.random.default_rng(7).uniform(0.025, 0.045, 40)
     chain = Chain(
         grains=40, diameter=diameters, material="tungsten_carbide", bottom="wall", gravity=19.0
@@ -273,8 +273,8 @@ def test_a_wave_comes_back_from_the_nearer_end():
         ([2e-3, 1e-6, 2e-3], 3, 100.0, 2, {"gravity": 0.0, "top_load": 0.1}),
     ],
 )
-def test_a_tighter_tolerance_hardly_ever_costs_less(masses, grain, radians, samples, pressed):
-    """Springs of unequal masses that open: attempts after the first one overshot by far."""
+def test_a_tighter_tolerance_rarely_costs_less(masses, grain, radians, samples, pressed):
+    """With springs of unequal masses that open, attempts after the first one once overshot."""
     chain = Chain(grains=3, exponent=1.0, masses=masses, diameter=1e-3, bottom="wall", **pressed)
     lifted = Displacement(
         displacement=-10 * chain.equilibrium_overlap[min(grain, 2) - 1], grain=grain

@@ -1,4 +1,4 @@
-"""Estimates of runs with a given step, for which no tolerance is enforced; and the largest one."""
+"""Estimates of runs with a given step, which enforces no tolerance, and the largest estimate."""
 
 import warnings
 
@@ -22,7 +22,7 @@ TOLERANCES = (1e-2, 1e-12)
 GLASS = {"material": "glass", "diameter": 1e-3, "gravity": 0.0}
 BETWEEN_WALLS = Chain(grains=4, top_load=1e-3, top="wall", bottom="wall", **GLASS)
 STRUCK = Scene(chain=BETWEEN_WALLS, excitation=Impulse(velocity=0.02), duration=4e-4, samples=21)
-# the error of short steps is below that of rounding, which the openings of contacts amplify
+# Rounding, amplified by openings of contacts, exceeds the error of short steps.
 ROUNDED = STRUCK.replace(
     chain=BETWEEN_WALLS.replace(exponent=3.0), excitation=Impulse(velocity=0.3), duration=6.97e-3
 )
@@ -30,7 +30,7 @@ FREE = Chain(grains=4, top="free", bottom="free", **GLASS)
 
 
 def at(tolerance: float, scene: Scene, engine: str, **options) -> tuple[Trajectory, list[str]]:
-    """Return the answer at a tolerance that nothing enforces, and the warnings beside it."""
+    """Return the run at a tolerance that nothing enforces, and its warnings."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         answer = simulate(scene, engine, tolerance, **options)
@@ -52,7 +52,7 @@ def at(tolerance: float, scene: Scene, engine: str, **options) -> tuple[Trajecto
     ],
 )
 def test_no_tolerance_changes_a_run_with_a_given_step(engine, options, scene, known):
-    """Rounding was measured only if a tolerance needed it, and the diameter in LAMMPS followed."""
+    """Rounding was once measured only if a tolerance required it, also for the diameter."""
     (first, said), (other, also_said) = [
         at(tolerance, scene, engine, **options) for tolerance in TOLERANCES
     ]
@@ -69,7 +69,7 @@ def test_no_tolerance_changes_a_run_with_a_given_step(engine, options, scene, kn
         assert 1 < first.error_estimate.solver <= 2
 
 
-def test_a_batch_with_a_given_step_has_the_estimate_of_a_run_alone():
+def test_a_batch_with_a_given_step_has_the_estimates_of_single_runs():
     steps = {"integrator": "rkn6", "step": 1e-8}
     alone = simulate(STRUCK, "native", 1e-2, **steps).error_estimate
     batch = simulate_many([STRUCK, STRUCK], 1e-9, **steps)
@@ -77,7 +77,7 @@ def test_a_batch_with_a_given_step_has_the_estimate_of_a_run_alone():
 
 
 def test_no_estimate_is_above_2():
-    """Auxiliary runs that break down, or closed forms far off, say that nothing is known."""
+    """Auxiliary runs that break down, and very wrong closed forms, have the estimate 2."""
     wide = STRUCK.replace(duration=2e-2)
     fast = 0.3 * 2 / BETWEEN_WALLS.band_edge
     answer, _ = at(1e-6, wide, "native", integrator="rkn4", step=fast)
@@ -87,13 +87,13 @@ def test_no_estimate_is_above_2():
     assert estimate.total == 2.0
     assert not ErrorEstimate(0.0, 1e-9).remark
     assert ErrorEstimate(0.0, 0.0).remark == ", because no recorded grain can move"
-    # a dump without an estimate
+    # A dump without an estimate.
     assert ErrorEstimate(0.0, np.inf).total == np.inf
 
 
 @pytest.mark.parametrize("velocity", [-5e-23, 1e-140, 1e-170, -1e-170, 1e-300, 1e-308])
 def test_the_weakest_motions_have_an_error_relative_to_themselves(velocity: float):
-    """Grain 1 flies off, or its collision has hardly begun: x = v t.
+    """Grain 1 flies away, or its collision has hardly begun: x = v t.
 
     The energy underflows, which was taken for an unstable run.
     """
@@ -106,15 +106,15 @@ def test_the_weakest_motions_have_an_error_relative_to_themselves(velocity: floa
 
 
 @pytest.mark.parametrize("engine", ["native", "modes", "chebyshev"])
-def test_nothing_is_known_of_a_motion_of_the_smallest_double(engine: str):
-    """5e-324 m/s keeps no digit, and 2e-13 was stated."""
+def test_a_motion_of_the_smallest_double_has_the_largest_estimate(engine: str):
+    """A velocity of 5e-324 m/s has no accurate digit, but 2e-13 was once stated."""
     weakest = STRUCK.replace(excitation=Impulse(velocity=5e-324))
     with pytest.raises(ToleranceNotMet, match=r"estimated at 2 \(nothing is known\)"):
         simulate(weakest, engine)
 
 
 @pytest.mark.parametrize("excitation", [Impulse(velocity=0.0), Displacement(displacement=-1e-9)])
-def test_a_scene_in_which_nothing_happens_has_the_rounding_of_its_units(excitation):
+def test_a_scene_at_rest_has_the_rounding_error_of_its_units(excitation):
     scene = Scene(chain=FREE, excitation=excitation, duration=1e-3, samples=5)
     answer = simulate(scene, "native")
     assert not answer.velocity.any()

@@ -1,4 +1,4 @@
-"""Errors are relative to the largest motion at any time of a run, not only at its samples."""
+"""Errors are relative to the largest motion at any time, not only at the samples."""
 
 from functools import cache
 from itertools import product
@@ -14,7 +14,7 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.integrators.methods import METHODS
 
-# grain 2 is fixed: an oscillator
+# Grain 2 is fixed, which makes an oscillator.
 PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 SPEED = 1e-3
@@ -30,7 +30,7 @@ def oscillator(excitation, periods: float, samples: int) -> Scene:
 @pytest.mark.parametrize("engine", ["native", "lammps"])
 @pytest.mark.parametrize(("samples", "periods"), [(3, 2), (5, 2), (2, 7)])
 def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
-    """They show no displacement after a strike, and no velocity after a release.
+    """Samples at nodes show no displacement after a strike, and no velocity after a release.
 
     Both are known exactly.
     """
@@ -50,13 +50,13 @@ def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
 
 @pytest.mark.parametrize("frequency", thinned([0.31, 0.1], 2))
 def test_a_drive_sampled_at_its_period(frequency):
-    """A stroboscopic (Poincare) section of a driven chain is an answer like any other."""
+    """A stroboscopic (Poincare) section of a driven chain is a valid run."""
     chain = Chain(grains=6, diameter=1e-3)
     drive = Drive(amplitude=1e-10, frequency=frequency * chain.band_edge / (2 * np.pi))
     scene = Scene(chain=chain, excitation=drive, duration=6 / drive.frequency, samples=7)
     t = simulate(scene, "native", 1e-7)
     truth = reference(scene)
-    assert np.abs(t.displacement[:, 0]).max() < 1e-9 * drive.amplitude  # all its samples are nodes
+    assert np.abs(t.displacement[:, 0]).max() < 1e-9 * drive.amplitude  # All samples are at nodes.
     true = error(t, truth)
     assert true / 3 < t.error_estimate.total <= 1e-7
     assert truth.largest[0] >= drive.amplitude * (1 - 1e-3)
@@ -80,7 +80,7 @@ def largest(scene: str) -> np.ndarray:
 
 @pytest.mark.parametrize(("integrator", "scene"), thinned(product(METHODS, MOTIONS), 3))
 def test_the_largest_motion_is_found(integrator, scene):
-    """Though no sample shows it: looked for after steps, 5 % or what these pass over are missed.
+    """No sample shows the largest motion; without checks between steps, 5 % would be missed.
 
     Known to 1e-3.
     """
@@ -98,7 +98,7 @@ def test_the_largest_motion_is_found(integrator, scene):
     assert (ratio < 1.001 + 2 * run.errors()[0].truncation).all()
 
 
-def test_the_largest_motion_of_a_lammps_run_is_that_of_its_twin():
+def test_the_largest_motion_of_a_lammps_run_is_that_of_its_native_twin():
     scene = oscillator(Impulse(velocity=SPEED), 2, 3)
     engine = Lammps()
     run = engine.start([scene], engine.propose(scene, 1e-7))

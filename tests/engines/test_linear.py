@@ -20,7 +20,7 @@ both = pytest.mark.parametrize("engine", ENGINES)
 
 
 def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
-    """Return a disordered chain with every kind of end, moved all over, or driven."""
+    """Return a disordered chain with any ends, with all grains moved or driven."""
     rng = np.random.default_rng(seed)
     driven = bool(rng.random() < 0.4)
     between = bool(rng.random() < 0.5)
@@ -48,7 +48,7 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
 
 
 def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear solution at the end by eigenvectors of a matrix of 40 digits, (N,) each."""
+    """Return the final linear solution by eigenvectors of a 40-digit matrix, (N,) each."""
     chain = scene.chain
     first = 1 if scene.drive else 0
     last = chain.movable
@@ -97,7 +97,7 @@ def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize("z", [1e-3, 0.3, 1.0, 10.0, 300.0, 3000.0])
 def test_bessel_functions_of_all_orders(z):
-    """Miller's recurrence against mpmath; what the series leaves out is negligible."""
+    """Miller's recurrence agrees with mpmath, and the truncated terms are negligible."""
     orders = 2 * terms(z) + 1
     values = bessel(np.array([z]), orders)[:, 0]
     some = np.unique(np.linspace(0, orders - 1, 12).astype(int))
@@ -108,7 +108,7 @@ def test_bessel_functions_of_all_orders(z):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_against_forty_digits(seed):
+def test_linear_solutions_agree_with_forty_digits(seed):
     scene = random_linear(seed, 12)
     u, v = longdouble_modes(scene)
     for engine in ENGINES:
@@ -122,7 +122,7 @@ def test_against_forty_digits(seed):
     ("seed", "grains"), [(seed, grains) for seed in range(4) for grains in (3, 40, 300)]
 )
 def test_modes_and_the_chebyshev_series_agree(seed, grains):
-    """Modes and Chebyshev share no line of arithmetic; to 1e-11 on random chains."""
+    """Both methods share no arithmetic, and agree to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
     one, other = (simulate(scene, engine) for engine in ENGINES)
     assert (
@@ -146,7 +146,7 @@ def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
 @both
 @pytest.mark.parametrize("gravity", [0.981, 9.81, 98.1])
 def test_model_error_over_the_map_of_strikes(engine, gravity):
-    """The paper's chain struck at the top.
+    """The paper's chain is struck at the top.
 
     The estimate is within a factor of 3 wherever the error is below 0.3.
     """
@@ -196,7 +196,7 @@ OTHERS = {
 @pytest.mark.parametrize("name", OTHERS)
 @pytest.mark.parametrize("samples", [3, 101])
 def test_model_error_of_other_scenes(name, samples):
-    """However few samples are recorded, for the solution is looked at in between.
+    """The estimate holds for few samples, because the solution is evaluated between them.
 
     It is an estimate of the largest error at any time, not of what is left of it at two moments:
     with 3 samples the wave that is reflected within is seen where it has made up for two thirds of
@@ -243,7 +243,7 @@ def test_a_warning_where_the_chain_is_not_linear(engine):
 
 @both
 def test_batches_and_restarts(engine, monkeypatch):
-    """Realisations come out as if alone, and a run from a kept state ends with the same bytes."""
+    """Realisations equal single runs, and a run from a stored state ends with the same bytes."""
     drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][
         :3
     ]
@@ -267,8 +267,8 @@ def test_batches_and_restarts(engine, monkeypatch):
     assert [error.model for error in rest.errors()] == [error.model for error in run.errors()]
 
 
-def test_grains_outside_the_light_cone_are_not_touched():
-    """10^6 grains cost what the reached ones do, and come out as in a shorter chain."""
+def test_grains_outside_the_light_cone_are_not_computed():
+    """A chain of 10^6 grains costs as much as its reached part, and has the same result."""
     strike = Impulse(velocity=1e-6)
     some = [1, 10, 100, 500]
     long, short = (
@@ -295,7 +295,7 @@ def test_grains_outside_the_light_cone_are_not_touched():
     assert not quick.displacement[:, 200:].any()
 
 
-def test_what_cannot_be_linearised_is_refused():
+def test_scenes_without_linear_theory_are_rejected():
     vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0)
     loose = Chain(grains=5, diameter=1e-3, top="wall")
     points = Drive(times=[0.0, 1e-5, 2e-5], displacement=[0.0, 1e-10, 0.0])
@@ -317,15 +317,16 @@ def test_what_cannot_be_linearised_is_refused():
     driven = Drive(amplitude=1e-12, frequency=1e4)
     with pytest.raises(InputError, match="use chebyshev"):
         simulate(Scene(chain=long, excitation=driven, duration=1e-5), "modes")
-    with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out"):  # of those the wave reaches few
+    # The wave reaches few of these grains.
+    with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out"):
         t = simulate(Scene(chain=long, excitation=Impulse(velocity=1e-6), duration=1e-5), "modes")
     assert t.cost.active_grains < 200
 
 
 @pytest.mark.parametrize("engine", ["bessel", "continuum"])
 @pytest.mark.parametrize("duration", [2e-6, 1e-5, 1e-4])
-def test_closed_forms_know_how_wrong_they_are(engine, duration):
-    """As rows to compare with.
+def test_closed_forms_state_their_error(engine, duration):
+    """Closed forms are rows for comparison.
 
     The model error they state is the true one, or its two parts partly cancel in truth.
     """
@@ -341,7 +342,7 @@ def test_closed_forms_know_how_wrong_they_are(engine, duration):
     assert t.equation == {"bessel": 4, "continuum": 27}[engine]
 
 
-def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
+def test_bessel_is_exact_for_a_loaded_chain_until_the_reflection():
     chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11
@@ -353,7 +354,7 @@ def test_bessel_is_exact_for_a_loaded_chain_until_the_wave_comes_back():
     )
 
 
-def test_closed_forms_refuse_what_they_do_not_know():
+def test_closed_forms_reject_unsuitable_scenes():
     strike = Impulse(velocity=1e-6)
     chain = Chain(grains=9, diameter=1e-3)
     for made, struck, engine, key in (
@@ -389,8 +390,8 @@ def test_closed_forms_refuse_what_they_do_not_know():
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @both
-def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
-    """Evaluation in blocks changes rounding errors only."""
+def test_a_solution_larger_than_memory(engine, monkeypatch):
+    """Evaluation in blocks changes only rounding errors."""
     scene = Scene(
         chain=Chain(grains=40, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),
@@ -409,8 +410,8 @@ def test_a_solution_that_does_not_fit_into_memory_at_once(engine, monkeypatch):
 
 @pytest.mark.parametrize("grains", [2, 3, 5])
 @pytest.mark.parametrize("frequency", [0.3, 3.0])
-def test_a_wall_that_moves_drives_the_first_grain_too(grains, frequency):
-    """What is left out is known to a factor of three, also where one grain alone is free."""
+def test_a_moving_wall_drives_the_first_grain(grains, frequency):
+    """The error is known to a factor of three, also for a single free grain."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall")
     drive = Drive(
         amplitude=1e-6 * chain.length_scale,

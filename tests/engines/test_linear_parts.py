@@ -32,7 +32,7 @@ HZ = EDGE / (2 * np.pi)
 
 
 def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (T, N) by a general integrator, to 1e-11."""
+    """Return displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
     chain = scene.chain
     wave = scene.excitation.waveform
     grains = chain.grains
@@ -84,7 +84,7 @@ def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def scene_size(scene: Scene) -> float:
-    """Return about how far grains come, m."""
+    """Return the approximate size of the motion, m."""
     return float(np.abs(simulate(scene, "modes", 0.9).displacement).max())
 
 
@@ -109,8 +109,8 @@ FORCED = {
 
 
 @pytest.mark.parametrize("name", FORCED)
-def test_forced_motion_is_that_of_a_general_integrator(name):
-    """By modes, and by the Chebyshev series where a sine has no end."""
+def test_forced_motion_agrees_with_a_general_integrator(name):
+    """Solved by modes, and by Chebyshev polynomials for a sine without end."""
     chain, excitation = FORCED[name]
     scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
     u, v = integrated(scene)
@@ -127,7 +127,7 @@ def test_forced_motion_is_that_of_a_general_integrator(name):
 
 
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
-def test_what_a_linear_answer_has_cost(engine):
+def test_the_cost_of_a_linear_solution(engine):
     scene = Scene(
         chain=LOADED, excitation=Impulse(velocity=1e-9, grain=2), duration=20 / EDGE, samples=9
     )
@@ -143,12 +143,12 @@ def test_what_a_linear_answer_has_cost(engine):
     if engine == "modes":
         assert cost.force_evaluations == modes_that_move
     else:
-        # Terms of half a radian each, because eigenvalues lie between 0 and 4.
+        # Terms of half a radian each, because eigenvalues are between 0 and 4.
         assert cost.force_evaluations > terms_of_a_radian_each / 2
 
 
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
-def test_a_batch_needs_scenes_that_are_recorded_alike(made):
+def test_a_batch_needs_scenes_with_the_same_recording(made):
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=9)
     candidate = made.propose(scene, 1e-6)
     with pytest.raises(ValueError, match="a batch needs chains of one length"):
@@ -165,10 +165,10 @@ def test_a_batch_needs_scenes_that_are_recorded_alike(made):
     )
 
 
-def test_rounding_of_linear_answers():
-    """Of frequencies, times the phase; of eigenvectors, by their number.
+def test_rounding_of_linear_solutions():
+    """The error of frequencies grows with the phase, the error of eigenvectors with their number.
 
-    Of a burst that hardly began, far more.
+    Relative to the motion of a burst that has hardly begun, both are far larger.
     """
     scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
     series = Chebyshev().round_off(scene)
@@ -187,8 +187,8 @@ def test_rounding_of_linear_answers():
     assert still == pytest.approx(4 * extra, rel=0.01)
 
 
-def test_costs_of_linear_answers_grow_with_their_work():
-    """Modes: with the cube of many grains, and with samples; the series.
+def test_costs_of_linear_solutions_grow_with_their_work():
+    """Modes: with the cube of many grains and with samples; Chebyshev: with the terms.
 
     With the time, and the grains it reaches.
     """
@@ -217,7 +217,7 @@ def test_costs_of_linear_answers_grow_with_their_work():
 
 
 def resonance(scene: Scene, time: float) -> np.ndarray:
-    """Return the force of wave pairs on every mode, by loops over pairs, modes and contacts.
+    """Return the forces of wave pairs on every mode, by loops over pairs, modes and contacts.
 
     A contact of stiffness k and overlap D has the force k s + k (delta - 1) s^2 / (2 D), s how much
     closer it is.
@@ -267,8 +267,8 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
                 for beat in (omega[p] + omega[q], abs(omega[p] - omega[q])):
                     off = abs(beat - omega[m])
                     lasts = min(time, 2 / off) if off > 0 else time
-                    # the product of two cosines is half of each of these; (p, q) and (q, p) are one
-                    # pair
+                    # The product of two cosines is half of each of these; (p, q) and (q, p) are one
+                    # pair.
                     grown = abs(force) / 2 * lasts / (2 * omega[m]) * np.sqrt(2)
                     squares[0] += (shape[:, m] * grown) ** 2
                     squares[1] += (shape[:, m] * grown * omega[m]) ** 2
@@ -293,7 +293,7 @@ def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
         )
 
 
-def test_waves_in_resonance_are_those_of_few_grains_whose_force_is_curved():
+def test_resonance_matters_for_few_grains_with_a_curved_force():
     strike = Impulse(velocity=1e-7)
     for chain in (LOADED.replace(exponent=1.0), Chain(grains=13, diameter=1e-3)):
         scene = Scene(chain=chain, excitation=strike, duration=1e-3)
@@ -304,7 +304,7 @@ def test_waves_in_resonance_are_those_of_few_grains_whose_force_is_curved():
 
 
 def test_a_drive_is_one_of_the_waves_in_resonance():
-    """The steady motion that a slow drive makes beats with the free waves.
+    """The steady motion by a slow drive beats with the free waves.
 
     Four times as much for twice the drive.
     """
@@ -317,11 +317,11 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
     np.testing.assert_allclose(two, 4 * one, rtol=1e-9, atol=0)
 
 
-# --- what is known before a run
+# --- estimates before a run
 
 
-def test_the_expected_error_of_linear_theory_goes_like_the_strike_and_the_curvature():
-    """In proportion to both, and to the root of the time; to the time where something acts."""
+def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
+    """The error is proportional to both, and to the root of time, or to time with a forcing."""
     scene = struck(1e-7, gravity=0.0, top_load=1e-2)
     expected = model_error.expected_error(scene)
     assert 0 < expected < 1
@@ -347,7 +347,7 @@ def test_the_expected_error_of_linear_theory_goes_like_the_strike_and_the_curvat
         assert model_error.may_open(scene.replace(excitation=strike)) == opens
 
 
-def test_how_much_grains_differ():
+def test_relative_scatter_of_grains():
     chain = Chain(grains=3, diameter=1e-3, masses=[1e-6, 4e-6, 2e-6], contact_constants=[1e9, 1e9])
     assert model_error.unlike(chain) == pytest.approx(
         {"masses": 0.75, "contact_constants": 0.0}, rel=1e-12
@@ -355,8 +355,8 @@ def test_how_much_grains_differ():
     assert model_error.unlike(Chain(grains=1, diameter=1e-3, bottom="wall")) == {"masses": 0.0}
 
 
-def test_how_far_a_train_of_waves_travels_at_its_largest_strain():
-    """In a uniform chain all the way to the farther end.
+def test_travel_time_of_a_wave_train_at_its_largest_strain():
+    """In a uniform chain the train travels to the farther end.
 
     In a column as far as its strain, less and less, counts.
     """
@@ -388,8 +388,8 @@ def test_the_fastest_of_chain_and_excitation():
     assert slow.linear_frequency == EDGE
 
 
-def test_where_a_solution_is_looked_at_between_its_samples():
-    """All over the run but never evenly, and from half a radian on.
+def test_evaluation_times_between_samples():
+    """The times are spread over the run, never evenly spaced, from half a radian on.
 
     Every half radian where contacts may open.
     """
@@ -415,8 +415,8 @@ def test_where_a_solution_is_looked_at_between_its_samples():
     assert close[-1] + close[1] == pytest.approx(open_.duration, rel=1e-9)
 
 
-def test_samples_may_be_close_enough_to_need_no_other_look():
-    """One a radian where nothing can open.
+def test_close_samples_need_no_other_evaluation_times():
+    """One sample per radian suffices if no contact can open.
 
     Two where something may, and then every opening is seen.
     """
@@ -440,13 +440,14 @@ def test_samples_may_be_close_enough_to_need_no_other_look():
 
 
 @pytest.mark.parametrize("made", [Bessel(), Continuum()])
-def test_the_model_error_of_a_closed_form_is_that_of_the_linear_chain_and_its_own(made):
+def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made):
     chain = Chain(grains=60, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=3e-5, samples=401)
     formula = simulate(scene, made, 0.999, on_miss="warn")
     exact = simulate(scene, "chebyshev", 0.9)
     own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
-    # the continuum is 2.5 times the true motion off, of which 2 says that nothing is known
+    # The continuum differs by 2.5 times the true motion; an estimate of 2 means that nothing is
+    # known.
     stated = min(own + exact.error_estimate.model, LARGEST_ERROR)
     assert formula.error_estimate.model == pytest.approx(stated, rel=1e-3)
     cost = formula.cost
@@ -455,14 +456,14 @@ def test_the_model_error_of_a_closed_form_is_that_of_the_linear_chain_and_its_ow
     assert cost.estimate_s > 0
 
 
-def test_what_closed_forms_know_beforehand():
-    """Nothing, unless all contacts are equally stiff and the end is out of reach."""
+def test_expected_errors_of_closed_forms():
+    """The error is unknown unless contacts are equal and the end is out of reach."""
     column = struck(1e-7)
     for made in (Bessel(), Continuum()):
         candidate = made.propose(column, 0.9)
         assert np.isnan(candidate.model_error)
         assert candidate.active_grains == 40
-        assert made.part(column) is column.fine  # the whole, not the light cone
+        assert made.part(column) is column.fine  # The whole scene, not the light cone.
         assert not made.batches
     loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
     series = Chebyshev().propose(loaded.reached, 0.9)
@@ -472,7 +473,7 @@ def test_what_closed_forms_know_beforehand():
     assert np.isnan(Bessel().propose(back, 0.9).model_error)
 
 
-def test_a_look_finds_less_than_was_expected_before_it():
+def test_a_measured_model_error_is_below_the_expected_one():
     scene = struck(1e-8, gravity=0.0, top_load=1e-2)
     for made in (Modes(), Chebyshev()):
         candidate = made.propose(scene, 1e-6)
@@ -495,7 +496,7 @@ ACTING = {
 
 
 @pytest.mark.parametrize("kind", ACTING)
-def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
+def test_the_model_error_of_forced_motion(kind: str):
     top = "wall" if kind == "wall" else "free"
     chain = Chain(
         grains=20, material="steel", diameter=5e-3, gravity=0, top_load=5.0, top=top, bottom="wall"
@@ -511,8 +512,8 @@ def test_what_linear_theory_leaves_out_of_a_motion_that_is_forced(kind: str):
     assert error <= answer.error_estimate.model < 6 * error
 
 
-def test_what_linear_theory_leaves_out_of_a_train_of_waves():
-    """Its crests gain on its troughs, by (delta - 1) s omega t / 4 of it.
+def test_the_model_error_of_a_wave_train():
+    """Crests overtake troughs by (delta - 1) s omega t / 4.
 
     The estimate covers that, and is no bound.
     """

@@ -30,11 +30,11 @@ from lmpchain.stability import find
 from lmpchain.theory.modes import between, eigenmodes
 
 LINEAR = ("modes", "chebyshev", "bessel", "continuum")
-MOST_POINTS = 40_000  # of time, at which the largest motion is looked for
+MOST_POINTS = 40_000  # Number of times at which the largest motion is searched.
 
 
 def drawn(seed: int) -> Scene:
-    """Return a compressed chain of any exponent and ends, moved in any way, recorded at will."""
+    """Return a compressed chain with any exponent, ends, motion and recording."""
     rng = np.random.default_rng(seed)
     while True:
         try:
@@ -87,26 +87,26 @@ def _drawn(rng: np.random.Generator) -> Scene:
         excitation = Drive(amplitude=strength * length * 0.3, frequency=frequency / (2 * np.pi))
     samples = int(rng.choice([2, 3, 4, 5, 11, 51, 101, 1001]))
     duration = 10 ** rng.uniform(-0.5, 3 if rng.random() < 0.5 else 2) / edge * 6
-    if rng.random() < 0.25:  # sampled at the same phase of one oscillation
+    if rng.random() < 0.25:  # Samples at equal phases of one oscillation.
         half = np.pi / frequency
         duration = half * (samples - 1) * max(1, round(duration / half / (samples - 1)))
     return Scene(chain=chain, excitation=excitation, duration=float(duration), samples=samples)
 
 
 class Truth(NamedTuple):
-    """The motion in the samples, (2, T, N), and its largest values at any time, (2,)."""
+    """Motion at the samples, (2, T, N), and its largest values at any time, (2,)."""
 
     motion: np.ndarray
     scale: np.ndarray
 
     def error(self, answer: lmpchain.Trajectory) -> float:
-        """Return the error of an answer, as the package defines it."""
+        """Return the error of a run as defined by the package."""
         found = np.array([answer.displacement, answer.velocity])
         return float((np.abs(found - self.motion).max((1, 2)) / self.scale).max())
 
 
 def truth(scene: Scene) -> Truth | None:
-    """Return the motion by the native engine at 1e-10; None where it cannot be had."""
+    """Return the motion by the native engine at 1e-10; None if this is impossible."""
     span = scene.duration * max(scene.chain.band_edge, scene.excitation.fastest)
     finer = int(
         np.clip(np.ceil(4 * span / (scene.samples - 1)), 1, max(1, MOST_POINTS // scene.samples))
@@ -125,7 +125,7 @@ def truth(scene: Scene) -> Truth | None:
 
 
 class Trial(NamedTuple):
-    """One answer to a random scene: the engine, its estimate and the true error."""
+    """One solution of a random scene: the engine, its estimate and the true error."""
 
     seed: int
     engine: str
@@ -137,7 +137,7 @@ class Trial(NamedTuple):
 
 
 def trials(seed: int) -> list[Trial]:
-    """Return the answers of every linear engine, and of "auto" where that is one of them."""
+    """Return the solutions of all linear engines, and of "auto" if it chose one of them."""
     scene = drawn(seed)
     rng = np.random.default_rng([seed, 1])
     known = truth(scene)
@@ -186,7 +186,7 @@ def trials(seed: int) -> list[Trial]:
 
 
 def springs() -> Scene:
-    """Return springs between a wall and a held grain, of which one opens between two samples."""
+    """Return springs between a wall and a fixed grain, one of which opens between two samples."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
     unit = float(
         chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
@@ -195,8 +195,8 @@ def springs() -> Scene:
     return Scene(chain=chain, excitation=strike, duration=978 / chain.band_edge, samples=5)
 
 
-def test_springs_that_open_between_samples_are_left_to_eq_1():
-    """Between the samples a contact opens, where Eq. (3) is no longer Eq. (1)."""
+def test_springs_that_open_between_samples_are_solved_by_eq_1():
+    """A contact opens between the samples, where Eq. (3) differs from Eq. (1)."""
     scene = springs()
     known = truth(scene)
     assert known
@@ -212,8 +212,8 @@ def test_springs_that_open_between_samples_are_left_to_eq_1():
         assert t.error_estimate.model > known.error(t) / 3
 
 
-def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
-    """A run of 10^6 periods is not looked at.
+def test_linear_theory_is_rejected_for_springs_that_cannot_be_resolved():
+    """A run of 10^6 periods is not evaluated in full.
 
     It may be right, and is not said to be, unless the energy says so.
     """
@@ -231,8 +231,8 @@ def test_springs_that_nobody_can_look_at_for_so_long_are_not_trusted():
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
-    """The bound on the strain follows from the quadratic form, and the linear motion obeys it."""
+def test_no_contact_exceeds_the_energy_bound_on_its_strain(seed):
+    """The bound follows from the quadratic form, and the linear motion satisfies it."""
     scene = next(s for s in map(drawn, range(100 * seed, 100 * seed + 100)) if not s.drive)
     chain = scene.chain
     contacts = scene.chain.contacts
@@ -258,7 +258,7 @@ def test_no_contact_is_stretched_beyond_what_the_energy_allows(seed):
 @pytest.mark.parametrize("samples", [2, 3, 5])
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, samples):
-    """An oscillation that is sampled where it is at rest.
+    """The oscillation is sampled where it is at rest.
 
     What is off there is no large part of nothing.
     """
@@ -277,7 +277,7 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
 
 @pytest.mark.parametrize("seed", range(60, 75))
 def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
-    """However seldom it is recorded: never above it, and never far below."""
+    """For any number of samples, the scale is at most the largest motion, and never far below."""
     scene = drawn(seed)
     seldom = Scene(
         **scene.given()
@@ -294,7 +294,7 @@ def test_the_scale_of_errors_is_the_largest_motion_of_the_run(seed):
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 @pytest.mark.parametrize("length", [0.2, 1.0, 4.0])
 def test_waves_in_resonance_add_up(engine, length):
-    """In four grains below a driven one, the third mode and the drive are near to force the fourth.
+    """In four grains below a driven one, the third mode and the drive nearly force the fourth mode.
 
     In four grains below a driven one, the third mode and the drive force the fourth, at 1.005 of
     its frequency.
@@ -321,8 +321,8 @@ def test_waves_in_resonance_add_up(engine, length):
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("kind", ["packet", "drive"])
-def test_waves_that_travel_far_grow_steeper(kind):
-    """A crest is faster than a trough all the way, unlike signs that change at each grain."""
+def test_waves_that_travel_far_become_steeper(kind):
+    """A crest is always faster than a trough, unlike strains of alternating sign."""
     grains = 1500
     chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
     hop = np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
@@ -355,8 +355,8 @@ def _linear(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     ("amplitude", "frequency"),
     [(1.5e-9, 3e3), (1e-9, 1e4), (3e-10, 1e4), (1e-10, 3e4), (3e-10, 3e4)],
 )
-def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency):
-    """A look, the run and stability say the same.
+def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequency):
+    """Evaluation, run and stability give the same estimate.
 
     At least a third of the truth, at most five times.
 
@@ -386,8 +386,8 @@ def test_one_estimate_of_linear_theory_for_a_driven_column(amplitude, frequency)
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-def test_what_linear_engines_say_of_random_scenes():
-    """No answer of "auto" is above its tolerance; in a thousand estimates one is below a third.
+def test_estimates_of_linear_engines_on_random_scenes():
+    """No run of "auto" exceeds its tolerance; one of a thousand estimates is below a third.
 
     Nine in ten are below seven times the truth: where waves cancel in few samples, estimates do not
     know.

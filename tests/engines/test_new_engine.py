@@ -1,4 +1,4 @@
-"""A new engine is a module of its own and a line in the registry.
+"""A new engine is a separate module and a line in the registry.
 
 Nothing else knows one engine from another.
 """
@@ -22,7 +22,7 @@ REGISTERED = engines.names()
 
 
 class Oscillator(Engine):
-    """One grain on one spring that stays pressed: Eq. (1) solved by a sine."""
+    """One grain on a spring that stays compressed: Eq. (1) solved by a sine."""
 
     name = "oscillator"
     equation = 1
@@ -30,7 +30,7 @@ class Oscillator(Engine):
     start_up_s = 1e-6
 
     def refuses(self, scene):
-        """Return why this is not one grain on one spring."""
+        """Return the reason why a scene is not one grain on one spring."""
         if (
             scene.chain.movable != 1
             or scene.chain.exponent != 1
@@ -47,10 +47,10 @@ class Oscillator(Engine):
         return Proposal(self.name, self.equation, steps, grains, 0.0, ROUNDING, self.start_up_s)
 
     def refine(self, candidate, error, tolerance):
-        """Nothing is better than the exact solution."""
+        """Return None, because the exact solution cannot be improved."""
 
     def start(self, scenes, candidate, state=None):
-        """Start one scene."""
+        """Start a run of one scene."""
         return Swing(scenes[0], int((state or {"sample": 0})["sample"]))
 
     def describe(self, scene, candidate):
@@ -59,14 +59,14 @@ class Oscillator(Engine):
 
 
 class Swing(Run):
-    """Samples of the sine, two at a time."""
+    """A run with the samples of the sine, two at a time."""
 
     def __init__(self, scene, sample):
         self.scene = scene
         self.sample = sample
 
     def blocks(self):
-        """Yield the answer."""
+        """Yield the solution in blocks."""
         chain = self.scene.chain
         omega = chain.band_edge
         (u, v) = (x[0] for x in self.scene.initial())
@@ -81,11 +81,11 @@ class Swing(Run):
 
     @property
     def progress(self):
-        """Part of the samples done."""
+        """Fraction of the samples that are done."""
         return self.sample / self.scene.samples
 
     def errors(self):
-        """Return the rounding."""
+        """Return the rounding error."""
         return [ErrorBudget(0.0, ROUNDING, 1.0)]
 
     def cost(self):
@@ -93,11 +93,11 @@ class Swing(Run):
         return Cost(1e-6, 0.0, 0.0, self.scene.samples, 0, self.scene.chain.grains, "sine", 0.0, 1)
 
     def state(self):
-        """Return the progress."""
+        """Return the number of finished samples."""
         return {"sample": np.array(self.sample)}
 
     def close(self):
-        """There is nothing to release."""
+        """Do nothing, because there are no resources."""
 
 
 @pytest.fixture
@@ -114,7 +114,7 @@ def spring(monkeypatch: pytest.MonkeyPatch) -> Scene:
     )
 
 
-def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
+def test_it_is_used_by_name_and_chosen_where_it_is_cheapest(spring: Scene):
     native = simulate(spring, "native", 1e-12)
     named = simulate(spring, "oscillator")
     chosen = simulate(spring)
@@ -134,20 +134,20 @@ def test_it_answers_by_name_and_is_chosen_where_it_is_cheapest(spring: Scene):
     assert lmpchain.plan(two).engine == "native"
 
 
-def test_it_joins_auto_only_if_it_says_so(spring: Scene, monkeypatch: pytest.MonkeyPatch):
+def test_it_joins_auto_only_on_request(spring: Scene, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Oscillator, "auto", "never")
     assert {each.engine for each in lmpchain.plan(spring).candidates} == set(REGISTERED)
     assert simulate(spring).engine != "oscillator"
     monkeypatch.setattr(Oscillator, "auto", "last")
     *_, one, other = lmpchain.plan(spring).candidates
     assert (one.engine, other.engine) == ("lammps", "oscillator")
-    assert "only if asked for by name" in other.why
+    assert "only if requested by name" in other.why
     for name in REGISTERED:
         monkeypatch.setattr(engines.class_of(name), "refuses", lambda *_: [("grains", "not mine")])
     assert simulate(spring).engine == "oscillator"
 
 
-def test_refusals_name_it_where_it_can_do_more(spring: Scene, monkeypatch: pytest.MonkeyPatch):
+def test_refusals_suggest_it_where_it_supports_more(spring: Scene, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(Oscillator, "dissipates", True)
     damped = spring.replace(chain=spring.chain.replace(damping={"drag": 1.0}))
     cure = "leave damping out, or use native, modes, oscillator or lammps"
@@ -176,7 +176,7 @@ def test_it_works_in_a_run_folder(spring: Scene, tmp_path):
     assert np.array_equal(resumed.velocity, plain.velocity)
 
 
-def test_it_answers_a_sweep(spring: Scene, tmp_path):
+def test_it_solves_a_sweep(spring: Scene, tmp_path):
     speed = spring.excitation.velocity
     source = {"scene": spring, "engine": "oscillator", "keep": ["velocity"]}
     swept = lmpchain.sweep(

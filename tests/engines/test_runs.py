@@ -23,12 +23,12 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=4e-5, sam
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    """Have four samples in a block."""
+    """Make blocks of four samples."""
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
-def test_what_engines_are():
-    """The number of their equation in the paper, and what they share, need or take together."""
+def test_attributes_of_engines():
+    """The attributes are the equation number of the paper and supported features."""
     engines = {
         engine.name: (engine.equation, engine.batches, engine.whole, engine.ranks_of_mpi)
         for engine in (Native(), Lammps(), Modes(), Chebyshev(), Bessel(), Continuum())
@@ -47,8 +47,8 @@ def test_what_engines_are():
 
 
 @pytest.mark.parametrize("integrator", METHODS)
-def test_what_a_run_has_cost(integrator):
-    """Steps divide the time between samples; each has the evaluations of its method."""
+def test_the_cost_of_a_run(integrator):
+    """Steps divide the time between samples, and each step has the evaluations of its method."""
     interval = SCENE.duration / 20
     t = simulate(SCENE, Native(integrator, step=interval / 7.5))
     cost = t.cost
@@ -63,14 +63,14 @@ def test_what_a_run_has_cost(integrator):
     assert exact.cost.steps == 160
 
 
-def test_what_a_run_in_lammps_has_cost():
+def test_the_cost_of_a_lammps_run():
     t = simulate(SCENE, Lammps("rkn6", step=SCENE.duration / 160))
     assert (t.cost.steps, t.cost.force_evaluations) == (160, 160 * METHODS["rkn6"].evaluations)
     assert (t.cost.integrator, t.cost.active_grains) == ("rkn6", 10)
 
 
 @pytest.mark.parametrize("engine", [Native(step=2e-8), Lammps("rkn6", step=1e-7)])
-def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
+def test_a_run_continues_from_any_block_with_the_same_bits(engine, small_blocks):
     candidate = engine.propose(SCENE, 1e-6)
     run = engine.start([SCENE], candidate)
     blocks = []
@@ -78,7 +78,7 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
     progress = [run.progress]
     for block in run.blocks():
         if block.samples.stop == block.samples.start:
-            continue  # an opportunity to stop
+            continue  # An opportunity to stop.
         blocks.append(block)
         states.append(run.state())
         progress.append(run.progress)
@@ -111,8 +111,8 @@ def test_a_run_goes_on_from_any_block_with_the_same_bits(engine, small_blocks):
             engine.start([SCENE], candidate, spoilt)
 
 
-def test_distances_of_runs_are_those_of_answers_at_their_steps():
-    """The answer from that at twice the step, and that from the one at four times."""
+def test_differences_of_auxiliary_runs_equal_those_of_single_runs():
+    """The differences are between steps h and 2h, and between 2h and 4h."""
     step = SCENE.duration / 160
     engine = Native("verlet", step=step)
     run = engine.start([SCENE], engine.propose(SCENE, 1e-6))
@@ -133,8 +133,8 @@ def test_distances_of_runs_are_those_of_answers_at_their_steps():
     assert run.monitor.closest[0] > 0
 
 
-def test_a_run_that_breaks_down_says_when_and_with_which_steps():
-    """Steps are stable at rest, and not where a strike makes a contact stiffer."""
+def test_a_breakdown_is_reported_with_its_time_and_step():
+    """Steps are stable at rest, but not after a strike stiffens a contact."""
     step = 1.9 / CHAIN.band_edge
     scene = SCENE.replace(excitation=Impulse(velocity=1.0), duration=1e-3, samples=501)
     with pytest.raises(RunFailed) as failed:
@@ -149,7 +149,7 @@ def test_a_run_that_breaks_down_says_when_and_with_which_steps():
     assert 0 <= float(words.split(", after t = ")[1].split(" s ")[0]) < 1e-3
 
 
-def test_recorded_grains_are_columns_of_all():
+def test_recorded_grains_are_columns_of_the_full_motion():
     whole = simulate(SCENE, Native(step=2e-8))
     some = simulate(SCENE.replace(grains=[7, 2, 9]), Native(step=2e-8))
     assert np.array_equal(some.displacement, whole.displacement[:, [6, 1, 8]])
@@ -157,8 +157,8 @@ def test_recorded_grains_are_columns_of_all():
     assert some.error_estimate == whole.error_estimate
 
 
-def test_samples_that_are_interpolated_are_as_exact_as_the_others():
-    """Of a thousand samples of a calm motion few are the end of a step."""
+def test_interpolated_samples_are_as_accurate_as_others():
+    """Of a thousand samples of a smooth motion, few are at the end of a step."""
     scene = smooth(samples=1001)
     candidate = Native("rkn6").propose(scene, 1e-6)
     assert candidate.steps.stride > 1
@@ -233,8 +233,8 @@ def test_progress_in_lammps_grows_between_samples(monkeypatch):
     run.close()
 
 
-def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
-    """Weak and strong ones at the steps of the strong; one of them is at rest."""
+def test_a_batch_has_the_results_and_errors_of_its_scenes(small_blocks):
+    """Weak and strong scenes have the steps of the strong ones; one scene is at rest."""
     velocities = (1e-3, 1e-5, 8e-4)
     scenes = [SCENE.replace(excitation=Impulse(velocity=v)) for v in velocities]
     engine = Native(step=2e-8)
@@ -249,7 +249,7 @@ def test_a_batch_has_the_answers_and_errors_of_its_scenes(small_blocks):
 
 
 def test_longer_runs_are_expected_to_cost_more():
-    """In proportion to steps and grains, from a start-up on; a wave reaches few of many grains."""
+    """The cost is proportional to steps and active grains, plus the start-up."""
     engine = Native("rkn6")
     method = METHODS["rkn6"]
     scene = paper("weak", 3)

@@ -1,4 +1,4 @@
-"""The error estimate of runs of one step and of a few."""
+"""Error estimates of runs of one or a few steps."""
 
 import warnings
 from contextlib import suppress
@@ -18,7 +18,7 @@ from lmpchain.integrators.steps import Steps
 
 
 def short_scene(rng: np.random.Generator) -> Scene:
-    """Return a few grains for at most a few radians of their fastest motion, in few samples."""
+    """Return a few grains for at most a few radians of their fastest motion, with few samples."""
     grains = int(rng.integers(2, 8))
     chain = Chain(
         grains=grains,
@@ -47,7 +47,7 @@ def short_scene(rng: np.random.Generator) -> Scene:
 
 
 def check(seed: int) -> None:
-    """Hold an answer to a tolerance, or at a step of the user's, against the truth."""
+    """Compare a run with the reference, at a tolerance or at a given step."""
     rng = np.random.default_rng([2026, seed])
     scene = short_scene(rng)
     integrator = str(rng.choice(list(METHODS)))
@@ -83,7 +83,7 @@ def test_many_short_runs(seed):
 
 
 def test_one_step():
-    """Its companion must take another one: 1.6e-5 was once estimated at 1e-15."""
+    """The auxiliary run must have a different step; 1.6e-5 was once estimated as 1e-15."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2
@@ -96,8 +96,8 @@ def test_one_step():
 
 @pytest.mark.parametrize("steps", [*range(1, 11), 15, 16, 17, 24])
 @pytest.mark.parametrize("samples", [2, 3, 12])
-def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
-    """Whether or not the number of steps divides, and the estimate is within three of the truth."""
+def test_auxiliary_runs_differ_from_the_main_run_and_each_other(steps, samples):
+    """For any number of steps, the estimate is within a factor of three of the true error."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1, exponent=1.0)
     scene = Scene(
         chain=chain,
@@ -119,8 +119,8 @@ def test_companions_differ_from_the_answer_and_from_each_other(steps, samples):
         assert t.error_estimate.solver > true / 2 - 1e-15
 
 
-def test_adaptive_steps_end_where_a_run_breaks_down():
-    """Grains that are thrown at each other ever faster would ask for ever shorter steps.
+def test_adaptive_steps_end_after_a_breakdown():
+    """Grains thrown at each other ever faster would require ever shorter steps.
 
     A run that does not break down says how far off it is.
     """
@@ -156,7 +156,7 @@ def test_adaptive_steps_end_where_a_run_breaks_down():
 @pytest.mark.parametrize(
     ("integrator", "velocity"), [("rkn4", 1e-6), ("rkn4", 1e-3), ("rkn6", 1e-4), ("rkn6", 1e-3)]
 )
-def test_where_twice_the_step_is_unstable_half_of_it_shows_the_error(
+def test_an_unstable_auxiliary_run_is_replaced_by_one_at_half_the_step(
     integrator: str, velocity: float
 ):
     method = METHODS[integrator]

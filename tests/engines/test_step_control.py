@@ -1,4 +1,4 @@
-"""From attempt to attempt.
+"""Step control: the sequence of attempts.
 
 When the next one is made, with which step, what all have cost, and why there is none.
 """
@@ -30,13 +30,13 @@ COST = Cost(1.0, 0.5, 0.25, 40, 280, 8, "rkn6", STEP, 1)
 
 
 def budget(truncation: float, roundoff: float = 1e-15) -> ErrorBudget:
-    """Return an error; its round-off grows to that from the third of five samples on."""
+    """Return an error whose amplified rounding reaches it from the third of five samples on."""
     amplified = roundoff * np.array([0.0, 1e-9, 1.0, 1.0, 1.0])
     return ErrorBudget(truncation, roundoff, 6.0, amplified=amplified)
 
 
 class Scripted(Engine):
-    """An engine whose runs take 1.75 s and have the errors of a script.
+    """An engine whose runs take 1.75 s and have given errors.
 
     None for one that breaks down.
     """
@@ -51,7 +51,7 @@ class Scripted(Engine):
         self.last = False
 
     def refuses(self, scene):
-        """Do everything."""
+        """Refuse nothing."""
         return []
 
     def propose(self, scene, tolerance):
@@ -59,7 +59,7 @@ class Scripted(Engine):
         return PROPOSAL
 
     def refine(self, candidate, error, tolerance):
-        """Halve the step, unless that was the last one."""
+        """Halve the step, unless it was the last attempt."""
         steps = candidate.steps
         return None if self.last else candidate.with_steps(steps.shorten(2 * steps.per_landing))
 
@@ -69,7 +69,7 @@ class Scripted(Engine):
         return ScriptedRun(self.errors.pop(0), self.now, len(scenes))
 
     def describe(self, scene, candidate):
-        """There is nothing to say."""
+        """Return no options."""
         return {}
 
 
@@ -83,7 +83,7 @@ class ScriptedRun(Run):
         self.closed = 0
 
     def blocks(self):
-        """Spend the time."""
+        """Spend the time of the run."""
         self.now[0] += 1.75
         if self.error is None:
             raise RunFailed("it broke down")
@@ -91,11 +91,11 @@ class ScriptedRun(Run):
 
     @property
     def progress(self):
-        """It is done."""
+        """Return 1, because the run is done."""
         return 1.0
 
     def errors(self):
-        """Return the error of the script, one a scene."""
+        """Return the scripted error, one for each scene."""
         return self.error if isinstance(self.error, list) else [self.error] * self.size
 
     def cost(self):
@@ -103,17 +103,17 @@ class ScriptedRun(Run):
         return COST
 
     def state(self):
-        """Return no state."""
+        """Return an empty state."""
         return {}
 
     def close(self):
-        """Count."""
+        """Count the closed runs."""
         self.closed += 1
 
 
 @pytest.fixture
 def now(monkeypatch):
-    """Have a clock that stands still but in runs."""
+    """Install a clock that advances only in runs."""
     time = [0.0]
     monkeypatch.setattr(step_control, "clock", lambda: time[0])
     return time
@@ -127,7 +127,7 @@ def solve(engine: Scripted, tolerance: float = 1e-6, scenes=(SCENE,), **options)
 
 
 def test_steps_shorten_until_the_tolerance_is_met(now):
-    """The costs of all attempts come together.
+    """The cost is the sum over all attempts.
 
     Earlier ones count to the estimate, what is around them to the setup.
     """
@@ -143,7 +143,7 @@ def test_steps_shorten_until_the_tolerance_is_met(now):
     assert outcome.cost.setup_s == pytest.approx(0.25 + 0.125 + 2 * 0.25, rel=1e-12)
 
 
-def test_of_several_scenes_the_worst_decides(now):
+def test_the_worst_of_several_scenes_decides(now):
     engine = Scripted([[budget(1e-9), budget(1e-4)], [budget(1e-9), budget(2e-9)]], now)
     outcome = solve(engine, scenes=(SCENE, SCENE))
     assert [error.truncation for error in outcome.errors] == [1e-9, 2e-9]
@@ -151,7 +151,7 @@ def test_of_several_scenes_the_worst_decides(now):
     assert len(engine.steps) == 2
 
 
-def test_a_run_that_breaks_down_is_tried_three_times(now):
+def test_a_breakdown_is_retried_three_times(now):
     engine = Scripted([None, None, budget(1e-9)], now)
     assert solve(engine).attempt.number == 3
     engine = Scripted([None, None, None, budget(1e-9)], now)
@@ -174,7 +174,7 @@ def test_a_given_step_meets_any_tolerance(now):
     assert next_attempt(Scripted([], now), SCENE, attempt, budget(0.5)) == (None, "")
 
 
-def test_where_rounding_is_the_limit_it_says_so_and_since_when(now):
+def test_a_limit_by_rounding_is_reported_with_its_time(now):
     engine = Scripted([budget(2e-9, 3.3e-6)], now)
     engine.last = True
     reason = (
@@ -191,7 +191,7 @@ def test_where_rounding_is_the_limit_it_says_so_and_since_when(now):
     assert solve(engine).missed == f"{reason}ask for less"
 
 
-def test_three_more_attempts_that_do_not_help_end_it(now):
+def test_three_attempts_without_improvement_end_the_search(now):
     truncations = (9e-3, 1e-3, 8e-3, 6.4e-3, 1e-3)
     engine = Scripted([budget(truncation) for truncation in truncations], now)
     outcome = solve(engine)
@@ -203,8 +203,8 @@ def test_three_more_attempts_that_do_not_help_end_it(now):
     )
 
 
-def test_the_best_of_attempts_that_miss_the_tolerance_is_returned(now):
-    """The second of four was the best by chance: it is made again, for others took its place."""
+def test_the_best_attempt_that_misses_the_tolerance_is_returned(now):
+    """The second of four attempts is the best by chance; it is repeated after being discarded."""
     truncations = (9e-3, 1e-3, 8e-3, 6.4e-3, 1e-3)
     engine = Scripted([budget(truncation) for truncation in truncations], now)
     outcome = solve(engine)
@@ -213,8 +213,8 @@ def test_the_best_of_attempts_that_miss_the_tolerance_is_returned(now):
     assert outcome.attempt.proposal.step == engine.steps[1]
 
 
-def test_a_refusal_returns_the_best_that_rounding_leaves():
-    """A first coarse attempt is not it: 2.7 was returned where 2e-10 can be had."""
+def test_a_refusal_returns_the_best_result_that_rounding_allows():
+    """The first coarse attempt is not the best: once 2.7 was returned instead of 2e-10."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0, exponent=1.5, bottom="wall", top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=11)
     with pytest.raises(ToleranceNotMet) as refusal:
@@ -227,8 +227,8 @@ def test_a_refusal_returns_the_best_that_rounding_leaves():
     assert "steps shorter" not in str(refusal.value)
 
 
-def test_three_attempts_that_help_do_not_end_it(now):
-    """An error that falls by more than three tenths in three attempts, however erratic."""
+def test_three_attempts_with_improvement_do_not_end_the_search(now):
+    """The error decreases by more than three tenths in three attempts, even if irregularly."""
     falling = [9e-3 * 0.88**n for n in range(7)]
     engine = Scripted([*(budget(x) for x in falling), budget(1e-8)], now)
     assert solve(engine).missed == ""
@@ -244,13 +244,13 @@ def test_there_are_at_most_twelve_attempts(now):
     assert outcome.missed.endswith("after 12 attempts at ever shorter steps: ask for less")
 
 
-def test_who_wants_the_best_answer_there_is_gets_it(now):
-    """Steps shorten until all but round-off, which is above the tolerance, is within it."""
+def test_the_best_possible_result_is_returned_on_request(now):
+    """Steps shorten until all but the rounding error, which exceeds the tolerance, is within it."""
     errors = [budget(1e-2, 3e-6), budget(1e-4, 3e-6), budget(2e-6, 3e-6), budget(1e-7, 3e-6)]
     engine = Native("rkn6")
     attempt = Attempt(engine.propose(SCENE, 1e-6), 1e-6)
     for error in errors:
-        # others go on while more than rounding can be taken away
+        # Other searches continue while the truncation error can be reduced.
         further = next_attempt(engine, SCENE, attempt, error)[0]
         assert (further is not None) == (error.truncation > error.roundoff)
         following, missed = next_attempt(engine, SCENE, attempt, error, patient=True)
@@ -263,7 +263,7 @@ def test_who_wants_the_best_answer_there_is_gets_it(now):
 
 
 def test_a_hopeless_tolerance_ends_with_the_third_attempt():
-    """Rounding alone exceeds the tolerance by far: ever shorter steps took minutes for a miss."""
+    """Rounding alone exceeds the tolerance by far; further attempts once took minutes."""
     engine = Native("rkn6")
     attempt = Attempt(engine.propose(SCENE, 1e-11), 1e-11)
     for further in (True, True, False):
@@ -276,7 +276,7 @@ def test_a_hopeless_tolerance_ends_with_the_third_attempt():
     assert "because round-off alone may make 1e-06" in missed
 
 
-def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():
+def test_a_tolerance_is_loosened_fourfold_until_it_is_met():
     asked = []
 
     def propose(tolerance):
@@ -297,8 +297,8 @@ def test_a_tolerance_is_loosened_fourfold_until_it_can_be_met():
     assert asked == [1e-3, 4e-3, 0.016, 0.064, 0.256]
 
 
-def test_a_refusal_of_the_engine_stays_with_the_attempt():
-    """Beyond the last digits nothing is promised.
+def test_a_refusal_of_the_engine_is_recorded_with_the_attempt():
+    """Accuracy beyond the last digits is not promised.
 
     With best effort the tolerance is what can be had.
     """

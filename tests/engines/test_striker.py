@@ -1,4 +1,4 @@
-"""A load on a grain below the first, so that those above only touch: strikers.
+"""A load below the first grain, so that upper grains only touch: strikers.
 
 The reference is the Taylor series of `helpers.taylor_series`, which finds the equilibrium itself.
 """
@@ -46,7 +46,7 @@ def scene(changes=None, excitation=HIT, **keys) -> Scene:
     return Scene(chain=Chain(**PTFE | (changes or {})), excitation=excitation, **options)
 
 
-def test_contacts_above_the_load_carry_the_weight_alone():
+def test_contacts_above_the_load_carry_only_the_weight():
     level = Chain(**PTFE | {"load_grain": 4, "top": "wall"})
     assert np.array_equal(level.contacts.force, [0.0] * 4 + [2.38] * 11)
     assert level.equilibrium_overlap[2] == 0.0
@@ -65,7 +65,7 @@ def test_native_agrees_with_taylor_series(name):
 
 
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
-def test_a_lifted_striker_stays_where_it_is(exponent):
+def test_a_lifted_striker_remains_in_place(exponent):
     lifted = Displacement(displacement=-1e-5)
     answer = simulate(scene({"exponent": exponent}, lifted), "native", 1e-9)
     assert answer.displacement[:, 0] == pytest.approx(-1e-5, rel=1e-15)
@@ -103,7 +103,7 @@ def test_a_long_chain_is_cut_above_and_below_the_wave():
     assert cut.contacts.force[1:-1] == pytest.approx(weighed.contacts.force[150:200])
 
 
-def test_energy_counts_the_work_of_the_load():
+def test_energy_includes_the_work_of_the_load():
     answer = simulate(scene(BEAD), engine="native", tolerance=1e-11)
     energy = lmpchain.measure.energy.ledger(answer)
     assert np.abs(energy.drift).max() < 1e-9 * energy.total[0]
@@ -111,7 +111,7 @@ def test_energy_counts_the_work_of_the_load():
     assert np.ptp(parts) < 1e-9 * energy.total[0]
 
 
-def test_derivatives_by_the_load_are_those_of_differences():
+def test_derivatives_by_the_load_agree_with_differences():
     chain = Chain(**PTFE | BEAD)
 
     def struck(load: float) -> Scene:
@@ -125,7 +125,7 @@ def test_derivatives_by_the_load_are_those_of_differences():
     assert gradient["top_load"] == pytest.approx((high - low) / 2e-3, rel=1e-5)
 
 
-def test_what_is_linear_refuses_in_words():
+def test_linear_theories_reject_strikers():
     struck = scene()
     for engine in ("modes", "chebyshev", "bessel"):
         with pytest.raises(InputError, match="grain 1 only touches grain 2"):
@@ -154,7 +154,7 @@ def test_what_is_linear_refuses_in_words():
         ),
     ],
 )
-def test_a_load_on_no_grain_that_moves_is_refused(changes, message):
+def test_a_load_on_a_fixed_or_missing_grain_is_rejected(changes, message):
     with pytest.raises(InputError, match=message):
         Chain(**PTFE | changes)
 
@@ -169,5 +169,5 @@ def test_scene_files_and_batches_keep_the_grain(tmp_path):
     for one, answer in zip(scenes, together, strict=True):
         alone = simulate(one, engine="native", tolerance=1e-9)
         assert np.abs(alone.velocity - answer.velocity).max() < 1e-9
-    # a load on grain 1, said or not, is one scene
+    # A load on grain 1, given or by default, makes the same scene.
     assert scenes[0].chain == Chain(**{k: v for k, v in (PTFE | BEAD).items() if k != "load_grain"})

@@ -1,4 +1,4 @@
-"""Where something acts all along: estimates against Taylor series, for few and many samples."""
+"""Forced scenes: error estimates against Taylor series, for few and many samples."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from helpers.taylor_series import reference
 
 from lmpchain import Chain, Drive, Force, Scene, simulate
 
-# two grains between walls, the lower one pushed for half of the time: the push ends in a corner
+# Two grains between walls; the lower one is pushed for half of the time, so that the push ends in a
+# corner.
 PUSHED = Scene(
     chain=Chain(
         grains=2, diameter=1e-3, gravity=0, exponent=1, top_load=1e-2, top="wall", bottom="wall"
@@ -32,7 +33,7 @@ def test_a_push_that_ends_between_samples(samples: int, tolerance: float):
 
 @pytest.mark.parametrize("number", range(8))
 def test_half_sines_of_any_length_with_two_samples(number: int):
-    """Their corner cuts the steps of all runs where it is, not where these would end."""
+    """The corner cuts the steps of all runs at its time, not at the end of a step."""
     rng = np.random.default_rng([5, number])
     edge = PUSHED.chain.band_edge
     push = PUSHED.excitation.replace(duration=float(10 ** rng.uniform(-0.1, 1.0)) * np.pi / edge)
@@ -46,7 +47,7 @@ def test_half_sines_of_any_length_with_two_samples(number: int):
 
 @pytest.mark.parametrize("holds", [True, False])
 def test_behind_the_last_point_of_a_steep_curve(holds: bool):
-    """It went on for 1e-12 of its time, 1e-11 of its height, whatever the tolerance."""
+    """The end of the curve was once delayed by 1e-12 of its time, 1e-11 of its height."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0, top_load=1.0, top="wall", bottom="wall")
     times = np.linspace(0, 30, 61) / chain.band_edge
     values = np.cos(np.arange(61) * 2.0) - 1.0

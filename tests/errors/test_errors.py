@@ -1,4 +1,4 @@
-"""What error lines show of values, and which tolerances there are."""
+"""Values in error messages, and valid tolerances."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from lmpchain.errors import (
     shown,
 )
 
-WIDEST = 80  # letters of a value in an error line: that of a terminal
+WIDEST = 80  # Letters of a value in an error line, the width of a terminal.
 
 
 def test_texts_are_shown_up_to_the_width_of_a_terminal():
@@ -22,7 +22,7 @@ def test_texts_are_shown_up_to_the_width_of_a_terminal():
 
 
 class Mute:
-    """A value that cannot say what it is."""
+    """A value whose `repr` raises an error."""
 
     def __repr__(self) -> str:
         raise ValueError
@@ -33,7 +33,7 @@ class Talker:
         return "<" + "talk " * 100 + ">"
 
 
-def test_values_are_shown_as_python_writes_them_and_never_longer_than_a_line():
+def test_values_are_shown_as_in_python_within_one_line():
     for value in (1.5, "glass", [0.5, None], True, "x" * (WIDEST - 2), 10 ** (WIDEST - 1)):
         assert shown(value) == repr(value)
     for value in ("x" * (WIDEST - 1), 10**WIDEST, Talker(), list("abcdefghij")):
@@ -43,7 +43,7 @@ def test_values_are_shown_as_python_writes_them_and_never_longer_than_a_line():
     assert shown(10**5000) == "a int too long to show"
 
 
-def test_keys_are_cut_short_unless_they_are_paths():
+def test_keys_are_shortened_unless_they_are_paths():
     path = "/data/" + "run" * 100
     long = "g" * 200
     error = InputError([(path, "is there"), (long, "unknown"), ("a" * 85 + "/b", "unknown")])
@@ -55,7 +55,7 @@ def test_keys_are_cut_short_unless_they_are_paths():
     assert isinstance(error, LmpchainError)
 
 
-def test_a_missed_tolerance_carries_the_answer():
+def test_a_missed_tolerance_contains_the_trajectory():
     error = ToleranceNotMet("too chaotic", "the trajectory")
     assert (str(error), error.reason, error.trajectory) == (
         "too chaotic",
@@ -75,7 +75,7 @@ def test_tolerances_between_0_and_1(tolerance: float):
 @pytest.mark.parametrize(
     "tolerance", [0, 0.0, 1, 1.0, 1.5, -1e-6, float("nan"), True, False, "1e-6", None]
 )
-def test_no_other_tolerances(tolerance: object):
+def test_invalid_tolerances(tolerance: object):
     with pytest.raises(InputError) as caught:
         check_tolerance(tolerance)
     message = f"must be between 0 and 1 (got {tolerance!r})"

@@ -1,6 +1,4 @@
-"""Largest values and fronts of one body whose displacement, velocity,
-acceleration and jerk are given.
-"""
+"""Largest values and fronts of one body, given its motion and derivatives."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +21,7 @@ from lmpchain.trajectory.between.maxima import Window, estimate, events_of, leve
 
 
 def direct(function: Callable) -> Callable:
-    """Return a function that calls one which only compiled functions can call."""
+    """Return a Python function for a function that only compiled functions can call."""
 
     @numba.njit
     def call(*arguments: Any) -> Any:
@@ -41,14 +39,14 @@ find_roots = direct(hermite.roots)
 
 
 def polynomial(path: np.ndarray, kind: int, h: float, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients of the polynomial behind sample i and of its derivative."""
+    """Return the coefficients of the polynomial after sample i, and of its derivative."""
     work = hermite.scratch()
     count = fill_polynomial(path, kind, h, i, work)
     return work[hermite.C, :count], work[hermite.D, : count - 1]
 
 
 def roots(c: np.ndarray) -> np.ndarray:
-    """Return where a polynomial changes sign, from its Bernstein coefficients."""
+    """Return the sign changes of a polynomial, given its Bernstein coefficients."""
     places = np.zeros(8)
     return places[: find_roots(c, c.size, places, hermite.scratch())]
 
@@ -75,7 +73,7 @@ def bernstein(curve: Polynomial, degree: int) -> np.ndarray:
 
 
 def path_of(values: np.ndarray, kind: int, h: float) -> np.ndarray:
-    """Return the path of a body, from u, v, a, j and the error of a at each sample (5, T)."""
+    """Return the path of a body, given u, v, a, j and the error of a at each sample (5, T)."""
     path = np.zeros((8, values.shape[1]))
     path[:4] = values[:4]
     path[hermite.DOUBT, :-1] = np.maximum(values[4, :-1], values[4, 1:])
@@ -84,7 +82,7 @@ def path_of(values: np.ndarray, kind: int, h: float) -> np.ndarray:
 
 
 def body_of(values: np.ndarray, h: float) -> tuple[SampledBlock, np.ndarray, np.ndarray]:
-    """Return samples, number and derivatives of one grain, from u, v, a, j and the error of a."""
+    """Return samples, number and derivatives of one grain, given u, v, a, j and the error of a."""
     path = path_of(values, hermite.VELOCITY, h)
     u, v = values[:2, :, None]
     contacts = np.array([np.zeros(2), np.zeros(2), np.ones(2)])
@@ -156,8 +154,7 @@ def block_of(
     known: Any = True,
     imposed: ImposedSamples | None = None,
 ) -> SampledBlock:
-    """Return samples (T, C) of a chain from constants, forces and
-    overlaps of its contacts (3, N+1).
+    """Return samples (T, C) of a chain, given constants, forces and overlaps of contacts (3, N+1).
 
     `columns` are those of all bodies, walls included, or marks.
     """

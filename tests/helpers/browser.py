@@ -1,6 +1,4 @@
-"""Headless Chromium, steered through a pipe by the DevTools protocol;
-nothing but the browser is needed.
-"""
+"""Headless Chromium, controlled through a pipe by the DevTools protocol, without other tools."""
 
 import base64
 import json
@@ -25,7 +23,7 @@ FLAGS = (
 
 
 def installed() -> str | None:
-    """Return the path of a browser, if there is one."""
+    """Return the path of an installed browser, or None."""
     return next(filter(None, map(shutil.which, NAMES)), None)
 
 
@@ -37,7 +35,8 @@ class Browser:
         self._said = said
         self._number = 0
         self._session = {}
-        self.remarks: list[dict[str, Any]] = []  # what the console and the security policy say
+        # Messages of the console and of the security policy.
+        self.remarks: list[dict[str, Any]] = []
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         self._session = {
             "sessionId": self.call("Target.attachToTarget", targetId=target, flatten=True)[
@@ -74,7 +73,7 @@ class Browser:
         return answer
 
     def open(self, path: Path, width: int, height: int, scheme: str = "light") -> None:
-        """Open a file in a window of this size, as a reader who prefers light or dark pages."""
+        """Open a file in a window of this size, with a light or a dark colour scheme."""
         self.remarks.clear()
         self.call(
             "Emulation.setDeviceMetricsOverride",
@@ -92,7 +91,7 @@ class Browser:
             pass
 
     def run(self, script: str, frame: str = "") -> Any:
-        """Return the value of an expression in the page; a promise is waited for.
+        """Return the value of an expression in the page, after waiting for a promise.
 
         With `frame` in the frame whose address has this in it.
         """
@@ -108,7 +107,7 @@ class Browser:
         return answer["result"].get("value")
 
     def _context(self, address: str) -> int:
-        """Return where scripts of ours run in a frame: its page is seen, its variables are not."""
+        """Return an isolated script context in a frame, without access to its variables."""
         frames = self.call("Page.getFrameTree")["frameTree"].get("childFrames", [])
         (number,) = (
             each["frame"]["id"] for each in frames if address in each["frame"].get("url", "")
@@ -123,7 +122,7 @@ class Browser:
             time.sleep(0.05)
 
     def press(self, key: str, text: str = "") -> None:
-        """Press and let go a key."""
+        """Press and release a key."""
         name = {"key": key, "code": {" ": "Space"}.get(key, key)}
         code = {
             "Tab": 9,
@@ -143,7 +142,7 @@ class Browser:
         self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
 
     def click(self, x: float, y: float) -> None:
-        """Press and let go the button of the pointer at a place."""
+        """Press and release the mouse button at a place."""
         button = {"x": x, "y": y, "button": "left", "clickCount": 1}
         self.call("Input.dispatchMouseEvent", type="mousePressed", **button)
         self.call("Input.dispatchMouseEvent", type="mouseReleased", **button)
@@ -156,8 +155,8 @@ class Browser:
 
 @contextmanager
 def browser(folder: Path) -> Iterator[Browser]:
-    """Start a browser that keeps its files in a folder, and end it."""
-    ours, theirs = os.pipe(), os.pipe()  # it reads from 3 and writes to 4
+    """Start a browser with its files in a folder, and end it at exit."""
+    ours, theirs = os.pipe(), os.pipe()  # The browser reads from 3 and writes to 4.
     given = os.fdopen(ours[1], "wb")
     said = os.fdopen(theirs[0], "rb")
     script = f'exec "$0" "$@" 3<&{ours[0]} 4>&{theirs[1]}'

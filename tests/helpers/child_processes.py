@@ -1,6 +1,4 @@
-"""Commands as processes of their own: started, watched by what they have
-done so far, stopped and read.
-"""
+"""Commands in separate processes: start, observation, stop and output."""
 
 import os
 import pty
@@ -24,7 +22,8 @@ from lmpchain.util import mpi
 
 COMMAND = (sys.executable, "-m", "lmpchain.cli")
 HURRIED = (sys.executable, str(Path(__file__).with_name("hurried.py")))
-PATIENCE = 600.0  # s, after which a process is taken to hang: on a busy machine everything is slow
+# Time in s after which a process counts as hanging; everything is slow on a busy machine.
+PATIENCE = 600.0
 
 
 def start(
@@ -54,7 +53,7 @@ def finish(*words: object, **options) -> tuple[int, str]:
 
 
 class Fork:
-    """A command in a fork of this process, which saves the time to import and compile."""
+    """A command in a fork of this process, which avoids imports and compilation."""
 
     def __init__(
         self,
@@ -79,7 +78,7 @@ class Fork:
         os.setsid()
         os.environ.clear()
         os.environ.update(environment)
-        tempfile.tempdir = None  # anew from the environment
+        tempfile.tempdir = None  # The folder is determined anew from the environment.
         with open(self._said, "w", encoding="utf-8", buffering=1) as file:
             for number in (1, 2):
                 os.dup2(file.fileno(), number)
@@ -89,7 +88,7 @@ class Fork:
         os._exit(code)
 
     def poll(self) -> int | None:
-        """Return its exit code once it has ended."""
+        """Return the exit code of the process after its end, otherwise None."""
         return self._process.exitcode
 
     def ended(self) -> tuple[int | None, str]:
@@ -99,7 +98,7 @@ class Fork:
 
 
 def until(condition: Callable[[], object], every: float = 0.01) -> None:
-    """Wait until something is so."""
+    """Wait until a condition is true."""
     deadline = time.monotonic() + PATIENCE
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -122,9 +121,7 @@ def at_work(folder: Path, process: subprocess.Popen[str], samples: int = 1) -> N
 
 
 def busy(process: int, seconds: float) -> None:
-    """Wait until a process has computed for so long with LAMMPS loaded, however
-    little of the cores it is given.
-    """
+    """Wait until a process with LAMMPS has used this CPU time, however busy the machine is."""
     watched = psutil.Process(process)
 
     def spent() -> float:
@@ -140,7 +137,7 @@ def busy(process: int, seconds: float) -> None:
 def on_a_terminal(
     *command: object, **options
 ) -> Iterator[tuple[subprocess.Popen[str], Callable[[str], str]]]:
-    """Run a command whose stderr is a terminal, where it shows its progress.
+    """Run a command whose stderr is a terminal, so that it shows its progress.
 
     Yields the process and a function that reads from the terminal until a pattern is found and
     returns what was read.
@@ -168,7 +165,7 @@ def on_a_terminal(
 
 
 def same(answer: Trajectory, truth: Trajectory) -> bool:
-    """Say whether two answers agree to the last bit."""
+    """Return whether two trajectories agree to the last bit."""
     names = ("time", "displacement", "velocity", "grains")
     bits = all(
         getattr(answer, name)[:].tobytes() == getattr(truth, name)[:].tobytes() for name in names
@@ -183,7 +180,7 @@ def write(scene: Scene, folder: Path) -> Path:
 
 
 def processes(mark: str) -> list[int]:
-    """Return the processes that have this in their environment."""
+    """Return the processes with this text in their environment."""
     found = []
     for entry in Path("/proc").iterdir():
         try:

@@ -1,4 +1,4 @@
-"""A scene file, and what a command says and leaves."""
+"""A scene file, and the output and files of a command."""
 
 import re
 from pathlib import Path
@@ -25,7 +25,7 @@ def names(folder: Path) -> list[str]:
 
 
 def keys(said: Any) -> list[str]:
-    """Return the keys of the faults on stderr, and make sure that there is nothing else."""
+    """Return the keys of the faults on stderr, after checking that there is no other text."""
     found = [re.fullmatch(r"error: (\S+): \S.*", line) for line in said.err.splitlines()]
     assert found
     assert all(found), said.err

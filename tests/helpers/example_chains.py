@@ -1,4 +1,4 @@
-"""Chains that many tests share."""
+"""Chains that many tests use."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Scenes that many tests share."""
+"""Scenes that many tests use."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ from lmpchain import (
     Scene,
 )  # fmt: skip
 
-PAPER = {  # name: strike m/s, gravity m/s2
+PAPER = {  # Name: strike velocity, m/s, and gravity, m/s2.
     "fig1": (8.57e-3, 9.81),
     "fig5 10g": (8.57e-4, 98.1),
     "fig5 g": (8.57e-4, 9.81),
@@ -37,7 +37,7 @@ def paper(name: str, samples: int = 26) -> Scene:
 
 
 def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **chain: Any) -> Scene:
-    """Return a column of 1 mm beads struck on its top, with other fields of the chain."""
+    """Return a column of 1 mm beads with a strike on its top; options change the chain."""
     return Scene(
         chain=Chain(**{"grains": grains, "diameter": 1e-3} | chain),
         excitation=Impulse(velocity=velocity),
@@ -47,9 +47,7 @@ def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **c
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
-    """Return a short loaded chain struck so gently (v0* = 1e-3) that
-    nothing comes near to opening.
-    """
+    """Return a short loaded chain struck so gently (v0* = 1e-3) that no contact nearly opens."""
     chain = Chain(
         grains=grains, material=GLASS, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=exponent
     )
@@ -65,7 +63,7 @@ def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
 def random_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
 ) -> Scene:
-    """Draw a chain and an excitation, weak to strong, that `Scene` accepts."""
+    """Draw a valid chain and excitation, weak to strong."""
     while True:
         try:
             chain = _chain(rng, float(rng.choice(exponents)))
@@ -109,7 +107,7 @@ def _material(rng: np.random.Generator) -> str:
 
 
 def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[Impurity]:
-    """Draw up to three grains that differ in size, in material, or in mass alone."""
+    """Draw up to three grains that differ in size, in material, or only in mass."""
     found = []
     for grain in rng.permutation(grains)[: rng.integers(1, 4)] + 1:
         what = rng.choice(["diameter", "material", "mass"])
@@ -164,7 +162,7 @@ def _struck(rng: np.random.Generator, chain: Chain) -> Scene:
 
 
 def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
-    """Draw a sine, slow to fast, or a path through random points."""
+    """Draw a sine of any frequency, or a path through random points."""
     length, omega = _units(rng, chain, 1)
     length *= 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
     duration = rng.uniform(2, 20) / omega
@@ -184,9 +182,7 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
 def acted_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
 ) -> Scene:
-    """Draw forces, bursts, walls that move and packets, on chains of one grain and
-    more, also between given walls.
-    """
+    """Draw forces, bursts, moving walls and packets on chains of one or more grains."""
     while True:
         try:
             chain = _ended(rng, _chain(rng, float(rng.choice(exponents))))
@@ -196,7 +192,7 @@ def acted_scene(
 
 
 def _ended(rng: np.random.Generator, chain: Chain) -> Chain:
-    """Draw the constants of walls, and sometimes a single grain of the chain."""
+    """Draw the constants of walls, and sometimes reduce the chain to a single grain."""
     keys = chain.given()
     if rng.random() < 0.1 and "wall" in (chain.top, chain.bottom):
         lone = {key: value for key, value in keys.items() if key != "impurity"}
@@ -259,10 +255,7 @@ def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
 
 
 def wide_scene(rng: np.random.Generator) -> Scene:
-    """Draw from all that a user may ask: 2 to 10^5 grains, g from 0.01 to 100 times ours or none
-    with a load, exponents from 1 to 3, strikes from 1e-9 to 1 m/s of every kind, walls and
-    impurities.
-    """
+    """Draw a scene from the whole range of inputs, with 2 to 10^5 grains."""
     while True:
         try:
             return _at_speed(rng, _wide_chain(rng), 10 ** rng.uniform(-9, 0))
@@ -290,9 +283,7 @@ def _wide_chain(rng: np.random.Generator) -> Chain:
 
 
 def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
-    """Draw an excitation that moves grains at about this speed, for 2 to 20 times
-    what contacts need to answer it.
-    """
+    """Draw an excitation that moves grains at about this speed, with a suitable duration."""
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
     mass = chain.masses[grain - 1]
     contact = min(grain, chain.grains - 1) - 1

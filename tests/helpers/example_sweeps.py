@@ -1,4 +1,4 @@
-"""A sweep to be disturbed, and what can be seen of it from outside."""
+"""A long sweep for interruptions, and its state as seen from outside."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -32,13 +32,13 @@ def long_sweep(folder: Path, count: int) -> Path:
 
 
 def done(folder: Path) -> int:
-    """Return the number of finished scenes of a sweep, or -1 before it has started."""
+    """Return the number of finished scenes of a sweep; -1 before its start."""
     with suppress(InputError):
         return int((load_sweep(folder).reason != "not done").sum())
     return -1
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """Return all that lies in a folder but locks, by file."""
+    """Return the contents of a folder by file, without locks."""
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}

@@ -1,4 +1,4 @@
-"""A chain and its tangent map by a kick-drift splitting in 80-bit numbers, written on its own."""
+"""An independent chain and its tangent map by a kick-drift splitting in 80-bit numbers."""
 
 import numpy as np
 
@@ -15,9 +15,7 @@ def tangent_map(
     steps: np.ndarray,
     splitting: Splitting,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return displacement and velocity (M,) after these steps, s, and the
-    derivatives by both (2M, 2M).
-    """
+    """Return displacement and velocity (M,) after these steps, s, and derivatives (2M, 2M)."""
     size = chain.movable
     delta = REAL(chain.exponent)
     constant, rest = (

@@ -23,7 +23,7 @@ WIDE = np.longdouble
 
 
 def parameters(scene: Scene) -> dict[str, Array]:
-    """Return all that may be changed."""
+    """Return all parameters that may be changed."""
     chain = scene.chain
     excitation = scene.excitation
     u, v = scene.initial()
@@ -48,7 +48,7 @@ def parameters(scene: Scene) -> dict[str, Array]:
 
 
 def _hertz(scene: Scene, young: Array, d: Array) -> Array:
-    """Return Hertz's constants of all contacts, a wall at either end."""
+    """Return Hertz's constants of all contacts, with a wall at either end."""
     chain = scene.chain
     poisson = chain.by_grain("poissons_ratio").astype(WIDE)
     modulus = young / (1 - poisson**2)
@@ -67,9 +67,7 @@ def _hertz(scene: Scene, young: Array, d: Array) -> Array:
 
 
 def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
-    """Return masses, constants and so on with some parameters changed, and
-    all that follows from them.
-    """
+    """Return the properties of a chain with some parameters changed, and derived values."""
     chain = scene.chain
     now = parameters(scene)
     before = {name: value.copy() for name, value in now.items()}
@@ -93,7 +91,7 @@ def made_of(scene: Scene, changed: dict[str, Array]) -> dict[str, Any]:
 
 
 def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any]] | None:
-    """Return the displacement or force that is imposed, and its rate, as a function of time."""
+    """Return the imposed displacement or force, and its rate, as functions of time."""
     excitation = scene.excitation
     if not excitation.does_work:
         return None
@@ -137,7 +135,7 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) at equal numbers of steps, and the chain."""
+    """Return displacement and velocity (looks+1, N) after equal numbers of steps, and the chain."""
     chain = scene.chain
     now = made_of(scene, changed)
     m = now["masses"]

@@ -1,4 +1,4 @@
-"""A reference for laws by formula: the extrapolated midpoint rule, in `extrapolated_midpoint.c`.
+"""A reference for laws by formula: the extrapolated midpoint rule in `extrapolated_midpoint.c`.
 
 It shares only Eq. (1) with the package. A law is a sum of terms, written down a second time apart
 from its formula; the overlaps at rest, the forces and the integration are independent. Steps end
@@ -27,7 +27,7 @@ MOST_STEPS = 4e3
 
 
 class Term(NamedTuple):
-    """A term of a force, each number for all contacts or for each of the N-1.
+    """A term of a force, with numbers for all contacts or for each of the N-1 contacts.
 
     ``power`` a o^p; ``one-sided`` a max(sign (o - e), 0)^p; ``tanh`` a tanh(b o); ``exp``
     a (exp(b o) - 1); ``sine`` a sin(b o); ``soft`` a o / sqrt(1 + (b o)^2); ``log``
@@ -51,7 +51,7 @@ def _library(kind: str) -> Any:
     flags = ["-O2", "-shared", "-fPIC", f"-DREAL={kind}", f"-DEPS={spacing}"]
     subprocess.run(["cc", *flags, str(source), "-o", str(built), "-lm"], check=True)
     loaded = ctypes.CDLL(str(built))
-    loaded.folder = folder  # as long as the library
+    loaded.folder = folder  # The folder must exist as long as the library.
     return loaded
 
 
@@ -60,7 +60,7 @@ TERMS: dict[Law, list[Term]] = {}
 
 
 def solve(scene: Scene, tolerance: float, kind: str = "long double") -> Reference:
-    """Return the solution for a tolerance of one step, relative to the largest motion.
+    """Return the solution for an error tolerance per step, relative to the largest motion.
 
     The law of the chain must be one of `TERMS`.
 
@@ -119,7 +119,7 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double") -> Referenc
     ]
     arrays = [np.array(x, dtype=real) for x in fields]
     if acts and place == 0:
-        # A drive begins with the speed of its sine.
+        # A drive begins with the velocity of its sine.
         arrays[4][:, 0] = 0, wave[0] * wave[1]
     rate = scene.highest_frequency
     u, v = np.abs(arrays[4]).max(axis=1)
@@ -150,7 +150,7 @@ def _address(array: NDArray[Any]) -> ctypes.c_void_p:
 
 
 def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
-    """Return a solution with this tolerance of one step, and its error.
+    """Return a solution with this error tolerance per step, and its error.
 
     The error is the distance to a run with a hundred times the tolerance, and never below the
     rounding error that both share: of the forces at rest in a weak wave.

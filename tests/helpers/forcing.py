@@ -12,14 +12,12 @@ Array = NDArray[np.floating[Any]]
 
 
 def below_load(chain: Any) -> NDArray[np.bool_]:
-    """Return which contacts (N+1,) the load presses: with load on grain 1, that
-    with a wall above it, too.
-    """
+    """Return a mask (N+1,) of the contacts that carry the load, including the wall."""
     return np.arange(chain.grains + 1) >= (chain.load_grain if chain.load_grain > 1 else 0)
 
 
 class Sine:
-    """A sin(2 pi f t), for as many cycles under a Hann window, or for its first half period."""
+    """A sin(2 pi f t), in a Hann window of some cycles, or for its first half period."""
 
     def __init__(
         self,
@@ -44,7 +42,7 @@ class Sine:
         self.knots = np.array(ends, dtype=kind)
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return displacement, m, and velocity, m/s; or a force, N, and its rate."""
+        """Return displacement, m, and velocity, m/s, or a force, N, and its rate."""
         if self.knots.size and t >= self.knots[0]:
             return 0 * self.omega, 0 * self.omega
         a = self.amplitude
@@ -53,19 +51,19 @@ class Sine:
         rate = a * w * np.cos(w * t)
         if not self.cycles:
             return value, rate
-        # the square of its sine keeps the digits that 1 - cos loses at first
+        # The squared sine preserves the digits that 1 - cos loses at first.
         half = w * t / (2 * self.cycles)
         hann = np.sin(half) ** 2
         slope = np.sin(half) * np.cos(half) * w / self.cycles
         return value * hann, rate * hann + value * slope
 
     def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return the largest value and rate, about."""
+        """Return the approximate largest value and rate."""
         return abs(self.amplitude), abs(self.amplitude) * self.omega
 
 
 class Curve:
-    """The curve through points, what comes before and after them, in the precision `kind`.
+    """The curve through points and its continuation on both sides, in the precision `kind`.
 
     The slopes at the points are SciPy's; from point to point there is the cubic with these slopes,
     or a straight line.
@@ -78,7 +76,7 @@ class Curve:
         if given.interpolation == "pchip":
             slopes = PchipInterpolator(times, np.asarray(values, dtype=float))(times, 1)
         elif given.interpolation == "spline":
-            # linear in the values, which may have more digits than a double
+            # The curve is linear in the values, which may have more digits than a double.
             slopes = CubicSpline(times, np.eye(len(times)))(times, 1) @ np.asarray(values, kind)
         knots, y, slope = (np.asarray(a, dtype=kind) for a in (times, values, slopes))
         length = np.diff(knots)
@@ -87,12 +85,12 @@ class Curve:
         twist = (slope[:-1] + slope[1:] - 2 * mean) / length**2
         rates = (mean, 0 * mean, 0 * mean) if straight else (slope[:-1], bend, twist)
         pieces = (y[:-1], *rates)
-        # a force falls to 0 in the time between the last two points, a drive holds still
+        # A force decreases to 0 in the last interval's length, and a drive holds still.
         fall = -y[-1] / length[-1] if given.kind == "force" else kind(0)
         rest = y[-1] if given.kind == "drive" else kind(0)
         behind = np.array([[y[-1], fall, 0, 0], [rest, 0, 0, 0]], dtype=kind).T
         self.pieces = np.append(np.array(pieces), behind, axis=1)
-        # the last point is one of the curve, also where its time is rounded up
+        # The last point belongs to the curve even if its time is rounded up.
         begins = np.append(knots[:-1], knots[-1] * (1 + kind(4 * 2.0**-52)))
         self.knots = np.append(begins, begins[-1] + length[-1] * np.arange(1, 3))
         if knots[0] > 0:

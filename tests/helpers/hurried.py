@@ -1,5 +1,4 @@
-"""The command line of lmpchain with a checkpoint at every few samples, and first
-attempts whose steps are too long.
+"""The command line with frequent checkpoints, and first attempts with too long steps.
 
     python tests/helpers/hurried.py run scene.toml -o run/
 
@@ -13,7 +12,7 @@ from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.engines.stepping import time_stepping
 from lmpchain.simulation import run_folder
 
-LONGER = 20  # than the steps that it would choose
+LONGER = 20  # Factor on the steps that the command would choose.
 
 
 def main(words: list[str]) -> int:

@@ -26,8 +26,7 @@ Reference = tuple[NDArray[np.float64], NDArray[np.float64], float]
 
 
 class Motion:
-    """Eq. (1) for one scene: lengths in units of `length`, times in units of
-    `time`, in the precision `kind`.
+    """Eq. (1) of one scene in units of `length` and `time`, in the precision `kind`.
 
     ``x_n'' = [f_(n-1) - f_n] / m_n`` where f_n is the force of contact n minus its equilibrium
     value; contact 0 is with a wall above grain 1 and contact N with one below grain N. It is found
@@ -49,7 +48,7 @@ class Motion:
         pressed = (stiffness > 0) & (force > 0)
         self.compressed = bool(pressed.any())
         self.loose = np.flatnonzero((stiffness > 0) & ~pressed)
-        self.opens = np.where(pressed, -1, 0)  # closeness at which each contact does
+        self.opens = np.where(pressed, -1, 0)  # Closeness at which each contact opens.
         overlap = np.where(pressed, force / np.where(pressed, stiffness, 1), 0) ** (1 / self.delta)
         self.acting, self.body = _acting(scene, kind)
         self.driven = self.acting if self.body == 1 and scene.excitation.kind == "drive" else None
@@ -58,7 +57,7 @@ class Motion:
             self.acting.largest() if self.acting else (np.abs(u).max(), np.abs(v).max())
         )
         self.pushes = scene.excitation.kind == "force"
-        if self.pushes:  # what a free grain would do in a period or so
+        if self.pushes:  # Motion of a free grain in about a period.
             fastest = farthest * self.acting.unit / mass[self.body - 1]
             farthest = fastest * self.acting.unit
         typical = overlap.max()
@@ -84,7 +83,7 @@ class Motion:
         )
 
     def at(self, t: np.floating[Any], state: Array) -> Array:
-        """Return the state (2, N) with a driven grain where it is at this time."""
+        """Return the state (2, N) with a driven grain at its position at this time."""
         if self.driven:
             u, v = self.driven(t * self.time)
             state = state.copy()
@@ -92,27 +91,23 @@ class Motion:
         return state
 
     def size(self, t: np.floating[Any], state: Array) -> Array:
-        """Return the largest displacement and velocity of all grains in a state (2,
-        N), and of a wall that moves.
-        """
+        """Return the largest displacement and velocity in a state (2, N), and of a moving wall."""
         largest = np.abs(state).max(axis=1)
-        if self.acting and self.body == 0:  # it moves before any grain does
+        if self.acting and self.body == 0:  # The wall moves before any grain does.
             u, v = self.acting(t * self.time)
             largest = np.maximum(largest, np.abs([u / self.length, v * (self.time / self.length)]))
         return largest
 
     def closeness(self, t: np.floating[Any], x: Array) -> Array:
-        """Return the compression of contacts (N+1,) beyond rest, relative to the one at rest."""
-        bodies = np.zeros(x.size + 2, dtype=x.dtype)  # a wall, or nothing, at either end
+        """Return the compression of contacts (N+1,) beyond rest, relative to rest."""
+        bodies = np.zeros(x.size + 2, dtype=x.dtype)  # A wall, or nothing, is at either end.
         bodies[1:-1] = x
         if self.acting and not self.pushes:
             bodies[self.body] = self.acting(t * self.time)[0] / self.length
         return (bodies[:-1] - bodies[1:]) * self.closer
 
     def acceleration(self, t: np.floating[Any], x: Array) -> Array:
-        """Return x'' (N,) of the displacements x (N,) at time t; 0 for a
-        grain that is held or driven.
-        """
+        """Return x'' (N,) for displacements x (N,) at time t; 0 for fixed and driven grains."""
         s = self.closeness(t, x)
         if self.compressed:
             shut = s > -1
@@ -127,16 +122,14 @@ class Motion:
         return pull * self.mobility
 
     def stretches(self) -> Iterator[tuple[np.floating[Any], np.floating[Any], bool]]:
-        """Yield begin and end of every stretch of time that is smooth, and whether
-        a sample is taken at its end.
-        """
+        """Yield begin and end of every smooth time interval, and whether it ends at a sample."""
         for begin, end in pairwise(self.instants):
             inside = self.knots[(self.knots > begin) & (self.knots < end)]
             for left, right in pairwise([begin, *inside, end]):
                 yield left, right, right == end
 
     def in_si(self, states: list[Array]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return displacement and velocity (T, N) in m and m/s from (2, N) states."""
+        """Convert (2, N) states to displacement and velocity (T, N) in m and m/s."""
         x = np.array(states)
         return (x[:, 0] * self.length).astype(float), (x[:, 1] * (self.length / self.time)).astype(
             float
@@ -144,7 +137,7 @@ class Motion:
 
 
 def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Curve | None, int]:
-    """Return the forcing after t = 0, or None, and its body (0 is the wall above grain 1)."""
+    """Return the forcing after t = 0, or None, and its body; body 0 is the wall above grain 1."""
     given = scene.excitation
     if given.kind not in ("drive", "force"):
         return None, 0
@@ -157,9 +150,7 @@ def _acting(scene: Scene, kind: type[np.floating[Any]]) -> tuple[Sine | Curve | 
 
 
 def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
-    """Max over displacement and velocity of max|x - x_ref| / max|x_ref|
-    over all samples and grains.
-    """
+    """Return the larger of the relative errors max|x - x_ref| / max|x_ref| of both fields."""
     pairs = ((u, u_ref), (v, v_ref))
     return max(float(np.abs(np.asarray(x) - ref).max() / np.abs(ref).max()) for x, ref in pairs)
 
@@ -188,7 +179,7 @@ def scipy_reference(scene: Scene) -> Reference:
             while solver.status == "running":
                 if message := solver.step():
                     raise ArithmeticError(f"DOP853: {message}")
-                step = solver.h_abs  # what it would take next, not cut at the sample
+                step = solver.h_abs  # The next step, if it were not cut at the sample.
             state = motion.at(end, solver.y.reshape(2, grains))
             y = state.ravel()
             if sampled:
@@ -200,7 +191,7 @@ def scipy_reference(scene: Scene) -> Reference:
 
 
 def extended_reference(scene: Scene, tolerance: float = 1e-19) -> Reference:
-    """Integrate with Taylor series in extended precision, to this tolerance of one step.
+    """Integrate with Taylor series in extended precision, to this error tolerance per step.
 
     The error given is the distance to a looser solution of another order; see `taylor_series`.
     """

@@ -1,6 +1,4 @@
-"""Independent answers for the theory: a general integrator, mpmath, and the
-differences of smooth functions.
-"""
+"""Independent results for the theory: a general integrator, mpmath, and finite differences."""
 
 from __future__ import annotations
 
@@ -19,9 +17,7 @@ Array = NDArray[np.float64]
 
 
 def springs(kappa: Array, masses: Array | None = None) -> Chain:
-    """Return a chain whose linear stiffnesses are kappa, with unit masses,
-    and whose last grain is held.
-    """
+    """Return a chain with linear stiffnesses kappa, unit masses and a fixed last grain."""
     grains = len(kappa) + 1
     return Chain(
         grains=grains,
@@ -41,9 +37,7 @@ def gravity_column(movable: int, delta: float = 1.5) -> Array:
 def integrate(
     kappa: Array, displacement: Array, velocity: Array, tau: Array, masses: Array | float = 1.0
 ) -> tuple[Array, Array]:
-    """Solve Eq. (3) with the last grain held; return displacement and velocity
-    (T, M), right to some 1e-12.
-    """
+    """Solve Eq. (3) with the last grain fixed; return displacement and velocity (T, M) to 1e-12."""
     count = len(kappa)
 
     def rate(_: float, y: Array) -> Array:
@@ -58,7 +52,7 @@ def integrate(
 
 
 def unit(count: int, k: int) -> Array:
-    """Return 1 at grain k and 0 elsewhere, (count,)."""
+    """Return an array (count,) with 1 at grain k and 0 elsewhere."""
     return (np.arange(1, count + 1) == k).astype(float)
 
 
@@ -75,7 +69,7 @@ def largest(function: Callable[[Array], Array], low: float, high: float) -> floa
 def derivatives(
     function: Callable[[Array], Array], x: float, step: float
 ) -> tuple[complex, complex]:
-    """Return the first two derivatives, by differences of eighth order."""
+    """Return the first two derivatives by differences of eighth order."""
     samples = function(x + step * np.arange(-4, 5))
     first = np.array([3, -32, 168, -672, 0, 672, -168, 32, -3]) / 840
     second = np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
@@ -85,7 +79,7 @@ def derivatives(
 def residual_of_27(
     phi: Callable[[Array, Array], Array], h: float, tau: float, delta: float, step: float = 0.02
 ) -> float:
-    """Return by how much phi(h, tau) misses Eq. (27), relative to its largest term."""
+    """Return the residual of phi(h, tau) in Eq. (27), relative to its largest term."""
     xi = 1 - 1 / delta
     slope, bend = derivatives(lambda x: phi(x, np.array(tau)), h, step)
     _, push = derivatives(lambda t: phi(np.array(h), t), tau, step)
@@ -94,9 +88,7 @@ def residual_of_27(
 
 
 def superposition(h: float, tau: float, delta: float, power: float) -> complex:
-    """Return Eq. (31) for A = lambda^-power, by mpmath along the imaginary axis,
-    where it does not oscillate.
-    """
+    """Return Eq. (31) for A = lambda^-power by mpmath along the imaginary axis."""
     with mp.workdps(20):
         d = mp.mpf(delta)
         h = mp.mpf(h)
@@ -105,7 +97,8 @@ def superposition(h: float, tau: float, delta: float, power: float) -> complex:
         nu = 1 / (1 + d)
         chi = 2 / (1 + 1 / d) * h ** ((1 + 1 / d) / 2)
 
-        def integrand(x: mp.mpf) -> mp.mpf:  # y = x^20 takes the singularity at 0 away
+        # The substitution y = x^20 removes the singularity at 0.
+        def integrand(x: mp.mpf) -> mp.mpf:
             y = x**20
             return 20 * x**19 * y**-power * mp.besselk(nu, chi * y) * mp.exp(-tau * y)
 

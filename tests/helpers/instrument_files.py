@@ -1,4 +1,4 @@
-"""Files of instruments in the layouts that their manuals document, all with the same push.
+"""Files of instruments in their documented layouts, all with the same push.
 
 Text and arrays hold the same force over time in closed form, `push`.
 """
@@ -56,7 +56,7 @@ TDS = [
 
 
 def tds() -> str:
-    """Return two channels of a Tektronix TDS side by side, each with its facts to the left."""
+    """Return two channels of a Tektronix TDS side by side, each with its header on the left."""
     text = ""
     for n, row in enumerate(zip(TIME, OTHER * 1e3, VOLTS, strict=True)):
         name, value = TDS[n] if n < len(TDS) else ("", "")
@@ -66,7 +66,7 @@ def tds() -> str:
     return text
 
 
-# text of a file, and the options with which its push is that of `push`
+# Text of a file, and the options with which its push equals `push`.
 FILES: dict[str, tuple[str, dict[str, Any]]] = {
     "Tektronix, second channel in V": (
         TEKTRONIX.format(time="s", units="mV,V") + rows(TIME, OTHER * 1e3, VOLTS),
@@ -175,7 +175,7 @@ FILES: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def universal(kind: int, even: bool) -> str:
-    """Return a universal file with two records of dataset 58, as its definition has them."""
+    """Return a universal file with two records of dataset 58, as defined by the format."""
     text = "    -1\n   151\nhammer test\n    -1\n"
     for node, unit, values in ((1, "mV", OTHER * 1e3), (2, "N", push(TIME))):
         text += f"    -1\n    58\nrecord {node}\nNONE\n28-Nov-26\nNONE\nNONE\n"
@@ -202,7 +202,7 @@ def universal(kind: int, even: bool) -> str:
 
 
 def hdf5(path: Path) -> None:
-    """Write data sets with units and sampling among their attributes."""
+    """Write data sets with units and sampling as attributes."""
     with h5py.File(path, "w") as file:
         channel = file.create_group("Waveforms/Channel 1")
         channel.attrs.update({"XInc": 1e-6, "XOrg": -2e-5, "YUnits": "mV"})
@@ -212,7 +212,7 @@ def hdf5(path: Path) -> None:
 
 
 def matlab(path: Path, **arrays: Any) -> None:
-    """Write a file of MATLAB 5, with what holds no numbers beside the arrays."""
+    """Write a MATLAB 5 file that also contains objects other than numbers."""
     structure = {"a": np.ones(3), "b": "word"}
     savemat(
         path, arrays | {"settings": structure, "text": "word", "cells": np.array([1, "a"], object)}
@@ -220,7 +220,7 @@ def matlab(path: Path, **arrays: Any) -> None:
 
 
 def matlab_hdf5(path: Path) -> None:
-    """Write a file of MATLAB 7.3: HDF5 behind a block of text, with vectors as rows."""
+    """Write a MATLAB 7.3 file: HDF5 after a block of text, with vectors as rows."""
     with h5py.File(path, "w", userblock_size=512) as file:
         for name, values in (("time", TIME * 1e6), ("force", push(TIME))):
             file[name] = values[None]
@@ -229,7 +229,7 @@ def matlab_hdf5(path: Path) -> None:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\0\2IM")
 
 
-# how a file is written, and the options with which its push is that of `push`
+# Function that writes a file, and the options with which its push equals `push`.
 ARRAYS: dict[str, tuple[Callable[[Path], Any], dict[str, Any]]] = {
     "a.mat, PicoScope": (
         lambda path: matlab(path, A=VOLTS, B=OTHER, Tstart=-2e-5, Tinterval=1e-6, Length=81),

@@ -1,4 +1,4 @@
-"""Where a recorded signal is largest, between the samples too."""
+"""The maximum of a recorded signal, also between its samples."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,9 +8,7 @@ Array = NDArray[np.float64]
 
 
 def find_peak(time: Array, values: Array, top: int | None = None) -> tuple[float, float]:
-    """Return when values (T,) are largest, near the sample `top` if it is given, and
-    how large, between samples too.
-    """
+    """Return time and size of the maximum of values (T,), near the sample `top` if given."""
     top = int(values.argmax()) if top is None else top
     assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"
     near = slice(top - 12, top + 13)

@@ -1,6 +1,4 @@
-"""What a kill leaves of a folder: copies of it from just before every change
-that a process makes to the disk.
-"""
+"""The state of a folder after a kill: copies from before every change that a process makes."""
 
 import os
 import random
@@ -13,13 +11,13 @@ from pathlib import Path
 from typing import Self
 
 CHANGES = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.truncate"}
-_watches: list["Watch"] = []  # at most one at a time
+_watches: list["Watch"] = []  # At most one watch at a time.
 _turn = threading.RLock()
 _hooked: list[bool] = []
 
 
 class Watch:
-    """Counts the changes to a folder, and copies it just before some of them."""
+    """Counts the changes to a folder, and copies the folder before some of them."""
 
     def __init__(self, folder: Path, wanted: Container[int], into: Path):
         self.count = 0
@@ -31,7 +29,7 @@ class Watch:
 
     def __enter__(self) -> Self:
         if not _hooked:
-            sys.addaudithook(_look)  # for good: there is no way to remove one
+            sys.addaudithook(_look)  # The hook stays, because audit hooks cannot be removed.
             _hooked.append(True)
         _watches.append(self)
         return self
@@ -40,10 +38,11 @@ class Watch:
         _watches.clear()
 
     def look(self, words: list[str]) -> None:
-        """Take note of a change to what these words name."""
+        """Register a change that involves these paths."""
         if self._folder.exists() and any(str(self._folder) in word for word in words):
             if self.count in self._wanted or self._again:
-                self._again = True  # at the next change, if another thread moves a file meanwhile
+                # The change is registered at the next event if another thread is moving a file.
+                self._again = True
                 with suppress(shutil.Error):
                     self.copies.append(shutil.copytree(self._folder, self._into / str(self.count)))
                     self._again = False
@@ -53,7 +52,7 @@ class Watch:
 def kill_moments(
     folder: Path, work: Callable[[], object], most: int, rng: random.Random, into: Path
 ) -> list[Path]:
-    """Do some work twice; return copies of its folder as kills at its changes would leave it."""
+    """Do some work twice; return copies of its folder as after kills at its changes."""
     before = folder.with_name(f"{folder.name} before")
     if folder.exists():
         shutil.copytree(folder, before)
@@ -76,7 +75,7 @@ def _look(event: str, arguments: tuple) -> None:
         return
     with _turn:
         if _watches:
-            watch = _watches.pop()  # what copying changes is no change of the work
+            watch = _watches.pop()  # Changes by the copies themselves are not changes of the work.
             try:
                 watch.look(
                     [os.fsdecode(each) for each in arguments if isinstance(each, str | bytes)]

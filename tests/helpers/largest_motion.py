@@ -8,13 +8,13 @@ from lmpchain import Scene, Trajectory
 
 from .independent_integrators import Reference, extended_reference
 
-BETWEEN = 12  # evaluations of the motion between two samples
+BETWEEN = 12  # Number of evaluations of the motion between two samples.
 
 
 def true_error(
     t: Trajectory, scene: Scene, integrate: Callable[[Scene], Reference] = extended_reference
 ) -> tuple[float, float]:
-    """Return the error of a trajectory as the package defines it, and the reference's error."""
+    """Return the error of a trajectory as in the package, and the error of the reference."""
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
     pairs = ((t.displacement, u), (t.velocity, v))

@@ -1,4 +1,4 @@
-"""The numbers of a live figure, read back as its script reads them."""
+"""The numbers of a live figure, decoded as in its script."""
 
 import base64
 import json

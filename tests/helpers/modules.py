@@ -1,4 +1,4 @@
-"""The modules of the package and their syntax trees, each of which is parsed once."""
+"""The modules of the package and their syntax trees, each parsed once."""
 
 import ast
 from functools import cache
@@ -29,5 +29,5 @@ def nodes_of(module: str) -> list[ast.AST]:
 
 
 def room_of(module: str) -> str:
-    """Return the part of the package that a module belongs to."""
+    """Return the part of the package to which a module belongs."""
     return module.split(".")[1]

@@ -1,8 +1,8 @@
-"""Inputs of LAMMPS as users write them by hand: columns, level chains, walls, dimers, bonds."""
+"""LAMMPS inputs as written by hand: columns, level chains, walls, dimers, bonds."""
 
 from pathlib import Path
 
-# A column in glass, made by a loop, settled by drag, then struck on top.
+# A column of glass made by a loop, settled by drag, then struck on top.
 COLUMN = """
 # glass beads under gravity
 units           si
@@ -55,7 +55,7 @@ dump            out all custom {every} own.lammpstrj id type x y z vx vy vz radi
 dump_modify     out sort id format float %.17g
 run             {steps}
 """
-# A level chain along x, pressed between two held beads, struck in the middle.
+# A level chain along x, compressed between two fixed beads, and struck in the middle.
 LEVEL = (
     HEAD.format(units="si")
     + """
@@ -80,7 +80,7 @@ thermo          1000
 """
     + TAIL.format(every=50, steps=3000)
 )
-# The same in cgs, pressed by a constant force, with the bead at the other end held.
+# The same chain in cgs units, compressed by a constant force, with the opposite end fixed.
 CGS = (
     HEAD.format(units="cgs")
     + """
@@ -107,7 +107,7 @@ timestep        1e-7
 """
     + TAIL.format(every=50, steps=3000)
 )
-# A dimer of two types, whose pair of unlike grains is mixed, between a wall and a load.
+# A dimer of two types with mixed coefficients for unlike pairs, between a wall and a load.
 DIMER = (
     HEAD.format(units="micro")
     + """
@@ -135,7 +135,7 @@ timestep        0.01
     + TAIL.format(every=100, steps=4000)
 )
 RADII = [0.005 * 0.95**n for n in range(12)]
-# A tapered chain that only touches, read from a data file, upside down: it is struck below.
+# A tapered chain of touching grains from a data file, upside down, so that it is struck below.
 TAPERED = """
 units           si
 atom_style      sphere
@@ -215,7 +215,7 @@ run             2000
 LEPTON = HARMONIC.replace("harmonic", "lepton").replace(
     "bond_coeff      1 500.0 0.01", 'bond_coeff      1 0.01 "0.5*k*r^2 + a*r^4; k=1000; a=1e9"'
 )
-# A column on a floor, settled by its own viscous contacts, then struck on top; x points down.
+# A column on a floor, settled by its viscous contacts, then struck on top; x points down.
 FLOOR = (
     HEAD.format(units="si")
     + """

@@ -21,21 +21,19 @@ from lmpchain.integrators.splittings import Splitting
 
 WIDE = np.longdouble
 Array = NDArray[np.longdouble]
-# A function of a time (s), a derivative's order and a time that selects the piece.
+# A function of time (s), derivative order, and a time that selects the piece.
 Course = Callable[..., Any]
 
 
 class Column(NamedTuple):
-    """What Eq. (1) takes: of N grains masses (..., N), constants and forces at rest
-    of all contacts (..., N+1) ...
-    """
+    """Properties of N grains: masses (..., N), contact constants and forces (..., N+1)."""
 
     masses: Array
     constants: Array
     forces: Array
     displacement: Array
     velocity: Array
-    drive: Array  # amplitude and frequency of what is imposed, or its samples (..., P)
+    drive: Array  # Amplitude and frequency of the forcing, or its samples (..., P).
     scene: Scene
 
 
@@ -132,7 +130,8 @@ class Motion:
         self.pushed = (
             excitation.grain if self.course is not None and excitation.kind == "force" else 0
         )
-        self.inside: Any = None  # the time by whose law the course holds, if it is another one
+        # Time that selects the branch of the forcing; None for the current time.
+        self.inside: Any = None
         self.mobile = np.ones(chain.grains, dtype=WIDE)
         self.mobile[chain.movable :] = 0
         if self.driven:
@@ -141,7 +140,7 @@ class Motion:
             self.v[..., 0] = 0
 
     def closer(self, x: Array, t: Any) -> Array:
-        """Return by how much bodies are closer than at rest, (..., N+1) m."""
+        """Return the decrease of distances between bodies from rest, (..., N+1) m."""
         bodies = np.zeros((*x.shape[:-1], x.shape[-1] + 2), dtype=WIDE)
         bodies[..., 1:-1] = x
         if self.wall or self.driven:
@@ -149,7 +148,7 @@ class Motion:
         return bodies[..., :-1] - bodies[..., 1:]
 
     def contact_forces(self, x: Array, t: Any) -> Array:
-        """Return the forces of contacts minus those at rest, (..., N+1) N."""
+        """Return the contact forces minus the forces at rest, (..., N+1) N."""
         r = self.closer(x, t)
         s = r / self.length
         shut = s > -1
@@ -198,7 +197,7 @@ class DormandPrinceStep(NamedTuple):
 
     x: Array
     v: Array
-    errors: Array  # (2, 2, N): of either order, displacement and velocity
+    errors: Array  # Shape (2, 2, N): both orders, displacement and velocity.
 
 
 def dormand_prince_step(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> DormandPrinceStep:
@@ -234,13 +233,12 @@ PASCAL = np.array(
     [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1]],
     dtype=WIDE,
 )
-# Gear's, for x'' = a(x)
+# Coefficients of Gear's method for x'' = a(x).
 CORRECTIONS = np.array([WIDE(19) / 120, WIDE(3) / 4, 1, WIDE(1) / 2, WIDE(1) / 12])
 
 
 def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
-    """Return x^(k) h^k / k!, (5, N), by differences of accelerations a step before
-    and after, by the law of now.
+    """Return x^(k) h^k / k!, (5, N), from accelerations one step before and after.
 
     Half a step after stands for that before if contacts are open then that are not now.
     """
@@ -267,9 +265,7 @@ def _gear_start(motion: Motion, x: Array, v: Array, t: Any, h: Any) -> Array:
 
 
 def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
-    """Return the states (K+1, 2, N); where the length of the step
-    changes, the method begins anew.
-    """
+    """Return the states (K+1, 2, N); the method restarts when the step changes."""
     x = motion.x
     v = motion.v
     t = WIDE(0)
@@ -281,7 +277,7 @@ def by_gear(motion: Motion, steps: Iterable[Any]) -> Array:
         table = PASCAL @ table
         off = h**2 / 2 * motion.acceleration(table[0], t + h) - table[2]
         table = table + np.multiply.outer(CORRECTIONS, off)
-        if motion.driven:  # it is where its course says
+        if motion.driven:  # The position follows from the forcing.
             table[:, 0] = 0
             table[0, 0] = motion.course(t + h, 0)
         x = table[0]

@@ -11,7 +11,7 @@ from .independent_integrators import Reference, extended_reference
 
 
 def between(excitation, **keys) -> Scene:
-    """Return a scene of twelve glass beads between two walls, unless keywords change the chain."""
+    """Return a scene of twelve glass beads between two walls; keywords change the chain."""
     chain = Chain(**{"grains": 12, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
     duration = min(30 * chain.time_scale, 1e-4)
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=6)
@@ -24,7 +24,7 @@ def path(size: float) -> Drive:
 
 
 def beads(velocity: float, duration: float = 100e-6, samples: int = 11) -> Scene:
-    """Return a strike on 120 glass beads."""
+    """Return a scene of a strike on 120 glass beads."""
     strike = Impulse(velocity=velocity)
     return Scene(chain=paper("weak").chain, excitation=strike, duration=duration, samples=samples)
 
@@ -45,7 +45,7 @@ CLOSED = {
         path(1e-11), top="free", bottom="fixed", exponent=1.7, material="steel"
     ),
 }
-OPENING = {  # a contact without overlap counts as open
+OPENING = {  # A contact without overlap counts as open.
     "paper": paper("fig1", samples=6),
     "just touched by the wall": between(Impulse(velocity=-1e-4)),
     "vacuum": between(Impulse(velocity=1e-2, grain=4), gravity=0.0, top_material="steel"),

@@ -10,7 +10,7 @@ _approx = pytest.approx
 def approx(
     expected: Any, rel: float | None = None, abs: float | None = None, nan_ok: bool = False
 ) -> Any:
-    """Compare like `pytest.approx`, but with no absolute tolerance unless a test asks for one.
+    """Compare like `pytest.approx`, but without an absolute tolerance unless one is given.
 
     With pytest's default, 1e-12, any two energies of a weak wave are equal. A value that ought to
     be 0 needs `abs`: only the test knows the scale of what it is compared with.

@@ -1,4 +1,4 @@
-"""Decks run by the stand-alone LAMMPS, and its dumps."""
+"""Runs of decks by the stand-alone LAMMPS, and its dumps."""
 
 import shutil
 import subprocess

@@ -24,18 +24,16 @@ if TYPE_CHECKING:
     from lmpchain import Scene
 
 Array = NDArray[np.float64]
-FINEST = {"long double": 1e-20, "double": 1e-17}  # tolerances of a step
-MOST_WORK = 5e8  # contacts times steps times order squared, some 4 s in extended precision
+FINEST = {"long double": 1e-20, "double": 1e-17}  # Tolerances of a step.
+MOST_WORK = 5e8  # Contacts times steps times squared order; some 4 s in extended precision.
 
 
 class Unresolved(ArithmeticError):
-    """The reference integrator fails, or needs too many steps."""
+    """Raised if the reference integrator fails or needs too many steps."""
 
 
 class Reference(NamedTuple):
-    """Displacement and velocity (T, N) in SI units, the largest of either at any
-    time, and steps and events taken.
-    """
+    """Displacement and velocity (T, N) in SI, their maxima at any time, and steps and events."""
 
     displacement: Array
     velocity: Array
@@ -44,13 +42,13 @@ class Reference(NamedTuple):
     events: int
 
     def until(self, samples: int) -> Reference:
-        """Return the first samples, with the largest motion of the whole run."""
+        """Return the first samples with the largest motion of the whole run."""
         return self._replace(
             displacement=self.displacement[:samples], velocity=self.velocity[:samples]
         )
 
     def error(self, displacement: Array, velocity: Array) -> float:
-        """Return the error of an answer relative to the largest motion of the run."""
+        """Return the error of a run relative to the largest motion."""
         pairs = zip(
             (displacement, velocity), (self.displacement, self.velocity), self.largest, strict=True
         )
@@ -68,12 +66,12 @@ def _library(kind: str) -> Any:
     flags = ["-O3", "-march=native", "-ffp-contract=off", "-shared", "-fPIC", f"-DREAL={kind}"]
     subprocess.run(["cc", *flags, str(source), "-o", str(built), "-lm"], check=True)
     loaded = ctypes.CDLL(str(built))
-    loaded.folder = folder  # as long as the library
+    loaded.folder = folder  # The folder must exist as long as the library.
     return loaded
 
 
 def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int = 0) -> Reference:
-    """Return the solution for a tolerance of one step, at the optimal Taylor order plus `more`.
+    """Return the solution for an error tolerance per step, at the optimal order plus `more`.
 
     Raises
     ------
@@ -112,8 +110,8 @@ def solve(scene: Scene, tolerance: float, kind: str = "long double", more: int =
         strongest, rise = _largest(sines, knots, pieces)
         farthest = min(strongest, rise * time) * time**2 / mass[place - 1]
     length = max(farthest, fastest * time)
-    unit = mass.min() * length / time**2  # of force
-    value = unit if place > 0 else length  # of what acts
+    unit = mass.min() * length / time**2  # Unit of force.
+    value = unit if place > 0 else length  # Unit of the forcing.
     fields = [
         constant * length**delta / unit,
         force / unit,
@@ -174,7 +172,7 @@ def _damping(chain: Any, time: Any) -> tuple[Array, Array]:
     drag = np.zeros(size, np.longdouble)
     if damping := getattr(chain, "damping", None):
         viscosity[1:-1] = damping.viscoelastic
-        # a wall is as viscous as the contact next to it
+        # A wall contact has the viscosity of the contact next to it.
         first, last = np.broadcast_to(damping.viscoelastic, max(size - 1, 1))[[0, -1]]
         viscosity[0] = first
         viscosity[-1] = last
@@ -198,7 +196,7 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
         return 2, place, none[2], none[3], curve.knots, curve.pieces.T.copy()
     size = wide(excitation.amplitude)
     pi = 4 * np.arctan(wide(1))
-    if getattr(excitation, "shape", None):  # half a sine
+    if getattr(excitation, "shape", None):  # A half-sine.
         return (
             1,
             place,
@@ -209,7 +207,8 @@ def _acting(excitation: Any) -> tuple[int, int, Array, float, Array, Array]:
     omega = 2 * pi * wide(excitation.frequency)
     if excitation.cycles is None:
         return 1, place, np.array([[size, omega]]), *none[3:]
-    # sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) / 4
+    # The identity is sin(w t) sin(w t / 2 c)^2 = sin(w t) / 2 - (sin(w + w/c) t + sin(w - w/c) t) /
+    # 4.
     cycles = wide(excitation.cycles)
     sines = [
         [size / 2, omega],
@@ -231,8 +230,7 @@ def _address(array: NDArray[Any]) -> ctypes.c_void_p:
 
 
 def reference(scene: Scene, tolerance: float) -> tuple[Reference, float]:
-    """Return a solution with this tolerance of one step, and its error:
-    the distance to a looser one.
+    """Return a solution with this error tolerance per step, and its error from a looser one.
 
     It is never below what all openings, and the ends of the wave, may leave out, for two solutions
     may leave out the same, nor below the digits that a burst loses as it begins: it is a sum of

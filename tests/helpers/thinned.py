@@ -1,4 +1,4 @@
-"""Parametrised cases, most of which run with the slow tests only."""
+"""Parametrised cases, most of which run only with the slow tests."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -7,7 +7,7 @@ import pytest
 
 
 def thinned(cases: Iterable[Any], every: int) -> list[Any]:
-    """Return the cases as parameters; all but every n-th case are marked as slow."""
+    """Return the cases as parameters, with all but every n-th case marked as slow."""
     return [
         pytest.param(
             *(case if isinstance(case, tuple) else (case,)),

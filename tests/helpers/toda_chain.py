@@ -1,4 +1,4 @@
-"""A Toda chain that a piston compresses, integrated on its own, and its exact dispersive shock.
+"""A Toda chain compressed by a piston, integrated independently, and its exact dispersive shock.
 
 Contacts carry exp(r) - 1 for a rise r of their overlap, masses are 1: so is the speed of sound in
 the chain at rest, in grains per unit of time. Exact edges: B. L. Holian, H. Flaschka and D. W.
@@ -11,11 +11,12 @@ from typing import NamedTuple
 import numpy as np
 
 THIRD = 2 ** (1 / 3)
-YOSHIDA = 1 / (2 - THIRD), -THIRD / (2 - THIRD), 1 / (2 - THIRD)  # three leapfrogs of order 2: 4
+# Three leapfrog steps of order 2 make a step of order 4.
+YOSHIDA = 1 / (2 - THIRD), -THIRD / (2 - THIRD), 1 / (2 - THIRD)
 
 
 class TodaShock(NamedTuple):
-    """Edges of the shock before a piston of some speed.
+    """Edges of the shock ahead of a piston.
 
     Attributes
     ----------
@@ -35,7 +36,7 @@ class TodaShock(NamedTuple):
 
 
 def exact(piston: float) -> TodaShock:
-    """Return the shock before a piston of this speed, below 2.
+    """Return the shock ahead of a piston of this speed, below 2.
 
     The invariant of the waves that run back, v - 2 (exp(r/2) - 1), stays 0 behind; the soliton on
     the edge of the spectrum has cosh(kappa) = 2 exp(r/2) - 1.
@@ -48,7 +49,7 @@ def exact(piston: float) -> TodaShock:
 
 
 def run(piston: float, grains: int, duration: float, samples: int, step: float = 0.05):
-    """Return times (T,), displacements and velocities (T, N); a wall stands behind the last."""
+    """Return times (T,), displacements and velocities (T, N); the last grain is at a wall."""
     interval = duration / (samples - 1)
     inner = int(np.ceil(interval / step))
     x = np.zeros((samples, grains))

@@ -1,4 +1,4 @@
-"""Scenes with random laws by formula, each from its seed, and the same law a second time as terms.
+"""Scenes with random laws by formula, each from a seed, with the law also as terms.
 
 One to three pieces a law, with kinks anywhere, pulls, bonds, softening and stiffening, parameters
 for all contacts or for each, 1 to 12 grains, every end, gravity, loads, damping, strikes, drives,
@@ -25,18 +25,18 @@ def _log(rng: np.random.Generator, low: float, high: float) -> float:
 
 
 def law_trial(rng: np.random.Generator) -> Scene:
-    """Draw a scene with a law by formula, whose terms are added to `TERMS`."""
+    """Draw a scene with a law by formula, and add its terms to `TERMS`."""
     while True:
         try:
             return _drawn(rng)
-        except InputError:  # no equilibrium, several, or an infinite stiffness
+        except InputError:  # There is no equilibrium, or several, or an infinite stiffness.
             continue
 
 
 def _piece(
     rng: np.random.Generator, n: int, grains: int, unit: tuple[float, float]
 ) -> tuple[str, dict[str, Any], list[Term]]:
-    """Draw formula, parameters and terms of one piece, with n behind the names of its parameters.
+    """Draw formula, parameters and terms of one piece; parameter names end with n.
 
     The unit is a stiffness, N/m, and a length, m.
     """
@@ -118,7 +118,7 @@ def _piece(
 
 
 def _renamed(text: str, key: str, new: str) -> str:
-    """Return a formula with another name of one parameter."""
+    """Return a formula with a parameter renamed."""
     words = "".join(c if c.isalnum() or c == "_" else " " for c in text)
     for at in range(len(text) - 1, -1, -1):
         alone = words[at] == key and (words[:at][-1:] + words[at + 1 :][:1]).strip() == ""

@@ -1,5 +1,4 @@
-"""Scenes drawn from all that a user may ask, each from its seed; what they
-cost is bounded, nothing else is.
+"""Scenes drawn from the whole range of inputs, each from a seed; only their cost is limited.
 
 2 to 10^5 grains, exponents 1 to 3, every end and excitation, strike numbers 1e-12 to 1e4, mass
 ratios to 10^6, impurities, tapered, periodic and disordered chains, 0.5 to 4000 periods, 2 to 1001
@@ -38,14 +37,12 @@ def trial_scene(
             scene = _struck(rng, chain, work)
             _ = scene.strike_number, scene.largest_strain
             return scene
-        except InputError:  # not a scene: beyond Hertz's law, say
+        except InputError:  # The scene is invalid, for example beyond Hertz's law.
             continue
 
 
 def loose_trial_scene(rng: np.random.Generator, work: float = 1e4) -> Scene:
-    """Draw a scene whose contacts open and close: a striker, a chain that nothing presses, springs
-    of unequal masses, or a strong strike. A third of the scenes are forced all along.
-    """
+    """Draw a scene with opening contacts: striker, vacuum, unequal springs or strong strike."""
     while True:
         try:
             chain = _loose_chain(rng)
@@ -67,7 +64,7 @@ def damped(
     least: float = 1e-4,
     most: float = 2.0,
 ) -> Scene:
-    """Return the scene with viscous contacts, a drag or both, from hardly any to overdamped.
+    """Return the scene with viscous contacts, a drag or both, from weak damping to overdamping.
 
     A omega and gamma / omega are `least` to `most`. LAMMPS knows a drag that is alike for all
     grains.
@@ -88,7 +85,7 @@ def damped(
 
 
 def short_damped_scene(rng: np.random.Generator) -> Scene:
-    """Draw a damped scene of at most 12 grains and few radians from one sample to the next.
+    """Draw a damped scene of at most 12 grains with few radians between samples.
 
     It takes a few steps a sample, so that thousands of trials are cheap.
     """
@@ -130,7 +127,7 @@ def _chain(rng: np.random.Generator, exponents: tuple[float, ...]) -> Chain:
 
 
 def _loose_chain(rng: np.random.Generator) -> Chain:
-    """Draw a chain with contacts that only touch, springs, or one that is pressed."""
+    """Draw a chain of touching contacts, springs, or a compressed chain."""
     exponents = (
         1.0,
         1.25,
@@ -161,9 +158,7 @@ def _loose_chain(rng: np.random.Generator) -> Chain:
 
 
 def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
-    """Draw the grains: alike, with impurities, tapered, periodic, disordered, or
-    masses and constants of their own.
-    """
+    """Draw the grains: equal, with impurities, tapered, periodic, disordered or listed."""
     diameter = _log(rng, 2e-4, 5e-2)
     material = rng.choice(MATERIALS).item()
     n = np.arange(grains)
@@ -208,7 +203,7 @@ def _grains(rng: np.random.Generator, grains: int) -> dict[str, Any]:
 def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float = 1e-12) -> Scene:
     grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
     number = _log(rng, weakest, 1e4)
-    # a contact that only touches has no length of its own
+    # A contact that only touches has no length scale.
     contact = min(max(grain, 1 + chain.loose_grains), chain.grains - 1) - 1
     mass = chain.masses[grain - 1]
     constant = chain.contact_constants[contact]
@@ -220,13 +215,15 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float 
         speed = _log(rng, 1e-9, 3)
         rest = 0.0
         length = number = 0.0
-    hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))  # rad/s of a collision
+    # Collision frequency, rad/s.
+    hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))
     omega = max(rest, hit)
     excitation = _excitation(rng, chain, grain, speed, omega, periods := _log(rng, 0.5, 4000))
     once = Scene(
         chain=chain, excitation=excitation, duration=2 * np.pi * periods / omega, samples=2
     )
-    if rng.random() < 0.1:  # samples at nodes: half periods of the excitation or of the chain
+    # Samples at nodes are at half periods of the excitation or of the chain.
+    if rng.random() < 0.1:
         half = np.pi / (excitation.fastest or chain.band_edge or omega)
         samples = int(_log(rng, 2, 20))
         duration = half * (samples - 1) * int(_log(rng, 1, 20))
@@ -234,10 +231,10 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float 
         samples = int(_log(rng, 2, 1001.5))
         duration = once.duration
     angle = once.highest_frequency * duration
-    most = max(np.sqrt(work), work / chain.grains)  # angle that the work allows
+    most = max(np.sqrt(work), work / chain.grains)  # Phase that the work allows.
     if angle > most:
         duration *= most / angle * rng.uniform(0.5, 1)
-    # its knots go with the duration
+    # The knots depend on the duration.
     if isinstance(excitation, Drive) and excitation.times is not None:
         stretch = duration * rng.uniform(1, 1.2) / excitation.times[-1]
         excitation = Drive(
@@ -290,9 +287,7 @@ def _excitation(
 def acted_trial_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (), work: float = 2e5
 ) -> Scene:
-    """Draw a scene as `trial_scene` does, but with a force, a burst, a moving
-    wall, or a packet of waves.
-    """
+    """Draw a scene as `trial_scene` does, but with a force, a burst, a moving wall or a packet."""
     while True:
         still = trial_scene(rng, exponents, work)
         try:
@@ -310,7 +305,7 @@ def acted_trial_scene(
 def _acting(
     rng: np.random.Generator, chain: Chain, duration: float, weakest: float = 1e-10
 ) -> Force | Drive | Packet:
-    """Draw what acts on a chain for so long: strengths over that at rest 1e-10 to 100."""
+    """Draw a forcing of this duration with a relative strength from 1e-10 to 100."""
     grain = 1 if rng.random() < 0.4 else int(rng.integers(1, chain.movable + 1))
     kinds = ["force"] * 4 + ["wall"] * 3 * (chain.top == "wall") + ["drive"] * (chain.top == "free")
     kind = rng.choice(kinds + ["packet"] * 3 * chain.compressed)
@@ -318,7 +313,7 @@ def _acting(
     while (kind == "force" or chain.loose_grains) and (
         chain.compressed and chain.contacts.force[contact] == 0.0
     ):
-        # a wall that nothing presses against grain 1: its contact below holds it
+        # For an unloaded wall above grain 1, the contact below the grain is used.
         contact += 1
     constant = chain.contacts.constant[contact]
     mass = chain.masses[max(contact - 1, 0)]
@@ -353,7 +348,7 @@ def _acting(
         times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(2, 30))))
         path = np.append(0, rng.normal(size=times.size - 1)) * strength
         values: dict[str, Any] = {"force" if kind == "force" else "displacement": path}
-        # a spline through points so uneven would mostly be refused
+        # A spline through such uneven points would mostly be rejected.
         values["interpolation"] = "linear" if path[-1] > path[1] else "pchip"
         return acts(times=times * (duration * rng.uniform(1, 1.2) / times[-1]), **values, **where)
     cycles = {} if course == "sine" else {"cycles": _log(rng, 0.6, 20)}

@@ -1,4 +1,4 @@
-"""What an engine's run yields block by block, as a whole."""
+"""The blocks of an engine's run, joined into arrays."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from lmpchain.util.arrays import Array
 
 
 def blocks_of(run: Run) -> tuple[Array, Array]:
-    """Return displacements and velocities of a batch, (R, T, G), and end the run."""
+    """Return the displacements and velocities of a batch, (R, T, G), and close the run."""
     try:
         blocks = list(run.blocks())
         return tuple(

@@ -1,6 +1,4 @@
-"""Steps that adapt: their lengths and what they lead to, against plain
-NumPy; samples between them.
-"""
+"""Adaptive steps and interpolated samples, compared with plain NumPy."""
 
 from __future__ import annotations
 
@@ -22,14 +20,14 @@ from lmpchain.integrators.steps import OPENING_STEPS, Steps
 
 GRAINS = 7
 LOOKS = 4
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Masses and diameters in m.
 SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 EPSILON = np.finfo(float).eps
 
 
 def scene_of(acts: str = "", **options: Any) -> Scene:
-    """Return a chain whose grains fly about, or that something acts on."""
+    """Return a chain of flying grains, or of forced grains."""
     chain = Chain(
         **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
     )
@@ -69,14 +67,14 @@ SCENES = {
 
 
 def corners(scene: Scene) -> np.ndarray:
-    """Return the times at which steps end because another law holds then, s."""
+    """Return the times at which the forcing changes its formula and steps end, s."""
     if not scene.excitation.does_work:
         return np.empty(0)
     return np.array(scene.excitation.waveform.corners)
 
 
 def time_to_opening(gap: float, rate: float, bend: float) -> float:
-    """Return the distance of the nearest complex root of a quadratic.
+    """Return the distance to the nearest complex root of a quadratic.
 
     For an open contact the root must lie ahead.
     """
@@ -89,9 +87,7 @@ def time_to_opening(gap: float, rate: float, bend: float) -> float:
 
 
 def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -> float:
-    """Return the largest of all contacts: (weight)^2 size^(3/2) / (omega distance)^9, where size is
-    |rate^2 - 2 gap bend|, but at least that of a double root.
-    """
+    """Return the largest nearness (weight)^2 size^(3/2) / (omega distance)^9 of all contacts."""
     chain = scene.chain
     batch = ChainBatch([scene])
     omega = scene.highest_frequency
@@ -139,7 +135,7 @@ def by_dop853(motion: Motion, method: Any, steps: list[Any]) -> np.ndarray:
 
 
 def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray, list[int]]:
-    """Return all steps, the states between them and how many there are before each sample."""
+    """Return all steps, the states between them, and the number of states before each sample."""
     motion = Motion(plain.column(scene))
     x = None
     v = None
@@ -228,10 +224,8 @@ def test_dop853_shortens_its_steps_where_contacts_open_as_in_plain_numpy(name: s
 
 @pytest.mark.parametrize("stride", [4, 3])
 @pytest.mark.parametrize("name", [name for name in SCENES if not SCENES[name].excitation.does_work])
-def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride: int):
-    """Through displacement, velocity, acceleration and jerk at both ends of a
-    step, in every second sample.
-    """
+def test_samples_between_steps_are_on_a_polynomial_of_degree_7(name: str, stride: int):
+    """The polynomial has the exact values, velocities, accelerations and jerks at both ends."""
     scene = SCENES[name].replace(samples=4 * LOOKS + 1)
     steps = 10
     dense = 2 if stride == 4 else 1
@@ -257,7 +251,7 @@ def test_samples_between_steps_lie_on_a_polynomial_of_degree_7(name: str, stride
 
 @pytest.mark.parametrize("exponent", [1.75, 2.5])
 def test_steps_in_the_vacuum_do_not_depend_on_the_unit_of_length(exponent: float):
-    """A strike at another speed is the same motion in other units."""
+    """A strike at another speed is the same motion in different units."""
     chain = Chain(grains=4, diameter=1e-3, exponent=exponent, gravity=0.0, bottom="wall")
     steps = set()
     for speed in (1e-4, 0.1):

@@ -1,6 +1,4 @@
-"""Derivatives of a run, back and forth, against differences of plain NumPy in 80-bit
-numbers, for every law and end.
-"""
+"""Adjoint and tangent of a run against differences of plain NumPy in 80-bit numbers."""
 
 from __future__ import annotations
 
@@ -19,10 +17,10 @@ from lmpchain.integrators.splittings import SPLITTINGS
 
 GRAINS = 6
 LOOKS = 3
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
 SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
-DIFFERENCE = WIDE(1e-7)  # of what is changed
+DIFFERENCE = WIDE(1e-7)  # Relative change for differences.
 
 
 def pressed(**options: Any) -> Chain:
@@ -91,7 +89,7 @@ def acted(name: str, **options: Any) -> Scene:
 
 
 def sizes(scene: Scene, states: np.ndarray) -> Inputs:
-    """Return by what one may change each of the inputs, those that cannot change by 0."""
+    """Return the allowed change of each input; 0 for inputs that cannot change."""
     chain = scene.chain
     contacts = scene.chain.contacts
     u, v = (np.abs(states[:, order]).max() for order in (0, 1))
@@ -113,8 +111,7 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
 def differences(
     scene: Scene, method: str, steps: list[Any], looks: list[int]
 ) -> tuple[np.ndarray, Inputs, Inputs]:
-    """Return states at looks (looks+1, 2, N), directions, one for each number that
-    may change, and the slopes there.
+    """Return states (looks+1, 2, N), directions for each input that may change, and slopes.
 
     Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a
     change.
@@ -135,7 +132,7 @@ def differences(
         and scene.excitation.frequency is None
         and scene.excitation.times is None
     ):
-        directions[5][:, 1] = 0  # what lasts a given time has no frequency
+        directions[5][:, 1] = 0  # A forcing of given duration has no frequency.
     states = []
     for sign in (1, -1):
         changed = [
@@ -145,14 +142,14 @@ def differences(
         states.append(
             plain.by_splitting(Motion(Column(*changed, scene)), SPLITTINGS[method], steps)[looks]
         )
-    slopes = (states[0] - states[1]) / (2 * DIFFERENCE)  # (looks+1, 2, D, N)
+    slopes = (states[0] - states[1]) / (2 * DIFFERENCE)  # Shape (looks+1, 2, D, N).
     return true, Inputs(*directions), np.moveaxis(slopes, 2, 0)
 
 
 def check(
     scene: Scene, method: str, law: int, grains: list[int], accuracy: float = 1e-8, each: int = 5
 ) -> None:
-    """Compare a run, its derivatives back and forth, with plain NumPy."""
+    """Compare a run, its tangent and its adjoint with plain NumPy."""
     step = scene.duration / LOOKS / each
     run = DifferentiableRun(
         scene, SPLITTINGS[method], step * (1 + 0.5 / each), LOOKS, np.array(grains)
@@ -177,7 +174,7 @@ def check_run(
     scale = np.abs(true).max((0, 2))
     for order, field in enumerate((run.displacement, run.velocity)):
         assert np.abs(field - true[:, order, columns]).max() < 1e-12 * scale[order]
-    forth = np.array(run.push(directions))  # (2, D, looks+1, G)
+    forth = np.array(run.push(directions))  # Shape (2, D, looks+1, G).
     slopes = slopes[..., columns]
     largest = np.abs(slopes).max((1, 3)) + 1e-300
     for order in (0, 1):
@@ -199,14 +196,14 @@ def check_run(
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("method", ["verlet", "rkn4"])
-def test_derivatives_of_flying_grains_are_differences(law: str, method: str):
+def test_derivatives_of_flying_grains_agree_with_differences(law: str, method: str):
     scene, kind = LAWS[law]
     check(scene, method, kind, [1, 2, 3, 6] if method == "verlet" else [5, 2])
 
 
 @pytest.mark.parametrize("exponent", [1.5, 1.7])
 @pytest.mark.parametrize("name", ACTS)
-def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
+def test_derivatives_of_forced_grains_agree_with_differences(name: str, exponent: float):
     scene = acted(name, exponent=exponent)
     law = (
         Way.OTHER
@@ -219,15 +216,17 @@ def test_derivatives_of_what_acts_are_differences(name: str, exponent: float):
 @pytest.mark.parametrize(
     "law", ["undone, plain, walls", "undone by a series", "touching wall", "3"]
 )
-def test_derivatives_of_many_steps_are_differences(law: str, monkeypatch: pytest.MonkeyPatch):
-    """Through checkpoints, between which steps are undone or made again."""
+def test_derivatives_of_many_steps_agree_with_differences(
+    law: str, monkeypatch: pytest.MonkeyPatch
+):
+    """Between checkpoints, steps are undone or recomputed."""
     monkeypatch.setattr(adjoint, "CHECKPOINTS", CHECKPOINTS._replace(kept_bytes=1))
     scene, kind = LAWS[law]
     check(scene, "verlet", kind, [1, 2, 5, 6], accuracy=1e-7, each=90)
 
 
 @pytest.mark.parametrize("name", ["sine of grain 1", "samples of the wall", "half-sine on grain 1"])
-def test_derivatives_of_what_acts_in_many_calls_are_differences(
+def test_derivatives_of_forced_grains_in_many_calls_agree_with_differences(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
     short = CHECKPOINTS._replace(kept_bytes=1, rows_of_call=1)
@@ -235,7 +234,7 @@ def test_derivatives_of_what_acts_in_many_calls_are_differences(
     check(acted(name, exponent=1.7), "verlet", Way.OTHER, [1, 2, 5, 6], each=30)
 
 
-def test_derivatives_with_steps_of_any_length_are_differences():
+def test_derivatives_with_unequal_steps_agree_with_differences():
     scene, _ = LAWS["touching wall, 2"]
     rng = np.random.default_rng(4)
     parts = [rng.uniform(0.5, 1.5, count) for count in (4, 7, 3)]
@@ -261,7 +260,7 @@ LONG = {
 
 @pytest.mark.parametrize("law", LONG)
 def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
-    """Through windows that grow, or tiles, within the light cone or everywhere."""
+    """Windows grow, or tiles are used, within the light cone or everywhere."""
     speed, struck, options, kind = LONG[law]
     rng = np.random.default_rng(1)
     velocity = np.zeros(900)
@@ -295,7 +294,7 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
         assert abs(terms.sum() - along) <= 1e-11 * np.abs(terms).sum()
 
 
-def test_few_terms_give_every_digit_of_weak_waves():
+def test_few_terms_suffice_for_weak_waves():
     for exponent in (0.05, 0.5, 1.25, 2.5):
         for reach, terms in ((0.0, 4), (1e-4, 4), (1e-3, 6), (5e-3, 6)):
             coefficients = adjoint.economise(exponent, reach)

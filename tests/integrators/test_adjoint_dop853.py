@@ -24,7 +24,7 @@ SCENES = {
     "pushed": Force(grain=3, amplitude=0.02, frequency=2e5),
 }
 NAMES = ["masses", "contact_constants", "damping.viscoelastic", "damping.drag"]
-GRAIN = 2  # whose parameters are changed
+GRAIN = 2  # Number of the grain whose parameters are changed.
 
 
 def energy_at_end(scene: Scene) -> float:
@@ -41,7 +41,7 @@ def slope(scene: Scene, name: str, base: np.ndarray, step: float) -> float:
 
 
 @pytest.mark.parametrize("kind", SCENES)
-def test_gradients_of_damped_chains_are_differences(kind: str):
+def test_gradients_of_damped_chains_agree_with_differences(kind: str):
     scene = Scene(chain=CHAIN, excitation=SCENES[kind], duration=8e-6, samples=5)
     found = gradient(scene, KineticEnergy([3, 4]), NAMES, 1e-7)
     energy = energy_at_end(scene)
@@ -70,5 +70,5 @@ def test_adjoints_are_transposes_of_tangents(kind: str):
         back = parameters.pull(scene, inputs, name)
         u, v = run.push(parameters.push(scene, name, np.eye(back.size)))
         along = (weights[0] * u).sum((1, 2)) + (weights[1] * v).sum((1, 2))
-        # Both sum the same terms, so that they differ by rounding errors of the largest.
+        # Both sum the same terms, so that they differ by rounding errors of the largest term.
         assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), name

@@ -1,6 +1,4 @@
-"""The propagator of the linear chain: the exponential of its matrix, Bessel
-functions, sums of polynomials.
-"""
+"""The linear propagator against matrix exponentials, Bessel functions and polynomial sums."""
 
 import mpmath
 import numpy as np
@@ -31,7 +29,7 @@ def generator(stiffness: np.ndarray, mobility: np.ndarray, drive: float) -> np.n
 
 
 def exactly(slope: np.ndarray, u: np.ndarray, v: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Return displacements and velocities at times, (2, T, N)."""
+    """Return exact displacements and velocities at times, (2, T, N)."""
     start = np.concatenate((u, v))
     return np.array([np.split(expm(slope * t) @ start, 2) for t in times]).swapaxes(0, 1)
 
@@ -46,7 +44,7 @@ ENDS = {
 @pytest.mark.parametrize("ends", ENDS)
 @pytest.mark.parametrize("start", ["displaced", "struck", "both"])
 def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str):
-    """At times that one series serves and that it takes several for; the second call goes on."""
+    """Some times need one series, others several; the second call continues the first."""
     stiffness, mobility, drive = ENDS[ends]
     moving = (mobility > 0) | (drive > 0) * (np.arange(GRAINS) == 0)
     u = RNG.normal(size=GRAINS) * moving * (start != "struck")
@@ -58,7 +56,7 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
     parts = [chain.advance(first), chain.advance(then)]
     for order in (0, 1):
         field = np.concatenate([part[order] for part in parts])
-        # the exponential's
+        # Rounding of the matrix exponential.
         assert np.abs(field - true[order]).max() < 2e-13 * np.abs(true[order]).max()
     assert np.array_equal(chain.u, parts[1][0][-1])
     assert np.array_equal(chain.v, parts[1][1][-1])
@@ -68,7 +66,7 @@ def test_a_chain_moves_as_by_the_exponential_of_its_matrix(ends: str, start: str
 
 
 def test_a_pulse_stays_within_its_light_cone():
-    """Grains that it has not reached are exactly at rest, and all others are told."""
+    """Grains outside the light cone are exactly at rest, and all others are reported."""
     n = 400
     place = 150
     u, v = np.zeros((2, n))
@@ -78,13 +76,13 @@ def test_a_pulse_stays_within_its_light_cone():
     chain = Propagator(stiffness, mobility, 0.0, u, v)
     times = np.array([0.0, 0.01, 5.0, 20.0])
     us, vs, reached = chain.advance(times)
-    # Infinite chain: the integral of J_2n(2t) is the sum of J_(2n+1)(2t), J_(2n+3)(2t) ...
+    # In an infinite chain, the integral of J_2n(2t) is the sum of J_(2n+1)(2t), J_(2n+3)(2t) ...
     table = jv(np.arange(2 * n + 100)[:, None], 2 * times)
     apart = np.abs(np.arange(n) - place)
     integral = np.array([table[2 * k + 1 : 2 * k + 99 : 2].sum(0) for k in range(n)])
     true = np.array([integral[apart].T, table[2 * apart].T])
-    # each value sums 40 products whose magnitudes add up to 1.9; the linear algebra library chooses
-    # the order of summation, which changes the sum by at most 40 * 1.1e-16 * 1.9
+    # Each value sums 40 products whose magnitudes add up to 1.9; the linear algebra library chooses
+    # the order of summation, which changes the sum by at most 40 * 1.1e-16 * 1.9.
     rounding = 8e-15
     assert np.abs(us - true[0]).max() < rounding
     assert np.abs(vs - true[1]).max() < rounding
@@ -100,10 +98,8 @@ def test_a_pulse_stays_within_its_light_cone():
     assert np.abs(us[-1] - mirrored).max() < rounding
 
 
-def test_the_spent_terms_are_those_that_the_times_need():
-    """Six radians of w = 2 sqrt(2) take a series of 18 terms or so, and three
-    series for three times as far apart.
-    """
+def test_the_number_of_terms_depends_on_the_times():
+    """Six radians of w = 2 sqrt(2) need one series of about 18 terms, 18 radians three series."""
     chains = [
         Propagator(np.ones(31), np.ones(30), 0.0, np.zeros(30), np.eye(30)[15]) for _ in range(3)
     ]
@@ -118,7 +114,7 @@ def test_the_spent_terms_are_those_that_the_times_need():
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-25, 1e-9, 0.3, 2.0, 17.0, 90.0])
-def test_bessel_functions_are_those_of_scipy(size: float):
+def test_bessel_functions_agree_with_scipy(size: float):
     z = np.array([0.0, 0.5, 1.0]) * size
     orders = 2 * int(chebyshev.terms(size)) + 2
     table = chebyshev.bessel(z, orders)
@@ -130,7 +126,7 @@ def test_bessel_functions_are_those_of_scipy(size: float):
 
 
 @pytest.mark.parametrize("z", [0.1, 3.0, 10.0, 60.0, 500.0])
-def test_what_a_series_leaves_out_is_below_round_off_and_few_terms_are_too_many(z: float):
+def test_truncated_terms_are_below_rounding_and_few_are_superfluous(z: float):
     count = int(chebyshev.terms(z))
     with mpmath.workdps(30):
         beyond = [abs(float(mpmath.besselj(k, z))) for k in range(2 * count + 2, 2 * count + 30)]
@@ -164,7 +160,7 @@ def test_series_are_sums_of_chebyshev_polynomials(orders: int, oscillator: float
         assert np.abs(field - true).max() < 1e-12 * np.abs(true).max()
 
 
-def test_grains_that_hardly_move_are_put_to_rest():
+def test_grains_with_negligible_motion_are_set_to_rest():
     u, v = np.zeros((2, 8))
     u[2] = 1.0
     u[4] = 0.5
@@ -173,7 +169,8 @@ def test_grains_that_hardly_move_are_put_to_rest():
     u[6] = 0.9e-25
     v[6] = 1.8e-25
     v[1] = 1.9e-25
-    assert chebyshev.moving(u, v) == (2, 6)  # v[5] is above 1e-25 of the largest speed, 2
+    # The value v[5] is above 1e-25 of the largest speed, 2.
+    assert chebyshev.moving(u, v) == (2, 6)
     assert u.tolist() == [0, 0, 1.0, 0, 0.5, 0, 0, 0]
     assert v.tolist() == [0, 0, 0, 2.0, 0, 3e-25, 0, 0]
     assert tuple(chebyshev.moving(np.zeros(3), np.zeros(3))) in ((3, 3), (0, 0))

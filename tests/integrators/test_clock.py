@@ -1,4 +1,4 @@
-"""The clock of the integration: exact over any number of steps, and never stuck."""
+"""The clock of the integration is exact for any number of steps, and always advances."""
 
 from fractions import Fraction
 from typing import NamedTuple
@@ -20,7 +20,7 @@ SPEED = 1e-3
 
 
 def oscillator(periods: float, samples: int = 3) -> tuple[Scene, float]:
-    """Return a grain on a spring (grain 2 is fixed), struck, and its frequency in rad/s."""
+    """Return a struck grain on a spring (grain 2 is fixed), and its frequency in rad/s."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
     omega = np.sqrt(np.longdouble(chain.contact_constants[0]) / np.longdouble(chain.masses[0]))
     duration = periods * 2 * np.pi / float(omega)
@@ -30,7 +30,7 @@ def oscillator(periods: float, samples: int = 3) -> tuple[Scene, float]:
 
 
 def phase_error(periods: float, integrator: str, reach: float, adaptive: bool, samples: int = 3):
-    """Return the error against the exact phase, and the floor of round-off that is claimed."""
+    """Return the error against the exact phase, and the stated rounding error."""
     scene, omega = oscillator(periods, samples)
     interval = scene.duration / (samples - 1)
     steps = int(np.ceil(interval * float(omega) / reach))
@@ -55,9 +55,7 @@ LONG = [
 
 @pytest.mark.parametrize(("integrator", "reach", "adaptive"), LONG)
 def test_the_clock_does_not_drift(integrator, reach, adaptive):
-    """Seconds added up a step at a time once drifted by 1e-12 a hundred
-    periods, and companions alike.
-    """
+    """Times summed step by step once drifted by 1e-12 per hundred periods, in all runs alike."""
     error, floor = phase_error(1000, integrator, reach, adaptive)
     assert error / 3 < floor < 1e-11
 
@@ -88,8 +86,8 @@ def clock_of(length: float) -> np.void:
 
 
 @pytest.mark.parametrize("step", [1e-30, 1e-19, 0.0])
-def test_there_are_never_too_many_steps_to_be_counted(step):
-    """More than 2^63 steps in the time left, where a contact opens, once were one giant step."""
+def test_the_number_of_steps_never_overflows(step):
+    """More than 2^63 remaining steps near an opening once became one giant step."""
     state = np.zeros(1, STATE)[0]
     clock = clock_of(3.0)
     after = ends(Bodies(state), clock, 3.0, step)
@@ -112,7 +110,7 @@ def test_steps_add_up_to_the_span_exactly():
 
 @pytest.mark.parametrize("steps", [32, 33, 141, 1000])
 @pytest.mark.parametrize("ratio", [2, 4])
-def test_companions_of_many_steps_land_on_every_sample(steps: int, ratio: int):
+def test_auxiliary_runs_of_many_steps_land_on_every_sample(steps: int, ratio: int):
     schedule = Steps(steps, 1, 1e-9, True).longer(ratio)
     assert schedule.stride == 1
     assert schedule.step * schedule.per_landing == pytest.approx(steps * 1e-9, rel=1e-14)

@@ -1,4 +1,4 @@
-"""Companions are moved in the compiled call of their answer."""
+"""Auxiliary runs are advanced in the same compiled call as the main run."""
 
 import numpy as np
 import pytest
@@ -29,10 +29,10 @@ SCENES = [
         ("gear4", False, 1),
     ],
 )
-def test_they_have_the_bits_of_runs_of_their_own(
+def test_auxiliary_runs_have_the_bits_of_separate_runs(
     name: str, adaptive: bool, landing: int, threads: int
 ):
-    """In pieces of a few steps, in a batch and by threads, too."""
+    """The bits agree for pieces of a few steps, in a batch, and with threads."""
     method = METHODS[name]
     steps = 9 * landing if method_of_one_stage(name) else 3 * landing
     step = landing * SCENES[0].duration / 24 / steps

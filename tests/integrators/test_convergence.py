@@ -1,4 +1,4 @@
-"""What every integrator of both engines must do, whatever the scene."""
+"""Requirements on every integrator of both engines for any scene."""
 
 from itertools import product
 
@@ -15,7 +15,7 @@ from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 
-NATIVE = engines.Native.integrators[1:]  # without "auto"
+NATIVE = engines.Native.integrators[1:]  # Without "auto".
 ENGINES = {"native": NATIVE, "lammps": engines.Lammps.integrators}
 both = pytest.mark.parametrize("engine", ENGINES)
 every = pytest.mark.parametrize("integrator", NATIVE)
@@ -48,7 +48,7 @@ def test_order_of_convergence(engine, integrator):
         assert t.cost.steps == count
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     n = np.array(counts, dtype=float)
-    # odd terms, if not symmetric
+    # Methods that are not symmetric have odd terms as well.
     laws = [np.ones(n.size), -np.log(n)] + ([] if integrator in SPLITTINGS else [1 / n])
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
     assert min(errors) > 100 * own
@@ -61,7 +61,7 @@ def test_stability_limit(integrator):
     splitting = SPLITTINGS[integrator]
 
     def growth(frequency: float) -> float:
-        """Largest eigenvalue of one step of x'' = -frequency^2 x at h = 1."""
+        """Return the largest eigenvalue of one step of x'' = -frequency^2 x at h = 1."""
         step = np.eye(2)
         for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
             step = (
@@ -81,7 +81,8 @@ def test_equilibrium_stays_at_rest(engine, integrator):
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=50e-6, samples=6)
     t = simulate(scene, engine=fixed_step(engine, integrator, 1e-7))
-    # natively exact; LAMMPS rounds heights of 20 gauge diameters, each some 10 overlaps
+    # The native engine is exact; LAMMPS rounds heights of 20 gauge diameters, each some 10
+    # overlaps.
     rounding = 0.0 if engine == "native" else 1e-11
     assert np.abs(t.displacement).max() <= rounding * chain.length_scale
     assert np.abs(t.velocity).max() <= rounding * chain.length_scale / chain.time_scale
@@ -107,9 +108,7 @@ def test_momentum_is_conserved_in_a_free_chain(engine):
 
 
 def test_momentum_balances_gravity_and_floor():
-    """d/dt of the momentum is the weight of the grains that move less the
-    force of the last contact.
-    """
+    """The rate of the momentum is the weight of moving grains minus the last contact's force."""
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=60e-6, samples=1001)
     t = simulate(scene, tolerance=1e-10)
@@ -125,7 +124,7 @@ def test_momentum_balances_gravity_and_floor():
     ("engine", "integrator"), [pair for pair in PAIRS if pair[1] in SPLITTINGS]
 )
 def test_time_reversal(engine, integrator):
-    """Turn all velocities round at the end: the chain goes back to where it was."""
+    """If all velocities are reversed at the end, the chain returns to its initial state."""
     chain = Chain(grains=20, material="glass", diameter=1e-3)
     there = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=40e-6, samples=2)
     solver = fixed_step(engine, integrator, 2e-7)
@@ -150,13 +149,13 @@ EXCITATIONS = {
 
 
 RESTARTED = [(*pair, excitation) for pair, excitation in product(PAIRS, EXCITATIONS)]
-# LAMMPS is slow
+# LAMMPS is slow.
 RESTARTED = [(e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"]
 
 
 @pytest.mark.parametrize(("engine", "integrator", "excitation"), thinned(RESTARTED, 2))
 def test_exact_restart(engine, integrator, excitation):
-    """A run that goes on from a kept state ends with the same bytes."""
+    """A run that continues from a stored state ends with the same bytes."""
     ends, struck = EXCITATIONS[excitation]
     chain = Chain(grains=30, material="glass", diameter=1e-3, **ends)
     scene = Scene(chain=chain, excitation=struck, duration=30e-6, samples=9)
@@ -177,7 +176,7 @@ def test_exact_restart(engine, integrator, excitation):
 
     whole, error = run()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepping_run, "BLOCK_BYTES", 1)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_BYTES", 1)  # Four samples per block.
         first, kept = run(stop=4)
     rest, error_again = run(kept)
     assert rest[0].samples.start == first[-1].samples.stop < scene.samples
@@ -187,8 +186,8 @@ def test_exact_restart(engine, integrator, excitation):
     assert error_again.total == error.total
 
 
-def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
-    """The length of the pieces between two chances to stop leaves no trace, in any integrator."""
+def test_opportunities_to_stop_do_not_change_the_bits(monkeypatch):
+    """The number of steps between two opportunities to stop has no effect in any integrator."""
     struck = paper("fig1", samples=3).replace(duration=4e-5)
     bump = Drive(times=[0, 1.6e-5, 2e-5, 2.4e-5, 4e-5], displacement=[0, 0, 1e-7, 0, 0])
     driven = Scene(chain=struck.chain, excitation=bump, duration=struck.duration, samples=3)
@@ -208,7 +207,7 @@ def test_where_an_integration_may_be_interrupted_leaves_no_trace(monkeypatch):
     "velocities", [(1e-6, 1e-5, 2e-5), (1e-4, 1e-3, 3e-3)], ids=["gentle", "strong"]
 )
 def test_batch_equals_single_runs(integrator, velocities):
-    """Realisations that go through the seam together come out as if each had been alone."""
+    """Realisations of a batch equal single runs."""
     rng = np.random.default_rng(5)
     scenes = []
     for velocity in velocities:
@@ -230,7 +229,7 @@ def test_batch_equals_single_runs(integrator, velocities):
         assert errors[i].total == alone.error_estimate.solver
 
 
-def test_batch_of_unlike_scenes_is_refused():
+def test_a_batch_of_different_scenes_is_rejected():
     scenes = [smooth(grains=8), smooth(grains=9)]
     solver = engines.Native(step=1e-6)
     with pytest.raises(ValueError, match="a batch needs"):

@@ -1,4 +1,4 @@
-"""Methods of chains that lose energy: order, bits, and the modes of linear chains."""
+"""Methods for damped chains: order, bits, and modes of linear chains."""
 
 import numpy as np
 import pytest
@@ -39,7 +39,7 @@ def slope(scene: Scene, integrator: str, counts: list[int]) -> float:
         assert t.cost.steps == count
         errors.append(true.error(t.displacement, t.velocity))
     assert min(errors) > 100 * doubt
-    # odd terms beside the first
+    # Odd terms in addition to the first one.
     n = np.array(counts, dtype=float)
     laws = np.stack([np.ones(n.size), -np.log(n), 1 / n], axis=1)
     return np.linalg.lstsq(laws, np.log(errors), rcond=None)[0][1]
@@ -87,7 +87,7 @@ EXCITATIONS = {
 
 @pytest.mark.parametrize("kind", EXCITATIONS)
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-8, 1e-11])
-def test_an_answer_meets_its_tolerance_and_its_estimate(kind, tolerance):
+def test_a_run_meets_its_tolerance_and_its_estimate(kind, tolerance):
     top = "wall" if kind == "wall" else "free"
     chain = damped_chain(top=top, damping={"viscoelastic": 3e-8, "drag": 1e3})
     scene = Scene(chain=chain, excitation=EXCITATIONS[kind], duration=6e-5, samples=8)
@@ -98,7 +98,7 @@ def test_an_answer_meets_its_tolerance_and_its_estimate(kind, tolerance):
     assert error - doubt < min(tolerance, 3 * t.error_estimate.total)
 
 
-def test_every_way_to_run_gives_the_same_bits():
+def test_all_execution_modes_give_the_same_bits():
     chain = damped_chain()
     strikes = [Impulse(velocity=speed) for speed in (1e-2, 3e-2)]
     scenes = [
@@ -112,7 +112,7 @@ def test_every_way_to_run_gives_the_same_bits():
             assert one.velocity.tobytes() == other.velocity.tobytes()
 
 
-def test_a_run_goes_on_with_the_same_bits(tmp_path):
+def test_a_resumed_run_has_the_same_bits(tmp_path):
     from lmpchain.integrators.batch import ChainBatch
     from lmpchain.integrators.methods import methods_of
     from lmpchain.integrators.stepper import NativeStepper
@@ -127,7 +127,7 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
         whole = NativeStepper(ChainBatch([scene]), method, schedule, {})
         whole.fill(*fields[0], 0, 9, 10**6)
         stopped = NativeStepper(ChainBatch([scene]), method, schedule, {})
-        # one step a call, and another stepper each time
+        # Each call makes one step with a new stepper.
         while stopped.sample < 9:
             stopped.fill(*fields[1], 0, 9, 1)
             state = stopped.state()
@@ -139,8 +139,8 @@ def test_a_run_goes_on_with_the_same_bits(tmp_path):
     ("viscoelastic", "drag"), [(1e-8, 0.0), (3e-7, 0.0), (0.0, 3e4), (1e-7, 1e4), (1e-6, 0.0)]
 )
 @pytest.mark.filterwarnings("ignore:.*rigid dashpots")
-def test_a_mode_decays_as_it_must(viscoelastic, drag):
-    """Under one viscosity and one drag modes keep their shape, also where they are overdamped."""
+def test_a_mode_decays_at_the_exact_rate(viscoelastic, drag):
+    """With one viscosity and one drag modes keep their shape, even if they are overdamped."""
     chain = damped_chain(
         exponent=1.0, damping={"viscoelastic": viscoelastic, "drag": drag}, bottom="wall"
     )
@@ -160,7 +160,7 @@ def test_a_mode_decays_as_it_must(viscoelastic, drag):
 
 
 def test_a_motion_that_dies_at_once_has_an_estimate():
-    """Its error is in the first samples, on which companions with longer steps must land, too."""
+    """The error is in the first samples, on which auxiliary runs must also land."""
     chain = damped_chain(damping={"drag": 2e6})
     scene = struck(chain, samples=60, duration=1e-4)
     true, _ = reference(scene, 1e-18)
@@ -174,8 +174,8 @@ def test_a_motion_that_dies_at_once_has_an_estimate():
         assert error < 3 * t.error_estimate.total
 
 
-def test_what_does_not_move_stays():
-    """A grain that is taken away from a chain that nothing presses: only rounding is left."""
+def test_grains_at_rest_stay_at_rest():
+    """A grain is moved away from an uncompressed chain, so that only rounding remains."""
     chain = Chain(grains=5, diameter=1e-3, gravity=0.0, damping={"viscoelastic": 1e-8, "drag": 1e4})
     away = Displacement(displacement=-1e-9, grain=1)
     t = simulate(Scene(chain=chain, excitation=away, duration=1e-4, samples=9), engine="native")
@@ -183,10 +183,8 @@ def test_what_does_not_move_stays():
     assert abs(t.velocity).max() < 1e-12 * 1e-9 * 1e4
 
 
-def test_a_reference_has_numbers_where_overlaps_are_smaller_than_round_off():
-    """Of delta hardly above 1, a viscous contact that shuts has a force from overlaps on that
-    displacements do not resolve.
-    """
+def test_a_reference_is_finite_for_overlaps_below_rounding():
+    """For delta slightly above 1, a closing viscous contact has a force at unresolved overlaps."""
     chain = damped_chain(grains=3, exponent=1.001, top_load=1e-3, damping={"viscoelastic": 1e-9})
     overlap = chain.equilibrium_overlap[0]
     apart = Profile(displacement=[300 * overlap * (1 - 1e-4) - overlap, 300 * overlap, 0.0])

@@ -38,7 +38,7 @@ def scene_of(kind: str) -> Scene:
     rng = np.random.default_rng(5)
     u = 0.1 * LENGTH * rng.uniform(-1, 1, GRAINS)
     v = 0.1 * LENGTH / PERIOD * rng.uniform(-1, 1, GRAINS)
-    u[-1] = v[-1] = 0.0  # the last grain is fixed
+    u[-1] = v[-1] = 0.0  # The last grain is fixed.
     forcing = FORCING[kind]
     if forcing is None:
         excitation = Profile(displacement=u, velocity=v)
@@ -82,7 +82,7 @@ def advance(
     for column in range(columns - 1):
         (dx if column < GRAINS else dw)[column % GRAINS, column] = 1.0
     stretch = np.zeros(columns)
-    stretch[-1:] = 1.0  # the last column is a relative change of the steps
+    stretch[-1:] = 1.0  # The last column is a relative change of the steps.
     deviations = Deviations(dx, dw, stretch)
     nodes = np.zeros((2, STEPS + 1, GRAINS))
     body = Body(inverse_mass, scene.chain.contact_viscosity, scene.chain.drag)
@@ -141,7 +141,7 @@ def test_the_tangent_is_the_derivative_of_the_map(kind: str):
                 assert found[row, free, column] == pytest.approx(
                     slope[row, free], rel=0, abs=1e-6 * largest
                 )
-    if kind == "none":  # a longer step leaves the times of a forcing unchanged
+    if kind == "none":  # A longer step leaves the times of a forcing unchanged.
         forth, back = (advance(scene, u, w, longer=sign * 1e-5)[0] for sign in (1, -1))
         slope = (forth - back) / 2e-5
         for row in range(2):

@@ -1,4 +1,4 @@
-"""Samples that steps pass over are interpolated, as well as the steps are taken."""
+"""Samples inside steps are interpolated as accurately as the steps."""
 
 from typing import NamedTuple
 
@@ -18,7 +18,7 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps, clocks
 
-# grain 2 is fixed
+# Grain 2 is fixed.
 SPRING = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = np.sqrt(SPRING.contact_constants[0] / SPRING.masses[0])
 SPEED = 1e-3
@@ -38,7 +38,7 @@ def samples_of(
 
 
 class Ends(NamedTuple):
-    """What `fill_samples` takes of a chain: how it is at both ends of a step."""
+    """The arguments of `fill_samples`: the state of a chain at both ends of a step."""
 
     history: np.ndarray
     x: np.ndarray
@@ -83,7 +83,7 @@ def test_the_error_falls_with_the_eighth_and_seventh_power_of_the_step():
 
 
 @pytest.mark.parametrize("top", ["free", "wall"])
-def test_samples_between_steps_are_as_good_as_the_steps(top):
+def test_samples_between_steps_are_as_accurate_as_steps(top):
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3, top=top)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3e-3), duration=8e-5, samples=801)
     engine = Native("rkn6")
@@ -108,14 +108,14 @@ def test_samples_between_steps_are_as_good_as_the_steps(top):
     ],
     ids=["sine that ends", "spline", "force that ends"],
 )
-def test_steps_end_on_every_sample_where_something_acts(excitation):
+def test_steps_end_on_every_sample_with_a_forcing(excitation):
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
     scene = Scene(chain=chain, excitation=excitation, duration=8e-5, samples=801)
     candidate = Native("rkn6").propose(scene, 1e-4)
     assert (candidate.steps.stride, candidate.step) == (1, 8e-5 / 800)
 
 
-def test_pieces_and_threads_change_no_bit():
+def test_pieces_and_threads_do_not_change_the_bits():
     chain = Chain(grains=2 * LEAST_SHARE + 100, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Impulse(velocity=1e-2, grain=LEAST_SHARE)
     scene = Scene(chain=chain, excitation=strike, duration=40 / chain.band_edge, samples=25)
@@ -129,7 +129,7 @@ def test_pieces_and_threads_change_no_bit():
         assert all(np.array_equal(field, parts[number]) for parts in shared)
 
 
-def test_companions_are_compared_in_every_step():
+def test_auxiliary_runs_are_compared_in_every_step():
     scene = Scene(
         chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001
     )
@@ -140,7 +140,7 @@ def test_companions_are_compared_in_every_step():
         assert u[schedule.dense : schedule.stride : schedule.dense].any(1).all()
 
 
-def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
+def test_steps_land_on_samples_where_this_is_cheaper_or_safer():
     scene = Scene(
         chain=Chain(grains=30, diameter=1e-3),
         excitation=Impulse(velocity=1e-3),
@@ -152,8 +152,8 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
     assert Native().propose(scene, 1e-6).steps.stride > 1
     for engine, other, tolerance in (
         (Native(), few, 1e-9),
-        (Native(), scene, 1e-13),  # displacements over a step are rounded
-        (Native(), vacuum, 1e-6),  # a front grows too steeply
+        (Native(), scene, 1e-13),  # Displacements over a step are rounded.
+        (Native(), vacuum, 1e-6),  # The front is too steep.
         (Native("verlet"), scene, 1e-3),
         (Native(adaptive=False), scene, 1e-6),
         (Native(step=1e-8), scene, 1e-6),
@@ -167,10 +167,8 @@ def test_samples_lie_on_steps_where_that_costs_less_or_is_surer():
     )
 
 
-def test_rounding_of_samples_between_short_steps_is_known():
-    """A velocity is a difference of displacements over a step: large displacements
-    and short steps make much of it.
-    """
+def test_rounding_of_interpolated_samples_is_estimated():
+    """A velocity is a difference of displacements over a step, and sensitive for short steps."""
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
     strike = Displacement(displacement=chain.equilibrium_overlap[0], grain=3)
     scene = Scene(chain=chain, excitation=strike, duration=12 / chain.band_edge, samples=241)

@@ -22,7 +22,7 @@ DRIVES = {
 
 @pytest.mark.parametrize("order", [0, 1, 2])
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
-def test_the_compiled_forcing_is_that_of_the_scene(drive: Drive, order: int):
+def test_the_compiled_forcing_equals_that_of_the_scene(drive: Drive, order: int):
     scene = Scene(chain=CHAIN, excitation=drive, duration=6 * UNIT, samples=3)
     arrays = ChainBatch([scene]).arrays
     waveform.addresses()

@@ -1,4 +1,4 @@
-"""What a stepper keeps, and goes on from."""
+"""The stored state of a stepper, from which it continues."""
 
 import numpy as np
 import pytest
@@ -15,15 +15,15 @@ SCENE = Scene(
     duration=1.5e-4,
     samples=13,
 )
-SCHEDULE = Steps(2, 1, SCENE.duration / 24, False)  # steps four times too long
+SCHEDULE = Steps(2, 1, SCENE.duration / 24, False)  # The steps are four times too long.
 
 
 def stepper(state):
     return NativeStepper(ChainBatch([SCENE]), METHODS["verlet"], SCHEDULE, state)
 
 
-def test_a_run_that_broke_down_goes_on_with_its_bits():
-    """A companion may break down where the answer does not, and is kept beside it."""
+def test_a_run_that_broke_down_continues_with_the_same_bits():
+    """An auxiliary run may break down and is then stored with the main run."""
     whole = stepper({})
     first = stepper({})
     u = np.zeros((4, 1, 13, 12))
@@ -36,7 +36,7 @@ def test_a_run_that_broke_down_goes_on_with_its_bits():
     assert np.array_equal(u[1], u[3], equal_nan=True)
 
 
-def test_a_clock_that_is_no_number_is_refused():
+def test_a_clock_of_nan_is_rejected():
     kept = stepper({}).state()
     kept["state"]["done"][0] = np.nan
     with pytest.raises(ValueError, match="does not fit"):

@@ -1,6 +1,4 @@
-"""The compiled loops: forms of the force against high precision and the
-energy, tiles, and the instructions.
-"""
+"""The compiled loops: accuracy of force forms, tiles, and vector instructions."""
 
 from __future__ import annotations
 
@@ -44,14 +42,14 @@ PLAIN = [(form, form / 4) for form in ROOTS]
 
 
 def spread(low: float, high: float, count: int = 400) -> Array:
-    """Return numbers of every size between two."""
+    """Return logarithmically spaced numbers between two."""
     return np.exp(np.random.default_rng(1).uniform(np.log(low), np.log(high), count))
 
 
 def links_of(
     inverse_length: Array, strength: Array, form: int, precompressed: float, exponent: float
 ) -> Links:
-    """Return contacts without one that only touches."""
+    """Return contacts without a touching one."""
     loops = np.array(forces.addresses(form))
     numbers = 0.0, int(form), loops, precompressed, series(exponent)
     return Links(inverse_length, strength, *numbers, np.zeros((0, strength.size)), 0)
@@ -60,9 +58,7 @@ def links_of(
 def force(
     form: int, exponent: float, r: Array, precompressed: float = 1.0, strength: float = 1.0
 ) -> Array:
-    """Return the force of contacts whose bodies have come closer by r, all
-    of them found in one loop.
-    """
+    """Return the forces of contacts with approaches r, from one call of a loop."""
     bodies = np.zeros(2 * r.size)
     bodies[::2] = r
     found = np.zeros(2 * r.size - 1)
@@ -79,26 +75,26 @@ def exact(exponent: float, s: Array) -> list[Any]:
 
 
 def relative(found: Array, true: list[Any]) -> float:
-    """Return the largest relative error, in units of the last digit."""
+    """Return the largest relative error in ulps."""
     with mpmath.workdps(60):
         return max(float(abs(f - t) / abs(t)) for f, t in zip(found, true, strict=True)) / EPSILON
 
 
 @pytest.mark.parametrize(("form", "exponent"), PRESSED)
-def test_no_digits_are_lost_at_any_amplitude(form: int, exponent: float):
+def test_forces_are_accurate_at_any_amplitude(form: int, exponent: float):
     s = np.concatenate((spread(1e-12, 30), -spread(1e-12, 1)))
     assert relative(force(form, exponent, s), exact(exponent, s)) < 8
 
 
 @pytest.mark.parametrize("exponent", [1.01, 1.25, 1.5, 2.0, 2.3, 3.0, 6.0])
-def test_weak_form_keeps_all_digits_of_weak_waves(exponent: float):
+def test_the_weak_form_is_accurate_for_weak_waves(exponent: float):
     s = np.concatenate((spread(1e-15, weakest(exponent)), -spread(1e-15, weakest(exponent))))
     assert weakest(exponent) > 1e-2
     assert relative(force(Form.POLYNOMIAL, exponent, s), exact(exponent, s)) < 1.5
 
 
 @pytest.mark.parametrize(("form", "exponent"), PLAIN)
-def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponent: float):
+def test_plain_forms_lose_an_ulp_of_the_force_at_rest(form: int, exponent: float):
     s = np.concatenate((spread(1e-12, 1e5), -spread(1e-12, 1)))
     true = exact(exponent, s)
     off = [
@@ -115,7 +111,7 @@ def test_plain_forms_lose_the_last_digit_of_the_force_at_rest(form: int, exponen
         *((Form.UNCOMPRESSED_POWER, delta) for delta in (1.01, 1.3, 2.3, 3.0)),
     ],
 )
-def test_forces_where_nothing_is_pressed(form: int, exponent: float):
+def test_forces_in_an_uncompressed_chain(form: int, exponent: float):
     """Forces are accurate down to 1e-30 m, up to the error of an exponential's argument."""
     r = spread(1e-30, 10)
     with mpmath.workdps(60):
@@ -133,19 +129,19 @@ def test_open_contacts_and_rest_are_exact(form: int, exponent: float):
 @pytest.mark.parametrize(
     ("form", "exponent"), [*PLAIN, (Form.SPRING, 1.0), (Form.UNCOMPRESSED_POWER, 2.3)]
 )
-def test_what_is_not_pressed_does_not_pull(form: int, exponent: float):
+def test_contacts_without_compression_do_not_pull(form: int, exponent: float):
     assert not force(form, exponent, np.array([-1e-30, -1.0, -1e6, 0.0]), precompressed=0.0).any()
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.3, 1.5, 2.5])
 def test_force_is_the_derivative_of_the_energy(exponent: float):
-    """-dU/dx by central differences, compressed and open contacts alike."""
+    """The force is -dU/dx by central differences, for compressed and open contacts."""
     chain = Chain(grains=6, material="glass", diameter=1e-3, exponent=exponent)
     form = {1.0: Form.SPRING, 1.5: Form.CORRECTED}.get(exponent, Form.POWER)
     eps = chain.equilibrium_overlap
     u = np.append(0.0, np.cumsum([-0.5, 0.3, 2.0, -1.4, 0.1] * eps))
     found = np.zeros(7)
-    # A writable copy, because compiled loops require it.
+    # A copy is used, because compiled loops require writable arrays.
     at_rest = chain.equilibrium_force.copy()
     links = links_of(1 / eps, at_rest, form, 1.0, exponent)
     forces.LOOPS[form][0](found[1:-1], u, links)
@@ -158,16 +154,14 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     assert -np.array(slope) == pytest.approx(found[:-1] - found[1:], rel=1e-6, abs=0)
 
 
-# --- tiles, and what all this is compiled to
+# --- tiles and compiled instructions
 
 
 @pytest.mark.parametrize(
     "path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem
 )
-def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Path):
-    """What they import of ours lies beside them, and is looked at, or in
-    `util`, and is not compiled.
-    """
+def test_kernels_depend_only_on_their_folder(path: Path):
+    """Their imports are in the same folder, which is monitored, or in `util`, not compiled."""
     above = re.findall(
         r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
     )
@@ -176,7 +170,7 @@ def test_kernels_are_compiled_anew_for_nothing_outside_of_their_folder(path: Pat
 
 @pytest.fixture(scope="module")
 def untiled() -> Any:
-    """Return the loop over steps, compiled anew for tiles that no chain fills."""
+    """Return the loop over steps compiled with tiles larger than any chain."""
     names = vars(right_hand_side) | vars(kernels) | {"TILE": 2**60}
 
     def again(function: Any) -> FunctionType:
@@ -186,17 +180,15 @@ def untiled() -> Any:
         names[name] = forces.inlined(again(names[name]))
     march = sample_loop.sample_loop(names["_advance"], True)
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
-    # now it is known what it takes
+    # Its arguments are now known.
     NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], Steps(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])
     return made
 
 
-@pytest.mark.soak  # half a minute of compilation
+@pytest.mark.soak  # The compilation takes half a minute.
 def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
-    """A wave all over a chain of three tiles, with contacts that open
-    and a wall that only touches.
-    """
+    """A wave fills three tiles, with opening contacts and a wall that only touches."""
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
     velocity = 1e-2 * np.random.default_rng(1).normal(size=chain.grains)
     velocity[-1] = 0
@@ -230,7 +222,7 @@ with_fma = pytest.mark.skipif(
 
 
 def packed(assembly: str, operation: str) -> int:
-    """Count instructions that do this to several numbers at a time."""
+    """Return the number of vector instructions of a kind."""
     return len(re.findall(rf"\n\s+(?:{operation}pd\s|v{operation}\w*pd\s.*[yz]mm)", assembly))
 
 
@@ -249,7 +241,7 @@ alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
         pytest.param(Form.UNCOMPRESSED_POWER, "div", marks=pytest.mark.slow),
     ],
 )
-def test_loops_over_grains_do_several_at_a_time(form: int, operation: str):
+def test_loops_over_grains_are_vectorised(form: int, operation: str):
     _, kept, _ = forces.LOOPS[form]
     # The assembly of cached code is not available, so the loop is compiled again.
     loop = alone(kept.py_func)
@@ -264,7 +256,7 @@ def watch_first(chains):
 
 @pytest.mark.slow
 @with_fma
-def test_other_loops_do_several_at_a_time():
+def test_other_loops_are_vectorised():
     row = types.Array(float64, 1, "C")
     batch = ChainBatch([smooth()])
     bodies, *_ = batch.place(*(field[None] for field in batch.initial))
@@ -283,7 +275,7 @@ def test_other_loops_do_several_at_a_time():
     assert packed(next(iter(loop.inspect_asm().values())), "sqrt") > 0
 
 
-def test_no_contact_that_shortens_a_step_is_passed_over():
+def test_no_contact_that_shortens_a_step_is_missed():
     rng = np.random.default_rng(3)
     size = 100
     find = numba.njit(error_model="numpy", fastmath=forces.STRICT)(_find_nearness.py_func)

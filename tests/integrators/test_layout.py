@@ -1,6 +1,4 @@
-"""How chains are laid out, where they move at first, and what a contact that
-opens changes, against plain NumPy.
-"""
+"""Memory layout of chains, initial windows, and weights of openings, against plain NumPy."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ N = 5
 
 
 def chains(**options) -> list[Chain]:
-    """Return two chains that differ in their grains."""
+    """Return two different chains."""
     rng = np.random.default_rng(4)
     return [
         Chain(
@@ -57,7 +55,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize("ends", ENDS)
-def test_tables_hold_lengths_strengths_and_masses(ends: str):
+def test_tables_contain_lengths_strengths_and_masses(ends: str):
     made = chains(**ENDS[ends])
     laid = batch(*made)
     assert laid.arrays.precompressed == (0.0 if "vacuum" in ends else 1.0)
@@ -122,7 +120,7 @@ def test_units_of_a_single_grain_are_those_of_the_contact_above():
         Drive(amplitude=2e-8, frequency=2e6),
     ],
 )
-def test_scales_are_the_largest_speed_and_displacement_that_it_makes(excitation):
+def test_scales_are_the_largest_speed_and_displacement_of_the_excitation(excitation):
     chain = chains()[0]
     laid = batch(chain, excitation=excitation)
     scene = laid.scenes[0]
@@ -144,7 +142,7 @@ DAMPED = {
 
 @pytest.mark.parametrize("what", DAMPED)
 def test_damping_is_that_of_the_grains_that_move_freely(what: str):
-    """Creep follows the accelerations only where contacts of one viscosity are all that acts."""
+    """Creep is proportional to the accelerations only for contacts of one viscosity."""
     damping, excitation, alike = DAMPED[what]
     made = [chain.replace(damping=damping) for chain in chains()]
     laid = batch(*made, excitation=excitation)
@@ -160,7 +158,7 @@ def test_damping_is_that_of_the_grains_that_move_freely(what: str):
     assert batch(*chains()).arrays.viscosity.size == 0
 
 
-def test_rows_begin_at_cache_lines_and_have_a_body_more_at_either_end():
+def test_rows_begin_at_cache_lines_with_one_body_more_at_either_end():
     for grains in (7, 8, 9, 15, 16, 17):
         laid = batch(Chain(grains=grains, diameter=1e-3))
         x, v, _ = laid.place(*(field[None] for field in laid.initial))
@@ -180,7 +178,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize("what", PLACES)
-def test_the_window_begins_around_what_moves(what: str):
+def test_the_initial_window_surrounds_the_excitation(what: str):
     """Windows begin at whole cache lines and include driven grains."""
     excitation, low, high = PLACES[what]
     laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
@@ -192,7 +190,7 @@ def test_the_window_begins_around_what_moves(what: str):
     assert last - 2 * PAD <= PAD - 1 + high < last
 
 
-def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
+def test_moving_grains_set_the_window_without_speeds_of_driven_grains():
     chain = Chain(grains=300, diameter=1e-3)
     u, v = np.zeros((2, 300))
     u[120] = 1e-9
@@ -210,7 +208,7 @@ def test_what_moves_sets_the_window_and_speeds_of_driven_grains_are_left_out():
     assert not w.any()
 
 
-def test_copies_go_on_from_where_each_of_them_is():
+def test_copies_continue_from_their_own_states():
     laid = batch(*chains())
     u, v = np.random.default_rng(1).normal(size=(2, 3, 2, N))
     x, w, _ = laid.place(u, v, 3)
@@ -218,7 +216,7 @@ def test_copies_go_on_from_where_each_of_them_is():
     assert np.array_equal(w[:, PAD : PAD + N], v.reshape(6, N))
 
 
-def test_short_chains_are_computed_whole():
+def test_short_chains_are_computed_as_a_whole():
     for grains in (WINDOW_MIN - 2 * PAD, WINDOW_MIN - 2 * PAD + 1):
         laid = batch(Chain(grains=grains, diameter=1e-3))
         x, _, state = laid.place(*(field[None] for field in laid.initial))
@@ -227,7 +225,7 @@ def test_short_chains_are_computed_whole():
 
 
 @pytest.mark.parametrize("ends", ENDS)
-def test_contacts_that_are_open_at_rest_are_known(ends: str):
+def test_contacts_that_are_open_at_rest_are_marked(ends: str):
     laid = batch(*chains(**ENDS[ends]))
     _, _, state = laid.place(*(field[None] for field in laid.initial))
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
@@ -235,7 +233,7 @@ def test_contacts_that_are_open_at_rest_are_known(ends: str):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.2])
 @pytest.mark.parametrize("ends", ENDS)
-def test_weights_of_openings_are_the_acceleration_over_what_changes_the_motion(ends, exponent):
+def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
     made = chains(**ENDS[ends], exponent=exponent)
     laid = batch(*made)
     weight, reach = laid.arrays.opening_weight, laid.arrays.opening_reach
@@ -274,7 +272,7 @@ ACTS = {
 
 
 @pytest.mark.parametrize("what", ACTS)
-def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
+def test_the_forcing_has_a_separate_row(what: str):
     excitation, body = ACTS[what]
     laid = batch(*chains(**BETWEEN), excitation=excitation)
     wave = excitation.waveform
@@ -293,7 +291,7 @@ def test_what_is_imposed_is_in_a_row_of_its_own(what: str):
     assert laid.driven == (what == "sine of grain 1")
 
 
-def test_where_nothing_acts_the_last_body_comes_before_the_first():
+def test_without_a_forcing_the_last_body_precedes_the_first():
     laid = batch(*chains())
     imposed = laid.arrays
     assert not imposed.acts
@@ -301,8 +299,8 @@ def test_where_nothing_acts_the_last_body_comes_before_the_first():
     assert all(not any(wave) for wave in imposed.wave.tolist())
 
 
-def test_batches_of_splines_of_any_length_move_as_each_alone():
-    """Knots of the longest; and forces on unlike grains."""
+def test_batches_of_splines_of_any_length_move_like_single_chains():
+    """The longest spline sets the number of knots; forces act on different grains."""
     chain = chains(**BETWEEN)[0]
     rng = np.random.default_rng(6)
     scenes = []
@@ -330,8 +328,8 @@ def form_of(force: str = "auto", strikes: float = 1.0, **options) -> int:
     return force_form(Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-5), force)
 
 
-def test_the_fastest_form_that_loses_nothing_is_chosen():
-    """Both sides of a strike number of 1, and of strains where a series gives every digit."""
+def test_the_fastest_accurate_form_is_chosen():
+    """Cases are on both sides of strike number 1, and of the strain limit of the series."""
     assert form_of(strikes=1.01) == 6
     assert form_of(strikes=0.99) == Form.CORRECTED
     assert form_of("exact", strikes=1.01) == Form.CORRECTED
@@ -356,10 +354,10 @@ def test_the_fastest_form_that_loses_nothing_is_chosen():
     ]  # fmt: skip
 
 
-def test_a_series_is_chosen_up_to_the_strain_at_which_it_loses_a_digit():
+def test_a_series_is_chosen_up_to_the_strain_of_its_rounding_error():
     chain = Chain(grains=N, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5)
-    limit = 1e-6 * weakest(1.5) / scene.largest_strain  # strains go as the speed
+    limit = 1e-6 * weakest(1.5) / scene.largest_strain  # Strains are proportional to the speed.
     for factor, form in ((0.99, Form.POLYNOMIAL), (1.01, Form.CORRECTED)):
         assert force_form(scene.replace(excitation=Impulse(velocity=factor * limit))) == form
 
@@ -380,7 +378,7 @@ def test_binomial_coefficients():
     assert weakest(1.5) > 0.01
 
 
-def test_the_plain_form_is_known_to_lose_a_digit_only_where_contacts_are_pressed():
+def test_the_plain_form_is_inaccurate_only_for_compressed_contacts():
     pressed = Scene(
         chain=Chain(grains=N, diameter=1e-3), excitation=Impulse(velocity=0.1), duration=1e-5
     )
@@ -391,7 +389,7 @@ def test_the_plain_form_is_known_to_lose_a_digit_only_where_contacts_are_pressed
     assert ChainBatch([pressed]).opening_power == 1.5
 
 
-def test_threads_know_of_each_other():
+def test_threads_share_their_gates():
     three = team(3)
     assert [member.part for member in three] == [0, 1, 2]
     assert {member.parts for member in three} == {3}
@@ -403,10 +401,8 @@ def test_threads_know_of_each_other():
 
 
 @pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
-def test_extremes_are_those_of_all_steps(name: str):
-    """The smallest overlap, the nearest approach and the largest motion,
-    seen in samples at every step.
-    """
+def test_extremes_include_all_steps(name: str):
+    """Smallest overlap, nearest approach and largest motion agree with samples at every step."""
     chain = chains(**BETWEEN)[0]
     u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))
     scale = chain.contacts.overlap.max()

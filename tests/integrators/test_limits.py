@@ -1,4 +1,4 @@
-"""What an answer that has not broken down cannot exceed."""
+"""Bounds that a stable run cannot exceed."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from lmpchain.integrators.kernels.table import UNBOUNDED
 from lmpchain.integrators.steps import Steps
 
 
-def test_what_twice_the_kinetic_energy_cannot_exceed():
+def test_the_bound_on_the_kinetic_energy():
     """The limit is 1.5 times the energy input; drives have no limit."""
     chain = Chain(grains=5, diameter=1e-3)
     struck = [
@@ -40,8 +40,8 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
 
 
 @pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])
-def test_grains_that_come_too_close_are_told_where_answers_are_compared(steps: int, lost: str):
-    """At steps that are far too long grains pass each other, and the error is infinite."""
+def test_grains_that_come_too_close_are_detected(steps: int, lost: str):
+    """With far too long steps grains pass through each other, and the error is infinite."""
     chain = Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
     engine = Native("rkn4", adaptive=False)

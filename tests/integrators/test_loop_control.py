@@ -1,4 +1,4 @@
-"""What decides where compiled loops begin and end, as plain Python."""
+"""Decisions about begin and end of compiled loops, tested in plain Python."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def windowed(first: int, last: int, **fields: Any) -> Any:
 
 @pytest.mark.parametrize("parts", [1, 2, 3, 5])
 @pytest.mark.parametrize("lines", [1, 511, 512, 1023, 1024, 1535, 1536, 2560, 4001])
-def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines: int):
-    """To as many threads as get their least share; the others have none of it."""
+def test_a_window_is_divided_into_equal_parts_of_whole_lines(parts: int, lines: int):
+    """As many threads as possible get at least the least share; the others get nothing."""
     first = 3 * PAD
     last = first + lines * PAD
     shares = []
@@ -72,9 +72,7 @@ def test_a_window_is_shared_out_in_whole_lines_of_like_length(parts: int, lines:
 @pytest.mark.parametrize("field", ["x", "v"])
 @pytest.mark.parametrize("margin", [1, 4, 12])
 @pytest.mark.parametrize("place", range(100, 116))
-def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
-    field: str, margin: int, place: int
-):
+def test_a_window_grows_by_whole_lines_up_to_a_margin_at_rest(field: str, margin: int, place: int):
     """Grains that move by less than 1e-19 of the strike are at rest, unless they are driven."""
     width = 240
     for moving, acted in ((1.1e-19, False), (0.9e-19, False), (0.0, True)):
@@ -96,7 +94,7 @@ def test_a_window_grows_by_whole_lines_so_that_a_margin_is_at_rest(
         assert last >= max(120, place + 1 + margin) > last - PAD or last == 120
 
 
-def test_a_window_ends_where_the_chain_does():
+def test_a_window_ends_at_the_end_of_the_chain():
     width = 64
     x = np.ones(width)
     chain = windowed(
@@ -155,10 +153,8 @@ def test_a_step_is_cut_where_a_burst_ends_within_it():
 
 @pytest.mark.parametrize("every", [1, 2, 4])
 @pytest.mark.parametrize("sample", [0, 5, 8])
-def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int):
-    """Those whose number is a multiple, after its begin and up to its end,
-    but not where a step lands.
-    """
+def test_a_step_passes_the_interpolated_samples(every: int, sample: int):
+    """These are multiples after its begin and up to its end, except landings."""
     chain = windowed(PAD, 2 * PAD)
     chain.state.sample = sample
     clock = SimpleNamespace(dense=every, interval=0.5, length=4.0)
@@ -170,7 +166,7 @@ def test_a_step_passes_the_samples_that_are_interpolated(every: int, sample: int
             assert passes(chain, clock, begin, end) == (numbers[0] if numbers else 0)
 
 
-def test_steps_are_equal_parts_of_the_time_that_is_left():
+def test_steps_are_equal_parts_of_the_remaining_time():
     chain = windowed(PAD, 2 * PAD)
     span = SimpleNamespace(length=3.0)
     chain.state.done = 1.0
@@ -183,10 +179,8 @@ def test_steps_are_equal_parts_of_the_time_that_is_left():
 
 @pytest.mark.parametrize("reach", [0.1, 0.3, 2.0])
 @pytest.mark.parametrize("name", ["verlet", "dop853", "gear4"])
-def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_rarely(
-    name: str, reach: float
-):
-    """Or a step, if that is longer; at a 32nd of the steps made, which costs next to nothing."""
+def test_the_largest_motion_is_checked_at_growing_intervals(name: str, reach: float):
+    """The interval is a radian or a step at first, and then a 32nd of the steps."""
     chain = Chain(grains=5, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=2)
     step = reach / scene.highest_frequency * (0.2 if name != "dop853" else 1.0)
@@ -196,7 +190,7 @@ def test_the_largest_motion_is_looked_for_a_radian_apart_at_first_and_then_more_
     fields = np.zeros((2, 1, 2, 5))
     due = 0
     each = max(1, int(1 / (step * scene.highest_frequency)))
-    bursts = 64 if name == "verlet" else 1  # steps that are made at a time
+    bursts = 64 if name == "verlet" else 1  # Number of steps that are made at a time.
     for made in range(1, steps + 1):
         if made >= due:
             due = made + each + made // 32

@@ -1,6 +1,4 @@
-"""What methods say of themselves, schedules of steps, and what acts as
-a function of its numbers.
-"""
+"""Properties of methods, schedules of steps, and derivatives of the forcing."""
 
 from __future__ import annotations
 
@@ -22,10 +20,10 @@ from lmpchain.integrators.splittings import SPLITTINGS, Splitting
 from lmpchain.integrators.stepper import NativeStepper, room_for
 from lmpchain.integrators.steps import MANY_STEPS, Steps
 
-# --- what methods say
+# --- properties of methods
 
 
-def test_methods_are_known_by_name_order_and_evaluations():
+def test_methods_have_names_orders_and_evaluations():
     known = {name: (m.order, m.evaluations, m.adaptive) for name, m in METHODS.items()}
     assert known == {
         "verlet": (2, 1, False),
@@ -70,7 +68,7 @@ def oscillator_step(splitting: Splitting, reach: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", SPLITTINGS)
-def test_a_splitting_grows_as_its_matrix_does(name: str):
+def test_the_growth_of_a_splitting_is_that_of_its_matrix(name: str):
     splitting = SPLITTINGS[name]
     limit = splitting.stability_limit
     for factor in (0.3, 0.999, 1.01, 1.05):
@@ -79,7 +77,7 @@ def test_a_splitting_grows_as_its_matrix_does(name: str):
     assert splitting.growth(0.5 * limit) == 1.0
 
 
-def test_velocity_verlet_grows_from_2_on():
+def test_velocity_verlet_is_unstable_from_2_on():
     verlet = SPLITTINGS["verlet"]
     assert verlet.stability_limit == pytest.approx(2.0, abs=2e-4)
     for reach in (2.1, 2.5, 3.0):
@@ -88,8 +86,8 @@ def test_velocity_verlet_grows_from_2_on():
     assert exactly.stability_limit == 8.0
 
 
-def test_dop853_grows_as_its_stability_function_does():
-    """R(z) = 1 + z b (1 - z A)^-1 1, at z = i omega h; it equals e^z up to order 8."""
+def test_dop853_grows_like_its_stability_function():
+    """R(z) = 1 + z b (1 - z A)^-1 1 at z = i omega h equals e^z up to order 8."""
     method = METHODS["dop853"]
     for reach in (0.5, 1.0, 3.0, 6.0):
         y = np.array([1.0 + 0j])
@@ -105,7 +103,7 @@ def test_dop853_grows_as_its_stability_function_does():
 
 
 def gear_growth(reach: float) -> float:
-    """Return the largest factor by which five values of x'' = -x grow a step."""
+    """Return the largest growth factor per step of the five values for x'' = -x."""
     pascal = np.array(
         [[1, 1, 1, 1, 1], [0, 1, 2, 3, 4], [0, 0, 1, 3, 6], [0, 0, 0, 1, 4], [0, 0, 0, 0, 1.0]]
     )
@@ -145,7 +143,7 @@ def test_the_total_counts_steps_no_longer_than_those_between_landings(stride: in
         assert schedule.total(samples) == expected
 
 
-def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
+def test_an_auxiliary_run_of_twice_the_step_lands_on_every_second_sample():
     own = Steps(3, 1, 1e-9, True, coarse_openings=True)
     longer = own.longer(2)
     assert longer == Steps(3, 2, 2e-9, True, 2, True)
@@ -156,7 +154,7 @@ def test_a_companion_of_twice_the_step_lands_on_every_second_sample():
     assert Steps(2, 1, 1e-9, True).longer(1.25) == Steps(8, 5, 1.25e-9, True, 1.25)
 
 
-def test_a_companion_of_many_steps_lands_on_all_samples():
+def test_an_auxiliary_run_of_many_steps_lands_on_all_samples():
     longer = Steps(MANY_STEPS, 1, 1e-9, True).longer(2)
     assert (longer.stride, longer.per_landing, longer.ratio) == (1, MANY_STEPS // 2, 2)
     assert longer.step == pytest.approx(2e-9, rel=1e-15)
@@ -166,7 +164,7 @@ def test_a_companion_of_many_steps_lands_on_all_samples():
     assert odd.step == pytest.approx(33e-9 / 17, rel=1e-15)
 
 
-def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
+def test_an_auxiliary_run_of_a_dense_run_is_compared_at_least_once_a_step():
     """Steps land on every fourth, every second or every sample."""
     for steps, stride, ratio, dense in (
         (3, 6, 2, 4), (3, 5, 2, 2), (4, 8, 2, 4), (5, 8, 2, 2), (9, 8, 2, 1), (8, 8, 2, 2),
@@ -179,12 +177,12 @@ def test_a_companion_of_a_dense_run_is_compared_in_one_sample_a_step_or_more():
         assert longer.ratio == ratio
 
 
-def test_half_the_step_is_twice_the_steps():
+def test_half_the_step_doubles_the_number_of_steps():
     halved = Steps(3, 2, 1e-9, True, 1.0, True, 1).halved
     assert halved == Steps(6, 2, 5e-10, True, 0.5, True, 1)
 
 
-# --- what acts, as a function of amplitude and frequency or of samples
+# --- the forcing as a function of amplitude and frequency, or of samples
 
 TIMES = np.array([0.0, 1.0, 2.5, 4.0, 6.0]) * 1e-5
 ACTS = {
@@ -210,10 +208,8 @@ def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Forc
 
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("what", ACTS)
-def test_what_acts_changes_as_differences_say(what: str, order: int):
-    """Back and forth; samples before, between and behind those given,
-    one of which lies on a knot.
-    """
+def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int):
+    """Adjoint and tangent at samples before, between and after the given ones."""
     excitation = ACTS[what]
     course = ImposedCourse(excitation)
     times = np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
@@ -224,7 +220,7 @@ def test_what_acts_changes_as_differences_say(what: str, order: int):
     assert course.size == base.size
     slopes = np.zeros((base.size, times.size))
     for place in range(base.size):
-        if samples:  # both curves are linear in their samples
+        if samples:  # Both curves are linear in their samples.
             degree = 1 if what == "linear" else 3
             slopes[place] = make_interp_spline(TIMES, np.eye(5)[place], degree)(times, order)
         elif place == 0:
@@ -272,8 +268,8 @@ def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
     )
 
 
-def test_progress_is_the_share_of_landings_that_are_done():
-    """A companion that lands half as often has half as many of them."""
+def test_progress_is_the_fraction_of_landings():
+    """An auxiliary run with half as many landings has half the weight."""
     run = stepper(1)
     assert run.progress == 0
     assert run.own_part == 0
@@ -284,13 +280,13 @@ def test_progress_is_the_share_of_landings_that_are_done():
     assert run.steps.tolist() == [12, 12]
     assert run.progress == pytest.approx(0.5, rel=1e-15)
     assert run.own_part == pytest.approx(2 / 3, rel=1e-15)
-    run.fill(*fields, 0, 5, 3, tuple(beside))  # a sample more of the first chain
+    run.fill(*fields, 0, 5, 3, tuple(beside))  # One more sample of the first chain.
     assert run.sample == 4
     assert run.progress == pytest.approx((4.5 + 2) / 12, rel=1e-15)
     assert run.stride == 1
 
 
-def test_chains_that_are_left_stay_at_the_sample_as_they_are():
+def test_skipped_chains_keep_their_state():
     run = stepper()
     fields = np.zeros((2, 2, 9, 6))
     run.fill(*fields, 0, 3, 2**62)
@@ -305,7 +301,7 @@ def test_chains_that_are_left_stay_at_the_sample_as_they_are():
     assert not fields[:, 1, 4:].any()
 
 
-def test_states_that_do_not_fit_are_refused():
+def test_states_of_other_shapes_are_rejected():
     kept = stepper().state()
     assert stepper(state=kept).sample == 0
     narrow = kept | {"state": kept["state"][list(STATE.names[:-1])]}
@@ -330,7 +326,7 @@ def test_states_that_do_not_fit_are_refused():
             stepper(state=moved)
 
 
-def test_room_for_long_chains_is_zero():
+def test_arrays_of_long_chains_are_zero():
     u, v = room_for(2, 3, 600)
     assert u.shape == v.shape == (2, 3, 600)
     assert not u.any()

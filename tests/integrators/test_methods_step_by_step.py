@@ -1,6 +1,4 @@
-"""Every compiled method against the same in plain NumPy, for every law, end
-and excitation, step by step.
-"""
+"""Every compiled method against plain NumPy, step by step, for every law, end and excitation."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
 GRAINS = 7
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
 SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 
 
@@ -107,7 +105,7 @@ KNOTS = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * DURATION
 BUMP = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
 HELD = float(ACTED.contacts.force.max())
 OVERLAP = float(ACTED.contacts.overlap.max())
-BURST = 0.4 * FREQUENCY * DURATION  # cycles of one that ends within a step
+BURST = 0.4 * FREQUENCY * DURATION  # Number of cycles of a burst that ends within a step.
 ACTS = {
     "sine of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY),
     "burst of grain 1": Drive(amplitude=OVERLAP, frequency=FREQUENCY, cycles=BURST),
@@ -122,7 +120,7 @@ ACTS = {
     ),
     "samples on grain 2": Force(times=KNOTS, force=HELD * BUMP, grain=2),
 }
-STEPS_EACH = 12  # from a sample to the next
+STEPS_EACH = 12  # Number of steps between samples.
 
 
 def acted(name: str) -> Scene:
@@ -132,7 +130,7 @@ def acted(name: str) -> Scene:
 def answer(
     scene: Scene, method: str, schedule: Steps, force: str = "auto"
 ) -> tuple[np.ndarray, NativeStepper]:
-    """Return displacements and velocities (2, T, N), in pieces of a few steps."""
+    """Return displacements and velocities (2, T, N), computed in pieces of a few steps."""
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {})
     fields = np.zeros((2, 1, scene.samples, scene.chain.grains))
     fields[:, 0, 0] = scene.initial()
@@ -142,7 +140,7 @@ def answer(
 
 
 def corners(scene: Scene, method: str) -> list[float]:
-    """Return the times at which a method ends a step because another law holds then, s."""
+    """Return the times at which the forcing changes and a method ends a step, s."""
     waveform = scene.excitation.waveform if scene.excitation.does_work else None
     if waveform is None or method == "verlet":
         return []
@@ -152,7 +150,7 @@ def corners(scene: Scene, method: str) -> list[float]:
 
 
 def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int]]:
-    """Return the lengths of all steps, and how many are made before each sample."""
+    """Return the lengths of all steps, and the number of steps before each sample."""
     lengths: list[Any] = []
     made = [0]
     time = np.linspace(WIDE(0), WIDE(scene.duration), scene.samples)
@@ -160,7 +158,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
         h = (end - begin) / steps
         grid = begin + h * np.arange(steps + 1)
         cuts = [t for t in corners(scene, method) if begin + 1e-6 * h < t < end - 1e-6 * h]
-        if method == "dop853":  # in equal parts between corners
+        if method == "dop853":  # Steps are equal parts between corners.
             for left, right in pairwise([begin, *cuts, end]):
                 count = int(np.ceil((right - left) / h - 1e-9))
                 lengths += [(right - left) / count] * count
@@ -171,7 +169,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
-    """Return displacement and velocity by plain NumPy, (2, T, N)."""
+    """Return displacement and velocity from plain NumPy, (2, T, N)."""
     motion = Motion(plain.column(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":
@@ -184,13 +182,13 @@ def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
 
 
 def distance(fields: np.ndarray, others: np.ndarray) -> float:
-    """Return the largest distance of two answers over the largest displacement and velocity."""
+    """Return the largest distance of two solutions over the largest displacement and velocity."""
     return float((np.abs(fields - others).max((1, 2)) / np.abs(others).max((1, 2))).max())
 
 
 @pytest.mark.parametrize("method", ["verlet", "rkn6", "dop853", "gear4"])
 @pytest.mark.parametrize("law", LAWS)
-def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
+def test_flying_grains_move_as_in_plain_numpy(law: str, method: str):
     scene, force, name = LAWS[law]
     assert name_of(ChainBatch([scene], force).arrays.form[0]) == name
     schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
@@ -201,8 +199,8 @@ def test_grains_that_fly_about_move_as_in_plain_numpy(law: str, method: str):
 
 @pytest.mark.parametrize("method", ["verlet", "rkn4", "rkn6", "dop853", "gear4"])
 @pytest.mark.parametrize("name", ACTS)
-def test_what_acts_moves_grains_as_in_plain_numpy(name: str, method: str):
-    """Between steps, too, where a burst ends: there a step is made as two, but of order 2."""
+def test_forced_grains_move_as_in_plain_numpy(name: str, method: str):
+    """A burst that ends within a step divides the step into two, except for order 2."""
     scene = acted(name)
     schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
     fields, _ = answer(scene, method, schedule)
@@ -218,7 +216,7 @@ def test_other_splittings_move_grains_as_in_plain_numpy(method: str):
 
 @pytest.mark.parametrize("method", ["verlet", "rkn6", "dop853", "gear4"])
 def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
-    """On the last after as many steps as are no longer than the others."""
+    """The last interval has as many steps as needed for the same step length."""
     scene, force, _ = LAWS["corrected"]
     scene = scene.replace(samples=9)
     schedule = Steps(10, 3, 3 * scene.duration / 80, False)
@@ -245,8 +243,8 @@ FOLLOWED = [
 
 
 @pytest.mark.parametrize(("method", "adaptive", "steps"), FOLLOWED)
-def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: bool, steps: int):
-    """It moves as in plain NumPy, and what lies outside is exactly at rest."""
+def test_a_window_follows_a_wave_in_a_long_chain(method: str, adaptive: bool, steps: int):
+    """The motion agrees with plain NumPy, and grains outside the window are exactly at rest."""
     chain = Chain(grains=240, diameter=1e-3, gravity=0.0, top_load=1e-2)
     u, v = np.zeros((2, 240))
     scale = 5e-3 * chain.equilibrium_overlap[0] * chain.band_edge
@@ -268,7 +266,7 @@ def test_a_wave_in_a_long_chain_is_followed_by_a_window(method: str, adaptive: b
     ("method", "acts"), [("verlet", "fly about"), ("rkn4", "force"), ("rkn4", "wall")]
 )
 def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str):
-    """Grains fly about all over it, and a force or a wall acts on one part of it."""
+    """Grains fly everywhere, and a force or a wall acts on one part of the chain."""
     grains = 3 * TILE + 5
     chain = Chain(
         grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0

@@ -1,6 +1,4 @@
-"""Contacts that open and close: steps that shorten there reach the last
-digits, and leave no other trace.
-"""
+"""Contact openings: shorter steps there reach full accuracy, and change nothing else."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from lmpchain.engines.stepping import step_choice
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
-def test_digits_cost_no_more_than_order_6_asks_for(name: str):
+def test_accuracy_costs_as_expected_for_order_6(name: str):
     """The force evaluations grow no faster than tolerance^(-1/6)."""
     tolerances = 10.0 ** -np.arange(5, 12.5, 0.5)
     costs = [
@@ -29,7 +27,7 @@ def test_digits_cost_no_more_than_order_6_asks_for(name: str):
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])
-def test_the_last_digits_are_reached(name: str):
+def test_full_accuracy_is_reached(name: str):
     scene = paper(name, 2).replace(duration=5e-5)
     u, v, own = extended_reference(scene)
     t = simulate(scene, "native", tolerance=3e-13)
@@ -37,15 +35,15 @@ def test_the_last_digits_are_reached(name: str):
 
 
 @pytest.mark.parametrize("integrator", ["rkn6", "dop853"])
-def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pytest.MonkeyPatch):
-    """Where the length of steps follows from the motion, too."""
+def test_a_restart_continues_with_the_same_bits(integrator: str, monkeypatch: pytest.MonkeyPatch):
+    """The step lengths depend on the motion as well."""
     scene = paper("fig1", samples=61)
     engine = engines.Native(integrator=integrator)
     candidate = engine.propose(scene, 1e-9)
     assert candidate.steps.adaptive
     whole = engine.start([scene], candidate)
     truth = np.concatenate([block.velocity for block in whole.blocks()], axis=1)
-    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # Few samples per block.
     monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
     pieces = []
     state = None
@@ -61,10 +59,8 @@ def test_a_restart_goes_on_with_the_same_bits(integrator: str, monkeypatch: pyte
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 @pytest.mark.parametrize("integrator", engines.Native.integrators[1:])
-def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: float):
-    """Whatever the method knows of the time before the strike, grains that
-    only touch part without a force.
-    """
+def test_a_grain_that_another_leaves_remains_at_rest(integrator: str, exponent: float):
+    """Grains that only touch separate without a force, even if a method uses times before t = 0."""
     chain = Chain(
         grains=4, material="steel", diameter=5e-3, gravity=0.0, bottom="free", exponent=exponent
     )
@@ -78,8 +74,8 @@ def test_a_grain_that_another_leaves_stays_at_rest(integrator: str, exponent: fl
     assert t.velocity[-1, 2] > 0
 
 
-def test_a_wall_that_a_grain_only_touches_leaves_no_trace_as_they_part():
-    """Gear's start looks a step back or ahead: behind lies an overlap that never was."""
+def test_a_wall_that_only_touches_has_no_effect_after_separation():
+    """Gear's start uses one step backward, where there is an overlap that never occurs."""
     chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=9.81, top="wall")
     ends = []
     for top in ("wall", "free"):
@@ -148,10 +144,8 @@ SHAKEN = [
     ],
     ids=["vacuum", "loaded"],
 )
-def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: int):
-    """With steps of twice the length there, estimates of full order were
-    0.24 and 0.88 of the error.
-    """
+def test_short_steps_at_openings_restore_the_order(scene: Scene, steps: int):
+    """With doubled steps there, estimates of full order were 0.24 and 0.88 of the error."""
     engine = Native("rkn6")
     truth = reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
@@ -165,16 +159,15 @@ def test_short_steps_at_openings_let_the_order_be_trusted(scene: Scene, steps: i
 
 
 @pytest.mark.parametrize("name", thinned(["fig5 g", "fig1"], 2))
-def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openings(
+def test_steps_limited_by_samples_are_not_shortened_further_at_openings(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
-    """They cost a quarter less or better, with an estimate of a lower order;
-    after a miss they are short.
-    """
+    """The cost is at least a quarter less, with an estimate of lower order."""
     scene = paper(name, samples=301)
     engine = Native("rkn6")
-    scene = scene.replace(excitation=scene.excitation.scaled(2.0))  # or steps need not adapt at all
-    # nor are samples interpolated
+    # Otherwise steps need not adapt at all.
+    scene = scene.replace(excitation=scene.excitation.scaled(2.0))
+    # Samples are not interpolated either.
     monkeypatch.setattr(step_choice, "_pass_samples", lambda *_: None)
     candidate = engine.propose(scene, 1e-4)
     truth = reference(scene)
@@ -197,7 +190,7 @@ def test_steps_that_samples_hold_short_are_not_shortened_more_than_that_at_openi
     )
 
 
-def test_where_the_tolerance_holds_steps_short_those_at_openings_are_short_too(
+def test_steps_limited_by_the_tolerance_are_shortened_at_openings(
     monkeypatch: pytest.MonkeyPatch,
 ):
     scene = paper("fig5 g", samples=101)

@@ -33,12 +33,12 @@ LEAD = 0.125
 def plainly(
     solution: Evaluations, imposed: ImposedMotion, law: StrainError, links: LinearLinks = LINKS
 ) -> np.ndarray:
-    """Return the state at the end."""
+    """Return the final state computed in plain NumPy."""
     state = start()
     now = state[0]
     for i, t in enumerate(solution.time):
         first, last = solution.reach[i]
-        bodies = np.zeros((3, GRAINS + 2))  # displacement, velocity, acceleration
+        bodies = np.zeros((3, GRAINS + 2))  # Displacement, velocity, acceleration.
         bodies[0, first + 1 : last + 1] = solution.displacement[i, first:last]
         bodies[1, first + 1 : last + 1] = solution.velocity[i, first:last]
         if first == 0:
@@ -104,8 +104,8 @@ NARROW = np.array([[0, 2], [0, 3], [1, 3], [1, 4], [2, 5], [0, 5]])
 @pytest.mark.parametrize("reach", [WHOLE, NARROW], ids=["whole", "growing"])
 @pytest.mark.parametrize("grain", [0, 2, 4])
 @pytest.mark.parametrize(("size", "near"), [(1.0, 0.0), (1.0, 0.7), (4.0, 0.3), (20.0, 5.0)])
-def test_the_state_is_that_of_plain_numpy(reach: np.ndarray, grain: int, size: float, near: float):
-    """In one call and in two; for weak waves and such in which contacts open."""
+def test_the_state_agrees_with_plain_numpy(reach: np.ndarray, grain: int, size: float, near: float):
+    """Computed in one call and in two, for weak waves and with contact openings."""
     solution = Evaluations(TIME, RECORDED, size * U, size * V, reach)
     imposed = ImposedMotion(size * WALL, grain, size * PUSH)
     law = StrainError(LEAD, near, -0.9)
@@ -118,13 +118,11 @@ def test_the_state_is_that_of_plain_numpy(reach: np.ndarray, grain: int, size: f
         assert expected["opened"] >= 0
 
 
-def test_a_contact_that_opens_between_two_times_is_told():
-    """A parabola that comes below the limit for a moment; behind its turn, and
-    not if that is far from here.
-    """
+def test_an_opening_between_two_times_is_detected():
+    """A parabola is below the limit for a moment, near or far from a time."""
     u, v = np.zeros((2, TIMES, GRAINS))
     links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY, np.zeros(GRAINS))
-    u[0] = [0, 0, 0.9, 0, 0]  # contact 2 is stretched by 0.9 and comes back
+    u[0] = [0, 0, 0.9, 0, 0]  # Contact 2 is stretched by 0.9 and returns.
     v[0] = [0, 0, -0.5, 0, 0]
     force = STIFFNESS * -np.diff(np.concatenate(([0], u[0], [0])))
     acceleration = (force[:-1] - force[1:]) * MOBILITY
@@ -148,7 +146,7 @@ def test_a_contact_that_opens_between_two_times_is_told():
     assert opened(0.99 * near, -0.9) == 2
 
 
-def test_nothing_is_known_at_first():
+def test_the_initial_state():
     state = start()
     assert np.isnan(state["opened"][0])
     assert not any(state[name][0] for name in STATE.names if name != "opened")

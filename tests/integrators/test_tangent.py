@@ -1,6 +1,4 @@
-"""The tangent map against differences of the same steps in plain NumPy,
-for every law and what moves.
-"""
+"""The tangent map against differences of the same steps in plain NumPy, for every law."""
 
 from typing import Any
 
@@ -17,7 +15,7 @@ from lmpchain.integrators.kernels.tangent import march
 from lmpchain.integrators.splittings import RKN4
 
 GRAINS = 5
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # m, diameters
+UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
 SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 FRACTIONS = np.array([0.05, 0.1, 0.07, 0.13, 0.06, 0.11, 0.08, 0.1, 0.12, 0.18])
@@ -36,7 +34,7 @@ LAWS: dict[str, dict[str, Any]] = {
 
 
 def scene_of(law: str) -> Scene:
-    """Return a chain whose grains fly about, or that is driven."""
+    """Return a chain of flying grains, or a driven chain."""
     options = LAWS[law] | {}
     place = options.pop("drive", None)
     chain = Chain(
@@ -68,14 +66,14 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     batch = ChainBatch([scene], "exact")
     inverse_mass = batch.arrays.inverse_mass[0]
     assert inverse_mass[PAD + moving] == pytest.approx(1 / scene.chain.masses[moving], rel=1e-15)
-    columns = 2 * moving.size + 1  # a displacement or a velocity that differs, and longer steps
+    columns = 2 * moving.size + 1  # A changed displacement or velocity, and longer steps.
     dx, dv = np.zeros((2, GRAINS, columns))
     unit = float(np.abs(motion.x).max()), float(np.abs(motion.v).max())
     for column, grain in enumerate(moving):
         dx[grain, column], dv[grain, moving.size + column] = unit
     stretch = np.zeros(columns)
     driven = motion.wall or motion.driven
-    stretch[-1] = not driven  # of what is imposed, time goes on as it was
+    stretch[-1] = not driven  # The time of a forcing remains unchanged.
     x, v = np.zeros((2, inverse_mass.size))
     x[PAD : PAD + GRAINS] = motion.x
     v[PAD : PAD + GRAINS] = motion.v
@@ -113,7 +111,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         columns_seen = moving if driven else slice(None)
         scale = np.abs(true).max()
         assert np.abs(field - true)[:, columns_seen].max() < 1e-13 * scale
-    slopes = (states[1][-1] - states[2][-1]) / (2 * CHANGE)  # (2, columns, N)
+    slopes = (states[1][-1] - states[2][-1]) / (2 * CHANGE)  # Shape (2, columns, N).
     for order, field in enumerate((dx, dv)):
         true = slopes[order].T
         assert np.abs(field - true)[moving].max() < 1e-9 * np.abs(true).max()
@@ -121,8 +119,8 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
     assert x[PAD : PAD + GRAINS][moving] == pytest.approx(nodes[0, -1][moving], rel=1e-15)
 
 
-def test_a_flight_of_many_steps_adds_no_rounding():
-    """A grain that flies alone through 10^5 steps ends where it ought to the last digit."""
+def test_a_flight_of_many_steps_accumulates_no_rounding():
+    """A grain that flies alone through 10^5 steps ends at the exact position."""
     scene = scene_of("vacuum")
     batch = ChainBatch([scene], "exact")
     inverse_mass = batch.arrays.inverse_mass[0]

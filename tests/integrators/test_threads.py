@@ -1,4 +1,4 @@
-"""Threads that share a chain: the answer of one thread, to the last bit."""
+"""Threads that share a chain give the bits of one thread."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def noisy(
     strikes: float = 0.0,
     **chain: Any,
 ) -> Scene:
-    """Return a chain whose grains fly about, so that contacts open and close all over it."""
+    """Return a chain of flying grains, so that contacts open and close everywhere."""
     made = Chain(grains=grains, diameter=1e-3, **{"gravity": 0.0, "top_load": 1e-3} | chain)
     speed = strikes or 2 * made.equilibrium_overlap[0] * made.band_edge
     velocity = np.zeros(grains)
@@ -43,7 +43,7 @@ def noisy(
 
 
 def acted(grains: int = GRAINS // 2 + 200, **excitation: Any) -> Scene:
-    """Return a chain that is driven or pushed until the wave has filled a good part of it."""
+    """Return a chain that is driven or pushed until the wave has filled a large part of it."""
     pushed = excitation.pop("pushed", False)
     chain = Chain(
         grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="free" if pushed else "wall"
@@ -56,7 +56,7 @@ def acted(grains: int = GRAINS // 2 + 200, **excitation: Any) -> Scene:
 def answer(
     scene: Scene, threads: int, method: str, adaptive: bool, steps: int = 4, force: str = "auto"
 ) -> list[Any]:
-    """Return the samples and the state at the end, in pieces of three steps."""
+    """Return the samples and the final state, computed in pieces of three steps."""
     schedule = Steps(steps, 1, scene.duration / (scene.samples - 1) / steps, adaptive)
     stepper = NativeStepper(ChainBatch([scene], force), METHODS[method], schedule, {}, threads)
     u, v = np.zeros((2, 1, scene.samples, scene.chain.grains))
@@ -71,7 +71,7 @@ def answer(
 def check_alike(
     scene: Scene, *how: Any, several: Sequence[int] = SEVERAL, **more: Any
 ) -> list[Any]:
-    """Return the answer of one thread, after checking that several threads give the same."""
+    """Return the result of one thread, after checking that several threads give the same."""
     one = answer(scene, 1, *how, **more)
     for threads in several:
         for a, b in zip(one, answer(scene, threads, *how, **more), strict=True):
@@ -115,7 +115,7 @@ def test_every_form_of_the_force(chain: dict[str, Any]):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["verlet", "rkn4"])
-def test_a_window_that_grows_takes_in_threads(method: str):
+def test_a_growing_window_uses_more_threads(method: str):
     for first, threads in ((0, 2), (3000, 3)):
         scene = noisy(3 * LEAST_SHARE, first, first + 2 * LEAST_SHARE - 40).replace(
             duration=1e-3, samples=3
@@ -157,7 +157,7 @@ def test_a_window_that_grows_takes_in_threads(method: str):
         ),
     ],
 )
-def test_what_acts_all_the_time(excitation: dict[str, Any]):
+def test_a_lasting_forcing(excitation: dict[str, Any]):
     scene = acted(**excitation)
     for method, adaptive in (("verlet", False), ("rkn4", True)):
         steps = int(np.ceil(scene.chain.band_edge * scene.duration / 2))
@@ -166,8 +166,8 @@ def test_what_acts_all_the_time(excitation: dict[str, Any]):
 
 
 @pytest.mark.slow
-def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
-    """The answer, its error estimate and its checkpoint do not depend on the threads."""
+def test_whole_runs_and_resumed_runs(monkeypatch: pytest.MonkeyPatch):
+    """Trajectory, error estimate and checkpoint do not depend on the threads."""
     scene = noisy(2 * LEAST_SHARE + 5, bottom="wall")
     scene = scene.replace(samples=11, duration=scene.duration / 16)
     one, two = (simulate(scene, "native", 1e-4, threads=threads) for threads in (1, 2))
@@ -176,7 +176,7 @@ def test_whole_answers_and_runs_that_go_on(monkeypatch: pytest.MonkeyPatch):
     assert one.error_estimate == two.error_estimate
     assert one.cost.steps == two.cost.steps
 
-    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # few samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # Few samples per block.
 
     def run(threads: int, kept: Any = None, stop: int = scene.samples) -> tuple[Any, Any]:
         engine = engines.Native("rkn4", threads=threads)
@@ -209,8 +209,8 @@ def test_short_chains_and_batches_are_not_split():
         stepper.close()
 
 
-def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.MonkeyPatch):
-    """Ctrl-C may come when some threads have begun and others have not."""
+def test_no_thread_waits_for_a_missing_thread(monkeypatch: pytest.MonkeyPatch):
+    """Ctrl-C may arrive when some threads have begun and others have not."""
     scene = noisy()
     stepper = NativeStepper(
         ChainBatch([scene]), METHODS["verlet"], Steps(2, 1, scene.duration / 6, False), {}, 3
@@ -228,5 +228,5 @@ def test_nobody_waits_for_a_thread_that_does_not_come(monkeypatch: pytest.Monkey
     u, v = np.zeros((2, 1, scene.samples, GRAINS))
     with pytest.raises(KeyboardInterrupt):
         stepper.fill(u, v, 0, scene.samples - 1, 2**30)
-    stepper.close()  # waits for those that have begun
+    stepper.close()  # This call waits for the threads that have begun.
     assert begun[0].done()

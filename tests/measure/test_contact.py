@@ -387,7 +387,7 @@ def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
     everything = contacts(column)
     some = record(column.scene.chain, column.scene.excitation, 1.2e-4, 601, [7, 11, 5, 6])
     history = contacts(some)
-    assert history.contact.tolist() == [5, 6, 11]  # grain 12 is held
+    assert history.contact.tolist() == [5, 6, 11]  # Grain 12 is fixed.
     assert np.array_equal(history.overlap, everything.overlap[:, [4, 5, 10]])
     assert np.array_equal(history.force, contacts(column, [5, 6, 11]).force)
     assert np.array_equal(contacts(some, [11, 5]).closing, everything.closing[:, [10, 4]])
@@ -415,9 +415,9 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
             "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
             lambda: contacts(column, [12, 13]),
         ),
-        ("grain: grain 1 has no contacts on both sides", lambda: sensor(column, 1)),
-        ("grain: grain 12 has no contacts on both sides", lambda: sensor(column, 12)),
-        ("grain: grain 40 has no contacts on both sides", lambda: sensor(column, 40)),
+        ("grain: grain 1 does not exist or lacks a contact", lambda: sensor(column, 1)),
+        ("grain: grain 12 does not exist or lacks a contact", lambda: sensor(column, 12)),
+        ("grain: grain 40 does not exist or lacks a contact", lambda: sensor(column, 40)),
         ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         (

@@ -1,4 +1,4 @@
-"""Echoes of pulses, against an own integration by SciPy and exact solitary waves."""
+"""Echoes of pulses, against an independent integration by SciPy and exact solitary waves."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0}
 
 
 def time_of(chain: Chain, velocity: float, grains: float) -> float:
-    """Return the time that a pulse takes for a number of grains, s: exact, or that of sound."""
+    """Return the travel time of a pulse or of sound over a number of grains, s."""
     if chain.compressed:
         return grains * float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
     speed = 0.90747 * (chain.contact_constants[0] / chain.masses[0]) ** 0.4
@@ -28,7 +28,7 @@ def struck(chain: Chain, velocity: float, duration: float, samples: int) -> Traj
 
 
 def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> tuple[float, float]:
-    """Return the times of the largest power down and up, and integrate Eq. (1) by SciPy for it."""
+    """Return the times of the largest power downward and upward, from Eq. (1) and SciPy."""
     contacts = chain.contacts
     constants = contacts.constant
     rest = contacts.force
@@ -83,7 +83,7 @@ def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> t
         ({"top_load": 10.0, "material": ["steel"] * 20 + ["ptfe"] * 6}, 1e-3, 21, True),
     ],
 )
-def test_time_of_flight_back_is_that_of_an_own_integration(
+def test_time_of_flight_agrees_with_an_independent_integration(
     changes: dict, velocity: float, reflector: int | None, inverted: bool
 ) -> None:
     """The time between the two largest powers is right within the stated error, for each end."""
@@ -103,7 +103,7 @@ def test_time_of_flight_back_is_that_of_an_own_integration(
 
 
 def test_errors_cover_coarse_sampling() -> None:
-    """Of random strikes and sampling rates, times and shares are right within their errors."""
+    """Times and shares of random strikes at random sampling rates are right within their errors."""
     rng = np.random.default_rng(3)
     covered = []
     for _ in range(8):
@@ -122,7 +122,7 @@ def test_errors_cover_coarse_sampling() -> None:
 
 
 def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
-    """Between two sensors both ways take the times of exact solitary waves, without the wall's."""
+    """Exact solitary waves have the same travel times, apart from the delay at the wall."""
     chain = Chain(grains=80, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 150), 5001)
     upper, lower = (echo.find(t, grain) for grain in (35, 55))
@@ -140,7 +140,7 @@ def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
 
 
 def test_energy_of_pulses_is_that_of_the_chain() -> None:
-    """What passes a grain downward is the energy of the strike less what stays above."""
+    """The downward energy past a grain is the strike energy minus the part that stays above."""
     chain = Chain(grains=30, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 60), 2001)
     pulses = echo.find(t, 10).pulses
@@ -150,7 +150,7 @@ def test_energy_of_pulses_is_that_of_the_chain() -> None:
     assert pulses[1].energy < 0 < pulses[1].force
 
 
-def test_what_has_no_echo_is_refused_and_pictures_have_labels() -> None:
+def test_missing_echoes_are_rejected_and_pictures_have_labels() -> None:
     """A run that ends before the echo, or a wrong reflector, raises an error."""
     chain = Chain(grains=24, bottom="wall", **BEADS)
     t = struck(chain, 0.1, time_of(chain, 0.1, 48), 801)

@@ -98,7 +98,7 @@ def test_energy_and_momentum_are_conserved(case: tuple[Chain, Excitation, float]
     assert energy.impulse.any() == (chain.bottom != "free")
 
 
-def test_a_spring_alone_swaps_its_energy() -> None:
+def test_a_single_spring_exchanges_its_energy() -> None:
     """A ball on a spring between walls: K = E cos^2, momentum m v cos, impulse m v (cos - 1)."""
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=3.0)
     omega = np.sqrt(chain.contact_constants[0] / chain.masses[0])
@@ -268,7 +268,7 @@ def test_energy_of_a_chain_at_rest_is_zero() -> None:
 def test_every_grain_that_moves_is_needed() -> None:
     strike = Impulse(velocity=1e-4)
     whole = ledger(record(COLUMN, strike, 1e-5, 11))
-    # Grain 20 is held.
+    # Grain 20 is fixed.
     turned = ledger(record(COLUMN, strike, 1e-5, 11, grains=list(range(19, 0, -1))))
     for key, value in whole.__dict__.items():
         assert turned.__dict__[key] == pytest.approx(value, rel=1e-12, abs=0), key
@@ -277,14 +277,14 @@ def test_every_grain_that_moves_is_needed() -> None:
             ledger(record(COLUMN, strike, 1e-5, 11, grains=grains))
 
 
-def test_two_samples_say_nothing_about_the_error() -> None:
+def test_two_samples_give_no_error_estimate() -> None:
     energy = ledger(of_unknown_error(record(COLUMN, DRIVES["piston"], 1e-6, 2)))
     assert energy.drive_error == energy.impulse_error == np.inf
     assert np.isfinite(energy.drive).all()
 
 
 @pytest.mark.parametrize("bottom", ["fixed", "free"])
-def test_grains_that_never_move_change_nothing(bottom: str) -> None:
+def test_grains_at_rest_do_not_change_the_balance(bottom: str) -> None:
     """The balance of a long chain equals the balance of the part that the wave reaches."""
     found = []
     for grains in (200, 2000):

@@ -270,7 +270,7 @@ def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int)
         assert error < 0.02 * put_in, name
 
 
-def test_a_foreign_trajectory_has_its_samples_alone():
+def test_a_foreign_trajectory_uses_only_its_samples():
     t = simulate(scene_of("strike", 401), "native", 1e-10)
     foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
     found = energy.ledger(foreign)
@@ -281,7 +281,7 @@ def test_a_foreign_trajectory_has_its_samples_alone():
     assert energy.losses(rough).error > 1e-4 * found.total[0] > energy.losses(t).error
 
 
-def test_energies_are_kept_wherever_a_run_goes(tmp_path: Path, monkeypatch):
+def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):
     """Files, a resumed run, a batch, threads, and recorded grains: the bits stay."""
     scene = scene_of("tone", 41)
     t = simulate(scene, "native", 1e-8)
@@ -327,7 +327,7 @@ def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):
     assert energy.ledger(t).balanced == ("dissipated", "impulse")
 
 
-def test_grains_that_no_wave_reaches_change_no_energy():
+def test_grains_beyond_the_wave_do_not_change_energies():
     """The light cone of a long chain has the energies of the whole, and of a shorter chain."""
     found = []
     for grains in (300, 3000):
@@ -342,7 +342,7 @@ def test_grains_that_no_wave_reaches_change_no_energy():
 @pytest.mark.parametrize("acts", [False, True])
 @pytest.mark.parametrize("seed", range(30))
 def test_stated_errors_hold_in_random_scenes(seed: int, acts: bool):
-    """Dissipation less work equals the energy loss of a Taylor-series solution."""
+    """Dissipation minus work equals the energy loss of a Taylor-series solution."""
     rng = np.random.default_rng([77, seed])
     draw = acted_trial_scene if acts else trial_scene
     scene = draw(rng, work=1e3)
@@ -388,7 +388,7 @@ def test_samples_alone_state_an_infinite_error_where_they_do_not_resolve_the_mot
         Force(grain=3, shape="half-sine", amplitude=0.02, duration=2e-5),
     ],
 )
-def test_work_without_losses_is_what_is_summed_with_next_to_none(
+def test_work_without_losses_equals_accumulated_work_with_little_loss(
     excitation: Drive | Force, samples: int
 ):
     """Without damping, work follows from the balance; with a drag of 1e-7 /s it is summed."""

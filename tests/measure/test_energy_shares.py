@@ -123,7 +123,7 @@ def test_energies_are_within_their_errors(name: str):
     assert 0 < error.max() < 0.02 * scene.energy
 
 
-def test_the_energy_of_some_grains_does_not_depend_on_what_else_is_kept(tmp_path):
+def test_the_energy_of_grains_does_not_depend_on_other_recorded_grains(tmp_path):
     scene = Scene(
         chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11, grains="3:6"
     ).to_dict()

@@ -118,7 +118,7 @@ HAMMERS = {
 
 @pytest.mark.parametrize("name", HAMMERS)
 @pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
-def test_a_hammer_is_accounted_for_by_few_samples(name: str, within: float):
+def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float):
     """Corners between few samples do not spoil the work of a hammer, compared with the energy
     gained.
     """
@@ -256,7 +256,7 @@ def test_energies_of_grains_and_contacts_by_their_formulas(ends: dict[str, str])
             seen.of_grain[:, first - 1 : last].sum(1), rel=1e-13
         )
     for first, last in ((5, 4), (0, 3), (8, 10)):
-        with pytest.raises(InputError, match=f"from the first to the last .got {first} to {last}"):
+        with pytest.raises(InputError, match=f"first to last .got {first} to {last}"):
             seen.part(first, last)
 
 

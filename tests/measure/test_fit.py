@@ -55,7 +55,7 @@ def answered(
     engine: str = "chebyshev",
     **rest: Any,
 ):
-    """Return a run of a given length in units of tau, whatever its model error."""
+    """Return a run of a given length in units of tau, regardless of its model error."""
     scene = Scene(
         chain=chain,
         excitation=excitation,
@@ -108,7 +108,7 @@ def test_shares_of_the_modes_and_their_energy(column: Trajectory):
     assert fit.share == pytest.approx(shape[0] ** 2, abs=1e-12)
 
 
-def test_one_mode_alone_holds_all():
+def test_a_single_mode_has_all_of_the_energy():
     chain = Chain(grains=12, diameter=1e-3, top_load=0.02, bottom="wall")
     diagonal, coupling = chain.dynamical_matrix()
     _, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
@@ -121,7 +121,7 @@ def test_one_mode_alone_holds_all():
     )
 
 
-def test_a_strong_strike_leaves_the_linear_motion():
+def test_a_strong_strike_deviates_from_linear_motion():
     """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain by Chebyshev
     polynomials.
     """
@@ -149,7 +149,7 @@ def test_a_strong_strike_leaves_the_linear_motion():
         Displacement(displacement=1e-15, grain=3),
     ],
 )
-def test_the_uniform_chain_is_found_again(excitation: Any, engine: str):
+def test_the_parameters_of_a_uniform_chain_are_recovered(excitation: Any, engine: str):
     fit = fit_bessel(answered(UNIFORM, excitation, 30.0, 121, engine))
     assert fit.amplitude / fit.expected[0] == pytest.approx(1, abs=1e-6)
     assert fit.kappa == pytest.approx(1, abs=1e-6)
@@ -191,7 +191,7 @@ def test_the_local_speed_in_a_column():
     assert fit.residual < 0.1
 
 
-def test_a_window_of_ones_own(column: Trajectory):
+def test_a_given_window(column: Trajectory):
     unit = column.scene.chain.time_scale
     fit = fit_bessel(column, grains=(1, 2), until=unit)
     assert fit.time.max() <= unit
@@ -236,7 +236,7 @@ def test_law_of_the_front(column: Trajectory):
     assert abs(raw - 5 / 6) > 5e-3
 
 
-def test_the_front_is_found_whatever_is_known_of_the_error(column: Trajectory):
+def test_the_front_is_found_for_any_error(column: Trajectory):
     """The error of a dump is unknown, and its estimate infinite."""
     law, same = (
         fit_continuum(
@@ -329,7 +329,7 @@ def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: An
 
 
 @pytest.mark.parametrize("parameter", PARAMETERS)
-def test_noise_in_a_trace_shows_in_the_error(parameter: Any):
+def test_noise_in_a_trace_increases_the_error(parameter: Any):
     true, guess = PARAMETERS[parameter]
     clean = Trace.of(simulate(struck(parameter, true), "native", 1e-9), [6])
     rng = np.random.default_rng(7)
@@ -411,7 +411,7 @@ def clean_trace(grain: int = 5) -> Trace:
         ),
     ],
 )
-def test_traces_and_parameters_that_are_wrong(call: Callable[[], Any], key: str):
+def test_invalid_traces_and_parameters(call: Callable[[], Any], key: str):
     with pytest.raises(InputError) as error:
         call()
     assert keys(error) == [key]
@@ -481,7 +481,7 @@ def test_scenes_to_which_a_fit_does_not_apply(fit: Any, changes: dict[str, Any],
     assert keys(error) == [key]
 
 
-def test_summary_names_what_applies_and_what_does_not(column: Trajectory, uniform: Trajectory):
+def test_the_summary_names_suitable_and_unsuitable_fits(column: Trajectory, uniform: Trajectory):
     found = summary(column)
     assert list(dict.fromkeys(row.fit for row in found.rows)) == [
         "front",
@@ -507,7 +507,9 @@ def test_summary_names_what_applies_and_what_does_not(column: Trajectory, unifor
     assert str(found) == found.table()
 
 
-def test_local_exponents_stand_beside_those_of_great_depth(column: Trajectory, fit: ExponentFit):
+def test_local_exponents_are_compared_with_those_of_great_depth(
+    column: Trajectory, fit: ExponentFit
+):
     """After a weak strike, the local exponents tend to the exponents of the front."""
     front = track(column).between(20, 10**6)
     local = fit.local["velocity"]
@@ -531,7 +533,7 @@ def test_grains_near_the_bottom_are_left_out(column: Trajectory, fit: ExponentFi
     assert f"grains 20 to {fit.grain[-1]}" in " ".join(str(fit).split())
 
 
-def test_summary_where_nothing_applies():
+def test_a_summary_without_suitable_fits():
     chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5)
     found = summary(simulate(scene, "native", 1e-6))
@@ -602,7 +604,7 @@ def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
     return out
 
 
-def test_a_dump_is_read_as_mdanalysis_gives_it(dumped: tuple[Path, Path], tmp_path: Path):
+def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Path):
     from helpers.standalone_lammps import read_dump
 
     scene = Scene.from_toml(dumped[1])
@@ -781,7 +783,7 @@ def test_fit_faults_have_exit_code_2(
     assert said.out == ""
 
 
-def test_bessel_needs_a_wave_and_not_only_its_start():
+def test_bessel_functions_need_a_passing_wave():
     """Behind a wall, the first grain has an image at once, so that its motion is no measurement."""
     chain = Chain(
         grains=40,

@@ -23,7 +23,7 @@ def ran(name: str, samples: int) -> Trajectory:
 
 
 @pytest.mark.parametrize("name", EXCITATIONS)
-def test_front_velocity_and_force_are_those_of_dense_samples(name: str):
+def test_front_velocity_and_force_agree_with_dense_samples(name: str):
     found = {row.quantity: row for row in fit_passage(ran(name, 801)).rows()}
     dense = ran(name, 16001)
     speeds = np.abs(dense.velocity)
@@ -51,7 +51,7 @@ def test_front_velocity_and_force_are_those_of_dense_samples(name: str):
     assert 0.9 * 600 < speed.value < 800
 
 
-def test_forces_of_blocks_of_contacts_are_those_of_all(monkeypatch: pytest.MonkeyPatch):
+def test_forces_of_blocks_of_contacts_equal_those_of_all(monkeypatch: pytest.MonkeyPatch):
     run = ran("push", 401)
     whole = fit_passage(run)
     monkeypatch.setattr(module, "CONTACTS_AT_ONCE", 7)

@@ -85,7 +85,7 @@ def test_under_a_load(downward: bool):
         ),
     ],
 )
-def test_what_is_no_solitary_wave(chain: Chain, excitation: Impulse, said: str):
+def test_waves_that_are_not_solitary(chain: Chain, excitation: Impulse, said: str):
     t = strike(chain, excitation, 50 * chain.time_scale if chain.compressed else 1e-4)
     with pytest.raises(InputError, match=said):
         fit_soliton(t)
@@ -101,7 +101,7 @@ def test_a_striker_of_another_kind(striker: str):
     assert "within 5 of an end" in " ".join(str(fit).split())
 
 
-def test_a_pull_is_no_solitary_wave():
+def test_a_pull_sends_no_solitary_wave():
     chain = Chain(**STEEL, top_load=1.0)
     t = strike(chain, Impulse(velocity=-0.5), 45 * chain.time_scale)
     with pytest.raises(InputError, match="front"):
@@ -215,7 +215,7 @@ def test_limits_of_a_steady_wave(struck: Trajectory, front: Front, monkeypatch: 
         given(width=five)
 
 
-def test_chains_in_which_no_wave_stays_as_it_is():
+def test_chains_in_which_waves_change():
     def check(chain: Chain) -> None:
         solitary.check_chain(chain)
         solitary._uniform_piece(chain, np.arange(1, 9))

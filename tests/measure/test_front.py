@@ -130,7 +130,7 @@ def test_grains_that_the_front_has_not_passed_are_left_out():
         track(t)
 
 
-def test_a_wave_that_was_not_seen_to_fall_has_no_width():
+def test_a_wave_without_a_recorded_decrease_has_no_width():
     front = track(made_up(lambda t, n: gauss(t, 17 - n) + 0.6 * (1 + np.tanh(t - 17 + n))))
     assert front.grain.tolist() == [1, 2, 3, 4, 5]
     assert (np.diff(front.time) < 0).all()
@@ -336,7 +336,7 @@ def power_law(noise: float = 0.0, terms: tuple[float, ...] = (-0.4,)) -> Front:
     return Front("velocity", grain, h * 1e-3, h.astype(float), -amplitude, h**2, zero, zero, zero)
 
 
-def test_a_power_law_is_found_again():
+def test_a_power_law_is_recovered():
     for given in (None, -0.3):
         law = asymptotic(power_law(), "amplitude", 1.5, given)
         assert (law.exponent, law.factor, law.correction) == pytest.approx(
@@ -364,7 +364,7 @@ def test_scatter_widens_the_intervals():
     assert abs(local.exponent + 0.3) < 2 * local.error
 
 
-def test_fronts_that_follow_no_power_law_are_refused():
+def test_fronts_without_a_power_law_are_rejected():
     front = power_law()
     with pytest.raises(InputError, match="choose other grains"):
         asymptotic(replace(front, amplitude=np.exp(-front.depth / 0.05)), "amplitude", 1.5, -0.3)
@@ -395,7 +395,7 @@ def test_speed_of_the_front_between_two_grains():
 
 
 @pytest.mark.filterwarnings("error")
-def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
+def test_simultaneous_peaks_have_infinite_speed():
     """Simultaneous maxima are rounding errors: the speed is infinite, without a warning."""
     one = np.ones(4)
     at_once = Front(
@@ -405,7 +405,7 @@ def test_grains_that_peak_at_once_are_passed_at_no_finite_speed():
     assert at_once.against_depth("speed")[0].tolist() == [2.5, 3.5]
 
 
-def test_grains_without_motion_are_passed_over():
+def test_grains_at_rest_are_skipped():
     """A long chain at rest behind the wave does not change the front."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
     longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
@@ -423,7 +423,7 @@ def test_grains_without_motion_are_passed_over():
     assert short.time == pytest.approx(long.time, rel=1e-8)
 
 
-def test_a_front_that_samples_do_not_resolve_says_how_many_do():
+def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     """The message gives the number of grains whose arrival times are too uncertain."""
     scene = Scene(
         chain=Chain(grains=2000, diameter=1e-3),

@@ -109,7 +109,7 @@ def long_run(exponent: float, amplitude: float) -> Trajectory:
 def test_strong_waves_have_the_phase_of_exact_travelling_waves(
     exponent: float, amplitude: float
 ) -> None:
-    """The shift by amplitude is that of periodic travelling waves with the same mean strain."""
+    """The shift by amplitude agrees with periodic travelling waves of the same mean strain."""
     t = long_run(exponent, amplitude)
     chain = t.scene.chain
     found = harmonic.wave(t)
@@ -206,7 +206,7 @@ def test_drive_point_of_a_base_under_gravity(bottom: str, seed: int) -> None:
 
 
 def test_drive_point_of_linear_chains() -> None:
-    """The dynamic stiffness is that of a dense linear system, for each kind of drive."""
+    """The dynamic stiffness agrees with a dense linear system, for each kind of drive."""
     losses = {"viscoelastic": 4e-6, "drag": 50.0}
     chain = Chain(grains=6, top="wall", bottom="wall", damping=losses, **LOADED)
     omega = 0.37 * chain.band_edge
@@ -239,7 +239,7 @@ def test_drive_point_of_linear_chains() -> None:
 
 
 def test_drive_point_of_a_strongly_shaken_chain() -> None:
-    """Apparent mass and loss factor of a bouncing chain agree with an own SciPy integration."""
+    """Apparent mass and loss factor of a bouncing chain agree with an independent SciPy run."""
     chain = Chain(grains=3, top="wall", bottom="wall", damping={"viscoelastic": 8e-6}, **LOADED)
     rest = float(chain.contacts.overlap[0])
     omega = 0.3 * chain.band_edge
@@ -257,7 +257,7 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
         u[0] = drive.amplitude * np.sin(omega * t)
         v[0] = drive.amplitude * omega * np.cos(omega * t)
         overlap = np.maximum(at_rest - u[1:] + u[:-1], 0.0)
-        # K (1 + A d/dt) o^(3/2)
+        # The force is K (1 + A d/dt) o^(3/2).
         return constants * np.sqrt(overlap) * (overlap - 8e-6 * 1.5 * (v[1:] - v[:-1]))
 
     def rate(t: float, state: np.ndarray) -> np.ndarray:
@@ -284,7 +284,7 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
     assert abs(found.linear - fundamental) > max(100 * found.error, 5e-3 * abs(fundamental))
 
 
-def test_errors_cover_what_is_left_of_a_transient() -> None:
+def test_errors_cover_the_rest_of_a_transient() -> None:
     """After short runs of weakly damped, strongly driven chains, a four times longer one agrees."""
     rng = np.random.default_rng(6)
     for number in range(3):
@@ -309,7 +309,7 @@ def test_errors_cover_what_is_left_of_a_transient() -> None:
         assert abs(short.stiffness - long.stiffness) <= short.error + long.error
 
 
-def test_a_plot_has_labels_and_what_cannot_be_measured_is_refused() -> None:
+def test_pictures_have_labels_and_unsuitable_runs_are_rejected() -> None:
     """The picture has labelled axes; a burst or a few grains give no wavenumber."""
     t = long_run(1.5, 0.02)
     axes = harmonic.wave(t).plot()

@@ -211,7 +211,7 @@ def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
     assert law.expected == pytest.approx([5 / 6, 6 / 5], rel=1e-14)
 
 
-def test_which_laws_are_fitted_to_which_front(struck: Trajectory):
+def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
     seen = fit_exponents(struck, 15, 70)
     velocity, displacement = (
         track(struck, field).between(15, 70) for field in ("velocity", "displacement")
@@ -235,13 +235,13 @@ def test_which_laws_are_fitted_to_which_front(struck: Trajectory):
 
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 2.0])
-def test_when_the_front_comes_to_the_bottom(delta: float):
+def test_arrival_of_the_front_at_the_bottom(delta: float):
     power = 1.5 / delta - 0.5
     width = (79.5**power / (8 * power)) ** (1 / 3)
     assert bottom(80, delta) == pytest.approx((float(chi(79.5, delta)), width), rel=1e-12)
 
 
-def test_which_scenes_are_columns_struck_at_their_top():
+def test_recognition_of_columns_struck_at_their_top():
     strike = Impulse(velocity=-2e-9)
 
     def keys(excitation: Any = strike, **more: Any) -> list[str]:
@@ -291,7 +291,7 @@ def waving(asked: list[Scene]) -> Any:
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_a_parameter_on_which_all_depends_linearly(even: bool):
+def test_a_parameter_with_a_linear_effect(even: bool):
     """The value is sum(x y) / sum(x^2), with the error sqrt(s^2 / sum(x^2))."""
     time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
     shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
@@ -315,7 +315,7 @@ def test_a_parameter_on_which_all_depends_linearly(even: bool):
     assert first.samples == (30 if even else int(np.ceil(4e-5 / apart)) + 1)
 
 
-def test_how_far_a_fit_looks_for_its_parameter():
+def test_the_range_of_a_parameter_search():
     """The search reaches 2 span from the best of nine values; a span of 1 has one start value."""
     time = np.linspace(0, 4e-5, 30)
     shape = np.sin(2e5 * time + 3)

@@ -31,7 +31,7 @@ def dense():
 
 
 @pytest.mark.parametrize("samples", [11, 21, 41, 81])
-def test_sparse_samples_say_how_far_off_they_are(dense, samples):
+def test_sparse_samples_state_their_error(dense, samples):
     sparse = simulate(column(samples), "native", 1e-10)
     for field in ("velocity", "displacement"):
         sampled = np.abs(getattr(dense, field)).max(0)
@@ -57,7 +57,7 @@ def test_sparse_samples_say_how_far_off_they_are(dense, samples):
 
 @pytest.mark.parametrize("samples", [7, 10, 13])
 def test_two_grains_against_the_exact_oscillation(samples: int):
-    """One spring between held ends: phi = (v/omega) sin(omega t).
+    """One spring between fixed ends moves as phi = (v/omega) sin(omega t).
 
     Its frequency is known to be at most 2^(1/2) omega. From 4.5 samples in a period on, no motion
     hides between two of them, and a peak is found wherever it is. Of three in a period none is near
@@ -102,7 +102,7 @@ def test_order_of_the_interpolation(dense, equation):
     assert off[0] > 2**power * off[1] > 4**power * off[2] > 0
 
 
-def test_what_hides_between_two_samples_is_bounded():
+def test_motion_hidden_between_two_samples_is_bounded():
     """A pulse of the sonic vacuum passes between samples: the error is the bound by energy."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=3)
@@ -113,7 +113,7 @@ def test_what_hides_between_two_samples_is_bounded():
 
 
 @pytest.mark.parametrize("samples", [41, 5])
-def test_grains_that_never_move_change_nothing(samples):
+def test_grains_at_rest_do_not_change_peaks(samples):
     """Peaks and fronts of the first grains do not depend on the number of grains at rest below."""
     found = []
     for grains in (200, 2000):
@@ -154,7 +154,7 @@ def test_driven_grain():
     assert abs(found.value[0] - 2e4 * 2 * np.pi * 1e-9) <= found.error[0] < 1e-5 * found.value[0]
 
 
-def test_unknown_errors_leave_those_of_sampling():
+def test_unknown_errors_leave_the_sampling_errors():
     t = simulate(column(201), "native", 1e-6)
     unknown = replace(t, error_estimate=replace(t.error_estimate, solver=np.inf))
     one = peaks(t)
@@ -187,7 +187,7 @@ def test_random_scenes_soak(equation, monkeypatch):
     assert "between_samples" in sys.modules
 
 
-def test_a_driven_grain_whose_samples_are_few():
+def test_a_driven_grain_with_few_samples():
     """The drive gives the acceleration of the grain; contacts give all other accelerations."""
     drive = Drive(amplitude=1e-9, frequency=20e3)
     scene = Scene(
@@ -200,7 +200,7 @@ def test_a_driven_grain_whose_samples_are_few():
     assert np.isfinite(seen.error[1:]).all()
 
 
-def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
+def test_a_front_that_rises_after_a_sample_near_an_opening():
     """The top is sampled before the maximum, and the interval before has a much smaller error."""
     sizes = (8.8256e-3, 7.3948e-3, 12.8546e-3, 11.8211e-3, 9.6739e-3)
     walls = {"top": "wall", "bottom": "wall"}
@@ -214,7 +214,7 @@ def test_a_front_that_rises_behind_a_sample_near_a_contact_that_opens():
     assert abs(few[1] - height) <= few[4] < 0.05
 
 
-def test_largest_values_and_fronts_of_a_field_take_in_its_samples_once():
+def test_maxima_of_a_field_are_accumulated_once():
     """Every order of calls accumulates once; another fraction needs other maxima."""
     column = Chain(grains=20, diameter=1e-3)
     strike = Impulse(velocity=1e-3)

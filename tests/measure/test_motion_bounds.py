@@ -44,7 +44,7 @@ def swing(
 
 def test_reference_values_of_relative_errors():
     """The motion exceeds its samples by at most 1 / cos(omega h / 2); else energy limits it."""
-    angle = 2.5  # the frequency is known to be at most 2^(1/2) omega
+    angle = 2.5  # The frequency is known to be at most 2^(1/2) omega.
     fine = swing(6, angle)
     more = 1 / math.cos(math.sqrt(2) * angle / 5 / 2)
     phase = np.linspace(0, angle, 6)
@@ -57,11 +57,11 @@ def test_reference_values_of_relative_errors():
     unknown = swing(2, 2.0, equation=0)
     assert unknown.known_error("velocity") == pytest.approx(1e-4 * SPEED / math.cos(1.0), rel=1e-12)
     assert swing(6, angle, math.inf).known_error("velocity") == 0
-    near = swing(2, 1.5)  # within half an interval no grain goes farther than its speed takes it
+    near = swing(2, 1.5)  # Within half an interval no grain moves farther than its speed allows.
     assert near.known_error("displacement") == pytest.approx(1e-4 * SPEED / OMEGA, rel=1e-9)
 
 
-def test_what_a_chain_that_may_open_can_reach():
+def test_bounds_of_a_chain_that_may_open():
     """The bounds are a grain with all of the energy, and its path in half an interval more."""
     masses = np.linspace(2e-6, 1e-6, 12)
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
@@ -77,7 +77,7 @@ def test_what_a_chain_that_may_open_can_reach():
         )
 
 
-def test_what_a_pressed_chain_can_reach():
+def test_bounds_of_a_compressed_chain():
     """If no contact opens, the contacts have the energy: (sum of r)^2 <= (delta + 1) E sum of 1 /
     k.
     """
@@ -110,7 +110,7 @@ def test_bounds_between_samples_of_one_spring():
     sampled = SPEED / OMEGA * np.abs(np.sin(np.linspace(0, 7.5, 4)))
     high = ((sampled[1:] + sampled[:-1] + coarse.step * limit) / 2).max()
     assert value[0] + error[0] == pytest.approx(high + coarse.known_error("displacement"), rel=1e-9)
-    unknown = swing(6, 5.0, equation=0)  # above 0.7, and nothing is known of its energy
+    unknown = swing(6, 5.0, equation=0)  # The phase is above 0.7, and the energy is unknown.
     assert np.isinf(unknown.ceiling).all()
     assert swing(20, 5.0, equation=0).ceiling.shape == (1, 0)
 
@@ -176,8 +176,8 @@ def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
 
 
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
-def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
-    """The force is F at rest plus k v / omega, plus the weight of a held grain."""
+def test_the_largest_force_on_the_bottom_support(bottom: str):
+    """The force is the force at rest plus k v / omega, plus the weight of a fixed grain."""
     if bottom == "fixed":
         chain = SPRING
         stiffness = SPRING.linear_stiffness[0]
@@ -202,7 +202,7 @@ def test_the_largest_force_on_what_holds_the_bottom(bottom: str):
     assert error == pytest.approx(stiffness * off, rel=1e-5)
 
 
-def test_the_bottom_of_samples_too_far_apart():
+def test_the_bottom_force_of_distant_samples():
     """The overlap (u_i + u_(i+1) + h times the speed limit) / 2 may occur between two samples."""
     coarse = swing(4, 7.5, error=0.0)
     phase = np.linspace(0, 7.5, 4)
@@ -215,7 +215,7 @@ def test_the_bottom_of_samples_too_far_apart():
     )
 
 
-def test_no_force_where_nothing_stands_or_nothing_was_recorded():
+def test_no_bottom_force_without_support_or_recording():
     chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=21)
     with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
@@ -234,7 +234,7 @@ def test_no_force_where_nothing_stands_or_nothing_was_recorded():
 
 
 @pytest.mark.parametrize("equation", [0, 1])
-def test_the_closest_approach_of_two_grains_is_no_further_off_than_it_says(equation: int):
+def test_errors_of_the_closest_approach_cover_the_deviation(equation: int):
     """The error covers the deviation from many samples for every contact of a chain that opens."""
     chain = Chain(grains=6, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1441)

@@ -74,7 +74,7 @@ def test_forces_of_more_contacts_are_a_map(above_rest: bool):
     many = history([3, 1, 9, 5, 7, 2, 8])
     axes = many.plot(above_rest=above_rest)
     values = many.change if above_rest else many.force
-    order = [1, 5, 0, 3, 4, 6, 2]  # rows by their number: 1, 2, 3, 5, 7, 8, 9
+    order = [1, 5, 0, 3, 4, 6, 2]  # Row order by contact number: 1, 2, 3, 5, 7, 8, 9.
     assert not axes.lines
     (image,) = axes.images or axes.collections
     assert np.array_equal(colours(image, (7, 5)), values.T[order])
@@ -203,7 +203,7 @@ def test_the_motion_over_time_and_depth(grains: Any):
     )
 
 
-def test_where_nothing_moves():
+def test_pictures_without_motion():
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3),
         excitation=Profile(velocity=np.zeros(12)),
@@ -301,7 +301,7 @@ def test_the_continuum_and_the_law_of_the_front():
     assert axes.get_ylabel() == "C over that of Eq. (35), less 1"
 
 
-def test_the_exponents_less_those_of_a_weak_wave():
+def test_exponents_relative_to_those_of_a_weak_wave():
     laws = {
         name: PowerLaw(
             name, np.ones(1), np.ones(1), "", 1.0, np.array([error, 1, 1]), power, 1.0, 0.0
@@ -345,7 +345,7 @@ def test_the_exponents_less_those_of_a_weak_wave():
         ([0.1, 0.2], 0.01, "towards no law within these grains"),
     ],
 )
-def test_which_law_is_approached(exponents: list[float], error: float, verdict: str):
+def test_the_approached_law(exponents: list[float], error: float, verdict: str):
     depth = np.array([20.0, 40.0])
     local = Exponents("amplitude", depth, np.array(exponents), np.full(2, error), depth)
     fit = ExponentFit({}, {"velocity": -4 / 15}, {"velocity": local})
@@ -418,7 +418,7 @@ def test_a_wave_of_bessel_functions():
     assert axes.get_title("left") == "kappa 1.2 ± 0.03, residual 0.12 (lines)"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time", "displacement, downward")
     assert axes.yaxis.get_major_formatter()(2e-9) == "2 nm"
-    for number in (1, 43):  # 2 s = m + 0.8086 m^(1/3), m = 2 |n - p|
+    for number in (1, 43):  # The arrival is at 2 s = m + 0.8086 m^(1/3) with m = 2 |n - p|.
         m = 2 * abs(number - 3)
         assert fit.front_time(number) == pytest.approx(
             5e-7 + (m + 0.8086 * m ** (1 / 3)) / 4e6, rel=1e-12

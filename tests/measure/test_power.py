@@ -30,7 +30,7 @@ def run(amplitude: float) -> Trajectory:
     return simulate(scene, engine="native", tolerance=1e-6)
 
 
-def test_weak_waves_pass_as_the_theory_of_scattering_says() -> None:
+def test_power_of_weak_waves_agrees_with_scattering_theory() -> None:
     """The power behind an impurity, relative to an endless chain, agrees with theory to 3e-4."""
     omega = 2 * np.pi * FREQUENCY
     stiffness = float(CHAIN.linear_stiffness[0])
@@ -46,13 +46,13 @@ def test_weak_waves_pass_as_the_theory_of_scattering_says() -> None:
     assert passed.share == pytest.approx(passed.linear_share, abs=passed.share_error)
 
 
-def test_power_into_a_piece_is_what_comes_out_of_it() -> None:
+def test_power_into_an_undamped_part_equals_power_out_of_it() -> None:
     """In an undamped part, the mean power is the same in every contact."""
     means = [power.through(run(1e-2), contact).mean for contact in (82, 89, 95, 110)]
     assert means == pytest.approx([means[0]] * 4, rel=1e-5)
 
 
-def test_input_is_the_work_in_the_ledger() -> None:
+def test_input_equals_the_work_in_the_ledger() -> None:
     """The mean power of a force and of both kinds of drives agrees with the ledger."""
     chain = patterns.absorbing(CHAIN.replace(top="wall", impurity=[]), bottom=60)
     for drive in (
@@ -68,19 +68,19 @@ def test_input_is_the_work_in_the_ledger() -> None:
         assert passed.periods == 40
         assert passed.input == pytest.approx(mean, rel=1e-4)
         assert passed.linear_input == pytest.approx(mean, rel=1e-3)
-        # All power goes down.
+        # All power flows downward.
         assert passed.linear_share == pytest.approx(1, abs=1e-9)
         assert passed.share == pytest.approx(1, abs=1e-3)
 
 
-def test_share_falls_with_amplitude_by_more_than_the_errors() -> None:
+def test_the_share_decreases_with_amplitude_beyond_the_errors() -> None:
     """Harmonics and a slower wave reduce the share of a strong force."""
     weak = power.through(run(1e-4), 100)
     strong = power.through(run(0.3), 100)
     assert weak.share - strong.share > 3 * (weak.share_error + strong.share_error)
 
 
-def test_steady_answer_is_that_of_a_dense_matrix() -> None:
+def test_the_steady_state_agrees_with_a_dense_matrix() -> None:
     """The steady state solves the complex linear equations, which numpy solves independently."""
     chain = CHAIN.replace(damping={"viscoelastic": 1e-8, "drag": 100.0})
     push = Force(grain=7, amplitude=1.0, frequency=FREQUENCY)
@@ -92,13 +92,13 @@ def test_steady_answer_is_that_of_a_dense_matrix() -> None:
     assert displacements(chain, push)[1:-1] == pytest.approx(expected, rel=1e-10)
 
 
-def test_plot_says_what_passes() -> None:
+def test_the_plot_has_mean_theory_and_share() -> None:
     """The picture has the mean, linear theory and the share."""
     ax = power.through(run(1e-4), 100).plot()
     assert any("linear" in label for label in ax.get_legend_handles_labels()[1])
 
 
-def test_what_is_not_steady_is_refused() -> None:
+def test_unsteady_runs_are_rejected() -> None:
     """Each mistake raises an error of one line with its key."""
     t = run(1e-4)
     for arguments, key in (((500,), "contact"), ((100, 1), "periods"), ((100, 400), "periods")):
@@ -112,7 +112,7 @@ def test_what_is_not_steady_is_refused() -> None:
         power.through(simulate(struck, "native", 1e-3), 100)
 
 
-def test_viscous_contacts_take_their_part_of_the_power() -> None:
+def test_viscous_contacts_absorb_their_part_of_the_power() -> None:
     """The share of a driven grain with a wall above includes the power that the wall returns."""
     level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
     chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)

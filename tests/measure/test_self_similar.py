@@ -27,7 +27,7 @@ def rarefaction(exponent: float, grain: int, share: float) -> Trajectory:
     ("exponent", "share"), [(1.3, 0.5), (1.5, 0.3), (1.5, 0.8), (2.0, 0.6), (2.5, 0.4)]
 )
 def test_a_rarefaction_approaches_the_simple_wave(exponent: float, share: float) -> None:
-    """Within the fan the overlap goes as (x / c t)^(2 / (delta - 1)); errors cover the rest."""
+    """Within the fan the overlap scales as (x / c t)^(2 / (delta - 1)); errors cover the rest."""
     t = rarefaction(exponent, 250, share)
     chain = t.scene.chain
     seen = self_similar.view(t)
@@ -48,7 +48,7 @@ def test_a_rarefaction_approaches_the_simple_wave(exponent: float, share: float)
     assert (np.diff(off.mean(1)) < 0).all()
 
 
-def test_a_wave_that_goes_up_is_the_mirror_image() -> None:
+def test_an_upward_wave_is_the_mirror_image() -> None:
     """The same step, mirrored, gives the same profile."""
     t = rarefaction(1.5, 250, 0.3)
     chain = t.scene.chain

@@ -31,7 +31,7 @@ CHAIN = Chain(
     bottom="wall",
 )
 OVERLAP = float(CHAIN.contacts.overlap[1])
-SOUND = float(np.sqrt(CHAIN.contacts.stiffness[1] / CHAIN.masses[1]))  # grains/s
+SOUND = float(np.sqrt(CHAIN.contacts.stiffness[1] / CHAIN.masses[1]))  # Grains/s.
 GAS = Medium(1.5, float(CHAIN.contacts.constant[1]), float(CHAIN.masses[1]))
 REST = State(0.0, OVERLAP)
 
@@ -57,7 +57,7 @@ def test_momentum_is_the_impulse_of_the_piston() -> None:
     assert np.abs(ledger.drift).max() < 1e-6 * ledger.total.max()
 
 
-def test_rankine_and_hugoniot_hold_in_the_mean() -> None:
+def test_rankine_hugoniot_relations_hold_on_average() -> None:
     """A step between the states of a steady shock moves at the Rankine-Hugoniot speed."""
     behind, speed = GAS.rankine_hugoniot(REST, 0.4 * OVERLAP * SOUND)
     strain = (behind.overlap - OVERLAP) / 9.5e-3
@@ -88,7 +88,7 @@ def test_edges_of_a_dispersive_shock(velocity: float) -> None:
     assert found.leading.speed == pytest.approx(found.solitary, rel=2e-3)
 
 
-def test_weakest_shocks_have_edges_too() -> None:
+def test_the_weakest_shocks_have_edges() -> None:
     """Below the slowest computed solitary wave, the speed of the crest is NaN."""
     found = shock.find(piston(1e-5))
     assert np.isnan(found.solitary)
@@ -118,7 +118,7 @@ def test_steady_shock_of_a_damped_chain() -> None:
 
 
 @pytest.mark.parametrize("direction", ["down", "up"])
-def test_rarefaction_is_that_of_the_characteristics(direction: str) -> None:
+def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str) -> None:
     """A step to lower compression widens at the two speeds of sound, in both directions."""
     less = -0.5 * OVERLAP / 9.5e-3
     down = direction == "down"
@@ -183,7 +183,7 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
 @pytest.mark.parametrize(
     ("grains", "duration"), [(60, 342), (200, 1142)], ids=["60 grains", "200 grains"]
 )
-def test_recording_goes_on_after_reflections(grains: int, duration: float) -> None:
+def test_only_the_first_transit_is_used(grains: int, duration: float) -> None:
     """Only the first transit of a run of several transits counts."""
     piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
     found = shock.find(run(CHAIN.replace(grains=grains), piston, duration))
@@ -194,7 +194,7 @@ def test_recording_goes_on_after_reflections(grains: int, duration: float) -> No
 
 
 @pytest.mark.parametrize("case", ["vacuum", "damped", "rarefaction", "opened", "step"])
-def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
+def test_a_long_recording_gives_the_same_result(case: str) -> None:
     """Edges do not depend on samples after waves from the ends have arrived."""
     chain = CHAIN.replace(grains=120)
     velocity = {"rarefaction": -0.03, "opened": -0.1, "damped": 0.03}.get(case, 0.07)
@@ -239,20 +239,20 @@ def test_long_recording_gives_what_a_short_one_does(case: str) -> None:
         (Riemann(velocity=(0.1, 0), strain=(0, 0), grain=20), "step further from its ends"),
     ],
 )
-def test_push_that_does_not_last_is_named(excitation: Drive, message: str) -> None:
+def test_a_transient_push_is_rejected_with_its_reason(excitation: Drive, message: str) -> None:
     """A pulse, or a rise as long as the run, is rejected with its reason."""
     with pytest.raises(InputError, match=message) as caught:
         shock.find(run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
     assert not str(caught.value).endswith(": record longer")
 
 
-def test_direction_into_which_nothing_is_sent() -> None:
+def test_a_direction_without_a_wave_is_rejected() -> None:
     """A piston at the top sends no wave up, however long the record is."""
     with pytest.raises(InputError, match='direction: must be "down"'):
         shock.find(piston(1.0), "up")
 
 
-def test_constant_force_acts_as_a_piston() -> None:
+def test_a_constant_force_acts_like_a_piston() -> None:
     """Behind a constant force, the contact force is the sum of load and force.
 
     Its overlap is (1 + F / load)^(2/3) of that at rest, and the wave is of both theories' speed.
@@ -299,7 +299,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
         ({}, "excitation: does not push steadily"),
     ],
 )
-def test_what_is_no_shock_says_why(changes: dict, message: str) -> None:
+def test_runs_without_a_shock_are_rejected_with_the_reason(changes: dict, message: str) -> None:
     """A strike, a column and a taper are rejected in one line."""
     chain = CHAIN.replace(grains=30, **changes)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-4)

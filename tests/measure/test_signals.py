@@ -115,7 +115,9 @@ def test_a_grain_is_a_sensor_between_two_contacts():
     for grain in (2, 7, 8):
         assert sensor(t, grain).grain == grain
     for grain in (0, 1, 9, 10):
-        with pytest.raises(InputError, match=f"grain: grain {grain} has no contacts on both sides"):
+        with pytest.raises(
+            InputError, match=f"grain: grain {grain} does not exist or lacks a contact"
+        ):
             sensor(t, grain)
     walled = noise(top="wall", bottom="wall")
     for grain in (1, 9):
@@ -159,7 +161,7 @@ def test_the_error_of_an_arrival():
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
         (
             -np.arange(41.0),
-            "the signal is largest in the first sample: there is no maximum to wait for",
+            "the signal is largest in the first sample: it has no later maximum",
         ),
     ):
         with pytest.raises(InputError, match=f"duration: {words}"):
@@ -168,7 +170,7 @@ def test_the_error_of_an_arrival():
         arrival(time, time, "force")
 
 
-def test_a_flight_in_metres_and_grains():
+def test_a_time_of_flight_in_metres_and_grains():
     flight = Flight(4, 5e-3, 2e-5, 1e-9)
     assert flight.speed == pytest.approx(250.0, rel=1e-14)
     assert flight.grains_per_second == pytest.approx(2e5, rel=1e-14)
@@ -196,8 +198,8 @@ def test_the_flight_of_a_bump(method: Any):
 
 
 @pytest.mark.parametrize(("duration", "rise"), [(6e-5, 1.013e-6), (6e-5, 1e-3), (2.2e-5, 1.013e-6)])
-def test_correlation_of_forces_that_last_is_refused(duration: float, rise: float):
-    """Behind a piston both forces persist, so their correlation has no maximum at the delay.
+def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float):
+    """Behind a piston both forces persist, so that their correlation has no maximum at the delay.
 
     The same holds while the force still grows, and before the wave has reached the second grain.
     """
@@ -280,8 +282,8 @@ def test_sixteen_samples_are_enough_and_there_are_two_fields():
             check_field(wrong)  # type: ignore[arg-type]
 
 
-def test_where_each_body_was_recorded():
-    """The result is -1 for a wall or a held body, -2 for an unknown one; else the column."""
+def test_columns_of_recorded_bodies():
+    """The result is -1 for a wall or a fixed body, -2 for an unknown one, otherwise the column."""
     assert columns(6, 4, np.array([4, 1, 5])).tolist() == [-1, 1, -2, -2, 0, 2, -1, -1]
     u, v = np.zeros((2, 3, 4))
     u[1, 1] = 1e-9
@@ -290,7 +292,7 @@ def test_where_each_body_was_recorded():
     assert leaves_rest(np.ones((2, 2)), np.zeros((2, 2))).tolist() == [True, True]
 
 
-def test_largest_values_bear_the_numbers_of_their_grains():
+def test_largest_values_are_labelled_by_grain():
     scene = Scene(
         chain=Chain(grains=6, diameter=1e-3),
         excitation=Impulse(velocity=1e-6, grain=2),

@@ -38,7 +38,7 @@ def strike(
 @pytest.mark.parametrize(
     ("delta", "share", "velocity"), [(1.5, 0.99366104, 0.68163155), (2.0, 0.99845214, None)]
 )
-def test_share_of_a_strike_is_that_of_independent_runs(
+def test_shares_of_a_strike_agree_with_independent_runs(
     delta: float, share: float, velocity: float | None
 ) -> None:
     """Shares and heights agree with runs by SciPy's DOP853, at any velocity, to 1e-7."""
@@ -50,7 +50,7 @@ def test_share_of_a_strike_is_that_of_independent_runs(
         assert train.velocity_error[0] < 1e-7
 
 
-def test_wave_that_goes_up_is_the_mirror_image() -> None:
+def test_an_upward_wave_is_the_mirror_image() -> None:
     """A strike on the last grain sends the same wave."""
     down = solitary.find(strike())
     up = solitary.find(strike(up=True), "up")
@@ -125,7 +125,7 @@ def test_scenes_without_solitary_waves_are_rejected(others: dict[str, object], k
         solitary.find(simulate(scene, "native", 1e-3))
 
 
-def test_grains_that_were_not_recorded_and_other_directions_are_refused() -> None:
+def test_unrecorded_grains_and_other_directions_are_rejected() -> None:
     """Each message names its key."""
     run = strike()
     some = simulate(run.scene.replace(grains=[1, 2, 3]), "native", 1e-3)

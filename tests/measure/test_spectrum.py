@@ -77,7 +77,7 @@ def test_parseval(field: str, samples: int, window: str):
     )
 
 
-def test_a_pulse_has_a_spectrum_whatever_the_recording():
+def test_the_spectrum_of_a_pulse_is_independent_of_the_recording():
     """The spectrum of exp(-(t/w)^2) is sqrt(pi) w exp(-(pi f w)^2), for any recording."""
     for samples, duration in ((400, 399e-6), (1000, 499.5e-6)):
         found = spectrum(

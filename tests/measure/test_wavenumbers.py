@@ -41,7 +41,7 @@ def test_bands_add_up_to_the_energy_of_the_chain(load: float, width: int) -> Non
 
 
 def test_a_packet_is_in_its_band_and_moves_at_the_group_velocity() -> None:
-    """Place, direction and band of a packet of one radian a grain agree with linear theory."""
+    """Place, direction and band of a packet of one radian per grain agree with linear theory."""
     t = packet()
     split = wavenumbers.bands(t, [0, 0.6, 1.4, np.pi], 60)
     inside = split.energy[..., 1].sum(1) / split.total

@@ -36,7 +36,7 @@ def late() -> Trajectory:
     return replace(t, velocity=-2e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
 
 
-def test_the_covariance_of_what_is_fitted(late: Trajectory):
+def test_the_covariance_of_fitted_parameters(late: Trajectory):
     """The covariance is s^2 (J^T J)^-1, with numerical derivatives and s^2 from n - 3 residuals."""
     noise = 2e-11 * np.random.default_rng(2).normal(size=late.velocity.shape)
     fit = fit_bessel(replace(late, velocity=late.velocity + noise))
@@ -106,7 +106,7 @@ def test_noise_scatters_as_the_covariance_says(late: Trajectory):
         ({"impurity": [{"grain": 6, "diameter": 1.2e-3}]}, 20, 7, 40),
     ],
 )
-def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, first: int, last: int):
+def test_values_before_any_echo(more: dict[str, Any], struck: int, first: int, last: int):
     """The limit is 2 s <= m - 7.4 m^(1/3), with the order m of the nearest image."""
     chain = Chain(**UNIFORM | more)
     t = run(chain, Impulse(velocity=1e-9, grain=struck), 25.0)
@@ -126,8 +126,8 @@ def test_values_that_no_echo_has_reached(more: dict[str, Any], struck: int, firs
     assert fit.kappa == pytest.approx((rate * chain.time_scale) ** 2, rel=1e-5)
 
 
-def test_grains_that_are_alike_within_five_per_cent():
-    """Contacts and masses within 5 % belong to the uniform part; the held grain is arbitrary."""
+def test_grains_that_are_equal_within_five_per_cent():
+    """Contacts and masses within 5 % belong to the uniform part; the fixed grain is arbitrary."""
     masses = np.full(30, 1e-6)
     masses[[3, 21]] = 1.049e-6, 0.951e-6
     masses[[1, 25]] = 0.949e-6, 1.051e-6
@@ -136,7 +136,7 @@ def test_grains_that_are_alike_within_five_per_cent():
     end = t.time[-1]
     assert np.unique(fit_bessel(t, until=end).grain)[[0, -1]].tolist() == [3, 25]
     constants = np.full(29, 1e9)
-    constants[[4, 20]] = 1e9 * 1.07, 1e9 * 0.93  # stiffnesses go with the power 2/3
+    constants[[4, 20]] = 1e9 * 1.07, 1e9 * 0.93  # Stiffnesses scale with the power 2/3.
     constants[[2, 24]] = 1e9 * 0.92, 1e9 * 1.085
     held = np.full(30, 1e-6)
     held[-1] = 1e-3
@@ -152,7 +152,7 @@ def test_grains_that_are_alike_within_five_per_cent():
     assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [4, 25]
 
 
-def test_a_window_is_taken_as_given():
+def test_a_given_window_is_used():
     chain = Chain(**UNIFORM)
     t = run(chain, Impulse(velocity=1e-9, grain=5), 10.0)
     end = 4 * chain.time_scale * (1 + 1e-9)
@@ -172,7 +172,7 @@ def test_a_window_is_taken_as_given():
         fit_bessel(run(alone, Impulse(velocity=1e-9)))
 
 
-def test_of_too_many_values_those_of_every_so_many_grains_are_fitted(
+def test_a_subset_of_too_many_values_is_fitted(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """With a limit of 300 values, every fifth of the 49 reached grains is used."""

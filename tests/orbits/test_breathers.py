@@ -1,6 +1,4 @@
-"""Breathers of every kind: back after a period by an independent integrator, and where theory has
-them.
-"""
+"""Breathers of every kind: closure by an independent integrator, and theoretical frequencies."""
 
 from functools import cache
 
@@ -21,7 +19,7 @@ HEAVY = 3e-3
 
 @cache
 def gap() -> Orbit:
-    """Bright, in the gap of a dimer: N. Boechler et al., Phys. Rev. Lett. 104, 244302 (2010)."""
+    """Return a bright breather in a dimer's gap: N. Boechler et al., PRL 104, 244302 (2010)."""
     masses = np.resize([HEAVY, LIGHT], 21)
     chain = Chain(grains=21, masses=masses, **LOADED, **WALLS)
     edge = np.sqrt(2 * stiffness(chain) / LIGHT)
@@ -30,14 +28,14 @@ def gap() -> Orbit:
 
 @cache
 def surface() -> Orbit:
-    """At a light free end of a dimer: G. Theocharis et al., Phys. Rev. E 82, 056604 (2010)."""
+    """Return a breather at a light free end: G. Theocharis et al., PRE 82, 056604 (2010)."""
     chain = Chain(grains=20, masses=np.resize([LIGHT, HEAVY], 20), bottom="wall", **LOADED)
     return orbits.normal_mode(chain, 11, energy=2e-6)
 
 
 @cache
 def defect() -> Orbit:
-    """At a light grain among heavier ones, above their band: Theocharis et al., Phys.
+    """Return a breather at a light grain among heavier ones, above their band: Theocharis et al.
 
     Rev. E 80, 066601 (2009).
     """
@@ -47,8 +45,7 @@ def defect() -> Orbit:
 
 @cache
 def dark(energy: float = 6.7e-4) -> Orbit:
-    """A dip in neighbours that swing against each other: C. Chong et al., Phys. Rev. E 87, 042202
-    (2013).
+    """Return a dark breather, a dip in a pi-mode: C. Chong et al., PRE 87, 042202 (2013).
 
     Rigid walls are mirrors, so the chain is the half of a ring.
     """
@@ -58,7 +55,7 @@ def dark(energy: float = 6.7e-4) -> Orbit:
 
 
 def strong() -> Orbit:
-    """Dark, where the dip is all but free to move, so that derivatives are all but singular."""
+    """Return a dark breather with an almost free dip, so that derivatives are nearly singular."""
     return dark(5e-3)
 
 
@@ -67,7 +64,7 @@ def stiffness(chain: Chain) -> float:
 
 
 def share(orbit: Orbit) -> np.ndarray:
-    """Return the part of every grain in the kinetic energy, over a period."""
+    """Return the fraction of the kinetic energy in every grain, averaged over a period."""
     held = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
     return held / held.sum()
 
@@ -76,7 +73,7 @@ def share(orbit: Orbit) -> np.ndarray:
     "kind", [gap, surface, defect, dark, pytest.param(strong, marks=pytest.mark.slow)]
 )
 def test_a_breather_returns_after_a_period(kind):
-    """Source: Taylor series in extended precision."""
+    """The reference is a Taylor series in extended precision."""
     orbit = kind()
     u, v, error = extended_reference(orbit.scene(1, samples=9))
     assert error < 1e-14
@@ -93,11 +90,10 @@ def test_a_breather_returns_after_a_period(kind):
         (defect, 2.0, np.inf, np.sqrt(4 / (0.5 * (2 - 0.5))), 11),
     ],
 )
-def test_bright_breathers_lie_in_gaps_and_soften(
+def test_bright_breathers_are_in_gaps_and_soften(
     kind, low: float, high: float, limit: float, grain: int
 ):
-    """Above one band edge, and below the other or the linear mode at a surface or a defect, for
-    contacts soften.
+    """The frequency is between a band edge and the next edge or mode, as contacts soften.
 
     Bands of the dimer end at w^2 = 2K/M and 2K/m; that of the uniform chain at 4K/m. Linear modes
     at a light end have w^2 = K/m + K/M, at a grain of mass d among others of mass m w^2 = 4 K / (d
@@ -117,15 +113,13 @@ def test_the_anticontinuous_limit_leads_to_the_same_breather(kind):
     assert other.energy == pytest.approx(orbit.energy, rel=1e-9)
 
 
-def test_a_dark_breather_swings_with_its_background():
-    """Far from the dip as a pi-mode of that amplitude, by quadrature; its frequency lies in the
-    band.
-    """
+def test_a_dark_breather_oscillates_with_its_background():
+    """Far from the dip the motion is a pi-mode of that amplitude, with a frequency in the band."""
     orbit = dark()
     chain = orbit.chain
     swing = np.ptp(orbit.motion()[1], axis=0) / 2
     overlap = chain.contacts.overlap + chain.contacts.closer(orbit.displacement)
-    # less than at rest: grains at the dip take more room
+    # The overlap is smaller than at rest, because grains at the dip need more room.
     eps = overlap[10:12].mean()
     k = chain.contact_constants[0]
 

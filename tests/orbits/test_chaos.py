@@ -15,7 +15,7 @@ BEADS = {"diameter": 5e-3, "material": "steel", "gravity": 0.0, "top": "wall", "
 
 
 def start(size: int, count: int, seed: int) -> np.ndarray:
-    """Return the orthonormal deviations at t = 0 of a seed."""
+    """Return the orthonormal initial deviations of a seed."""
     random = np.random.default_rng(seed).standard_normal((size, count))
     return np.linalg.qr(random)[0]
 
@@ -27,7 +27,7 @@ def log_volume(deviations: np.ndarray) -> float:
 
 
 def struck(chain: Chain, velocity: float, duration: float) -> Scene:
-    """Return a strike on the top."""
+    """Return the scene of a strike on the top."""
     return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
 
 
@@ -43,7 +43,7 @@ def test_a_linear_chain_has_the_indices_of_its_matrix() -> None:
     pull = np.diag(springs[:-1] + springs[1:]) - np.diag(springs[1:-1], 1)
     pull -= np.diag(springs[1:-1], -1)
     rate = scene.fastest_motion
-    # q = sqrt(m) phi and p = sqrt(m) phi' / rate
+    # The variables are q = sqrt(m) phi and p = sqrt(m) phi' / rate.
     matrix = np.zeros((8, 8))
     matrix[:4, 4:] = rate * np.eye(4)
     matrix[4:, :4] = -pull / np.outer(root, root) / rate
@@ -57,7 +57,7 @@ def test_a_linear_chain_has_the_indices_of_its_matrix() -> None:
 def test_indices_and_growth_agree_with_variational_equations_by_scipy(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Over a chaotic time, volumes of deviations agree with an own integration."""
+    """Volumes of deviations agree with an independent integration over a chaotic time."""
     # Chaos amplifies the error of the steps in which a contact opens.
     monkeypatch.setattr(chaos_module, "REACH", 0.003)
     chain = Chain(grains=3, **BEADS)
@@ -114,26 +114,26 @@ def test_intervals_cover_the_mean_of_many_motions() -> None:
     half_widths = np.array([each.half_width for each in motions])
     mean = exponents.mean(0)
     assert (np.abs(exponents - mean) <= half_widths).mean() >= 0.9
-    # The intervals are not wide: the largest exponent is known to a quarter.
+    # The intervals are narrow: the largest exponent is accurate to a quarter.
     assert (half_widths[:, 0] < 0.25 * mean[0]).all()
-    # Scale invariance: the time goes as the energy to the power -1/10.
+    # By scale invariance, the time is proportional to the energy to the power -1/10.
     chain = Chain(grains=5, **BEADS)
     strong = chaos_of(struck(chain, 10.0, 0.03 * 100**-0.2))
     assert strong.exponent[0] * 100**-0.2 == pytest.approx(mean[0], rel=0.25)
 
 
-def test_exponents_come_in_pairs_and_volume_is_kept() -> None:
+def test_exponents_come_in_pairs_and_volume_is_conserved() -> None:
     """The map is symplectic: exponents are opposite in pairs, and their sum vanishes."""
     for each in (chaotic(0), chaotic(1)):
         paired = each.exponent + each.exponent[::-1]
         assert (np.abs(paired) <= each.half_width).all()
         assert abs(each.running[-1].sum()) < 1e-9 * each.exponent[0]
-        # The pair of the energy: no growth.
+        # The pair of the energy has no growth.
         assert np.abs(each.exponent[4:6]).max() < 0.1 * each.exponent[0]
 
 
-def test_indices_fall_by_the_differences_of_exponents() -> None:
-    """In chaos the index of k deviations falls as exp(-sum of lambda_1 - lambda_j) in time."""
+def test_indices_decay_by_the_differences_of_exponents() -> None:
+    """In chaos the index of k deviations decays as exp(-sum of lambda_1 - lambda_j) in time."""
     for each in (chaotic(0), chaotic(1)):
         duration = each.time[-1] - each.time[63]
         for count in (2, 3, 6):
@@ -142,7 +142,7 @@ def test_indices_fall_by_the_differences_of_exponents() -> None:
             assert fall == pytest.approx(expected, rel=0.05)
 
 
-def test_indices_of_regular_motion_fall_as_powers_of_time() -> None:
+def test_indices_of_regular_motion_decay_as_powers_of_time() -> None:
     """On a torus of N dimensions the index of k > N deviations falls as t^(-2 (k - N))."""
     found = chaos_of(struck(Chain(grains=3, top_load=50.0, **BEADS), 0.2, 0.2))
     assert not found.chaotic
@@ -154,8 +154,8 @@ def test_indices_of_regular_motion_fall_as_powers_of_time() -> None:
         assert slope == pytest.approx(-2 * (count - 3), rel=0.15)
 
 
-def test_laws_by_formula_have_exponents_too() -> None:
-    """Toda's chain is integrable, and that of Fermi, Pasta, Ulam and Tsingou is not."""
+def test_laws_by_formula_have_exponents() -> None:
+    """Toda's chain is integrable; the Fermi-Pasta-Ulam-Tsingou chain is not."""
     fields = {"grains": 4, "gravity": 0.0, "diameter": 1e-2, "masses": np.full(4, 1e-3)}
     ends = {"top": "wall", "bottom": "wall"}
     scene = Scene(
@@ -174,7 +174,7 @@ def test_laws_by_formula_have_exponents_too() -> None:
 
 
 def test_pictures_tables_and_refusals() -> None:
-    """Pictures have labels, tables have columns; what cannot be done is refused by its key."""
+    """Pictures have labels, tables have columns, and invalid requests are rejected by key."""
     found = chaotic(0)
     assert found.plot().get_xlabel() == "time"
     assert found.plot_gali().get_ylabel() == "generalised alignment index"

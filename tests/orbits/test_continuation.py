@@ -1,4 +1,4 @@
-"""Families of orbits: folds, bifurcations, ways there and back."""
+"""Families of orbits: folds, bifurcations, and continuation in both directions."""
 
 import re
 from dataclasses import replace
@@ -16,19 +16,19 @@ from lmpchain.orbits.modes import mode_family
 from lmpchain.orbits.shooting import Equations
 from lmpchain.theory import modes
 
-# one grain that moves, below the driven one
+# One grain moves, below the driven one.
 CHAIN = Chain(grains=3, diameter=1e-3, gravity=0.0, top_load=1.0)
 OMEGA = float(np.sqrt(2 * CHAIN.linear_stiffness[0] / CHAIN.masses[0]))
 
 
 @cache
 def resonance() -> Family:
-    """A driven grain, from below its resonance, which softens, through two folds of the period."""
+    """Return a driven grain from below its softening resonance through two folds of the period."""
     drive = Drive(amplitude=0.05 * CHAIN.length_scale, frequency=0.7 * OMEGA / (2 * np.pi))
     return orbits.follow(orbits.find(CHAIN, drive=drive), "period", 2 * np.pi / OMEGA)
 
 
-def test_a_driven_grain_folds_where_a_multiplier_passes_1():
+def test_a_driven_grain_has_a_fold_where_a_multiplier_passes_1():
     family = resonance()
     assert family.reached
     assert [event.kind for event in family.events] == ["fold", "fold"]
@@ -55,9 +55,7 @@ def test_a_driven_grain_folds_where_a_multiplier_passes_1():
 
 
 def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
-    """Where the trace of the tangent map of the one grain that moves is -2, by an independent
-    integration.
-    """
+    """The trace of the tangent map of the only moving grain is -2, by independent integration."""
     k = CHAIN.contact_constants
     eps = CHAIN.length_scale
     m = CHAIN.masses[0]
@@ -69,9 +67,7 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
 
     def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the state after a period and its derivatives; overlaps, and times in radians of
-        the drive.
-        """
+        """Return state and derivatives after a period in overlaps and radians of the drive."""
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
             above = max(1 + amplitude * np.sin(t) - y[0], 0.0)
@@ -96,7 +92,7 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     assert event.value / eps == pytest.approx(brentq(excess, *near, rtol=1e-9), rel=1e-5)
 
 
-def test_a_family_goes_through_its_folds_and_back():
+def test_a_family_passes_its_folds_and_returns():
     there = resonance()
     back = orbits.follow(there[-1], "period", there.period[0], events=False)
     assert back.reached
@@ -106,7 +102,7 @@ def test_a_family_goes_through_its_folds_and_back():
     assert np.abs(back[-1].displacement - there[0].displacement).max() < 1e-9 * there[0].amplitude
 
 
-def test_an_energy_family_returns_to_where_it_began():
+def test_an_energy_family_returns_to_its_start():
     chain = Chain(grains=6, diameter=1e-3)
     energy = chain.length_scale * chain.masses[0] * 9.81
     first = orbits.normal_mode(chain, 3, 0.01 * energy)
@@ -120,7 +116,7 @@ def test_an_energy_family_returns_to_where_it_began():
 
 
 def test_from_a_linear_mode_through_two_folds_and_back():
-    """The slowest mode of a column meets a resonance, where its energy turns twice."""
+    """The slowest mode of a column meets a resonance, at which its energy has two folds."""
     chain = Chain(grains=5, diameter=1e-3)
     there = orbits.mode_family(chain, 1, 4e-14)
     back = orbits.follow(there[-1], "energy", there[0].energy)
@@ -141,8 +137,8 @@ def test_from_a_linear_mode_through_two_folds_and_back():
     )
 
 
-def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
-    """Also where round-off is far above the last digit, as in the slow modes of a long column."""
+def test_each_orbit_of_a_family_needs_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
+    """This holds even if rounding is far above an ulp, as in slow modes of a long column."""
     taken = []
     linearise = Equations.linearise
 
@@ -161,7 +157,7 @@ def test_an_orbit_of_a_family_takes_one_tangent_map(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("parameter", "factor"), [("masses[2]", 1.3), ("gravity", 2.0), ("exponent", 1.1)]
 )
-def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
+def test_any_parameter_of_the_chain_can_change(parameter: str, factor: float):
     chain = Chain(grains=5, diameter=1e-3)
     orbit = orbits.normal_mode(chain, 2, 0.1 * chain.length_scale * chain.masses[0] * 9.81)
     start = chain.masses[1] if "[" in parameter else getattr(chain, parameter)
@@ -177,9 +173,7 @@ def test_any_number_of_the_chain_can_change(parameter: str, factor: float):
 
 
 def growth(orbit: orbits.Orbit) -> float:
-    """Return the largest Floquet multiplier, by an independent integration of the chain and its
-    variations.
-    """
+    """Return the largest Floquet multiplier from independently integrated variations."""
     chain = orbit.chain
     n = orbit.chain.grains
     constant = np.array(chain.contacts.constant)
@@ -210,7 +204,7 @@ def growth(orbit: orbits.Orbit) -> float:
 
 
 @pytest.mark.slow
-def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multipliers_meet():
+def test_stability_of_a_breather_changes_where_pairs_of_multipliers_collide():
     masses = np.where(np.arange(11) % 2 == 0, 3e-3, 1e-3)
     chain = Chain(
         grains=11,
@@ -225,7 +219,7 @@ def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multiplier
     rest = np.zeros(11)
     first = orbits.find(chain, (u, rest), period, energy=float(chain.excess_energy(u, rest)))
     there = orbits.follow(first, "period", 1.04 * period)
-    # one step may pass both
+    # One step may pass both events.
     events = there.events + orbits.follow(there[-1], "period", 1.05 * period).events
     assert [event.kind for event in events] == ["Neimark-Sacker", "Neimark-Sacker"]
     for event, inside in zip(events, (1, -1), strict=True):
@@ -238,16 +232,16 @@ def test_a_breather_loses_its_stability_and_comes_back_where_pairs_of_multiplier
 
 
 def column() -> tuple[Chain, orbits.Orbit, float]:
-    """Return a column, an orbit of its third mode, and a larger energy."""
+    """Return a column, an orbit of its third mode, and a higher energy."""
     chain = Chain(grains=6, diameter=1e-3)
     energy = chain.length_scale * chain.masses[0] * 9.81
     return chain, orbits.normal_mode(chain, 3, 0.1 * energy), 0.3 * energy
 
 
-def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
+def test_a_closed_family_ends(
     monkeypatch: pytest.MonkeyPatch,
 ):
-    """Past the point of return a family repeats its orbits, begun half a period later."""
+    """After its return, the family would repeat its orbits, shifted by half a period."""
     chain, first, until = column()
     seen: list = []
 
@@ -259,7 +253,7 @@ def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
     assert orbits.follow(first, "energy", until, events=False).reached
     half = first.motion()[1][first.mesh.size // 2]
     later = orbits.find(chain, (half, np.zeros(6)), first.period, energy=first.energy)
-    for aspect, ended in ((0, ""), (1, "it comes back to orbits that it has been through")):
+    for aspect, ended in ((0, ""), (1, "it returns to its earlier orbits")):
         points = [points[aspect] for points in seen[1:]]
         monkeypatch.setattr(
             continuation, "aspects", lambda eq, _, of=points: [Aspect(eq.pack(p), 0.0) for p in of]
@@ -269,7 +263,7 @@ def test_a_family_that_comes_back_to_its_orbits_half_a_period_later_ends(
         assert family.reached == (not ended)
 
 
-def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytest.MonkeyPatch):
+def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest.MonkeyPatch):
     _, first, until = column()
     family = orbits.follow(first, "energy", until, points=3, events=False)
     assert (len(family), family.reached) == (3, False)
@@ -279,14 +273,14 @@ def test_a_family_that_gives_up_keeps_its_orbits_and_says_why(monkeypatch: pytes
     hasty = replace(continuation.STEPS, still=np.inf, patience=2)
     monkeypatch.setattr(continuation, "STEPS", hasty)
     family = orbits.follow(first, "energy", until, events=False)
-    assert (len(family), family.ended[:31]) == (3, "it hardly moves on from energy ")
+    assert (len(family), family.ended[:37]) == (3, "its steps become too short at energy ")
     monkeypatch.setattr(continuation.SolutionBranch, "along", lambda *_: None)
     monkeypatch.setattr(continuation, "STEPS", replace(hasty, patience=60))
     family = orbits.follow(first, "energy", until, events=False)
     assert (len(family), family.ended[:34]) == (1, "it cannot be followed beyond energ")
 
 
-def test_a_family_whose_events_crowd_ends_with_those_that_were_located(
+def test_a_family_with_crowded_events_ends_with_the_located_ones(
     monkeypatch: pytest.MonkeyPatch,
 ):
     whole = resonance()
@@ -299,7 +293,7 @@ def test_a_family_whose_events_crowd_ends_with_those_that_were_located(
 
 
 @pytest.mark.soak
-def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.MonkeyPatch):
+def test_continuation_of_a_long_column_in_a_resonance_stops_soon(monkeypatch: pytest.MonkeyPatch):
     taken = []
     linearise = Equations.linearise
     monkeypatch.setattr(Equations, "linearise", lambda *given: taken.append(1) or linearise(*given))
@@ -307,13 +301,13 @@ def test_a_long_column_in_a_resonance_is_given_up_soon(monkeypatch: pytest.Monke
     family = orbits.mode_family(
         chain, 2, 1e4 * chain.length_scale * chain.masses[0] * 9.81, events=False
     )
-    assert family.ended.startswith("it hardly moves on from energy")
+    assert family.ended.startswith("its steps become too short at energy")
     assert len(taken) < 200
     assert max(orbit.residual for orbit in family.orbits) < 1e-12
 
 
 def test_a_long_family_is_announced_once(monkeypatch: pytest.MonkeyPatch):
-    """As soon as two steps show the pace, with where it is and how long it takes from there."""
+    """The announcement follows two steps, with the position and the remaining time."""
     for module in ("lmpchain.engines.cost_model", "lmpchain.orbits.continuation"):
         monkeypatch.setattr(f"{module}.PATIENCE_S", 50.0)
     seconds = iter(range(0, 10**5, 10))

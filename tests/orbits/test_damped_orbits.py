@@ -22,7 +22,7 @@ TRIMER = Chain(
     bottom="wall",
     **LEVEL,
 )
-# one grain between a driven one and a wall
+# One grain between a driven grain and a wall.
 ONE = Chain(grains=2, material="steel", damping={"drag": 2000.0}, bottom="wall", **LEVEL)
 OVERLAP = float(ONE.contacts.overlap[1])
 OMEGA = float(np.sqrt(ONE.contacts.stiffness[1:3].sum() / ONE.masses[1]))
@@ -30,15 +30,13 @@ OMEGA = float(np.sqrt(ONE.contacts.stiffness[1:3].sum() / ONE.masses[1]))
 
 @cache
 def resonance() -> Family:
-    """The response of one grain, from below its resonance, which softens, through two folds."""
+    """Return the response of one grain from below its softening resonance through two folds."""
     drive = Drive(amplitude=0.05 * OVERLAP, frequency=0.75 * OMEGA / (2 * np.pi))
     return orbits.follow(orbits.find(ONE, drive=drive), "drive.frequency", 1.1 * OMEGA / 6.283)
 
 
 def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
-    """Return the right-hand side of Eq. (1) with damping, in displacements and velocities, and its
-    derivatives by both; of free grains alone, whose rows may have many columns.
-    """
+    """Return the right-hand side of damped Eq. (1) for free grains, and its derivatives."""
     chain = orbit.chain
     drive = orbit.drive
     assert drive is not None
@@ -75,7 +73,7 @@ def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
         force = constant * pressed**delta - rest + viscosity * stiff * closing
         pull = (push - np.diff(force, axis=0)) / mass - drag * v
         du, dv = np.split(y[:, 1:], 2)
-        # d stiff / do is infinite where a contact opens
+        # The derivative d stiff / do is infinite at an opening.
         bend = np.zeros_like(o)
         closed = o > 0
         curve = delta * (delta - 1) * constant * np.where(closed, o, 1) ** (delta - 2)
@@ -90,14 +88,14 @@ def rate(orbit: Orbit, wide: Any = np.float64) -> Any:
 
 
 def start_of(orbit: Orbit, columns: bool, wide: Any = np.float64) -> Any:
-    """Return the state of the grains that move, and the identity beside it."""
+    """Return the state of the moving grains, and the identity matrix."""
     free = orbit.flow.free
     state = np.concatenate((orbit.displacement[free], orbit.velocity[free])).astype(wide)[:, None]
     return np.hstack((state, np.eye(state.size, dtype=wide))) if columns else state
 
 
 def extrapolated(move: Any, y: Any, period: Any, steps: int) -> Any:
-    """Return the state after a period: midpoint rule of Gragg, extrapolated, in 80-bit numbers."""
+    """Return the state after a period by Gragg's extrapolated midpoint rule in 80-bit numbers."""
     h = period / steps
     for k in range(steps):
         t = k * h
@@ -127,16 +125,16 @@ DRIVES = {
 
 
 @pytest.mark.parametrize("kind", DRIVES)
-def test_a_linear_chain_answers_as_its_closed_form(kind: str):
-    """(K (1 + i w A) - w^2 M + i w gamma M) u = f, by a dense solution."""
+def test_the_response_of_a_linear_chain_is_exact(kind: str):
+    """(K (1 + i w A) - w^2 M + i w gamma M) u = f is solved as a dense system."""
     chain = TRIMER.replace(exponent=1.0, top="wall" if kind == "wall" else "free")
     drive = DRIVES[kind]
-    # a guess that is off: Newton's method has something to do
+    # The guess is wrong, so that Newton's method must iterate.
     off = Profile(displacement=[0, 1e-9, 0, 0], velocity=np.zeros(4))
     orbit = orbits.find(chain, off, drive=drive)
     omega = 2 * np.pi * drive.frequency
     complex_stiffness = chain.contacts.stiffness * (1 + 1j * omega * chain.contact_viscosity)
-    ends = np.diff(np.eye(6), axis=0)  # of the walls and all grains
+    ends = np.diff(np.eye(6), axis=0)  # Contacts of the walls and all grains.
     matrix = ends.T @ np.diag(complex_stiffness) @ ends
     inertia = chain.masses * (omega**2 - 1j * omega * chain.drag)
     matrix[1:-1, 1:-1] -= np.diag(inertia)
@@ -162,8 +160,8 @@ def test_a_linear_chain_answers_as_its_closed_form(kind: str):
     assert orbit.stable
 
 
-def test_multipliers_of_a_linear_chain_are_those_of_its_modes():
-    """exp((-d +- i sqrt(w^2 - d^2)) T), d = (A w^2 + gamma) / 2, of undamped frequencies w."""
+def test_multipliers_of_a_linear_chain_agree_with_its_modes():
+    """exp((-d +- i sqrt(w^2 - d^2)) T) with d = (A w^2 + gamma) / 2 for undamped frequencies w."""
     damping = {"viscoelastic": 4e-6, "drag": 3000.0}
     chain = Chain(grains=5, material="steel", exponent=1.0, damping=damping, **LEVEL)
     force = Force(grain=2, amplitude=1e-3, frequency=2e4)
@@ -184,16 +182,14 @@ def test_multipliers_of_a_linear_chain_are_those_of_its_modes():
 
 
 @pytest.mark.parametrize("kind", DRIVES)
-def test_multipliers_are_those_of_extended_precision(kind: str):
-    """The variational equations in velocities, by extrapolation in 80-bit numbers: shares nothing
-    but Eq. (1).
-    """
+def test_multipliers_agree_with_extended_precision(kind: str):
+    """The variational equations are extrapolated in 80-bit numbers, and share only Eq. (1)."""
     chain = TRIMER.replace(top="wall" if kind == "wall" else "free")
     drive = DRIVES[kind].replace(amplitude={"grain": 8e-6, "wall": 4e-7, "force": 6.0}[kind])
     orbit = orbits.find(chain, drive=drive)
     contacts = chain.contacts
     changes = orbit.forces()[:, contacts.exists] / contacts.force[contacts.exists] - 1
-    assert -1 < changes.min() < -0.2  # it is not linear, and no contact opens
+    assert -1 < changes.min() < -0.2  # The motion is nonlinear, and no contact opens.
     wide = np.longdouble
     move = rate(orbit, wide)
     end = extrapolated(move, start_of(orbit, True, wide), 1 / wide(drive.frequency), 12)
@@ -207,7 +203,7 @@ def test_multipliers_are_those_of_extended_precision(kind: str):
 
 
 def test_multipliers_do_not_depend_on_the_number_of_steps():
-    """Also where contacts open."""
+    """Contacts may open."""
     chain = TRIMER.replace(exponent=1.5)
     drive = Drive(amplitude=2 * float(chain.contacts.overlap[1]), frequency=9e3)
     orbit = orbits.find(chain, drive=drive)
@@ -223,7 +219,7 @@ def test_multipliers_do_not_depend_on_the_number_of_steps():
 
 
 def misses(orbit: Orbit) -> float:
-    """Return by how much an orbit fails to close, by SciPy in velocities, over its size."""
+    """Return the relative closure error of an orbit, by SciPy in velocities."""
     move = rate(orbit)
     begin = start_of(orbit, False)[:, 0]
     scale = np.abs(begin.reshape(2, -1)).max(1).repeat(begin.size // 2)
@@ -239,8 +235,8 @@ def misses(orbit: Orbit) -> float:
 
 
 @pytest.mark.parametrize("amplitude", thinned([7.5e-7, 1e-5], 2))
-def test_a_strong_drive_is_come_to_by_way_of_weaker_ones(amplitude: float):
-    """Of a chain whose contacts open, where the linear answer is no guess."""
+def test_a_strong_drive_is_reached_by_weaker_ones(amplitude: float):
+    """Contacts open, so that the linear response is no suitable guess."""
     drive = Drive(amplitude=amplitude, frequency=9e3, grain=0)
     orbit = orbits.find(TRIMER.replace(top="wall"), drive=drive)
     assert orbit.drive.amplitude == amplitude
@@ -250,14 +246,14 @@ def test_a_strong_drive_is_come_to_by_way_of_weaker_ones(amplitude: float):
     assert misses(orbit) < 1e-8
 
 
-def test_the_branch_is_what_long_runs_settle_to():
+def test_long_runs_converge_to_the_branch():
     """A native run that begins 1 % off converges to each of two stable orbits."""
     family = resonance()
     assert family.reached
     stable = np.flatnonzero(family.stable)
     for number in stable[np.linspace(0, stable.size - 1, 2).astype(int)]:
         orbit = family[int(number)]
-        # the slowest multiplier bounds how long a deviation lasts
+        # The slowest multiplier bounds the duration of a deviation.
         periods = int(np.ceil(np.log(1e-12) / np.log(abs(orbit.multipliers[0]))))
         scene = orbit.scene(periods, samples=2)
         start = scene.excitation.start
@@ -278,14 +274,14 @@ def test_a_resonance_has_two_folds_with_an_unstable_stretch_between():
     last = family.events[1].after
     between = np.arange(len(family))
     np.testing.assert_array_equal(family.stable, (between <= first) | (between > last))
-    # the mean of the multipliers' logarithms is what drag takes
+    # The mean logarithm of the multipliers is determined by the drag.
     for orbit in family:
         product = np.log(np.abs(orbit.multipliers)).sum()
         assert product == pytest.approx(-2000.0 * orbit.period, rel=1e-9)
 
 
 def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
-    """Where det(A + 1) = 0, by SciPy; the doubled orbit by SciPy, too."""
+    """The event is at det(A + 1) = 0, and the doubled orbit closes, both by SciPy."""
     chain = ONE.replace(damping={"drag": 300.0, "viscoelastic": 2e-9})
     drive = Drive(amplitude=0.3 * OVERLAP, frequency=1.95 * OMEGA / (2 * np.pi))
     family = orbits.follow(orbits.find(chain, drive=drive), "drive.amplitude", OVERLAP)
@@ -316,7 +312,7 @@ def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
     half = moved(branch, state, branch.period / 2)
     assert np.abs(half - state).max() > 0.01 * np.abs(state).max()
     assert np.abs(moved(branch, half, branch.period / 2) - state).max() < 1e-9
-    # a branch that goes back beneath its family is unstable there
+    # A branch that continues below its family is unstable there.
     assert branch.stable == (branch.drive.amplitude > event.value)
     later = orbits.follow(branch, "drive.amplitude", OVERLAP)
     assert later.reached
@@ -327,8 +323,8 @@ def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
         orbits.switch(resonance().events[0])
 
 
-def test_a_period_doubling_without_a_drive_is_switched_at():
-    """Of the mode of a dimer: twice the period, a little more energy, and it closes."""
+def test_a_branch_starts_at_a_period_doubling_without_a_drive():
+    """The mode of a dimer gets twice the period and slightly more energy, and closes."""
     dimer = Chain(grains=9, material=["steel", "ptfe"] * 4 + ["steel"], **LEVEL)
     family = orbits.mode_family(dimer, 5, 8.5e-4)
     event = next(event for event in family.events if event.kind == "period doubling")
@@ -351,7 +347,7 @@ def test_a_period_doubling_without_a_drive_is_switched_at():
         ("masses[2]", 2e-3),
     ],
 )
-def test_numbers_of_drive_chain_and_damping_are_followed(parameter: str, until: float):
+def test_parameters_of_drive_chain_and_damping_are_continued(parameter: str, until: float):
     """The last orbit is an orbit of the drive and the chain with the final parameter."""
     chain = TRIMER.replace(damping={"viscoelastic": 1e-7, "drag": 400.0})
     if "[" in parameter:
@@ -378,7 +374,7 @@ def test_numbers_of_drive_chain_and_damping_are_followed(parameter: str, until: 
     assert family[-1].multipliers == pytest.approx(expected.multipliers, abs=1e-8)
 
 
-def test_directions_and_forces_of_a_damped_orbit_are_those_of_its_motion():
+def test_directions_and_forces_of_a_damped_orbit_agree_with_its_motion():
     family = resonance()
     orbit = family[family.events[0].after + 1]
     assert orbit.unstable.size == 1
@@ -439,7 +435,7 @@ def test_a_resonance_curve_is_drawn_through_its_folds():
 
 @pytest.mark.slow
 def test_two_hundred_orbits_of_81_grains_take_less_than_a_minute():
-    """Of one core, through resonances of the upper band of a dimer, events located."""
+    """Computed on one core, through resonances of the upper band of a dimer, with events."""
     level = LEVEL | {"grains": 81, "damping": {"drag": 500.0}}
     chain = Chain(material=["steel", "ptfe"] * 40 + ["steel"], **level)
     drive = Drive(amplitude=0.003 * float(chain.contacts.overlap[1]), frequency=6.7e3)
@@ -453,12 +449,12 @@ def test_two_hundred_orbits_of_81_grains_take_less_than_a_minute():
     assert max(orbit.residual for orbit in family) < 1e-12
 
 
-def test_the_scene_of_a_pushed_orbit_comes_back_to_where_it_began(tmp_path):
-    """A force begins with all grains in motion, on a grain that is not the first to move."""
+def test_the_scene_of_a_forced_orbit_is_periodic(tmp_path):
+    """The force starts with all grains in motion, and acts on a later grain."""
     orbit = orbits.find(TRIMER, drive=Force(grain=2, amplitude=5.0, frequency=9e3))
     scene = orbit.scene(10, samples=11)
     run = simulate(scene, "native", 1e-11)
-    # Errors refer to the largest motion of the run, which is not that of its beginning.
+    # Errors are relative to the largest motion of the run, which is larger than the initial motion.
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-11 * orbit.amplitude
     assert np.abs(run.velocity - orbit.velocity).max() < 1e-11 * np.abs(orbit.velocity).max()
     scene.to_toml(tmp_path / "scene.toml")
@@ -469,7 +465,7 @@ def test_the_scene_of_a_pushed_orbit_comes_back_to_where_it_began(tmp_path):
 
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("lammps", 1e-5), ("native", 1e-9)])
-def test_engines_know_which_grain_is_pushed_when_others_move_before(engine: str, tolerance: float):
+def test_engines_know_the_forced_grain_if_others_move_earlier(engine: str, tolerance: float):
     chain = TRIMER.replace(damping=Damping())
     orbit = orbits.find(chain, drive=Force(grain=3, amplitude=0.5, frequency=9e3))
     run = simulate(orbit.scene(2, samples=3), engine, tolerance)
@@ -480,8 +476,8 @@ def test_engines_know_which_grain_is_pushed_when_others_move_before(engine: str,
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
-def test_modes_know_the_start_of_a_force(exponent: float):
-    """Against the native integrator, of a weak motion."""
+def test_modes_include_the_initial_motion_of_a_forced_scene(exponent: float):
+    """Compared with the native integrator for weak motion."""
     chain = TRIMER.replace(exponent=exponent, damping={"viscoelastic": 2e-7, "drag": 500.0})
     orbit = orbits.find(chain, drive=Force(grain=3, amplitude=1e-9, frequency=9e3))
     scene = orbit.scene(1.25, samples=6)
@@ -490,17 +486,17 @@ def test_modes_know_the_start_of_a_force(exponent: float):
     assert np.abs(runs[0].displacement - runs[1].displacement).max() < 1e-8 * size
 
 
-def test_a_start_that_does_not_fit_the_chain_is_refused():
+def test_a_start_of_another_length_is_rejected():
     force = Force(grain=2, amplitude=1.0, frequency=9e3, start=Profile(velocity=[0.0, 1e-3]))
     with pytest.raises(InputError, match=r"^start\.velocity: must have one entry a grain"):
         Scene(chain=TRIMER, excitation=force, duration=1e-3)
 
 
-def test_what_is_no_damped_orbit_is_refused():
+def test_invalid_damped_orbits_are_rejected():
     sine = DRIVES["grain"]
     pushed = orbits.find(TRIMER, drive=DRIVES["force"])
     cases: dict[str, Any] = {
-        r"^chain.damping: .* brings it to rest: give a drive": lambda: Flow(TRIMER, 1e5),
+        r"^chain.damping: damping brings .* to rest: give a drive": lambda: Flow(TRIMER, 1e5),
         r"^drive: must be a Drive or a Force": lambda: orbits.find(
             TRIMER, drive=Profile(velocity=np.zeros(4))
         ),

@@ -1,4 +1,4 @@
-"""Where events are located, of pairs of multipliers whose means are given in closed form."""
+"""Location of events for pairs of multipliers with closed-form means."""
 
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from lmpchain.orbits.events import locate
 
 
 def place(means: list[complex], rate: float = 1.0, turning: float = 1.0) -> SimpleNamespace:
-    """Return a stand-in for a place, with the attributes that `locate` reads."""
+    """Return a stand-in for a member, with the attributes that `locate` reads."""
     return SimpleNamespace(
         orbit=SimpleNamespace(means=np.array(means, complex)),
         rate=rate,
@@ -42,9 +42,7 @@ def located(
 @pytest.mark.parametrize("meets", [0.0123, 0.4, 0.77, 0.999])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
-    """c = 0.3 +- (root of a distance), while two others pass one another as near as 1e-6, in few
-    orbits.
-    """
+    """The means are 0.3 +- (root of a distance), while two others pass each other within 1e-6."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(sign * 0.01 * (meets - way) * (1 + way)))
@@ -61,8 +59,8 @@ def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
 @pytest.mark.parametrize("where", [0.013, 0.35, 0.9, 0.9995])
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("kind", "value"), [("period doubling", -1.0), ("branch point", 1.0)])
-def test_a_pair_that_passes_one_is_located(kind: str, value: float, sign: int, where: float):
-    """A mean that bends as it passes, others beside it and a complex pair."""
+def test_a_pair_that_passes_another_is_located(kind: str, value: float, sign: int, where: float):
+    """The mean is curved, with other pairs beside it and a complex pair."""
 
     def at(way: float) -> SimpleNamespace:
         passing = value + sign * (way - where) * (0.1 + 0.2 * way)
@@ -71,14 +69,14 @@ def test_a_pair_that_passes_one_is_located(kind: str, value: float, sign: int, w
     event = located(kind, at, 13)
     assert event is not None
     assert event.orbit.means[0].real == pytest.approx(value, abs=4e-6)
-    assert np.sign(event.orbit.means[0].real - value) == sign  # it has happened there
+    assert np.sign(event.orbit.means[0].real - value) == sign  # The event has happened there.
     for other in {"fold", "period doubling", "branch point", "Neimark-Sacker"} - {kind}:
         assert located(other, at) is None
 
 
 @pytest.mark.parametrize("where", [0.02, 0.6, 0.98])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_fold_is_where_the_rate_of_the_parameter_passes_0(sign: int, where: float):
+def test_a_fold_is_where_the_rate_of_the_parameter_is_0(sign: int, where: float):
     def at(way: float) -> SimpleNamespace:
         return place([0.2, 0.4], rate=sign * (np.exp(3 * where) - np.exp(3 * way)))
 
@@ -88,8 +86,8 @@ def test_a_fold_is_where_the_rate_of_the_parameter_passes_0(sign: int, where: fl
     assert sign * event.rate <= 0
 
 
-def test_a_pair_that_passes_1_at_a_turn_is_no_branch_point():
-    """It does so at every fold; without a turn, or where none is known, it is one."""
+def test_a_pair_that_passes_1_at_a_fold_is_no_branch_point():
+    """A pair passes 1 at every fold; without a fold, the event is a branch point."""
     for turning, passes in (
         ((1.0, -1.0), False),
         ((1.0, 1.0), True),
@@ -105,20 +103,18 @@ def test_a_pair_that_passes_1_at_a_turn_is_no_branch_point():
         assert locate("period doubling", *crossing, lambda _: None) is crossing[1]
 
 
-def test_what_does_not_happen_is_not_located():
+def test_missing_events_are_not_located():
     same = place([0.3, 0.5 + 0.1j, 0.5 - 0.1j])
     for kind in ("fold", "period doubling", "branch point", "Neimark-Sacker"):
         assert located(kind, lambda _: same) is None
     split = place([0.3, 0.5 + 0.9e-6j, 0.5 - 0.9e-6j]), place([0.3, 0.5, 0.5])
-    assert locate("Neimark-Sacker", *split, lambda _: None) is None  # round-off of a double mean
+    assert locate("Neimark-Sacker", *split, lambda _: None) is None  # Rounding of a double mean.
     split = place([0.3, 0.5 + 1.1e-6j, 0.5 - 1.1e-6j]), place([0.3, 0.5, 0.5])
     assert locate("Neimark-Sacker", *split, lambda _: None) is split[1]
 
 
-def test_where_no_orbit_is_found_the_last_one_known_is_given():
-    """Only orbits before 0.9 are found: of them, and the end, the one that is nearest behind the
-    event.
-    """
+def test_without_further_orbits_the_last_known_one_is_returned():
+    """Orbits exist only before 0.9, and the nearest one after the event is returned."""
     end = place([1.5, 0.1])
 
     def at(way: float) -> SimpleNamespace | None:
@@ -127,8 +123,8 @@ def test_where_no_orbit_is_found_the_last_one_known_is_given():
     assert located("branch point", at) is end
 
 
-def test_an_event_by_a_jump_is_halved_to_its_place():
-    """A mean that jumps has no root between: the way is halved, in no more than 24 orbits."""
+def test_an_event_by_a_jump_is_located_by_bisection():
+    """A mean that jumps has no root in between; at most 24 orbits are computed."""
 
     def at(way: float) -> SimpleNamespace:
         return place([0.2 if way < 0.7183 else 1.3, way])
@@ -139,8 +135,8 @@ def test_an_event_by_a_jump_is_halved_to_its_place():
     assert event.orbit.means[0] == 1.3
 
 
-def test_pairs_that_meet_and_are_alone_are_located():
-    """Two pairs only, or after which none is real, and one that is left over."""
+def test_isolated_pairs_that_meet_are_located():
+    """There are two pairs, possibly none real afterwards, and one remaining pair."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.02 * (0.37 - way)))
@@ -151,10 +147,8 @@ def test_pairs_that_meet_and_are_alone_are_located():
     assert event.orbit.means.real.mean() == pytest.approx(0.0037, rel=1e-5)
 
 
-def test_the_discriminant_is_that_of_the_pair_that_meets():
-    """Of three means on a line the two that become complex are the lower ones, though the upper two
-    are nearer.
-    """
+def test_the_discriminant_belongs_to_the_pair_that_meets():
+    """The lower two of three means on a line become complex, although the upper two are closer."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.04 * (0.62 - way)))
@@ -167,7 +161,7 @@ def test_the_discriminant_is_that_of_the_pair_that_meets():
 
 
 def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
-    """Return a stand-in for a place of a damped chain, as `locate` reads it."""
+    """Return a stand-in for a member of a damped chain with the attributes that `locate` reads."""
     return SimpleNamespace(rate=1.0, turning=turning, multipliers=np.array(multipliers, complex))
 
 
@@ -176,10 +170,10 @@ def damped(multipliers: list[complex], turning: float = 1.0) -> SimpleNamespace:
 @pytest.mark.parametrize(
     ("kind", "turn"), [("branch point", 1.0), ("period doubling", -1.0), ("Neimark-Sacker", 1j)]
 )
-def test_a_multiplier_of_a_damped_chain_that_passes_the_circle_is_located(
+def test_a_damped_multiplier_that_crosses_the_unit_circle_is_located(
     kind: str, turn: complex, sign: int, where: float
 ):
-    """Among others, inside and outside: a real one through 1 or -1, or a complex pair."""
+    """A real multiplier passes 1 or -1, or a complex pair crosses, among others on both sides."""
 
     def at(way: float) -> SimpleNamespace:
         passing = turn * (1 + sign * (way - where) * (0.1 + 0.2 * way))
@@ -195,8 +189,8 @@ def test_a_multiplier_of_a_damped_chain_that_passes_the_circle_is_located(
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_multipliers_of_a_damped_chain_that_meet_outside_of_the_circle_are_no_event(side: int):
-    """Two real ones become a complex pair, far from the circle."""
+def test_damped_multipliers_that_meet_outside_the_circle_are_no_event(side: int):
+    """Two real multipliers become a complex pair, far from the unit circle."""
 
     def at(way: float) -> SimpleNamespace:
         root = np.sqrt(complex(0.4 - way))

@@ -14,7 +14,8 @@ from lmpchain.util.plotting import COLOURS
 
 LOADED = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
 DIMER = Chain(grains=8, masses=np.resize([3e-3, 1e-3], 8), **LOADED)
-FREQUENCY = 1 / (1 / np.array([2000.0, 1900.0, 1800.0, 1850.0, 1700.0]))  # as 1 / period gives them
+# The values have the rounding of 1 / period.
+FREQUENCY = 1 / (1 / np.array([2000.0, 1900.0, 1800.0, 1850.0, 1700.0]))
 ENERGY = np.array([1e-6, 2e-6, 4e-6, 6e-6, 8e-6])
 STABLE = np.array([True, True, False, False, True])
 
@@ -22,7 +23,7 @@ STABLE = np.array([True, True, False, False, True])
 def family(
     chain: Chain, ended: str = "", events: tuple[Event, ...] = (), scale: float = 1.0
 ) -> Family:
-    """Return a family of given numbers."""
+    """Return a family with given numbers."""
     orbits = [
         SimpleNamespace(
             chain=chain,
@@ -70,7 +71,7 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
         np.testing.assert_array_equal(line.get_xdata(), FREQUENCY)
         assert line.get_color() == COLOURS["blue"]
     np.testing.assert_array_equal(lines["stable"].get_ydata(), np.where(STABLE, ENERGY, np.nan))
-    # the dashed line begins at the last stable orbit before it
+    # The dashed line begins at the last stable orbit before it.
     dashed = np.array([False, True, True, True, False])
     np.testing.assert_array_equal(lines["unstable"].get_ydata(), np.where(dashed, ENERGY, np.nan))
     np.testing.assert_array_equal(
@@ -84,12 +85,12 @@ def test_a_picture_has_energies_over_frequencies_the_unstable_part_dashed():
     assert ax.yaxis.get_major_formatter()(2e-6).endswith("J")
     places = ax.yaxis.get_majorticklocs()
     low, high = ax.get_ylim()
-    # Matplotlib 3.10 has some more beyond what is drawn
+    # Matplotlib 3.10 has additional ticks outside the drawn range.
     ticks = np.round(1e6 * places[(places >= low) & (places <= high)], 9)
     assert {1.0, 2.0, 5.0} <= set(ticks) <= {0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0}
     assert ax.yaxis.get_minor_formatter()(2e-6) == ""
     texts = [text.get_text() for text in ax.get_legend().get_texts()]
-    assert texts == ["linear waves", *lines]  # once, of two bands
+    assert texts == ["linear waves", *lines]  # A single entry represents two bands.
     assert len(ax.patches) == 2
     assert ax.get_legend().get_frame_on()
     assert ax.get_legend().get_frame().get_alpha() == 1.0
@@ -104,8 +105,8 @@ def test_a_family_that_is_stable_throughout_has_one_line_and_no_title():
     assert ax.get_title("left") == ""
 
 
-def test_bands_of_a_dimer_are_those_of_two_masses_on_springs():
-    """w^2 = 0 to 2K/M and 2K/m to 2K (1/m + 1/M)."""
+def test_bands_of_a_dimer_have_the_exact_edges():
+    """The bands are w^2 = 0 to 2K/M and 2K/m to 2K (1/m + 1/M)."""
     k = DIMER.linear_stiffness[0]
     light = 1e-3
     heavy = 3e-3
@@ -122,8 +123,8 @@ def test_the_band_of_a_uniform_chain_ends_at_twice_its_root_of_stiffness_over_ma
 
 
 @pytest.mark.parametrize("kind", ["weights", "one grain heavier", "one contact stiffer"])
-def test_of_a_chain_that_does_not_repeat_the_span_of_its_modes_is_drawn(kind: str):
-    """By the eigenvalues of the matrix of masses and springs."""
+def test_the_range_of_modes_is_drawn_for_a_chain_without_repetition(kind: str):
+    """The modes are eigenvalues of the matrix of masses and springs."""
     chain = Chain(grains=5, masses=np.full(5, 1e-3), **LOADED)
     if kind == "weights":
         chain = Chain(grains=5, diameter=1e-3)
@@ -139,13 +140,13 @@ def test_of_a_chain_that_does_not_repeat_the_span_of_its_modes_is_drawn(kind: st
     np.testing.assert_allclose(edges, [[frequency[0], frequency[-1]]], rtol=1e-10)
 
 
-def test_a_chain_that_nothing_presses_has_no_bands():
+def test_an_uncompressed_chain_has_no_bands():
     chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
     assert not family(chain).plot().patches
 
 
-def test_edges_of_bands_are_seen_where_they_are_near_the_family():
-    """Within 10 %; the axis then spans them, and 8 % more to either side."""
+def test_edges_of_bands_are_shown_near_the_family():
+    """Edges within 10 % are included, and 8 % more on either side."""
     edge = 2 * np.sqrt(DIMER.linear_stiffness[0] / (2 * 3e-3)) / (2 * np.pi)
     for ratio, inside in ((1.05, True), (1.15, False)):
         scale = ratio * edge / FREQUENCY.min()
@@ -202,7 +203,7 @@ def turned(places: tuple[int, ...], first: int, last: int) -> Family:
     )
 
 
-def test_joined_families_are_the_family_that_was_cut():
+def test_joined_families_equal_the_uncut_family():
     events = tuple(replace(event("fold", place), after=place) for place in (1, 3))
     whole = family(DIMER, events=events)
     pieces = (turned((1,), 0, 2), turned((3,), 2, 4))
@@ -215,20 +216,20 @@ def test_joined_families_are_the_family_that_was_cut():
         drawn = joined.plot().lines
         for line, true in zip(drawn, whole.plot().lines, strict=True):
             np.testing.assert_array_equal(line.get_xydata(), true.get_xydata())
-    # between orbits 4 and 3, then 2 and 1, which the numbers from above call 0 and 2
+    # The events are between orbits 4 and 3, then 2 and 1, which are numbers 0 and 2 from above.
     assert [e.after for e in downwards.events] == [0, 2]
 
 
-def test_a_joined_family_says_why_its_first_unfinished_piece_ended():
+def test_a_joined_family_states_the_ending_of_its_first_unfinished_piece():
     lower = turned((), 0, 2)
     upper = replace(turned((), 2, 4), reached=False, ended="it turns back")
     joined = lower.join(upper)
     assert (joined.reached, joined.ended) == (False, "it turns back")
-    # an event without a place keeps none
+    # An event without a position remains without one.
     assert lower.join(replace(upper, events=(event("fold", 3),))).events[0].after == -1
 
 
-def test_only_families_that_go_on_are_joined():
+def test_only_consecutive_families_are_joined():
     lower = turned((), 0, 1)
     with pytest.raises(InputError, match=r"begins at energy = 1.2e-05 .* from 6e-06; .*backwards"):
         lower.join(turned((), 2, 4))

@@ -8,7 +8,7 @@ from lmpchain.orbits import floquet
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 8])
-def test_multipliers_are_those_of_the_matrix_in_exact_pairs(size: int):
+def test_multipliers_agree_with_the_matrix_in_exact_pairs(size: int):
     rng = np.random.default_rng(size)
     symmetric = rng.normal(size=(2 * size, 2 * size))
     turn = np.kron([[0, 1], [-1, 0]], np.eye(size))
@@ -21,7 +21,7 @@ def test_multipliers_are_those_of_the_matrix_in_exact_pairs(size: int):
     assert found[::2] * found[1::2] == pytest.approx(np.ones(size), abs=1e-14)
 
 
-def test_half_a_period_gives_the_multipliers_of_the_whole():
+def test_half_a_period_gives_the_multipliers_of_the_whole_period():
     rng = np.random.default_rng(4)
     size = 5
     symmetric = rng.normal(size=(2 * size, 2 * size))

@@ -1,6 +1,4 @@
-"""The flow of a chain, its energy and its derivatives, and Newton's equations, against differences
-and SciPy.
-"""
+"""The flow of a chain, its energy and derivatives, and Newton's equations, against SciPy."""
 
 from functools import cache
 from typing import Any
@@ -35,7 +33,7 @@ V = EPS * RATE * np.array([-0.1, 0.4, 0.2, -0.3])
 
 
 def force(chain: Chain, u: np.ndarray, above: float = 0.0) -> np.ndarray:
-    """Return the force on every grain, from Eq. (1), by overlaps."""
+    """Return the force on every grain from Eq. (1) in overlaps."""
     contacts = chain.contacts
     overlap = np.maximum(contacts.overlap - np.diff(u, prepend=above, append=0.0), 0.0)
     carried = contacts.constant * overlap**chain.exponent
@@ -49,7 +47,7 @@ def force(chain: Chain, u: np.ndarray, above: float = 0.0) -> np.ndarray:
 
 
 def work(chain: Chain, u: np.ndarray, v: np.ndarray) -> float:
-    """Return the energy above rest: contacts, weight and load, and what moves."""
+    """Return the energy above rest of contacts, weight, load and motion."""
     contacts = chain.contacts
 
     def held(u: np.ndarray) -> float:
@@ -64,7 +62,7 @@ def work(chain: Chain, u: np.ndarray, v: np.ndarray) -> float:
 def moved(
     chain: Chain, u: np.ndarray, v: np.ndarray, period: float, drive: Drive | None = None
 ) -> np.ndarray:
-    """Return u and v (2, N) after a period, by SciPy's DOP853; a driven grain as it is driven."""
+    """Return u and v (2, N) after a period by SciPy's DOP853; a driven grain follows the drive."""
     held = drive is not None and drive.grain == 1
 
     def rate(t: float, y: np.ndarray) -> np.ndarray:
@@ -85,7 +83,7 @@ def moved(
     return end * [[EPS], [EPS * RATE]]
 
 
-def test_direction_and_energy_are_those_of_the_equation():
+def test_direction_and_energy_agree_with_the_equation():
     flow = Flow(LOADED, RATE)
     root = np.sqrt(MASSES)
     state = np.stack((root * U, root * V / RATE))
@@ -101,8 +99,8 @@ def test_direction_and_energy_are_those_of_the_equation():
 
 
 @pytest.mark.parametrize("grain", [None, 1, 0])
-def test_a_period_is_that_of_an_independent_integration(grain: int | None):
-    """Uneven steps; the drive has two cycles in a period, and moves grain 1 or the top wall."""
+def test_a_period_agrees_with_an_independent_integration(grain: int | None):
+    """Steps are uneven; the drive of grain 1 or the wall has two cycles per period."""
     period = PERIOD
     size = 0.2 * EPS
     drive = None if grain is None else Drive(amplitude=size, frequency=2 / period, grain=grain)
@@ -131,7 +129,7 @@ def test_a_period_is_that_of_an_independent_integration(grain: int | None):
         )
 
 
-# a driven orbit is not symmetric about t = 0
+# A driven orbit is not symmetric about t = 0.
 @pytest.mark.parametrize(
     ("grain", "reversible"),
     [
@@ -142,10 +140,10 @@ def test_a_period_is_that_of_an_independent_integration(grain: int | None):
     ],
 )
 @pytest.mark.parametrize("parameter", [False, True])
-def test_equations_have_the_derivatives_that_differences_show(
+def test_equations_have_the_derivatives_of_differences(
     grain: int | None, parameter: bool, reversible: bool
 ):
-    """By state, log(period) and a parameter, here gravity; of the constraints, too."""
+    """Derivatives by state, log(period) and gravity, also of the constraints."""
     drive = None if grain is None else Drive(amplitude=0.2 * EPS, frequency=1 / PERIOD, grain=grain)
 
     @cache
@@ -182,7 +180,7 @@ def test_equations_have_the_derivatives_that_differences_show(
         ]
         slope = (ends[0] - ends[1]) / 2e-6
         assert np.abs(slopes[: closure.size, column] - slope).max() < 2e-8 * np.abs(slopes).max()
-    # the last row selects one state of the orbit: across the motion
+    # The last row fixes the phase of the orbit, across the motion.
     if not reversible and drive is None:
         across = np.concatenate((MASSES**0.5 * V / RATE, force(LOADED, U) / MASSES**0.5 / RATE**2))
         np.testing.assert_allclose(slopes[-1, :count], across / np.linalg.norm(across), rtol=1e-9)
@@ -208,8 +206,8 @@ def test_equations_have_the_derivatives_that_differences_show(
             )
 
 
-def test_a_derivative_at_the_end_of_what_a_parameter_may_be_is_one_sided():
-    """Gravity is no less than 0; where it may be one value only, that is said."""
+def test_a_derivative_at_the_limit_of_a_parameter_is_one_sided():
+    """Gravity is never negative; a parameter with a single allowed value is reported."""
     equations = Equations(lambda g: Flow(LOADED.replace(gravity=g), RATE), False, 1.0, 100.0)
     point = OrbitPoint(np.zeros((2, 4)), PERIOD, 0.0)
     slope = equations.by_value(point, lambda flow: flow.chain.gravity**2 + flow.chain.gravity)
@@ -233,12 +231,12 @@ def test_a_derivative_at_the_end_of_what_a_parameter_may_be_is_one_sided():
         return value
 
     equations = Equations(only, False, 1.0, 2.0)
-    with pytest.raises(RunFailed, match=r"^the parameter can be nothing but 5$"):
+    with pytest.raises(RunFailed, match=r"^the parameter cannot differ from 5$"):
         equations.by_value(point._replace(value=5.0), lambda x: x)
 
 
 def test_singular_equations_are_solved_by_least_squares():
-    """The shortest of all solutions, or the one that leaves least."""
+    """The solution is the shortest one, or the one of the smallest residual."""
     matrix = np.array([[1.0, 2.0], [2.0, 4.0]])
     np.testing.assert_allclose(solve_step(matrix, np.array([1.0, 2.0])), [0.2, 0.4], rtol=1e-12)
     tall = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 2.0]])
@@ -248,9 +246,7 @@ def test_singular_equations_are_solved_by_least_squares():
 
 
 def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps():
-    """An oscillator of few steps: the change of its orbit and period by Newton's method at half of
-    them.
-    """
+    """The orbit of an oscillator and its period are compared with those at half the steps."""
     chain = Chain(grains=2, diameter=1e-3)
     flow = Flow(chain, 1 / chain.time_scale)
     state = flow.canonical(np.array([0.8 * chain.length_scale, 0.0]), np.zeros(2))
@@ -271,7 +267,7 @@ def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps()
     assert best.iterations <= 16
 
 
-def test_no_flow_without_what_keeps_a_chain_together():
+def test_a_chain_that_flies_apart_has_no_flow():
     free = Chain(grains=3, diameter=1e-3, gravity=0.0)
     walls = free.replace(top="wall", bottom="wall")
     for chain in (free, free.replace(top="wall", bottom="free"), free.replace(bottom="wall")):

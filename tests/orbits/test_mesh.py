@@ -1,4 +1,4 @@
-"""Steps of an orbit: how many, how long, and where, against a brute-force search for openings."""
+"""Steps of an orbit: number, lengths and positions, against a brute-force search for openings."""
 
 import numpy as np
 import pytest
@@ -12,10 +12,8 @@ FLOW = Flow(CHAIN, 1e6)
 EPS = CHAIN.contacts.overlap
 
 
-def test_the_highest_frequency_bounds_those_of_the_chain_at_its_stiffest():
-    """By Gershgorin's circles: twice the sum of the stiffnesses at a grain over its mass, at the
-    largest overlaps.
-    """
+def test_the_highest_frequency_bounds_the_stiffest_chain():
+    """The bound is twice the summed stiffness at a grain over its mass (Gershgorin)."""
     rng = np.random.default_rng(1)
     masses = rng.uniform(1, 3, 5) * 1e-6
     chain = CHAIN.replace(masses=masses)
@@ -32,7 +30,7 @@ def test_the_highest_frequency_bounds_those_of_the_chain_at_its_stiffest():
 
 @pytest.mark.parametrize("turns", [0.5, 10.0, 37.0])
 @pytest.mark.parametrize("reach", [0.3, 0.1])
-def test_uniform_steps_turn_the_fastest_motion_by_no_more_than_they_may(turns: float, reach: float):
+def test_uniform_steps_limit_the_phase_of_the_fastest_motion(turns: float, reach: float):
     rest = np.zeros((1, 5))
     period = turns / mesh.highest_frequency(FLOW, rest)
     steps = mesh.uniform(FLOW, period, rest, reach)
@@ -44,7 +42,7 @@ def test_uniform_steps_turn_the_fastest_motion_by_no_more_than_they_may(turns: f
         assert mesh.uniform(FLOW, period, rest).size == steps.size
 
 
-def test_very_long_periods_have_no_more_steps_than_fit_in_memory():
+def test_very_long_periods_have_a_limited_number_of_steps():
     rest = np.zeros((1, 5))
     steps = mesh.uniform(FLOW, 1e9 / mesh.highest_frequency(FLOW, rest), rest)
     assert 20_000 <= steps.size <= 20_003
@@ -64,8 +62,8 @@ def passage_of(u: np.ndarray, v: np.ndarray) -> Passage:
     return Passage(u, v, np.zeros((2, len(u))), u[-1:], np.zeros(0))
 
 
-def test_openings_are_where_overlaps_pass_0():
-    """Of a motion given in closed form, by a search along many times."""
+def test_openings_are_at_zero_overlaps():
+    """The motion is given in closed form, and openings are found by a search over many times."""
     steps = np.random.default_rng(2).uniform(0.5, 1.5, 400)
     steps /= steps.sum()
     u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
@@ -81,7 +79,7 @@ def test_openings_are_where_overlaps_pass_0():
 
 
 def test_a_contact_that_never_closes_does_not_open():
-    """Nor one that touches by round-off; in a chain without load."""
+    """A contact that touches only by rounding does not open either, in a chain without load."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
     flow = Flow(chain, 1e6)
     steps = np.full(4, 0.25)
@@ -91,7 +89,7 @@ def test_a_contact_that_never_closes_does_not_open():
     assert mesh.openings(flow, passage, 1.0, steps).size == 0
     for touch, many in ((1e-10, 0), (1e-8, 2)):
         touching = u.copy()
-        touching[2, 0] = -touch * size  # the contact with the top wall closes for a moment
+        touching[2, 0] = -touch * size  # The contact with the top wall closes for a moment.
         times = mesh.openings(flow, passage_of(touching, np.zeros((5, 2))), 1.0, steps)
         assert times.size == many
 
@@ -99,9 +97,7 @@ def test_a_contact_that_never_closes_does_not_open():
 @pytest.mark.parametrize("turns", [20.0, 200.0])
 @pytest.mark.parametrize("reach", [0.3, 0.18])
 def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, reach: float):
-    """About 0.35 of the time to the nearest opening, which counts mirrored and a period
-    later too.
-    """
+    """Steps are about 0.35 of the time to the nearest opening, including its mirror images."""
     rest = np.zeros((1, 5))
     times = np.array([0.13, 0.31, 0.62])
     highest = mesh.highest_frequency(FLOW, rest)
@@ -119,7 +115,7 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     wanted = np.clip(grading * distance, least, even[0])
     smooth = (np.abs(grading * distance - least) > 0.5 * least) & (distance > steps)
     assert (steps <= even[0] * (1 + 1e-9)).all()
-    # a step may be as long as where its farther end is allows
+    # A step may be as long as allowed at its farther end.
     slack = np.clip(grading * (distance + steps / 2), least, even[0])
     assert (steps <= 1.05 * slack).all()
     away = smooth & (grading * distance > 1.5 * even[0])
@@ -132,7 +128,7 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
         assert shortest == pytest.approx(least, rel=0.1)
 
 
-def test_steps_of_a_driven_chain_are_short_at_its_openings_alone():
+def test_steps_of_a_driven_chain_are_short_only_at_its_openings():
     drive = Drive(amplitude=1e-9, frequency=1e5)
     flow = Flow(CHAIN, 1e6, drive)
     steps = mesh.graded(flow, 1e-5, np.zeros((1, CHAIN.grains)), np.array([0.13]), 0.3)
@@ -150,7 +146,7 @@ def test_without_openings_steps_are_uniform():
         np.testing.assert_array_equal(steps, mesh.uniform(FLOW, period, rest, reach))
 
 
-def test_very_many_openings_have_no_more_steps_than_fit_in_memory():
+def test_very_many_openings_give_a_limited_number_of_steps():
     rest = np.zeros((1, 5))
     times = np.linspace(0.01, 0.49, 400)
     period = 4e3 / mesh.highest_frequency(FLOW, rest)
@@ -161,7 +157,7 @@ def test_very_many_openings_have_no_more_steps_than_fit_in_memory():
 
 @pytest.mark.parametrize("time", [0.004, 0.996, 0.5, 0.0])
 def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: float):
-    """Steps on either side of t = 0 and of half a period, where the motion is mirrored."""
+    """Steps are short on both sides of t = 0 and of half a period, where the motion is mirrored."""
     rest = np.zeros((1, 5))
     turns = 50.0
     period = turns / mesh.highest_frequency(FLOW, rest)

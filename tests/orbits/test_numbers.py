@@ -1,6 +1,4 @@
-"""What an orbit says and draws, its multipliers in order, guesses and refusals, and ways between
-orbits.
-"""
+"""Text, pictures and multipliers of orbits, guesses, refusals, and paths between orbits."""
 
 from functools import cache
 from itertools import pairwise
@@ -36,7 +34,7 @@ def unstable() -> Orbit:
 
 
 def test_multipliers_come_in_pairs_the_largest_first():
-    """Of means (l + 1/l) / 2 in closed form: off the circle, on it, and a quadruplet."""
+    """Closed-form means (l + 1/l) / 2 are outside, on and inside the circle, and a quadruplet."""
     quadruplet = 1.5 * np.exp(0.7j)
     means = [np.cos(0.3), (2 + 1 / 2) / 2, -(3 + 1 / 3) / 2, np.cos(2.0)]
     means += [(z + 1 / z) / 2 for z in (quadruplet, quadruplet.conjugate())]
@@ -51,7 +49,7 @@ def test_multipliers_come_in_pairs_the_largest_first():
     assert np.abs(beyond[::2]) == pytest.approx([1 + np.sqrt(2e-9)] * 2, rel=2e-9)
 
 
-def test_the_pair_1_is_the_one_left_out():
+def test_the_pair_1_is_removed():
     means = np.array([0.2, 1 + 1e-7, 0.9, 1.2 + 0.1j])
     np.testing.assert_array_equal(floquet.without_trivial(means), [0.2, 0.9, 1.2 + 0.1j])
 
@@ -71,7 +69,7 @@ def test_the_numbers_of_an_orbit_are_written():
     assert len(json) == 10
 
 
-def test_a_motion_is_that_of_the_period():
+def test_a_motion_covers_the_period():
     one = orbit()
     time, u, v = one.motion()
     assert (time[0], time[-1]) == pytest.approx((0, one.period), rel=1e-12)
@@ -100,7 +98,7 @@ def test_a_picture_has_the_displacements_at_eighths_of_the_period():
 
 
 def test_an_unstable_direction_grows_by_its_multiplier():
-    """M x = l x of the tangent map, its largest displacement 1 m; of those that there are."""
+    """M x = l x for the tangent map, with largest displacement 1 m, for all unstable directions."""
     one = unstable()
     count = one.unstable.size
     assert not one.stable
@@ -111,7 +109,7 @@ def test_an_unstable_direction_grows_by_its_multiplier():
     x = one.flow.canonical(u, v).ravel()
     growth = one.unstable[0]
     turned = one.monodromy @ x
-    # x, M x and M^2 x of the real part of an eigenvector
+    # Vectors x, M x and M^2 x for the real part of an eigenvector.
     expected = 2 * growth.real * turned - np.abs(growth) ** 2 * x
     assert np.abs(one.monodromy @ turned - expected).max() < 1e-6 * np.abs(x).max()
     away = simulate(
@@ -137,7 +135,7 @@ def test_an_unstable_direction_grows_by_its_multiplier():
         orbit().direction()
 
 
-def test_a_linear_mode_has_the_strain_asked_for():
+def test_a_linear_mode_has_the_requested_strain():
     for strain in (1e-3, 0.2):
         u, period = orbits.linear_mode(CHAIN, 2, strain)
         change = np.diff(u) / CHAIN.contacts.overlap[1:4]
@@ -154,7 +152,7 @@ def test_a_linear_mode_has_the_strain_asked_for():
             orbits.linear_mode(CHAIN, mode)  # type: ignore[arg-type]
 
 
-def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.MonkeyPatch):
+def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatch):
     loaded = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1.0)
     sine = Drive(amplitude=1e-9, frequency=2e4)
     rest = np.zeros(4)
@@ -166,7 +164,7 @@ def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.Monke
         "period: must be a whole number of those of the drive, 5e-05 s":
             lambda: orbits.find(loaded, drive=sine, period=1.2e-4),
         "guess: must be a Profile": lambda: orbits.find(CHAIN, 3.0, 1e-4),
-        "guess: is missing, and a chain that is not compressed":
+        "guess: is missing, and a chain without compression":
             lambda: orbits.find(vacuum, drive=sine),
         "energy: must be a number above 0": lambda: orbits.find(CHAIN, (u, rest), 1e-4, energy=0.0),
         "period: must be a number above 0 (got inf)": lambda: orbits.find(CHAIN, (u, rest), np.inf),
@@ -186,7 +184,7 @@ def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.Monke
             lambda: orbits.follow(orbit(), "period", 0.0),
         "hold: must be": lambda: orbits.follow(orbit(), "gravity", 20.0, hold="mass"),
         "start: is missing": lambda: orbits.follow(orbit(), lambda _: CHAIN, 1.0),
-        "parameter: amplitude is that of a drive":
+        "parameter: amplitude requires a drive":
             lambda: orbits.follow(orbit(), "amplitude", 1e-9),
         "parameter: must be energy, period": lambda: orbits.follow(orbit(), "masses[5]", 1.0),
         "parameter: must be energy": lambda: orbits.follow(orbit(), "masses[0]", 1.0),
@@ -211,7 +209,7 @@ def test_guesses_and_periods_that_are_none_are_refused(monkeypatch: pytest.Monke
         orbits.normal_mode(CHAIN, 2, 1e-12)
 
 
-def test_a_guess_is_taken_in_every_form_and_turns_of_the_drive_are_counted():
+def test_guesses_of_all_types_are_accepted_and_drive_cycles_are_counted():
     one = orbit()
     profile = Profile(displacement=one.displacement, velocity=one.velocity)
     for guess in (profile, one, (one.displacement, one.velocity)):
@@ -230,16 +228,14 @@ def test_a_guess_is_taken_in_every_form_and_turns_of_the_drive_are_counted():
     assert twice.drive is not None
     assert twice.drive.frequency == pytest.approx(2e4, rel=1e-12)
     assert not once.reversible
-    # the tangent map of two periods is the square of that of one
+    # The tangent map of two periods is the square of that of one period.
     assert np.sort(np.abs(np.angle(twice.multipliers))) == pytest.approx(
         np.sort(np.abs(np.angle(once.multipliers**2))), rel=1e-7
     )
 
 
-def test_a_light_grain_alone_has_the_amplitude_of_its_period():
-    """By quadrature of its two contacts, of which one opens, between neighbours that
-    stand still.
-    """
+def test_a_single_light_grain_has_the_amplitude_of_its_period():
+    """The period is a quadrature over both contacts to fixed neighbours, one of which opens."""
     masses = [3e-3, 1e-3, 3e-3]
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=3, diameter=1e-2, gravity=0.0, top_load=20.0, masses=masses, **walls)
@@ -278,16 +274,14 @@ def test_a_light_grain_alone_has_the_amplitude_of_its_period():
 
 
 def between_places(here: np.ndarray, there: np.ndarray) -> tuple[Any, Any]:
-    """Return two places of a family that goes straight, or in a bow."""
+    """Return two members of a family with a straight or a curved path."""
     straight = (there - here) / np.linalg.norm(there - here)
     orbit: Any = SimpleNamespace(error=1e-9)
     return tuple(SimpleNamespace(unknown=x, direction=straight, orbit=orbit) for x in (here, there))
 
 
-def test_an_orbit_beside_the_way_is_met_again():
-    """Known orbits on, beside and far from the way; the one solved for in the plane across it
-    decides.
-    """
+def test_a_known_orbit_near_the_path_is_found():
+    """Known orbits are on, near and far from the path; the solved orbit in the plane decides."""
     flow = Flow(CHAIN, 1e5)
     equations = Equations(lambda _: flow, True, 1.0)
     here, there = between_places(np.array([1.0, 0.0, 0.0, 2.0]), np.array([3.0, 0.0, 0.0, 2.0]))
@@ -316,18 +310,18 @@ def test_an_orbit_beside_the_way_is_met_again():
     assert asked[0][0] == pytest.approx(2.2, abs=2 / 64)
     assert asked[0][1] == pytest.approx(asked[0][0] - 2.2, abs=1e-12)
     assert not meets(on, 1e-6)
-    assert meets(on, 3e-8)  # within ten times the error of 1e-9, and 1e-8
+    assert meets(on, 3e-8)  # The distance is within ten times the error of 1e-9, and 1e-8.
     assert not meets(on, 5e-8)
     assert meets(on, 1e-6, 1e-7)
     count = len(asked)
-    assert not meets([2.2, 0.15, 0.0, 2.0])  # beside the way by more than a twentieth
+    assert not meets([2.2, 0.15, 0.0, 2.0])  # The distance to the path is more than a twentieth.
     assert not meets([5.5, 0.0, 0.0, 2.0])
     assert len(asked) == count
-    assert not meets([2.2, 0.08, 0.0, 2.0])  # near, but another orbit
+    assert not meets([2.2, 0.08, 0.0, 2.0])  # The orbit is near, but different.
     assert len(asked) == count + 1
     assert not closing.returns(solver(0.0), equations, [Aspect(here.unknown, 0.0)], here, there)
     assert not closing.returns(lambda *_: None, equations, [Aspect(np.array(on), 0.0)], here, there)
-    # the way is the cubic along the directions of both places
+    # The path is a cubic along the directions of both members.
     here.direction = np.array([0.0, 1.0, 0.0, 0.0])
     bow = [2.0, 2 * 0.125, 0.0, 2.0]
     there.direction = np.array([0.0, -1.0, 0.0, 0.0])

@@ -27,7 +27,7 @@ def at_rest(chain: Chain, displacement: np.ndarray, period: float, **given: floa
 
 @cache
 def dimer(grains: int = 43) -> Chain:
-    """Masses 3 : 1 between walls, a light grain in the middle."""
+    """Return a chain with mass ratio 3 : 1 between walls, and a light grain in the middle."""
     masses = np.where(np.arange(grains) % 2 == 0, 3e-3, 1e-3)
     return Chain(
         grains=grains,
@@ -42,7 +42,7 @@ def dimer(grains: int = 43) -> Chain:
 
 @cache
 def gap_breather() -> Orbit:
-    """The lowest optical mode of the dimer, continued into the gap."""
+    """Return the lowest optical mode of the dimer, continued into the gap."""
     chain = dimer()
     u, period = orbits.linear_mode(chain, 23, 0.7)
     local = u * np.exp(-(((np.arange(43) - 21) / 8) ** 2))
@@ -50,7 +50,7 @@ def gap_breather() -> Orbit:
 
 
 @pytest.mark.parametrize("load", [1.0, 0.0])
-def test_the_tangent_map_is_that_of_the_native_engine_and_symplectic(load: float):
+def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(load: float):
     rng = np.random.default_rng(1)
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=load, top="wall", bottom="wall")
     scale = chain.length_scale or 1e-7
@@ -61,7 +61,7 @@ def test_the_tangent_map_is_that_of_the_native_engine_and_symplectic(load: float
     period = 1e-5
     passage = flow.run(flow.canonical(u, v), period, mesh, np.eye(size).reshape(2, 12, size))
     overlap = chain.contacts.overlap + chain.contacts.closer(passage.displacement)
-    assert overlap.min() < -scale / 10  # contacts open
+    assert overlap.min() < -scale / 10  # Contacts open.
     matrix = passage.deviation.reshape(size, size)
     turn = np.kron([[0, 1], [-1, 0]], np.eye(12))
     assert np.abs(matrix.T @ turn @ matrix - turn).max() < 1e-12
@@ -85,7 +85,7 @@ def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
 
 
 def pi_mode_period(chain: Chain, amplitude: float) -> float:
-    """Neighbours in antiphase between rigid walls: one oscillator, by quadrature."""
+    """Return the period of antiphase neighbours between rigid walls, by quadrature."""
     m = chain.masses[0]
     k = chain.contact_constants[0]
     eps = chain.contacts.overlap[1]
@@ -116,17 +116,15 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
     assert orbit.displacement[:-1] == pytest.approx(-orbit.displacement[1:], rel=1e-12)
 
 
-def test_a_grain_that_flies_far_between_short_contacts():
-    """By quadrature; in flight for 30 times as long as it touches, it loses digits unless sums are
-    compensated.
-    """
+def test_a_grain_with_long_flights_between_short_contacts():
+    """The flight lasts 30 times as long as the contact, and needs compensated sums."""
     chain = Chain(grains=1, diameter=1e-3, bottom="wall")
     m = chain.masses[0]
     k = chain.wall_constants[1]
     eps = chain.contacts.overlap[1]
     g = chain.gravity
     orbit = orbits.normal_mode(chain, 1, 3e3 * m * g * eps)
-    touching = orbit.energy - 0.6 * m * g * eps  # kinetic, where it begins to
+    touching = orbit.energy - 0.6 * m * g * eps  # Kinetic energy at the beginning of the contact.
     deepest = brentq(
         lambda o: touching + m * g * o - 0.4 * k * o**2.5,
         eps,
@@ -149,12 +147,12 @@ def test_a_grain_that_flies_far_between_short_contacts():
     assert orbit.residual < 1e-12
 
 
-def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
+def test_a_gap_breather_closes_and_has_the_multipliers_of_extended_precision():
     orbit = gap_breather()
     assert orbit.residual < 1e-13
     assert orbit.error < 1e-11
     share = orbit.chain.masses * orbit.motion()[2].std(0) ** 2
-    assert share[15:28].sum() > 0.75 * share.sum()  # it is localised
+    assert share[15:28].sum() > 0.75 * share.sum()  # The breather is localised.
     _, _, exact = tangent_map(
         orbit.chain, orbit.displacement, orbit.velocity, orbit.mesh * orbit.period, KAHAN_LI8
     )
@@ -163,7 +161,8 @@ def test_a_gap_breather_returns_and_has_the_multipliers_of_extended_precision():
     own = orbit.multipliers[:-2]
     assert np.abs(own[:, None] - eigenvalues).min(1).max() < 1e-8
     assert np.abs(own[::2] * own[1::2] - 1).max() < 1e-10
-    assert np.sum(np.abs(eigenvalues - 1) < 1e-5) == 2  # along the orbit, and to its neighbours
+    # The directions along the orbit and to neighbouring orbits.
+    assert np.sum(np.abs(eigenvalues - 1) < 1e-5) == 2
 
 
 def test_small_orbits_have_the_multipliers_of_the_linear_chain():
@@ -177,7 +176,7 @@ def test_small_orbits_have_the_multipliers_of_the_linear_chain():
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.5])
-def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent: float):
+def test_frequency_shifts_with_energy_agree_with_perturbation_theory(exponent: float):
     chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
     k = chain.contact_constants[0]
     m = chain.masses[0]
@@ -187,7 +186,7 @@ def test_frequencies_shift_with_the_energy_as_perturbation_theory_says(exponent:
     second = k * d * (d - 1) / 2 * eps ** (d - 2) / m
     third = k * d * (d - 1) * (d - 2) / 6 * eps ** (d - 3) / m
     energy = 0.5 * m * w**2 * (eps * np.array([1e-2, 2e-2])) ** 2
-    # Landau and Lifshitz, section 28
+    # See Landau and Lifshitz, section 28.
     shift = (9 * third * w**2 - 10 * second**2) / (24 * w**3) * 2 / (m * w**2)
     slope = [(2 * np.pi / orbits.normal_mode(chain, 1, e).period - w) / e for e in energy]
     assert (4 * slope[0] - slope[1]) / 3 == pytest.approx(shift, rel=1e-6)
@@ -201,7 +200,7 @@ def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
     m = chain.masses[0]
     amplitude = 1e-6 * chain.length_scale
     orbit = orbits.find(chain, drive=Drive(amplitude=amplitude, frequency=w / (2 * np.pi)))
-    q = 2 * np.arcsin(w / 2 * np.sqrt(m / k))  # between the drive and grain 6, which is held
+    q = 2 * np.arcsin(w / 2 * np.sqrt(m / k))  # Between the drive and grain 6, which is fixed.
     exact = amplitude * w * np.sin(q * np.arange(5, -1, -1)) / np.sin(5 * q)
     assert orbit.velocity == pytest.approx(exact, rel=1e-5)
     assert orbit.residual < 1e-12
@@ -209,7 +208,7 @@ def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
     assert again.velocity == pytest.approx(orbit.velocity, rel=1e-10)
 
 
-def test_an_orbit_that_moves_at_the_start_has_the_same_multipliers():
+def test_an_orbit_with_initial_velocities_has_the_same_multipliers():
     chain = Chain(grains=6, diameter=1e-3)
     energy = 0.2 * chain.length_scale * chain.masses[0] * 9.81
     orbit = orbits.normal_mode(chain, 2, energy)
@@ -230,7 +229,7 @@ def test_an_orbit_runs_in_an_engine():
 
 @pytest.mark.slow
 def test_an_orbit_runs_in_lammps():
-    """As far as heights allow."""
+    """The accuracy is limited by the rounding of heights."""
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
     orbit = orbits.normal_mode(chain, 6, 1e-7)
     run = simulate(orbit.scene(2, samples=3), "lammps", 1e-6)
@@ -239,7 +238,7 @@ def test_an_orbit_runs_in_lammps():
 
 @pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 1), ("wall", 0)])
 def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
-    """Back where it began after each of three periods, as the drive goes on."""
+    """The state returns after each of three periods, while the drive continues."""
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, top=top, bottom="wall")
     sine = {"frequency": 0.3 * chain.band_edge / (2 * np.pi), "grain": grain}
     orbit = orbits.find(chain, drive=Drive(amplitude=0.02 * chain.length_scale, **sine))
@@ -265,7 +264,7 @@ def test_a_driven_orbit_runs_in_lammps():
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-7 * orbit.amplitude
 
 
-def test_what_cannot_be_is_said_in_one_line():
+def test_impossible_orbits_are_rejected_in_one_line():
     vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
     chain = Chain(grains=5, diameter=1e-3)
     small = orbits.normal_mode(chain, 1, 1e-20)

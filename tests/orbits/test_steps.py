@@ -1,6 +1,4 @@
-"""Steps along a family in the linear limit, where it is a straight line, and what changes in a
-chain.
-"""
+"""Steps along a family in the linear limit, where it is straight, and changes of a chain."""
 
 from functools import cache
 from typing import Any
@@ -22,14 +20,14 @@ def small() -> Orbit:
 
 
 def amplitudes(until: float, **given: Any) -> tuple[Family, np.ndarray]:
-    """Return the family up to a multiple of the amplitude, and its amplitudes over the first."""
+    """Return the family up to a multiple of the amplitude, and its relative amplitudes."""
     family = orbits.follow(small(), "energy", until**2 * small().energy, **given)
     return family, np.sqrt(family.energy / small().energy)
 
 
 @pytest.mark.parametrize("events", [True, False])
-def test_steps_grow_with_the_orbit_to_a_share_of_it(events: bool):
-    """The first is a fifth of its size; easy ones double, to 0.4 of it."""
+def test_steps_grow_with_the_orbit_up_to_a_fraction(events: bool):
+    """The first step is a fifth of the orbit; easy steps double, up to 0.4 of it."""
     family, sizes = amplitudes(12.0, events=events)
     expected = [1.0]
     length = 0.2
@@ -52,7 +50,7 @@ def test_steps_go_down_as_well():
     assert sizes == pytest.approx([1.0, 0.8, 0.48, 0.3], rel=1e-3)
 
 
-def test_a_family_that_is_cut_short_says_where():
+def test_an_interrupted_family_states_its_position():
     family, sizes = amplitudes(12.0, points=3)
     assert sizes == pytest.approx([1.0, 1.2, 1.6], rel=1e-4)
     energy = family.energy[-1]
@@ -71,8 +69,8 @@ def test_a_family_that_is_cut_short_says_where():
 @pytest.mark.parametrize(
     "name", ["masses[2]", "diameter[3]", "contact_constants[1]", "top_load", "gravity"]
 )
-def test_the_linear_mode_follows_what_changes(name: str):
-    """At fixed energy the period follows from the eigenvalue of masses and springs."""
+def test_the_linear_mode_depends_on_the_changed_parameter(name: str):
+    """The period at fixed energy follows from the eigenvalue of masses and springs."""
     key = name.partition("[")[0]
     given = {"diameter": np.full(4, 1e-3)} if key == "diameter" else {}
     if key in ("masses", "contact_constants"):
@@ -106,7 +104,7 @@ def test_the_linear_mode_follows_what_changes(name: str):
     assert np.atleast_1d(changed)[place] == pytest.approx(1.3 * start, rel=1e-10)
 
 
-def test_a_drive_grows_in_proportion_in_the_linear_limit():
+def test_the_response_is_proportional_to_a_weak_drive():
     sine = Drive(amplitude=1e-7 * CHAIN.length_scale, frequency=2e4)
     orbit = orbits.find(CHAIN, drive=sine)
     family = orbits.follow(orbit, "amplitude", 3 * sine.amplitude)

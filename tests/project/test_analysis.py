@@ -1,6 +1,4 @@
-"""The figures of the paper: every script runs, draws its picture, and prints the numbers that are
-known.
-"""
+"""The figures of the paper: every script runs, draws its picture, and prints known numbers."""
 
 import json
 import math
@@ -25,8 +23,8 @@ from lmpchain.theory import bessel
 
 ANALYSIS = Path(__file__).parents[2] / "analysis"
 
-# script: {printed label: (known value, absolute tolerance)}; exact solutions, independent codes, or
-# the paper
+# By script and printed label: known value and absolute tolerance, from exact solutions, independent
+# codes or the paper.
 KNOWN = {
     "fig1": {
         "pulse at 88.4 µs": (24.55, 0.01),
@@ -101,7 +99,8 @@ KNOWN = {
         "peak velocity at the deepest grain, delta = 1": (1.071313 * 200 ** (-1 / 3), 0.006),
     },
     "crossover": {
-        # -0.2381 at 100 grains and -0.2441 at 200 by another code; a solitary wave keeps its height
+        # The values -0.2381 at 100 grains and -0.2441 at 200 are from another code; a solitary wave
+        # keeps its height.
         "local exponent at the deepest grains, v_0^* = 0.01": (-0.2421, 0.001),
         "local exponent at the deepest grains, v_0^* = 10000": (-0.01, 0.01),
     },
@@ -115,13 +114,13 @@ KNOWN = {
     "orbits": {"residual of the breather": (0, 1e-12)},
     "damped_dimer": {"gap from": (5.2845, 0.001), "gap to": (8.1609, 0.001)},
     "rectifier": {
-        # sqrt(4 k / m) / 2 pi of an infinite chain
+        # The frequency is sqrt(4 k / m) / 2 pi for an infinite chain.
         "upper end of the band": (6.918, 0.05),
         "Neimark-Sacker, driven at the light sphere": (0.4962, 0.001),
         "events, driven at the other end": (0, 0),
     },
     "energies": {
-        # Computed by SciPy's DOP853.
+        # The value was computed by SciPy's DOP853.
         "share at 1.5, 0.1 m/s": (0.99366104, 1e-6),
         "share at 2, 0.01 m/s": (0.99845214, 1e-6),
         "weakest force at 143 kHz off linear theory": (0, 1e-3),
@@ -129,7 +128,7 @@ KNOWN = {
         "bands, sum over the energy less 1": (0, 1e-9),
     },
     "shocks": {
-        # conserved quantities; the other laws hold for old and weak waves
+        # Conserved quantities; the other laws hold for old and weak waves.
         "steady shocks, speed off Rankine and Hugoniot's": (0, 2e-3),
         "plateau over that of a simple wave": (1, 3e-4),
         "leading edge over a solitary wave as high": (1, 2e-3),
@@ -205,7 +204,7 @@ def test_figure(script: str, command: Command):
     found = numbers(command, script, "--quick")
     for label, (known, tolerance) in KNOWN[script].items():
         assert found[label] == pytest.approx(known, abs=tolerance, rel=0), label
-    if script == "fig6":  # the mean over disordered columns: 400 of them by another code
+    if script == "fig6":  # The mean over 400 disordered columns is from another code.
         for order, known in {1: 0.0995, 2: 0.150, 5: 0.234, 20: 0.317, 100: 0.356}.items():
             name = f"m = {order}"
             error = np.hypot(found[f"its standard error, {name}"], 0.005)
@@ -215,8 +214,8 @@ def test_figure(script: str, command: Command):
         assert found["fall / rise of the velocity at grain 10"] < 1
 
 
-def test_no_script_bears_the_name_of_a_library():
-    """Which would be imported in its place: the folder of a script comes first."""
+def test_no_script_has_the_name_of_a_library():
+    """Such a script would be imported instead of the library, because its folder comes first."""
     names = {path.stem for path in ANALYSIS.glob("*.py")}
     others = (name for package in packages_distributions() for name in package.split("."))
     assert names.isdisjoint(others)
@@ -238,7 +237,7 @@ def test_every_script_has_its_picture_on_the_page():
         )
 
 
-# script: {printed label: the words of the page in which it stands, rounded}
+# By script and printed label: the words of the page that contain the number, rounded.
 CAPTIONS = {
     "fig1": {
         "pulse at 88.4 µs": "peak moves from grain {:.2f} at 88.4",
@@ -386,7 +385,7 @@ CAPTIONS = {
     },
 }
 PAGE = " ".join((ANALYSIS / "README.md").read_text(encoding="utf-8").split())
-AGAIN = ("fig5", "fig8", "fig9")  # those that take seconds
+AGAIN = ("fig5", "fig8", "fig9")  # Scripts that take seconds.
 
 
 def kept(name: str) -> dict[str, str]:
@@ -397,14 +396,14 @@ def kept(name: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("name", CAPTIONS)
-def test_captions_say_what_the_pictures_do(name: str):
+def test_captions_agree_with_the_pictures(name: str):
     printed = json.loads(kept(name)["Numbers"])
     for label, words in CAPTIONS[name].items():
         said = words.format(printed[label]).replace("e-0", "e-")
         assert said.replace(" %", "%") in PAGE.replace(" %", "%"), label
 
 
-def test_every_picture_says_which_commit_and_command_drew_it():
+def test_every_picture_states_its_commit_and_command():
     paths = sorted(ANALYSIS.glob("**/pictures/*.png"))
     assert len(paths) > 35
     for path in paths:
@@ -423,7 +422,7 @@ def test_every_picture_says_which_commit_and_command_drew_it():
 
 @cache
 def whole_history() -> set[str] | None:
-    """Return the commits that led to this one; None outside a repository and in a shallow clone."""
+    """Return the commits before this one; None outside a repository and in a shallow clone."""
 
     def git(*words: str) -> str:
         return subprocess.run(
@@ -436,7 +435,7 @@ def whole_history() -> set[str] | None:
 
 @pytest.mark.slow
 def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """As large as the PNG, the same each time, without fonts, and small for all cells of a map."""
+    """The picture is as large as the PNG, reproducible, without fonts, and small also for maps."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])
     with rc_context(figures.LETTERS):
         picture, ((upper, _),) = figures.page(1)
@@ -458,7 +457,7 @@ def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", AGAIN)
-def test_pictures_are_those_that_the_code_draws(script: str, command: Command):
+def test_pictures_are_up_to_date_with_the_code(script: str, command: Command):
     found = numbers(command, script)
     before = json.loads(kept(script)["Numbers"])
     assert found.keys() == before.keys()
@@ -471,7 +470,7 @@ MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MAPS)
-def test_maps_of_where_methods_fail(name: str, tmp_path: Path, command: Command):
+def test_maps_of_method_limits(name: str, tmp_path: Path, command: Command):
     command("stability_map", name, "--quick", "-o", tmp_path)
     assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
     kept = json.loads(
@@ -503,12 +502,12 @@ def test_scaling(tmp_path: Path):
 
 
 def stored(name: str) -> dict[str, Any]:
-    """Return the numbers that a map is drawn from."""
+    """Return the numbers of a map."""
     return json.loads((ANALYSIS / "pictures" / f"stability_{name}.json").read_text("utf-8"))
 
 
 def reach(x: list[float], y: list[float], level: float) -> float:
-    """Return where a curve first comes to a level, along a line in logarithms."""
+    """Return the first crossing of a level by a curve, interpolated in logarithms."""
     after = next(place for place, value in enumerate(y) if value >= level)
     ends = slice(after - 1, after + 1)
     return math.exp(np.interp(math.log(level), np.log(y[ends]), np.log(x[ends])))
@@ -594,11 +593,11 @@ def said_of_periods() -> str:
         said_of_periods,
     ],
 )
-def test_the_page_says_of_the_maps_what_is_stored(words: Callable[[], str]):
+def test_the_numbers_of_maps_on_the_page_are_the_stored_ones(words: Callable[[], str]):
     assert words() in PAGE
 
 
-def test_the_table_of_scaling_is_of_the_stored_numbers():
+def test_the_scaling_table_agrees_with_stored_numbers():
     kept = json.loads((ANALYSIS / "pictures" / "scaling.json").read_text(encoding="utf-8"))
     speeds = {
         (row["engine"], row["grains"]): row["grain_steps_per_s"] for row in kept["throughput"]
@@ -629,7 +628,7 @@ def test_the_page_names_tests_that_exist():
 
 
 def test_eq_7_does_not_approximate_eq_3():
-    """Relative distance (L2) of Eq.
+    """The relative distance (L2) of Eq. (7) from Eq. (3) is large.
 
     (7) from the exact solution after a displacement of the top grain.
     """
@@ -642,8 +641,6 @@ def test_eq_7_does_not_approximate_eq_3():
 
 
 def test_the_front_is_not_at_tau_to_the_6_5():
-    """At tau = 150 the largest displacement is at grain 325; (5 tau / 6)^(6/5) = 328, tau^(6/5) =
-    409.
-    """
+    """The largest displacement at tau = 150 is at grain 325; (5 tau / 6)^(6/5) is 328."""
     phi = bessel.finite(np.arange(1, 500) ** (1 / 3), np.arange(1, 500), 1, 150.0)
     assert phi.argmax() + 1 == pytest.approx(325, abs=1)

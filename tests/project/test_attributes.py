@@ -1,4 +1,4 @@
-"""`import lmpchain` offers every name that the reference lists, and loads none of them."""
+"""`import lmpchain` provides every name of the reference, and loads none of the modules."""
 
 import re
 import subprocess
@@ -13,7 +13,7 @@ REFERENCE = Path(__file__).parents[2] / "docs" / "api.md"
 
 
 def listed_names() -> dict[str, list[str]]:
-    """Return the names that the reference lists, by the package that offers them."""
+    """Return the names of the reference by package."""
     names: dict[str, list[str]] = {}
     package = ""
     for line in REFERENCE.read_text(encoding="utf-8").splitlines():
@@ -33,8 +33,8 @@ def run(program: str) -> str:
 
 
 @pytest.mark.slow
-def test_one_import_offers_every_name_of_the_reference():
-    """`dir` must list a name, because an attribute may also be a module loaded by another name."""
+def test_one_import_provides_every_name_of_the_reference():
+    """The name must be in `dir`, because an attribute may also be a module loaded elsewhere."""
     names = listed_names()
     assert sum(map(len, names.values())) > 50
     program = f"""

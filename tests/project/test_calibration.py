@@ -1,6 +1,4 @@
-"""Every measured constant is printed by a script in analysis/calibration/ that anyone can run
-again.
-"""
+"""Every measured constant is printed by a script in analysis/calibration/ that anyone can rerun."""
 
 import importlib
 import math
@@ -55,7 +53,7 @@ SHOWN = {
 
 
 def claimed(script: str) -> list[str]:
-    """Return the constants that the README says a script prints."""
+    """Return the constants that the README lists for a script."""
     rows = re.findall(
         rf"^\| (.+?) \| .* \| {script} \|",
         (FOLDER / "README.md").read_text(encoding="utf-8"),
@@ -71,7 +69,7 @@ def claimed(script: str) -> list[str]:
         for name in SCRIPTS
     ],
 )
-def test_script_prints_what_it_claims(script, monkeypatch):
+def test_each_script_prints_the_constants_of_the_readme(script, monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
     module = importlib.import_module(script)
     rows = {row.name: row for row in module.main(quick=True)}
@@ -81,7 +79,7 @@ def test_script_prints_what_it_claims(script, monkeypatch):
     assert [name for name in SHOWN.get(script, []) if not rows[name].holds] == []
 
 
-def test_every_script_says_what_it_measures_and_how_to_run_it():
+def test_every_script_states_its_purpose_and_usage():
     for script in SCRIPTS:
         text = (FOLDER / f"{script}.py").read_text(encoding="utf-8")
         assert text.startswith('"""Measure ')

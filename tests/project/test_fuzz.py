@@ -1,6 +1,4 @@
-"""Files that are wrong in every way: each is answered in words, and nothing half done is left
-behind.
-"""
+"""Damaged files of all kinds: each leads to a message, and no partial output remains."""
 
 import os
 import random
@@ -26,7 +24,7 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines.stepping import run as stepping_run
 
 Tables = dict[str, Any]
-MARK = "INJECTED"  # what no deck may hold
+MARK = "INJECTED"  # Text that no deck may contain.
 SCENE: Tables = {
     "chain": {
         "grains": 6,
@@ -56,7 +54,7 @@ EXCITATIONS: list[Tables] = [
     {"kind": "drive", "times": [0.0, 1e-5], "displacement": [0.0, 1e-10]},
     {"kind": "profile", "velocity": [1e-5, 0.0, 0.0, 0.0, 0.0, 0.0]},
 ]
-TABLES: Tables = {  # as CSV files, in the places that name one
+TABLES: Tables = {  # The tables are written as CSV files where a key names one.
     "grains.csv": "diameter,material,mass\n" + "1e-3,glass,1e-6\n" * 6,
     "drive.csv": "time,displacement\n0,0\n1e-5,1e-10\n",
     "profile.csv": "grain,velocity\n" + "".join(f"{n},{1e-5 * (n == 1)}\n" for n in range(1, 7)),
@@ -142,7 +140,7 @@ HOSTILE = st.one_of(
 
 
 def places(table: Any, path: tuple = ()) -> Iterable[tuple]:
-    """Return the ways to everything in nested tables and lists."""
+    """Return the paths to all items of nested tables and lists."""
     items = (
         table.items()
         if isinstance(table, dict)
@@ -207,9 +205,7 @@ def sweeps(draw: st.DrawFn) -> Tables:
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """Draw a way to spoil a file: bytes changed or put in, lines lost or doubled, the
-    end cut off.
-    """
+    """Draw a damage of a file: changed or inserted bytes, lost or doubled lines, or a cut end."""
     turn = random.Random(draw(st.integers(0, 2**32)))
     how = draw(
         st.sampled_from(["flip", "flip", "flip", "insert", "drop", "double", "cut", "zeros"])
@@ -242,7 +238,7 @@ def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
 
 
 def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) -> None:
-    """Check this number of cases, which are fixed in the quick suite and random in a soak."""
+    """Check this number of cases: fixed ones in the quick suite, random ones in a soak."""
     quick = count < 100
     seed = 0 if quick else secrets.randbits(64)
     print(f"{check.__name__}: {count} cases, seed {seed}")
@@ -273,7 +269,7 @@ def call(*words: object) -> tuple[int, str]:
     said = err.getvalue().split("\n")[:-1]
     assert code in (0, 1, 2), (code, said)
     assert all(line.isprintable() for line in said), said
-    # the first call of a machine compiles, and says so
+    # The first call on a machine compiles, with a message.
     errors = [line for line in said if not line.startswith(("warning: ", "note: ", "compiling "))]
     form = {0: None, 1: r"error: \S.*", 2: r"error: \S.*: \S.*"}[code]
     assert all(form and re.fullmatch(form, line) for line in errors), said
@@ -286,9 +282,7 @@ def files(folder: Path) -> set[str]:
 
 
 class Workplace(tempfile.TemporaryDirectory):
-    """A folder with the CSV files, and a scene or a sweep in them, which is left for the time of a
-    case.
-    """
+    """A folder with CSV files and a scene or sweep, for the duration of a case."""
 
     def __init__(self, **texts: bytes | str):
         super().__init__()
@@ -304,7 +298,7 @@ class Workplace(tempfile.TemporaryDirectory):
 
 
 def nothing_injected(folder: Path) -> None:
-    """No text of a scene is in a deck, and no command of it was run."""
+    """Return whether no text of a scene is in a deck, and no command of it was executed."""
     for path in folder.glob("deck/*"):
         assert MARK not in path.read_text()
     assert not (folder / MARK).exists()
@@ -381,7 +375,7 @@ def test_spoilt_tables_of_grains(count: int):
 
 
 @pytest.mark.parametrize("kind", ["zero", "pipe", "loop", "sparse", "folder", "long"])
-def test_what_is_no_file_is_not_waited_for(kind: str):
+def test_special_files_do_not_block(kind: str):
     with Workplace(scene__toml=toml(SCENE | {"chain": {"file": "odd"}})) as folder:
         odd = folder / ("odd" if kind != "long" else "x" * 300)
         if kind == "zero":
@@ -425,7 +419,7 @@ def sweep(text: bytes) -> None:
 
 
 @fuzzed(8, 1000)
-def test_hostile_sweeps(count: int):
+def test_sweeps_of_hostile_tables(count: int):
     examine(lambda tables: sweep(toml(tables)), spoilt(sweeps()), count)
 
 
@@ -439,9 +433,7 @@ def test_spoilt_text_of_sweeps(count: int):
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with a scene, its answer in a file, in a run folder, in one that was stopped,
-    and as a dump.
-    """
+    """Return a folder with a scene and its results in all formats, including a stopped run."""
     folder = tmp_path_factory.mktemp("answers")
     tables = deepcopy(SCENE)
     tables["recording"] |= {"duration": 2e-5, "samples": 41}
@@ -449,7 +441,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     scene = Scene.from_toml(folder / "scene.toml")
     simulate(scene, "native", folder=folder / "finished").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
         with pytest.raises(Stopped):
@@ -460,7 +452,7 @@ def answers(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def read(path: Path, *more: object) -> None:
-    """Read a spoilt answer with what reads answers."""
+    """Read a damaged result with all of its readers."""
     with suppress(LmpchainError):
         (
             Trajectory.from_dump(path, Scene.from_toml(str(more[1])))
@@ -488,12 +480,10 @@ def test_spoilt_dumps(answers: Path, count: int):
     examine(check, damage(), count)
 
 
-@pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run went so far")
+@pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run began with other")
 @fuzzed(10, 500)
 def test_spoilt_run_folders(answers: Path, count: int):
-    """What a resumed run ends with are the right bits, or it or who reads them says
-    that it cannot.
-    """
+    """A resumed run gives the right bits, or an error is reported."""
     truth = Trajectory.load(answers / "run.nc")
     which = [
         path.relative_to(answers)
@@ -519,7 +509,7 @@ def test_spoilt_run_folders(answers: Path, count: int):
                 "status.json",
                 "zarr.json",
             ):
-                with suppress(LmpchainError):  # each piece of the arrays carries its checksum
+                with suppress(LmpchainError):  # Each chunk of the arrays has a checksum.
                     assert same(Trajectory.load(at), truth)
             assert not list(folder.rglob("*.partial*"))
 

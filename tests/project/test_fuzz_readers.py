@@ -1,4 +1,4 @@
-"""Readers of files on damaged files: each returns a value or raises an error with a message."""
+"""Readers on damaged files: each returns a value, or raises an error with a message."""
 
 import hashlib
 import io
@@ -24,7 +24,7 @@ from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.util.files import seal
 
-MEMORY = 500_000  # kB more than before
+MEMORY = 500_000  # Additional memory in kB.
 HOSTILE = [
     None,
     True,
@@ -82,14 +82,12 @@ SWEEP: dict[str, Any] = {
 
 @pytest.fixture(scope="module")
 def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a folder with an answer in a file, in a run folder, in one that was stopped, and as a
-    dump.
-    """
+    """Return a folder with results in a file, run folders (one stopped), and a dump."""
     folder = tmp_path_factory.mktemp("originals")
     scene = Scene.from_dict(SCENE)
     simulate(scene, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
         with pytest.raises(Stopped):
             simulate(scene, "native", folder=folder / "stopped", max_wall=1e-9)
     write_deck(scene, folder / "deck", step=1e-7)
@@ -98,7 +96,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def spoilt(tree: Any, turn: random.Random) -> Any:
-    """Return tables and lists with one to three values replaced, lost or doubled, at any depth."""
+    """Return tables and lists with one to three values replaced, lost or doubled at any depth."""
     tree = deepcopy(tree)
     for _ in range(turn.choice([1, 1, 1, 2, 3])):
         holder = [tree]
@@ -119,7 +117,7 @@ def spoilt(tree: Any, turn: random.Random) -> Any:
 
 
 def damaged(content: bytes, turn: random.Random) -> bytes:
-    """Return the bytes of a file with some changed, lost, doubled or put in."""
+    """Return the bytes of a file with some changed, lost, doubled or inserted."""
     found = bytearray(content)
     for _ in range(turn.choice([1, 1, 2, 10])):
         place = turn.randrange(len(found) or 1)
@@ -143,7 +141,7 @@ def damaged(content: bytes, turn: random.Random) -> bytes:
 
 
 def examine(case: Callable[[random.Random], object], count: int) -> None:
-    """Try this number of cases; each returns a value or short error lines, in little memory."""
+    """Try this number of cases; each returns a value or short error lines within a memory limit."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     refused = 0
     longest = 0
@@ -267,7 +265,7 @@ def test_netcdf_files(originals: Path, tmp_path: Path, count: int):
 
     def case(turn: random.Random) -> None:
         changed = damaged(sealed, turn)
-        # a new seal would let files through over which HDF5 hangs, which no user has
+        # A new seal would let files pass at which HDF5 hangs, which no user has.
         (tmp_path / "run.nc").write_bytes(changed + turn.choice([b"", seal(sealed)]))
         Trajectory.load(tmp_path / "run.nc")
 
@@ -275,7 +273,7 @@ def test_netcdf_files(originals: Path, tmp_path: Path, count: int):
 
 
 def force_of(path: Path, options: dict[str, Any], may_refuse: bool = True) -> Force:
-    """Return the force in a file; fail if it is refused in several lines, or must not be."""
+    """Return the force in a file; fail if an error has several lines or is not allowed."""
     try:
         return Force(grain=1, file=path, trigger=0.0, **options)
     except InputError as error:
@@ -285,7 +283,7 @@ def force_of(path: Path, options: dict[str, Any], may_refuse: bool = True) -> Fo
 
 
 def edited(text: str, how: str, turn: random.Random) -> str:
-    """Return the text of a trace as a spreadsheet or a careless hand may leave it."""
+    """Return the text of a trace after edits as by a spreadsheet or by hand."""
     lines = text.splitlines()
     place = turn.randrange(len(lines) - 60, len(lines) - 1)
     comma = "\t" if "\t" in text else ","
@@ -310,8 +308,8 @@ HARMLESS = ["empty cells below", "blanks below", "shorter"]
 
 
 @fuzzed(120, 2000)
-def test_traces_that_were_edited(tmp_path: Path, count: int):
-    """Harmless changes change nothing; others are refused, or leave the push as it was."""
+def test_edited_traces(tmp_path: Path, count: int):
+    """Harmless edits change nothing; others are rejected, or leave the push unchanged."""
 
     def case(turn: random.Random) -> None:
         text, options = FILES[turn.choice(list(FILES))]
@@ -326,7 +324,7 @@ def test_traces_that_were_edited(tmp_path: Path, count: int):
 
 @fuzzed(150, 2000)
 def test_damaged_traces(tmp_path: Path, count: int):
-    """Files of all kinds with changed bytes give finite numbers at increasing times, or a line."""
+    """Damaged files of all kinds give finite numbers at increasing times, or one line."""
     originals: list[tuple[Path, bytes, dict[str, Any]]] = []
     for name, (write, options) in ARRAYS.items():
         path = tmp_path / name.split(",")[0]

@@ -1,4 +1,4 @@
-"""The layout of the package: which module may import which, docstrings and names."""
+"""The layout of the package: allowed imports, docstrings and names."""
 
 import ast
 from collections import Counter
@@ -32,12 +32,12 @@ ROOMS = [
     "doctor",
     "cli",
 ]
-OPENING = 100  # characters of the first line of a docstring
+OPENING = 100  # Largest number of characters of the first line of a docstring.
 
 
 @cache
 def imported(name: str) -> set[str]:
-    """Return the modules of the package that a module imports anywhere, also for types only."""
+    """Return the modules of the package that a module imports anywhere, including types."""
     package = name if MODULES[name].name == "__init__.py" else name.rpartition(".")[0]
     found = set()
     for node in nodes_of(name):
@@ -62,7 +62,7 @@ def test_imports_have_no_circle():
         pytest.fail(" imports ".join(reversed(error.args[1])))
 
 
-def test_every_room_has_its_place():
+def test_every_room_is_in_the_order():
     assert {room_of(module) for module in MODULES if module != "lmpchain"} == set(ROOMS)
 
 
@@ -110,7 +110,7 @@ def test_class_names_are_unique():
     assert [name for name, count in uses.items() if count > 1] == []
 
 
-def test_no_module_has_the_name_of_an_object_that_its_package_exports():
+def test_no_module_has_the_name_of_an_exported_object():
     """Python would replace the object by the module as soon as the module is imported."""
     for name, path in MODULES.items():
         if path.name == "__init__.py":

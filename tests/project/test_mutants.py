@@ -1,4 +1,4 @@
-"""A mutant changes statements and expressions that run, and nothing else."""
+"""A mutant changes executed statements and expressions, and nothing else."""
 
 import ast
 from pathlib import Path
@@ -9,7 +9,7 @@ import pytest
 MODULES = sorted((mutants.PROJECT / "lmpchain").rglob("*.py"))
 
 
-def test_every_mutant_is_another_program(tmp_path: Path):
+def test_every_mutant_is_a_different_program(tmp_path: Path):
     for module in MODULES[::64]:
         program = ast.dump(ast.parse(module.read_text(encoding="utf-8")))
         copy = tmp_path / module.relative_to(mutants.PROJECT)
@@ -47,7 +47,7 @@ def test_statements_are_dropped(statement: str):
 @pytest.mark.parametrize(
     "statement", ["'''A docstring.'''", "def f(a: 3) -> 4: pass", "a = f'{1}'", "a = b"]
 )
-def test_nothing_else_is_changed(statement: str):
+def test_annotations_and_docstrings_are_not_changed(statement: str):
     assert not [
         node for node in mutants.walk(ast.parse(statement)) if mutants.mutate(node) is not None
     ]

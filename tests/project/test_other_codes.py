@@ -1,6 +1,4 @@
-"""Other codes in `analysis/peers`: those that are always here find the truth, and the table says
-what was measured.
-"""
+"""Other codes in `analysis/other_codes`: their accuracy, and the table of their measurements."""
 
 import shutil
 import sys
@@ -22,7 +20,7 @@ PEERS = Path(__file__).parents[2] / "analysis" / "other_codes"
 
 @pytest.fixture(scope="module")
 def peer():
-    """Give a module of the folder, which is no package."""
+    """Return a module of the folder, which is not a package."""
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(PEERS)
         patch.setenv("OPENBLAS_NUM_THREADS", "1")
@@ -32,7 +30,7 @@ def peer():
 
 
 def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
-    """Return a column struck for so short that the wave stays near the top."""
+    """Return a column with a strike so short that the wave stays near the top."""
     chain = lmpchain.Chain(grains=grains, material="glass", diameter=1e-3)
     return lmpchain.Scene(
         chain=chain, excitation=lmpchain.Impulse(velocity=velocity), duration=20e-6, samples=2
@@ -40,7 +38,7 @@ def short(velocity: float, grains: int = 12) -> lmpchain.Scene:
 
 
 def truth(scene: lmpchain.Scene) -> Reference:
-    """Return a solution that shares only Eq. (1) with the peers."""
+    """Return a solution that shares only Eq. (1) with the other codes."""
     u, v, error = extended_reference(scene)
     return Reference(scene.time, u, v, error, "Taylor series in extended precision")
 
@@ -49,7 +47,7 @@ def truth(scene: lmpchain.Scene) -> Reference:
     ("velocity", "within"), thinned([(8.57e-3, 1e-9), (1e-9, 1e-11), (8.57e-4, 1e-11)], 3)
 )
 @pytest.mark.slow
-def test_scipy_finds_the_truth_of_weak_and_of_opening_contacts(peer, velocity, within):
+def test_scipy_is_accurate_for_weak_waves_and_openings(peer, velocity, within):
     problem = peer("problem").Problem(short(velocity))
     known = truth(problem.scene)
     for code in peer("with_scipy").codes(problem):
@@ -61,7 +59,7 @@ def test_scipy_finds_the_truth_of_weak_and_of_opening_contacts(peer, velocity, w
         assert 20 < code.solve(problem, 1e-4).force_evaluations < 1000
 
 
-def test_lammps_as_users_write_it_finds_the_truth(peer):
+def test_lammps_as_users_write_it_is_accurate(peer):
     problem = peer("problem").Problem(short(8.57e-4))
     (code,) = peer("with_lammps").codes(problem)
     answers = [code.solve(problem, problem.scene.duration / steps) for steps in (250, 500)]
@@ -71,8 +69,8 @@ def test_lammps_as_users_write_it_finds_the_truth(peer):
     assert fine < 1e-4
 
 
-def test_yade_finds_the_truth_by_the_same_rule_as_lammps(peer):
-    """Leapfrog is velocity Verlet: both have the same errors, of second order."""
+def test_yade_is_as_accurate_as_lammps(peer):
+    """Leapfrog equals velocity Verlet: both have the same errors of second order."""
     if not shutil.which("yade"):
         pytest.skip("there is no program yade here")
     problem = peer("problem").Problem(short(8.57e-4))
@@ -90,8 +88,8 @@ def test_yade_finds_the_truth_by_the_same_rule_as_lammps(peer):
         peer("with_yade").codes(peer("problem").Problem(displaced))
 
 
-def test_a_code_is_added_beside_lammps_by_turns(peer, monkeypatch):
-    """Its time per step is the file's time of LAMMPS, scaled by the ratio of the shortest times."""
+def test_codes_are_timed_alternately_with_lammps(peer, monkeypatch):
+    """The time per step is the stored LAMMPS time, scaled by the ratio of shortest times."""
     run = peer("run")
     scene = short(8.57e-4)
     code = peer("with_scipy").codes(peer("problem").Problem(scene))[1]
@@ -117,7 +115,7 @@ def test_a_code_is_added_beside_lammps_by_turns(peer, monkeypatch):
     assert kept["added"]["other"]["lammps_now_over_then"] == pytest.approx(2, rel=1e-12)
 
 
-def test_a_chain_cut_by_hand_answers_like_the_whole(peer):
+def test_a_chain_cut_by_hand_agrees_with_the_whole(peer):
     problem = peer("problem").Problem(short(8.57e-4, grains=60))
     code = peer("with_scipy").codes(problem)[1]
     known = truth(problem.scene)
@@ -152,7 +150,7 @@ def test_the_table_gives_the_least_time_to_each_error(peer):
     assert lines[f"{run.TO_TOLERANCE}, the whole call"] == "300 | 300 | - | -"
 
 
-def test_a_code_that_fails_leaves_a_gap(peer, capsys):
+def test_a_failing_code_leaves_a_gap(peer, capsys):
     problem = peer("problem").Problem(short(8.57e-4))
     code = peer("with_scipy").codes(problem)[1]
 
@@ -175,7 +173,7 @@ def test_a_code_that_fails_leaves_a_gap(peer, capsys):
 @pytest.mark.parametrize(
     "change", [{"exponent": 1.0}, {"gravity": 0.0, "top_load": 1.0}, {"bottom": "wall"}]
 )
-def test_what_the_peers_cannot_do_is_refused(peer, change):
+def test_unsupported_scenes_are_rejected(peer, change):
     scene = paper("weak")
     chain = lmpchain.Chain(**{"grains": 5, "diameter": 1e-3, **change})
     with pytest.raises(lmpchain.InputError, match="here"):
@@ -184,7 +182,7 @@ def test_what_the_peers_cannot_do_is_refused(peer, change):
         )
 
 
-def test_the_compiled_rate_is_that_of_the_chain_at_small_amplitudes(peer):
+def test_the_compiled_right_hand_side_is_linear_at_small_amplitudes(peer):
     problem = peer("problem").Problem(short(1e-9, grains=6))
     diagonal, coupling = problem.scene.chain.dynamical_matrix()
     matrix = (np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)) * problem.time**2

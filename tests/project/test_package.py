@@ -1,6 +1,4 @@
-"""The package as a newcomer meets it: README, wheel, imports, scripts, and the state of
-the code.
-"""
+"""The package for a newcomer: README, wheel, imports, scripts, and clean code."""
 
 import doctest
 import os
@@ -35,7 +33,7 @@ def python(*arguments: str, cwd: Path = ROOT, **environment: str) -> str:
     return done.stdout
 
 
-def test_quick_start_is_two_command_lines_and_ci_runs_the_second():
+def test_quick_start_has_two_commands_and_ci_runs_the_second():
     section = README.split("## Quick start")[1].split("\n## ")[0]
     blocks = re.findall(r"^```sh\n(.*?)^```$", section, re.DOTALL | re.MULTILINE)
     assert [block.count("\n") for block in blocks] == [1, 1]
@@ -85,7 +83,7 @@ def test_built_wheel_works_in_another_folder(tmp_path):
         str(tmp_path / "site"),
         str(wheel),
     )
-    # compiled code serves where the source has the same time
+    # Compiled code is valid as long as the source has the same time.
     for kept in (ROOT / "lmpchain").rglob("*.nb[ic]"):
         shutil.copy2(kept, tmp_path / "site" / kept.relative_to(ROOT))
     for source in (ROOT / "lmpchain").rglob("*.py"):
@@ -123,8 +121,8 @@ def test_shipped_scenes():
     assert numbers == pytest.approx(stated | {"ten_thousand": 8.48, "vacuum": np.inf}, rel=5e-3)
 
 
-def test_the_conda_recipe_asks_for_what_the_wheel_asks_for():
-    """By the names of conda-forge, whose versions of LAMMPS have three numbers."""
+def test_the_conda_recipe_has_the_requirements_of_the_wheel():
+    """The names are from conda-forge, where versions of LAMMPS have three numbers."""
     names = {"MDAnalysis": "mdanalysis", "matplotlib": "matplotlib-base", "lammps[mpi]": "lammps"}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     expected = {f"python {project['requires-python']}", "__linux"}

@@ -1,6 +1,4 @@
-"""The pages in `docs/`: links, examples, commands, gallery and build; and that their tables say
-what was measured.
-"""
+"""The pages in `docs/`: links, examples, commands, gallery, build, and measured tables."""
 
 import ast
 import doctest
@@ -45,13 +43,13 @@ SHORT = Scene(
 
 
 def blocks(page: str, language: str) -> list[str]:
-    """Return the code blocks of a page in this language."""
+    """Return the code blocks of a page in a language."""
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
     return re.findall(rf"^```{re.escape(language)}\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
 def places(page: Path) -> set[str]:
-    """Return the anchors of the headings of a page, as Markdown readers make them."""
+    """Return the anchors of the headings of a page, as Markdown renderers make them."""
     text = page.read_text(encoding="utf-8")
     for source, start in re.findall(r"```{include} (\S+)\n:start-after: \"(.*)\"", text):
         text += (page.parent / source).read_text(encoding="utf-8").split(start)[1]
@@ -72,8 +70,8 @@ def text_of(page: Path) -> str:
 NAMED = re.compile(r"`([\w./-]+\.py)`|\b((?:lmpchain|analysis|tests|docs)/[\w./-]+\.py)\b")
 
 
-def test_files_that_pages_name_exist():
-    """A page may name a file by the end of its path, as `engines/base.py`."""
+def test_files_named_on_pages_exist():
+    """A page may name a file by the end of its path, such as `engines/base.py`."""
     folders = ("lmpchain", "analysis", "tests", "docs")
     files = [
         f"/{file.relative_to(ROOT)}" for name in folders for file in (ROOT / name).rglob("*.py")
@@ -102,7 +100,7 @@ def test_links_lead_somewhere(page: Path):
         if "://" in name:
             continue
         target = page.parent / name if name else page
-        if "measurements/" in name:  # made from the gallery
+        if "measurements/" in name:  # These pages are made from the gallery.
             target = (
                 DOCS
                 / "gallery"
@@ -112,8 +110,8 @@ def test_links_lead_somewhere(page: Path):
         assert not place or place in places(target), link
 
 
-def test_equations_that_are_cited_are_written_out():
-    """By their numbers in the paper, 1 to 35, which are links on the built pages."""
+def test_cited_equations_are_on_the_pages():
+    """The pages have the equations by their numbers in the paper, as links when they are built."""
     model = (DOCS / "model.md").read_text(encoding="utf-8")
     assert re.findall(r"^\$\$ \(eq-(\d+)\)$", model, re.MULTILINE) == [
         str(number) for number in range(1, 36)
@@ -137,7 +135,7 @@ def test_every_page_is_in_the_contents():
     assert {*NAMES, "measurements/index"} - {"index"} <= set(listed)
 
 
-def test_the_reference_lists_what_is_public():
+def test_the_reference_lists_all_public_names():
     text = (DOCS / "api.md").read_text(encoding="utf-8")
     for package in (lmpchain, lmpchain.measure, lmpchain.theory):
         for name in package.__all__:
@@ -147,7 +145,7 @@ def test_the_reference_lists_what_is_public():
 
 
 def test_pages_of_the_reference_differ_by_more_than_case():
-    """On macOS and Windows names that differ by case only are one file."""
+    """On macOS and Windows, names that differ only by case are one file."""
     settings = ast.parse((DOCS / "conf.py").read_text(encoding="utf-8"))
     (chosen,) = [
         ast.literal_eval(line.value)
@@ -161,7 +159,7 @@ def test_pages_of_the_reference_differ_by_more_than_case():
 
 
 def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
-    """In a process of its own, because the module of the gallery changes how lmpchain speaks."""
+    """A separate process is used, because the gallery changes settings of lmpchain."""
     (tmp_path / "images").mkdir()
     script = tmp_path / "plot_1.py"
     script.write_text('"""\nA wave in a row\n===============\n"""\n')
@@ -193,7 +191,7 @@ def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
 
 
 def test_upright_letters_stay_upright_under_an_exponent():
-    """A letter alone is in italics in MathML unless it is a text or says that it is not."""
+    """A single letter is in italics in MathML unless it is marked as upright."""
     typeset = runpy.run_path(str(DOCS / "equations.py"))["typeset"]
     for formula in re.findall(r"\$([^$]*\\mathrm[^$]*)\$", (DOCS / "model.md").read_text()):
         upright = re.findall(r"\\mathrm(?: (\w)|{(\w)})", formula)
@@ -234,8 +232,8 @@ def test_examples(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     assert results.failed == 0
 
 
-def test_no_block_is_left_out():
-    """Only these kinds of blocks are there, and every one of them is run or read by a test."""
+def test_every_block_is_tested():
+    """Only these kinds of blocks occur, and each of them is executed or read by a test."""
     for page in NAMES:
         text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
         assert "+SKIP" not in text
@@ -252,7 +250,7 @@ def test_no_block_is_left_out():
             "{toctree}",
         }, page
         loose = [block for block in blocks(page, "python") if ">>> " not in block]
-        assert len(loose) == (page == "lammps"), page  # which test_the_page_reads_a_dump runs
+        assert len(loose) == (page == "lammps"), page  # Executed by test_the_page_reads_a_dump.
         assert bool(blocks(page, "toml")) == (page in ("scenes", "production", "instruments"))
 
 
@@ -305,7 +303,7 @@ def test_the_scene_file_of_an_instrument(tmp_path: Path):
 def test_commands(
     page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """Those of the page on production are in `test_production_page`."""
+    """Commands of the page on production are in `test_production_page`."""
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}:{os.environ['PATH']}")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "templates").symlink_to(ROOT / "templates")
@@ -314,7 +312,7 @@ def test_commands(
     for line in "".join(blocks(page, "sh")).splitlines():
         command, _, remark = line.partition("  # ")
         wanted = int((re.search(r"exit code (\d+)", remark) or [0, 0])[1])
-        # In this process, which has compiled everything, unless a shell joins commands.
+        # Commands run in this process, which has compiled everything, unless they need a shell.
         if command.startswith("lmpchain ") and not set("|>") & set(command):
             code = main(shlex.split(command)[1:])
             fault = capsys.readouterr().err
@@ -339,10 +337,10 @@ def test_commands(
 
 
 @pytest.mark.slow
-def test_the_page_shows_what_a_check_prints(
+def test_the_page_shows_the_output_of_a_check(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
-    """Of the scene in its examples; digits that round-off leaves open may differ."""
+    """The scene is from the examples; digits at rounding level may differ."""
     monkeypatch.chdir(tmp_path)
     scene = ROOT / "analysis" / "scenes" / "fig5_1g.toml"
     assert main(["deck", str(scene), "-o", "mine", "--step", "2e-7"]) == 0
@@ -439,9 +437,7 @@ TARGETS = (1e-3, 1e-6, 1e-9, 1e-12)
 
 @pytest.mark.parametrize(("number", "scene"), list(enumerate(["fig5_1g", "fig1", "ten_thousand"])))
 def test_times_of_native_on_the_page_on_speed(number: int, scene: str):
-    """Each row is of what its label says: no time of a run to a tolerance stands for a
-    fixed step.
-    """
+    """Each row has the times of its label: no run to a tolerance represents a fixed step."""
     tables = SPEEDS.read_text(encoding="utf-8").split("\n\n|")
     table = [t for t in tables if "| native, the best integrator at a fixed step |" in t][number]
     kept = json.loads((ROOT / "analysis" / "other_codes" / f"{scene}.json").read_text())["rows"]
@@ -489,7 +485,7 @@ def test_long_columns_in_lammps_on_the_page_on_speed(monkeypatch):
         assert script.line(row) in page.splitlines()
 
 
-def test_times_in_the_readme_are_those_of_the_page():
+def test_times_in_the_readme_agree_with_the_page():
     page = text_of(SPEEDS)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| (?:native|LAMMPS),? .*\d.*$", readme, re.MULTILINE)
@@ -506,8 +502,8 @@ def test_times_in_the_readme_are_those_of_the_page():
     assert fastest[1].split(" | ") == [min(cells, key=float) for cells in zip(*peers, strict=True)]
 
 
-def test_whole_calls_in_the_readme_are_those_of_the_page():
-    """In µs to two and three digits, of what the page has in ms."""
+def test_whole_calls_in_the_readme_agree_with_the_page():
+    """The README has µs to two and three digits, the page ms."""
     calls = re.search(
         r"^\| 0\.857 mm/s, 1e-3 .*\n(?:\| 1e-\d+ .*\n){3}", text_of(SPEEDS), re.MULTILINE
     )
@@ -528,8 +524,8 @@ TABLES = sorted((ROOT / "analysis" / "tables").glob("*.md"))
 
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda path: path.stem)
-def test_a_table_that_a_script_wrote_stands_on_one_page(table: Path):
-    """Which names the script, and the script names the table and the page."""
+def test_a_table_written_by_a_script_is_on_one_page(table: Path):
+    """The page names the script, and the script names the table and the page."""
     include = f"```{{include}} ../analysis/tables/{table.name}\n```"
     pages = [page for page in PAGES if include in page.read_text(encoding="utf-8")]
     assert len(pages) == 1
@@ -542,7 +538,7 @@ def test_a_table_that_a_script_wrote_stands_on_one_page(table: Path):
     assert f"docs/{pages[0].name}" in scripts[0].read_text(encoding="utf-8")
 
 
-def test_kept_tables_are_those_of_the_pictures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_stored_tables_agree_with_the_pictures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     monkeypatch.syspath_prepend(ROOT / "analysis")
     importlib.import_module("kept_tables").main(tmp_path)
     made = list(tmp_path.iterdir())
@@ -552,8 +548,8 @@ def test_kept_tables_are_those_of_the_pictures(monkeypatch: pytest.MonkeyPatch, 
         assert kept.read_text(encoding="utf-8") == table.read_text(encoding="utf-8")
 
 
-def test_a_measured_figure_stands_on_one_page():
-    """The page that names the script which measured it; the others lead there."""
+def test_a_measured_number_is_on_one_page():
+    """It is on the page that names the measuring script; other pages link to it."""
     cited: dict[str, set[str]] = {}
     for page in [*DOCS.glob("*.md"), ROOT / "README.md"]:
         for script in re.findall(r"analysis/[\w/]+\.py", page.read_text(encoding="utf-8")):
@@ -605,7 +601,7 @@ QUANTITIES = {
 
 
 def said_of(form: str, texts: Mapping[str, str]) -> dict[str, set[str]]:
-    """Return the numbers that each page gives in this form, without zeros at their end."""
+    """Return the numbers in this form on each page, without trailing zeros."""
     numbers = {
         page: {
             "".join(groups).rstrip("0") if "." in "".join(groups) else "".join(groups)
@@ -617,8 +613,8 @@ def said_of(form: str, texts: Mapping[str, str]) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("quantity", QUANTITIES)
-def test_pages_state_a_quantity_alike(quantity: str):
-    """And a page on which it is changed is found out."""
+def test_pages_agree_on_quantities(quantity: str):
+    """A page with a changed quantity is detected."""
     texts = {
         str(page): text_of(page)
         for page in (*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "analysis" / "README.md")
@@ -648,8 +644,8 @@ def test_pages_state_a_quantity_alike(quantity: str):
         ("cluster", "production.md"),
     ],
 )
-def test_the_first_page_leads_to_what_newcomers_ask(question: str, place: str):
-    """In one click; `test_links_lead_somewhere` follows it."""
+def test_the_first_page_links_to_the_pages_for_newcomers(question: str, place: str):
+    """The pages are one click away; `test_links_have_targets` checks the links."""
     rows = re.findall(r"^\| (.*\?) \| (.*) \|$", (DOCS / "index.md").read_text("utf-8"), re.M)
     assert len(rows) == 8
     assert any(question in asked and f"({place})" in answer for asked, answer in rows)
@@ -685,7 +681,7 @@ def public_functions() -> list[str]:
 
 
 @pytest.mark.slow
-def test_functions_document_what_they_take_and_give():
+def test_functions_document_their_parameters_and_results():
     validate = pytest.importorskip(
         "numpydoc.validate", reason="numpydoc comes with lmpchain[docs]"
     ).validate
@@ -698,8 +694,8 @@ def test_functions_document_what_they_take_and_give():
     assert {name: texts for name, texts in faults.items() if texts} == {}
 
 
-def test_functions_document_what_they_raise():
-    """At least what they raise themselves, not in what they call."""
+def test_functions_document_their_exceptions():
+    """All exceptions that a function raises directly are listed."""
     for name in public_functions():
         module, _, function = name.rpartition(".")
         thing = inspect.unwrap(getattr(importlib.import_module(module), function))
@@ -715,12 +711,12 @@ def test_functions_document_what_they_raise():
 
 
 def check_live_figures(build: Path, profile: Path):
-    """Check that the presets of the first page are there, small, and move in a browser."""
+    """Check that the figures of the first page exist, are small, and move in a browser."""
     index = (build / "index.html").read_text(encoding="utf-8")
     figures = re.findall(r'<iframe class="live-figure" src="([^"]*)"', index)
     assert len(figures) == 4
     assert all((build / figure).stat().st_size < 2e6 for figure in figures)
-    # nor do they say where they were built
+    # They do not contain the build path either.
     assert not any(str(build) in (build / figure).read_text("utf-8") for figure in figures)
     if not installed():
         return
@@ -736,7 +732,7 @@ def check_live_figures(build: Path, profile: Path):
 
 
 def move_live_figure(shown: Browser, figure: str) -> None:
-    """Check that the pointer and the keyboard reach a figure within a page."""
+    """Check that the pointer and the keyboard control a figure within a page."""
     shown.wait_for("document.documentElement.dataset.ready", frame=figure)
     place = "(({{x, y, width, height}}) => [x, y, width, height])({}.getBoundingClientRect())"
 
@@ -768,9 +764,7 @@ def move_live_figure(shown: Browser, figure: str) -> None:
     [pytest.param(False, marks=pytest.mark.slow), pytest.param(True, marks=pytest.mark.soak)],
 )
 def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
-    """The tutorial and the gallery are executed by tests above; once more, as pages, in
-    the soak.
-    """
+    """The tutorial and the gallery are executed by other tests, and as pages in the soak."""
     pytest.importorskip("sphinxarg", reason="Sphinx and its extensions come with lmpchain[docs]")
     copy = tmp_path / "docs"
     build = tmp_path / "built"
@@ -798,7 +792,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
     )
     assert done.returncode == 0, done.stderr
     index = (build / "searchindex.js").read_text(encoding="utf-8")
-    assert index.startswith("Search.setIndex(")  # a script, which works from the file system
+    assert index.startswith("Search.setIndex(")  # A script works from the file system.
     assert 'src="searchindex.js"' in (build / "search.html").read_text(encoding="utf-8")
     model = (build / "model.html").read_text(encoding="utf-8")
     assert model.count("<math") > 100
@@ -839,7 +833,7 @@ def test_the_pages_build_without_a_warning(tmp_path: Path, executed: bool):
         assert "plot_05_spectra.html" in shown
 
 
-def test_one_native_run_passes_the_listed_files_in_this_order():
+def test_a_native_run_passes_the_listed_files_in_this_order():
     text = (DOCS / "contributing.md").read_text(encoding="utf-8")
     section = text.split("## Follow one native run")[1].split("\n## ")[0]
     files = re.findall(r"^\d+\. `(.*)\.py`", section, re.MULTILINE)
@@ -857,6 +851,6 @@ def test_one_native_run_passes_the_listed_files_in_this_order():
         simulate(SHORT, "native")
     finally:
         sys.setprofile(None)
-    # compiled loops call one another unseen
+    # Compiled loops call each other without Python.
     python = [name for name in listed if ".kernels." not in name]
     assert [name for name in passed if name in python] == python

@@ -1,4 +1,4 @@
-"""Every command of the page on production, run as it stands, in its order.
+"""Every command of the page on production, executed in order and unchanged.
 
 The launchers of a cluster are stood in for by scripts that start real ranks; Dask is real. A
 command beside which the page says "press Ctrl-C" is really stopped, and "exit code N" is what it
@@ -24,13 +24,14 @@ from lmpchain.util import mpi
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "production.md").read_text(encoding="utf-8")
 COMMANDS = "".join(re.findall(r"^```sh\n(.*?)^```$", PAGE, re.DOTALL | re.MULTILINE)).splitlines()
-CORES = sorted(os.sched_getaffinity(0))[:2]  # no more, so that what is to be stopped lasts
+# Two cores are enough, so that runs to be stopped last.
+CORES = sorted(os.sched_getaffinity(0))[:2]
 PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask"
 
 STRIKE = Impulse(velocity=1e-5)
 STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size=3999), 0.0))
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
-# A run that the page stops must last. Its steps are long, because ranks synchronise at each step.
+# A run that the page stops must last. Its steps are slow, because ranks synchronise at each step.
 MOVING = Scene(
     chain=Chain(grains=4000, diameter=1e-3),
     excitation=STIRRED,
@@ -48,11 +49,11 @@ LASTING = {
 
 STANDING_IN = {
     "mpiexec": f'exec {mpi.launcher()} "$@"',
-    # a job that asks for the cores of one task starts one process
+    # A job that requests the cores of one task starts one process.
     "srun": '[ "$1" != -n ] || { SLURM_NTASKS=$2; shift 2; }; '
     '[ -z "$SLURM_CPUS_PER_TASK" ] || exec "$@"; exec mpiexec -n "$SLURM_NTASKS" "$@"',
-    "date": "echo 1000000",  # so that it is certain how much is left of the time of a job
-    # the first job has a second beyond those that the job script spares, the others have enough
+    "date": "echo 1000000",  # The remaining time of a job is then certain.
+    # The first job has one second more than the job script reserves; the others have enough time.
     "sbatch": """
 export SLURM_NTASKS=2 SLURM_JOB_END_TIME=$([ -e jobs ] && echo 1000900 || echo 1000301)
 tasks=
@@ -72,7 +73,7 @@ done""",
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Go to a folder in which the page can be followed."""
+    """Change to a folder in which the page can be followed."""
     (tmp_path / "bin").mkdir()
     for name, text in STANDING_IN.items():
         (tmp_path / "bin" / name).write_text(f"#!/bin/bash\n{text}\n")
@@ -89,7 +90,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def begun(command: str, process: subprocess.Popen[str]) -> None:
-    """Wait until a command has kept something."""
+    """Wait until a command has stored something."""
     folder = Path(re.search(r"-o (\S+)", command)[1])
     if " run " in command:
         at_work(folder, process)
@@ -165,8 +166,8 @@ def test_every_command_of_the_page(here: Path):
     assert np.isfinite(found.peak_velocity).all()
 
 
-def test_no_command_is_left_out():
-    """What stands between the lines is run, too, and every kind of command is there."""
+def test_every_line_of_the_page_is_executed():
+    """Text between the lines is executed as well, and every kind of command occurs."""
     assert set(re.findall(r"^```(\w+)$", PAGE, re.MULTILINE)) == {"python", "sh", "toml"}
     assert "+SKIP" not in PAGE, "the examples in Python are run by test_pages"
     for command in re.findall(rf"`((?:{PROGRAMS}) [^`]+)`", PAGE):

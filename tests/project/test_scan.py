@@ -1,4 +1,4 @@
-"""Every number of a scene file is set to strange values: the error is one line with a remedy."""
+"""Strange values for every number of a scene file lead to one line with a remedy."""
 
 import re
 from collections.abc import Iterator
@@ -16,7 +16,7 @@ from lmpchain.cli.command_line import main
 NAN = float("nan")
 INF = float("inf")
 STRANGE: list[Any] = [NAN, INF, -INF, -1, 0, 5e-324, 1e308, True, "x", [], {}]
-LONGEST = 400  # letters of a line; no value that it repeats has more than 80
+LONGEST = 400  # Letters of a line, in which a repeated value has at most 80.
 ALL: list[Tables] = [
     *EXCITATIONS,
     {"kind": "drive", "grain": 1, "amplitude": 1e-10, "frequency": 1e4, "cycles": 2.5},
@@ -26,7 +26,7 @@ ALL: list[Tables] = [
     {"kind": "packet", "frequency": 3e4, "width": 2.0, "grain": 3, "amplitude": 1e-10},
 ]
 MORE = {"masses": [1e-6] * 6, "contact_constants": [1e9] * 5, "wall_constants": [0.0, 1e9]}
-REFUSED = {  # what is wrong with a scene is said alike by all
+REFUSED = {  # All commands report a fault of a scene in the same way.
     "plan": (),
     "run": ("--engine", "native", "--tolerance", "1e-2", "--force"),
     "compare": ("--tolerance", "1e-2"),
@@ -38,7 +38,7 @@ REFUSED = {  # what is wrong with a scene is said alike by all
     "fit": ("column.lammpstrj", "--scene"),
     "dyson": ("column.lammpstrj", "--m", "1", "--scene"),
 }
-# Commands that are quick enough to be run if the scene is accepted.
+# Commands that are fast enough to be run if the scene is accepted.
 DONE = ("plan", "run", "compare", "deck")
 DUMP = "".join(
     f"ITEM: TIMESTEP\n{step}\nITEM: NUMBER OF ATOMS\n6\nITEM: BOX BOUNDS ff ff ff\n-1 1\n-1 1\n-1 "
@@ -50,7 +50,7 @@ DUMP = "".join(
 
 
 def numbers(tables: Tables) -> Iterator[tuple]:
-    """Yield the way to every number of a scene, of lists to the first."""
+    """Yield the path to every number of a scene, in lists to the first."""
     for way in places(tables):
         value: Any = tables
         for step in way:
@@ -72,7 +72,7 @@ def spoilt(tables: Tables, way: tuple, value: Any) -> Tables:
 
 
 def bases() -> Iterator[tuple[str, Tables, tuple[str, ...]]]:
-    """Yield scenes with the tables of each of which the numbers are to be changed."""
+    """Yield scenes with the tables whose numbers are to be changed."""
     plain = deepcopy(SCENE)
     yield "chain", plain, ("chain", "recording")
     given = deepcopy(SCENE)
@@ -87,7 +87,7 @@ def bases() -> Iterator[tuple[str, Tables, tuple[str, ...]]]:
 
 
 def said(command: str, scene: str) -> tuple[int, list[str]]:
-    """Return the exit code of a command on a scene, and the errors that it printed."""
+    """Return the exit code of a command on a scene, and its printed errors."""
     out = StringIO()
     err = StringIO()
     options = REFUSED[command]
@@ -107,7 +107,7 @@ def said(command: str, scene: str) -> tuple[int, list[str]]:
 def test_strange_numbers(
     base: tuple[str, Tables, tuple[str, ...]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Every command says the same in one line with exit code 2, or none refuses the scene."""
+    """All commands report the same line with exit code 2, or none rejects the scene."""
     _, tables, parts = base
     monkeypatch.chdir(tmp_path)
     Path("column.lammpstrj").write_text(DUMP)

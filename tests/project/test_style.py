@@ -1,4 +1,4 @@
-"""How the code reads: one binding a line, comments, lines that fit, constants that are named once.
+"""Style of the code: one binding per line, comments, line widths, unique constants.
 
 The limits are far from the first counts of this code (14.9 % of assignments packed, 0.6 comments
 to a hundred lines, 13 % of lines wide), and near the counts of well-kept scientific packages.
@@ -13,11 +13,11 @@ import pytest
 from helpers.modules import MODULES, nodes_of, room_of, text_of
 
 ROOT = Path(__file__).parents[2]
-PACKED = 0.03  # share of assignments that bind several values in one line
-COMMENTS = 0.02  # comment lines to a line of code in each room
-ALL_COMMENTS = 0.025  # the same in the whole package
-FEW_LINES = 400  # of code; a smaller room may have fewer comments
-WIDEST = 100  # characters
+PACKED = 0.03  # Largest fraction of assignments that bind several values in one line.
+COMMENTS = 0.02  # Smallest ratio of comment lines to lines of code in each room.
+ALL_COMMENTS = 0.025  # The same ratio for the whole package.
+FEW_LINES = 400  # Lines of code; a smaller room may have fewer comments.
+WIDEST = 100  # Characters.
 BRANCHES = 15
 
 
@@ -76,7 +76,7 @@ def test_a_line_binds_one_value():
 
 @pytest.mark.parametrize("folder", ["lmpchain", "tests", "analysis", "docs"])
 def test_no_line_is_too_wide(folder: str):
-    """The formatter breaks code only, not docstrings and comments."""
+    """The formatter breaks only code, not docstrings and comments."""
     wide = {
         f"{file.relative_to(ROOT)}:{number}"
         for file in (ROOT / folder).rglob("*.py")

@@ -74,7 +74,7 @@ def rows(monkeypatch: pytest.MonkeyPatch) -> Any:
     return lambda run: Rows(page(run, origin=origin))
 
 
-def test_cards_say_what_was_asked_and_what_it_took(run: Trajectory, rows: Any):
+def test_cards_show_request_and_cost(run: Trajectory, rows: Any):
     cards = {name: texts for name, *texts in rows(run).cards}
     assert list(cards) == ["Scene", "Engine", "Tolerance", "Error", "Cost", "Date", "Command"]
     name, remark = cards["Scene"]
@@ -93,7 +93,7 @@ def test_cards_say_what_was_asked_and_what_it_took(run: Trajectory, rows: Any):
     assert cards["Command"] == ["lmpchain run"]
 
 
-def test_facts_are_those_of_the_run(run: Trajectory, rows: Any):
+def test_facts_agree_with_the_run(run: Trajectory, rows: Any):
     facts = {key: value for key, value in (row for row in rows(run).rows if len(row) == 2)}
     assert facts["chain"] == "40 grains, top free, bottom fixed, exponent 1.5"
     assert facts["gravity and load"] == "9.81 m/s², 0 N"
@@ -120,7 +120,7 @@ def test_facts_are_those_of_the_run(run: Trajectory, rows: Any):
     assert facts["excitation"] == "profile: velocity of 40 values"
 
 
-def test_a_title_says_chain_excitation_duration_and_engine(run: Trajectory):
+def test_a_title_names_chain_excitation_duration_and_engine(run: Trajectory):
     label = STRIKE.label
     assert title(run) == f"40 grains, g = 9.81 m/s², {label}, 60 µs, native"
     loaded = CHAIN.replace(gravity=0.0, top_load=2.0)
@@ -128,7 +128,7 @@ def test_a_title_says_chain_excitation_duration_and_engine(run: Trajectory):
     assert title(other) == f"40 grains, no gravity, load 2 N, {label}, 1 ms, native"
 
 
-def test_the_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPatch):
+def test_the_progress_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPatch):
     steps: list[Any] = []
 
     class Bar:
@@ -161,7 +161,9 @@ def test_the_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPa
     assert not steps[0][3]
 
 
-def test_a_page_is_written_whole(run: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_page_is_written_atomically(
+    run: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     monkeypatch.setattr(document, "PANELS", {})
     write(run, tmp_path / "page.html", origin={"date": "yesterday", "command": "é"})
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
@@ -184,7 +186,7 @@ def moved(first: int, last: int, samples: int = 11, grains: int = 400) -> Trajec
     return replace(simulate(few, "native", 1e-3), scene=scene, velocity=velocity, **fields)
 
 
-def test_grains_at_rest_are_left_out_but_for_four_on_either_side():
+def test_grains_at_rest_are_omitted_except_four_on_either_side():
     for first, last, shown in ((20, 30, (16, 34)), (3, 5, (1, 9)), (390, 399, (386, 400))):
         t = moved(first, last)
         part = crop(t)
@@ -203,7 +205,7 @@ def test_grains_at_rest_are_left_out_but_for_four_on_either_side():
     assert not data["displacement"].any()
 
 
-def test_grains_that_hardly_move_are_left_out_of_the_range():
+def test_slow_grains_are_omitted_from_the_range():
     """Grains slower than a thousandth of the fastest one are left out."""
     t = moved(20, 30)
     velocity = np.array(t.velocity)
@@ -217,7 +219,7 @@ def test_grains_that_hardly_move_are_left_out_of_the_range():
 
 
 @pytest.mark.parametrize("order", ["as they stand", "turned round"])
-def test_the_live_view_holds_velocities_in_16_bits(order: str):
+def test_the_live_view_stores_velocities_in_16_bits(order: str):
     t = moved(20, 60, samples=31)
     if order == "turned round":
         grains = t.grains[::-1]
@@ -249,7 +251,7 @@ def test_the_live_view_holds_velocities_in_16_bits(order: str):
     assert data["limit"] == pytest.approx(np.median(peaks[peaks > 0]), rel=1e-5)
 
 
-def test_of_many_times_and_grains_the_live_view_takes_some():
+def test_the_live_view_selects_times_and_grains():
     t = moved(1, 400, samples=701)
     data = figure(t)
     assert data["time"].size == 240
@@ -257,13 +259,13 @@ def test_of_many_times_and_grains_the_live_view_takes_some():
     assert rows[0] == 0
     assert rows[-1] == 700
     assert set(np.diff(rows)) == {2, 3}
-    # Every third of 400, of which 160 are shown at most.
+    # At most 160 of 400 grains are shown, which is every third.
     assert data["grains"].tolist() == list(range(1, 401, 3))
     velocity = t.velocity[rows]
     group = velocity[:, 3:6]
     loudest = np.abs(group - group[:1]).max(0).argmax()
     assert data["velocity"][:, 1] == pytest.approx(group[:, loudest], abs=0.51 * data["unit"])
-    # Beads are those grains themselves, and overlap by what all contacts between do.
+    # Beads are these grains, and overlaps are sums over all contacts between them.
     u = t.displacement[np.ix_(rows, range(0, 400, 3))]
     assert data["displacement"] == pytest.approx(u, abs=np.abs(u).max() / 6e4)
     overlap = t.scene.chain.equilibrium_overlap[:399].reshape(133, 3).sum(1)
@@ -274,7 +276,7 @@ def test_of_many_times_and_grains_the_live_view_takes_some():
     assert figure(moved(5, 157, samples=5))["grains"].size == 81
 
 
-def test_what_is_not_a_number_is_at_rest_in_the_live_view():
+def test_nan_is_shown_as_rest_in_the_live_view():
     t = moved(20, 30)
     velocity = np.array(t.velocity)
     velocity[4, 24] = np.nan
@@ -282,7 +284,7 @@ def test_what_is_not_a_number_is_at_rest_in_the_live_view():
     assert data["velocity"][4, data["grains"].tolist().index(25)] == 0
 
 
-def test_equal_arrays_stand_once():
+def test_equal_arrays_are_stored_once():
     """Linear theory of one chain is equal for all strikes, apart from its unit."""
     t = moved(20, 30)
     shown = _view(t, None)
@@ -292,8 +294,8 @@ def test_equal_arrays_stand_once():
     assert 3 * one["velocity"][1] == pytest.approx(three["velocity"][1])
 
 
-def test_the_live_view_draws_when_a_weak_wave_arrives(run: Trajectory):
-    """sqrt(m / k) a contact, from the grain that is struck; nowhere where no weak wave travels."""
+def test_the_live_view_draws_the_arrival_of_a_weak_wave(run: Trajectory):
+    """The time is sqrt(m / k) per contact from the struck grain, if weak waves travel."""
 
     def arrival(scene: Scene) -> Any:
         return live_view._law(replace(run, scene=scene), np.arange(1, 41))
@@ -320,10 +322,10 @@ def test_the_live_view_draws_when_a_weak_wave_arrives(run: Trajectory):
     assert arrival(empty) is None
 
 
-# --- where a run came from
+# --- origin of a run
 
 
-def test_a_folder_says_when_its_first_session_began(tmp_path: Path):
+def test_a_folder_states_the_start_of_its_first_session(tmp_path: Path):
     sessions = [
         {"began": "2024-05-06T23:08:09+02:00", "command": "lmpchain run s.toml"},
         {"began": "2024-05-07T00:00:00+00:00", "command": "lmpchain resume"},
@@ -350,7 +352,7 @@ def test_records_of_sessions_are_read_up_to_16_MB(tmp_path: Path):
         assert origin.origin(tmp_path)["command"] == command
 
 
-def test_a_file_says_it_in_its_history(tmp_path: Path):
+def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
     path = tmp_path / "run.nc"
     with h5py.File(path, "w") as file:
         file.attrs["history"] = "2024-05-06T07:08:09+00:00 lmpchain run s.toml -o run.nc"
@@ -371,10 +373,10 @@ def test_a_file_says_it_in_its_history(tmp_path: Path):
     ("displacement", "verdict"),
     [(-1.5, "1 of 4 open"), (1.5, "1 of 4 open"), (0.5, "none opens"), (-0.5, "none opens")],
 )
-def test_contacts_open_where_grains_part_by_more_than_their_overlap(
+def test_contacts_open_if_grains_separate_by_more_than_their_overlap(
     displacement: float, verdict: str
 ):
-    """Grain 2 moves up or down by a multiple of the overlap at rest, and parts from 3 or 1."""
+    """Grain 2 moves by a multiple of the overlap at rest, and separates from grain 3 or 1."""
     chain = Chain(grains=5, diameter=1e-3, gravity=0, top_load=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=2)
     overlap = chain.equilibrium_overlap

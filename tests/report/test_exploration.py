@@ -31,7 +31,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_every_run_of_the_page_is_that_of_its_values(page: Path):
+def test_every_run_of_the_page_has_its_values(page: Path):
     numbers = numbers_of(page)
     assert [axis["key"] for axis in numbers["axes"]] == ["excitation.velocity", "chain.gravity"]
     assert [axis["unit"] for axis in numbers["axes"]] == ["m/s", "m/s²"]
@@ -52,15 +52,15 @@ def test_every_run_of_the_page_is_that_of_its_values(page: Path):
         facts = shown["facts"]
         assert float(facts["strike number"]) == pytest.approx(scene.strike_number, rel=5e-3)
         assert facts["largest velocity"].startswith(f"{1e3 * speed:.1f} m" if speed > 1e-4 else "1")
-    # Linear theory of one chain stands once for all strikes.
+    # Linear theory of one chain is stored once for all strikes.
     starts = {run["linear"][0] for run in numbers["runs"]}
     assert len(starts) == len(LOADS)
     assert "holds" in numbers["runs"][0]["facts"][1][1]
     assert "open" in dict(numbers["runs"][-1]["facts"])["contacts"]
 
 
-def test_the_front_beside_a_run_moves_as_fast_as_sound(tmp_path: Path):
-    """Of a weak strike on a loaded chain: near d sqrt(k / m), the speed of long waves."""
+def test_the_front_of_a_run_moves_at_the_speed_of_sound(tmp_path: Path):
+    """A weak strike on a loaded chain has a front near d sqrt(k / m), the long-wave speed."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=0.1)
     scene = SCENE.replace(chain=chain, duration=60e-6)
     lmpchain.explore({"scene": scene, "over": {"excitation.velocity": [1e-7]}}, tmp_path / "a.html")
@@ -70,8 +70,8 @@ def test_the_front_beside_a_run_moves_as_fast_as_sound(tmp_path: Path):
     assert speed == pytest.approx(sound, rel=0.05)
 
 
-def test_damping_is_a_key_like_any_other(tmp_path: Path):
-    """Drag alone acts from outside: the momentum of a free chain falls as exp(-gamma t)."""
+def test_damping_is_a_valid_key(tmp_path: Path):
+    """Drag is an external force: the momentum of a free chain decays as exp(-gamma t)."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free", damping=Damping(drag=1.0))
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-2, samples=41)
     drags = [1.0, 50.0, 100.0]
@@ -98,7 +98,7 @@ def test_without_compression_there_is_no_linear_theory(tmp_path: Path):
 
 
 def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Large pages show fewer times and grains of each run, and are refused beyond that."""
+    """Large pages show fewer times and grains of each run, and are rejected beyond a limit."""
     speeds = np.geomspace(1e-6, 1e-1, 12)
     source = {"scene": SCENE.replace(samples=121), "over": {"excitation.velocity": speeds}}
     lmpchain.explore(source, tmp_path / "free.html")
@@ -134,7 +134,7 @@ def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.Mo
         ({"tolerance": 0.0}, "tolerance: "),
     ],
 )
-def test_what_is_refused(source: dict[str, Any], message: str, tmp_path: Path):
+def test_invalid_requests_are_rejected(source: dict[str, Any], message: str, tmp_path: Path):
     with pytest.raises(InputError, match=message):
         lmpchain.explore({"scene": SCENE} | source, tmp_path / "page.html")
     assert not list(tmp_path.iterdir())
@@ -172,7 +172,7 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
 @pytest.mark.parametrize(
     ("velocity", "start"), [(1e-3, 3), (-2e-3, 0), (-0.6e-3, 1), (0.4e-3, 2), (9.0, 3)]
 )
-def test_a_slider_starts_at_the_value_nearest_to_that_of_the_scene(velocity: float, start: int):
+def test_a_slider_starts_at_the_value_nearest_to_the_scene(velocity: float, start: int):
     values = [-2e-3, -1e-3, 0.0, 1e-3]
     scene = SCENE.replace(excitation=Impulse(velocity=velocity))
     slider = exploration._axis("excitation.velocity", values, scene, "impulse")
@@ -191,7 +191,7 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
         for width, height, scheme in ((1280, 900, "light"), (390, 844, "dark")):
             shown.open(page, width, height, scheme)
             shown.wait_for("document.documentElement.dataset.ready")
-            # Nothing is wider than the window, once it is laid out.
+            # Nothing is wider than the window after layout.
             shown.wait_for(f"document.documentElement.scrollWidth === {width}", patience=20)
             assert shown.run(VALUE) == "1 mm/s (run 2 of 3)"
             shown.press("Tab")
@@ -204,7 +204,7 @@ def test_the_page_in_a_browser(page: Path, tmp_path: Path):
             shown.press("ArrowLeft")
             assert shown.run(VALUE) == "1 µm/s (run 1 of 3)"
             assert "none opens" in shown.run(facts)
-            # A value between two runs shows the nearest of them, in ratio.
+            # A value between two runs shows the nearest run in ratio.
             typed = (
                 "(() => { const field = document.getElementById('typed-0'); field.value = '2e-4';"
                 "field.dispatchEvent(new Event('change')); })()"

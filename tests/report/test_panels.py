@@ -1,4 +1,4 @@
-"""Pictures of a page: every line, axis and sentence against numbers that follow from the run."""
+"""Pictures of a page: lines, axes and sentences agree with numbers from the run."""
 
 import base64
 import re
@@ -18,7 +18,7 @@ from lmpchain.report.live import crop, extent
 from lmpchain.report.verdicts import front_below
 from lmpchain.util.plotting import COLOURS, si
 
-MARGIN = 4  # grains at rest that a picture shows beside those that move
+MARGIN = 4  # Number of resting grains that a picture shows beside the moving ones.
 PREFIXES = {"": 1.0, "m": 1e-3, "µ": 1e-6, "n": 1e-9, "p": 1e-12, "f": 1e-15, "k": 1e3, "M": 1e6}
 LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 
@@ -33,7 +33,7 @@ class Drawn(NamedTuple):
 
 @pytest.fixture
 def draw(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, Trajectory], Drawn]:
-    """Return a function that draws a panel and keeps its axes."""
+    """Return a function that draws a panel and stores its axes."""
 
     def keep(ax: Any, caption: str, alt: str = "", map: bool = False) -> Drawn:
         return Drawn(ax.figure.axes, caption, map)
@@ -50,19 +50,19 @@ def strike(grains: int, velocity: float, duration: float, samples: int, **chain:
 
 @pytest.fixture(scope="module")
 def run() -> Trajectory:
-    """A weak wave in a column, which it has not passed through."""
+    """Return a weak wave in a column that it has not crossed."""
     return simulate(strike(40, 1e-3, 60e-6, 121), "native", 1e-9)
 
 
 @pytest.fixture(scope="module")
 def hard() -> Trajectory:
-    """A strike that opens contacts of a short column."""
+    """Return a strike that opens contacts of a short column."""
     return simulate(strike(8, 0.3, 60e-6, 601), "native", 1e-9)
 
 
 @pytest.fixture(scope="module")
 def vacuum() -> Trajectory:
-    """A solitary wave without gravity and load."""
+    """Return a solitary wave without gravity and load."""
     scene = strike(24, 0.1, 120e-6, 241, gravity=0.0, bottom="wall")
     return simulate(scene, "native", 1e-8)
 
@@ -75,7 +75,7 @@ def reached(run: Trajectory) -> tuple[int, int]:
 
 
 def amount(text: str) -> float:
-    """Return a number with its SI prefix as a number."""
+    """Return the number that a text with an SI prefix contains."""
     number, prefix = re.fullmatch(r"([\d.]+) (\D?)(?:m/s|s|Hz|N|J)", text).groups()
     return float(number) * PREFIXES[prefix]
 
@@ -85,7 +85,7 @@ def curve(ax: Any, place: int) -> np.ndarray:
 
 
 def force(run: Trajectory) -> np.ndarray:
-    """Return the forces of all contacts above those at rest, (T, N-1) N, from Hertz's law."""
+    """Return the forces of all contacts above rest, (T, N-1) N, by Hertz's law."""
     chain = run.scene.chain
     overlap = chain.equilibrium_overlap - np.diff(run.displacement)
     at_rest = chain.equilibrium_overlap**1.5
@@ -112,8 +112,8 @@ def test_a_picture_is_an_svg_of_its_size_without_a_date():
     assert "opacity: 0" in background or "fill: none" in background
 
 
-def test_points_that_are_many_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
-    """At 200 dots an inch they stay sharp."""
+def test_many_points_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
+    """At 200 dots per inch they are sharp."""
     shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
     size = min(shown + MARGIN, 40)
     for limit, pixels in ((size, False), (size - 1, True)):
@@ -126,7 +126,7 @@ def test_points_that_are_many_become_pixels(draw: Any, run: Trajectory, monkeypa
 # --- the wave
 
 
-def test_the_wave_is_shown_where_it_is(draw: Any, run: Trajectory):
+def test_the_wave_is_shown_at_its_position(draw: Any, run: Trajectory):
     picture = draw("wave", run)
     first, last = reached(run)
     assert 10 < last < 40
@@ -199,7 +199,7 @@ def test_waveforms_without_linear_theory_say_so(draw: Any, vacuum: Trajectory):
 
 
 def travel(chain: Chain, source: int) -> np.ndarray:
-    """Return when a long weak wave reaches each grain below, s: sqrt(m / k) a contact."""
+    """Return arrival times of a long weak wave at the grains below, s: sqrt(m / k) per contact."""
     stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
     mass = (chain.masses[:-1] + chain.masses[1:]) / 2
     passed = np.append(0.0, np.cumsum(np.sqrt(mass / stiffness)))
@@ -246,13 +246,13 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
     grain, arrival = curve(time, 0).T
     assert grain.tolist() == grains.tolist()
     later = [np.abs(run.velocity[:, n - 1]).argmax() for n in grains]
-    assert arrival == pytest.approx(1e6 * run.time[later], abs=0.6)  # samples are 0.5 µs apart
+    assert arrival == pytest.approx(1e6 * run.time[later], abs=0.6)  # Samples are 0.5 µs apart.
     there, expected = curve(time, 1).T
     assert there.tolist() == grains.tolist()
     assert np.diff(expected) == pytest.approx(
         1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02
     )
-    # Half a contact more.
+    # Half a contact is added.
     assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)
     assert time.get_xlabel() == "grain, from the top"
     assert time.get_ylabel() == "arrival (µs)"
@@ -281,10 +281,11 @@ def test_a_front_in_the_vacuum_has_a_constant_peak_and_no_weak_wave(draw: Any, v
     assert height.lines[1].get_label().endswith("sonic vacuum: constant")
     assert len(time.lines) == 1
     assert picture.caption.endswith("Dashed: solitary wave of the sonic vacuum.")
-    assert depth[-1] == vacuum.scene.chain.grains - 3 - 0.5  # the last three reflect it
+    # The last three grains reflect the wave.
+    assert depth[-1] == vacuum.scene.chain.grains - 3 - 0.5
 
 
-def test_a_front_through_grains_that_differ_has_no_law(draw: Any):
+def test_a_front_through_unequal_grains_has_no_law(draw: Any):
     diameter = np.linspace(1e-3, 1.02e-3, 40)
     unlike = simulate(strike(40, 1e-3, 60e-6, 121, diameter=diameter), "native")
     picture = draw("arrival", unlike)
@@ -296,7 +297,7 @@ def law(scene: Scene) -> tuple[float | None, str]:
     return panels._decay(SimpleNamespace(scene=scene))
 
 
-def test_the_law_of_decay_is_that_of_the_wave():
+def test_the_law_of_decay_depends_on_the_chain():
     """The exponent is 1/3 for the front of Bessel's functions J_2n, and 4/15 under gravity."""
     column = strike(9, 1e-3, 1e-5, 3)
     assert law(column)[0] == pytest.approx(4 / 15, rel=1e-12)
@@ -314,7 +315,7 @@ def test_the_law_of_decay_is_that_of_the_wave():
 
 
 @pytest.mark.parametrize("key", ["masses", "contact_constants"])
-def test_grains_are_alike_to_nine_digits(key: str):
+def test_grains_are_equal_to_nine_digits(key: str):
     alike = Chain(grains=9, diameter=1e-3)
     for off, known in ((9e-10, True), (1.1e-9, False), (1.0, False)):
         values = np.array(getattr(alike, key))
@@ -322,8 +323,8 @@ def test_grains_are_alike_to_nine_digits(key: str):
         assert (law(strike(9, 1e-3, 1e-5, 3, **{key: values}))[0] is not None) == known
 
 
-def test_a_front_is_one_that_travels_downward(run: Trajectory):
-    """Past nine grains in ten, and past six of them at least."""
+def test_a_front_travels_downward(run: Trajectory):
+    """It passes nine of ten grains in order, and at least six grains."""
     from lmpchain.measure import front
 
     sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
@@ -342,7 +343,7 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
             return front_below(run)
 
     onward = np.arange(21.0)
-    for back, ok in ((2, True), (3, False)):  # of twenty steps
+    for back, ok in ((2, True), (3, False)):  # Steps backward of twenty steps.
         times = onward.copy()
         times[2 : 2 + 2 * back : 2] -= 1.5
         assert (np.diff(times) < 0).sum() == back
@@ -356,7 +357,7 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
         front_of(np.arange(5.0))
     with pytest.raises(InputError, match="none travels"):
         front_of(np.zeros(8))
-    # Grains that the samples do not resolve are left out; if they are many, an error reports it.
+    # Unresolved grains are omitted; an error is raised if there are many.
     with pytest.raises(InputError, match=r"none travels|record at least"):
         front_of(np.arange(20.0), error=1e-6)
 
@@ -364,12 +365,12 @@ def test_a_front_is_one_that_travels_downward(run: Trajectory):
 # --- spectra, contacts, energy
 
 
-def test_the_dispersion_is_that_of_the_grains_that_move(draw: Any, run: Trajectory):
+def test_the_dispersion_is_that_of_the_moving_grains(draw: Any, run: Trajectory):
     picture = draw("dispersion", run)
     first, last = extent(crop(run))
     assert picture.caption.startswith(f"Spectrum of grains {first} to {last} over wavenumber")
     result = spectrum.dispersion(run, first, last)
-    # Newton's law for a wave exp(i k n - i w t) in the middle: m w^2 = 4 k sin(q/2)^2 at most
+    # Newton's law for a wave exp(i k n - i w t) gives at most m w^2 = 4 k sin(q/2)^2.
     chain = run.scene.chain
     middle = result.grain[1]
     stiff = chain.linear_stiffness[middle - 2 : middle].mean()
@@ -377,7 +378,7 @@ def test_the_dispersion_is_that_of_the_grains_that_move(draw: Any, run: Trajecto
     assert result.relation[1].max() == pytest.approx(edge, rel=1e-2)
 
 
-def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vacuum: Trajectory):
+def test_the_spectrum_states_its_maximum(draw: Any, run: Trajectory, vacuum: Trajectory):
     picture = draw("spectra", run)
     first, last = reached(run)
     assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
@@ -396,7 +397,7 @@ def test_the_spectrum_says_where_it_is_strongest(draw: Any, run: Trajectory, vac
     assert re.fullmatch(r"Velocity spectrum of every grain, strongest at \S+ \S*Hz\.", empty)
 
 
-def test_contacts_say_their_largest_force_and_how_often_they_open(
+def test_contacts_state_their_largest_force_and_number_of_openings(
     draw: Any, run: Trajectory, hard: Trajectory
 ):
     for t in (run, hard):
@@ -419,7 +420,7 @@ def test_contacts_say_their_largest_force_and_how_often_they_open(
 
 
 def test_a_few_contacts_are_lines(draw: Any, hard: Trajectory):
-    columns = slice(1, LINES + 1)  # the lowest is held, so that the contact below is known
+    columns = slice(1, LINES + 1)  # The lowest grain is fixed, so that the contact below is known.
     grains = hard.grains[columns]
     u = hard.displacement[:, columns]
     v = hard.velocity[:, columns]
@@ -447,7 +448,7 @@ def test_one_opening_is_one_time(draw: Any, hard: Trajectory):
     assert draw("forces", short).caption.endswith("Contacts open 1 time.")
 
 
-def test_the_energy_is_that_of_the_strike_and_drifts_little(draw: Any, run: Trajectory):
+def test_the_energy_is_that_of_the_strike_with_little_drift(draw: Any, run: Trajectory):
     picture = draw("balance", run)
     pattern = (
         r"Energy relative to rest\. "
@@ -467,5 +468,5 @@ def test_the_energy_is_that_of_the_strike_and_drifts_little(draw: Any, run: Traj
     assert amount(said[2]) == pytest.approx((given + more).max(), rel=0.05)
 
 
-def test_lines_are_told_apart_from_zero(draw: Any, run: Trajectory):
+def test_lines_are_distinguished_from_zero(draw: Any, run: Trajectory):
     assert draw("waveforms", run).axes[1].lines[3].get_color() == COLOURS["vermilion"]

@@ -1,4 +1,4 @@
-"""The page about a run: one file, all of it inside, with the numbers of the run."""
+"""The page about a run: a single file with the numbers of the run."""
 
 import base64
 import hashlib
@@ -24,7 +24,7 @@ from lmpchain.util.provenance import command
 
 
 class Page(HTMLParser):
-    """What a reader sees: headings with the text below them, and pictures."""
+    """The visible content of a page: headings with the text below them, and pictures."""
 
     def __init__(self, text: str):
         super().__init__()
@@ -75,7 +75,7 @@ def text(run: Trajectory) -> str:
 
 @pytest.fixture
 def no_panels(monkeypatch: pytest.MonkeyPatch):
-    """Leave out the pictures that take time, where a test is about something else."""
+    """Omit the slow pictures in tests about other parts."""
     monkeypatch.setattr(document, "PANELS", {})
 
 
@@ -115,7 +115,7 @@ def test_a_whole_page(run: Trajectory, text: str):
     assert "Not for this run" not in text
 
 
-def test_titles_tell_runs_apart(run: Trajectory):
+def test_titles_distinguish_runs(run: Trajectory):
     scene = run.scene
     others = [
         scene.replace(excitation=Impulse(velocity=2e-3)),
@@ -127,7 +127,7 @@ def test_titles_tell_runs_apart(run: Trajectory):
     assert len(titles) == 5
 
 
-def test_the_live_view_holds_the_motion(run: Trajectory):
+def test_the_live_view_contains_the_motion(run: Trajectory):
     live = arrays(numbers_of(htmlreport.page(run)))
     there = np.searchsorted(run.time, live["time"] * (1 - 1e-8))
     shown = run.velocity[np.ix_(there, live["grains"] - 1)]
@@ -139,7 +139,7 @@ def test_the_live_view_holds_the_motion(run: Trajectory):
     assert live["front"][9] == pytest.approx(run.time[first], abs=run.time[1])
     kinetic = 0.5 * (run.scene.chain.masses * run.velocity**2).sum(1)[there]
     assert live["kinetic"] == pytest.approx(kinetic, abs=kinetic.max() / 6e4)
-    # Nothing is lost: the blow is all the energy that there is.
+    # Energy is conserved: the strike provides all of it.
     assert live["total"] == pytest.approx(kinetic[0], rel=1e-4)
     linear = simulate(run.scene, "modes").velocity[np.ix_(there, live["grains"] - 1)]
     assert live["linear"] == pytest.approx(linear, abs=np.abs(linear).max() / 5e4)
@@ -148,10 +148,8 @@ def test_the_live_view_holds_the_motion(run: Trajectory):
 @pytest.mark.parametrize(
     ("grains", "duration", "samples"), [(2000, 2e-3, 401), (500, 1e-3, 201), (300, 5e-4, 101)]
 )
-def test_a_front_that_samples_do_not_resolve_is_not_denied(
-    grains: int, duration: float, samples: int
-):
-    """Samples 5 us apart tell nothing of the order in which grains peak."""
+def test_an_unresolved_front_is_not_denied(grains: int, duration: float, samples: int):
+    """Samples 5 us apart do not show the order of the peaks."""
     scene = Scene(
         chain=Chain(grains=grains, diameter=1e-3),
         excitation=Impulse(velocity=8.57e-4),
@@ -164,14 +162,14 @@ def test_a_front_that_samples_do_not_resolve_is_not_denied(
     needed = int(re.findall(r"record (\d+)", str(refusal.value))[0])
     finer = simulate(scene.replace(samples=needed), "native", 1e-6)
     track = front_below(finer)
-    # The front reaches about as far and as fast as a long weak wave.
+    # The front travels about as far and as fast as a long weak wave.
     expected = travel_time(scene.chain)[track.grain - 1]
     assert track.grain[-1] == pytest.approx((expected <= duration).sum(), abs=track.grain.size / 5)
     assert np.mean(np.diff(track.time) > 0) > 0.9
     assert track.time[-1] == pytest.approx(expected[-1], rel=0.05)
 
 
-def test_a_front_only_where_there_is_one(run: Trajectory):
+def test_only_a_real_front_is_reported(run: Trajectory):
     assert "weak wave deep in the column" in arrival(run).caption
     for excitation in (
         Drive(amplitude=1e-9, frequency=1e4),
@@ -183,7 +181,7 @@ def test_a_front_only_where_there_is_one(run: Trajectory):
         arrival(simulate(run.scene.replace(excitation=Impulse(velocity=0.0)), "native", 1e-6))
 
 
-def test_what_does_not_apply_says_why():
+def test_missing_parts_state_the_reason():
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free")
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=40, grains=[2, 5]
@@ -211,7 +209,7 @@ def test_the_page_of_a_chain_at_rest():
 
 
 @pytest.mark.usefixtures("no_panels")
-def test_markup_in_a_scene_is_shown_and_not_obeyed(run: Trajectory):
+def test_markup_in_a_scene_is_escaped(run: Trajectory):
     odd = "</script><script>alert(1)</script><img src=x onerror=alert(1)>"
     spoilt = Trajectory(
         **{**vars(run), "provenance": {"note": odd, "tolerance": odd}, "engine": odd}
@@ -255,7 +253,7 @@ def test_command_line(run: Trajectory, tmp_path: Path, capsys: pytest.CaptureFix
         assert key in said[0]
 
 
-def test_a_run_folder_says_when_and_by_which_command(run: Trajectory, tmp_path: Path):
+def test_a_run_folder_states_its_date_and_command(run: Trajectory, tmp_path: Path):
     simulate(run.scene, "native", 1e-6, folder=tmp_path / "run")
     found = origin(tmp_path / "run")
     assert found["command"] == command()

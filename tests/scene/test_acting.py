@@ -1,6 +1,4 @@
-"""Forces and prescribed motions, of a grain or of the top wall, against exact solutions and other
-integrators.
-"""
+"""Forces and prescribed motions of a grain or the top wall, against independent solutions."""
 
 import itertools
 from contextlib import suppress
@@ -54,9 +52,7 @@ TIMES *= 8.5 * UNIT / TIMES[-1]
 
 
 def forces(size: float, grain: int = 1, period: float = 2 * np.pi) -> dict[str, Force]:
-    """Return forces of every kind, of this size in top loads and this period in units of sqrt(m_1 /
-    k_1).
-    """
+    """Return forces of every kind with this size in top loads and period in sqrt(m_1 / k_1)."""
     wave = {"amplitude": size * LOAD, "frequency": 1 / (period * UNIT)}
     return {
         "sine": Force(grain=grain, **wave),
@@ -69,7 +65,7 @@ def forces(size: float, grain: int = 1, period: float = 2 * np.pi) -> dict[str, 
 
 
 def drives(size: float, grain: int = 0, period: float = 2 * np.pi) -> dict[str, Drive]:
-    """Return motions of every kind, of this size in overlaps."""
+    """Return motions of every kind with this size in overlaps."""
     wave = {"amplitude": size * LENGTH, "frequency": 1 / (period * UNIT)}
     return {
         "sine": Drive(grain=grain, **wave),
@@ -87,11 +83,11 @@ def scene_of(chain: Chain, excitation: Any, samples: int = 2, units: float = 8.0
 SPRING = Chain(
     grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0]
 )
-OWN = 5000.0  # rad/s: sqrt(50 / 2e-6)
+OWN = 5000.0  # Natural frequency sqrt(50 / 2e-6), rad/s.
 
 
 def course(given: Any) -> Any:
-    """Return the imposed force or displacement as a function of time, from its definition."""
+    """Return the imposed force or displacement over time from its definition."""
     if given.times is not None:
         values = given.force if given.kind == "force" else given.displacement
         curve = Curve(given, values, np.float64)
@@ -115,7 +111,7 @@ def course(given: Any) -> Any:
 
 
 def duhamel(given: Any, strength: float, times: Array, corners: list[float]) -> tuple[Array, Array]:
-    """Return x and x' of x'' = -OWN^2 x + strength f(t), at rest to begin with, by quadrature."""
+    """Return x and x' of x'' = -OWN^2 x + strength f(t), initially at rest, by quadrature."""
     f = course(given)
     found = []
     largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
@@ -147,9 +143,7 @@ ON_A_SPRING = {
 @pytest.mark.parametrize("kind", ON_A_SPRING)
 @pytest.mark.parametrize("where", ["grain", "wall"])
 def test_one_grain_on_a_spring(kind: str, where: str):
-    """The driven oscillator, by Duhamel's integral: pushed itself, or by a spring whose other end
-    is moved.
-    """
+    """The driven oscillator by Duhamel's integral: forced, or by a spring with a moving end."""
     given = ON_A_SPRING[kind]
     chain = SPRING
     strength = 1 / 2e-6
@@ -189,7 +183,7 @@ def test_one_grain_on_a_spring(kind: str, where: str):
 
 
 @pytest.mark.parametrize("name", ["modes", "chebyshev"])
-def test_a_wall_that_moves_in_linear_engines(name: str):
+def test_a_moving_wall_in_linear_engines(name: str):
     springs = Chain(**WALLED.given() | {"exponent": 1.0})
     for kind, given in drives(1e-2).items():
         scene = scene_of(springs, given, samples=5)
@@ -225,7 +219,7 @@ def test_forces_in_modes():
 
 # --- integrators
 
-# all are 4 beyond a multiple of 8, so that a push that ends after three eighths ends within a step
+# All counts are 4 beyond a multiple of 8, so that a push of three eighths ends within a step.
 COUNTS = {
     "verlet": [252, 508, 1020, 2044],
     "gear4": [508, 1020, 1532, 2044, 4092],
@@ -250,9 +244,7 @@ def gentle(kind: str) -> tuple[Array, Array, float]:
 @every
 @pytest.mark.parametrize("kind", ACTING)
 def test_order_of_convergence(integrator: str, kind: str):
-    """Half-sines and bursts end within a step: it is made as two, or the order would fall to 2 or
-    4.
-    """
+    """Half-sines and bursts end within a step, which is divided to preserve the order."""
     scene = scene_of(*ACTING[kind])
     u, v, own = gentle(kind)
     errors = []
@@ -264,7 +256,7 @@ def test_order_of_convergence(integrator: str, kind: str):
         assert t.cost.steps == count or integrator == "dop853"
         errors.append(relative_error(t.displacement, t.velocity, u, v))
     assert min(errors) > 100 * own
-    # the step that is made as two has less of an error than the others
+    # The divided step has a smaller error than the others.
     n = np.array(counts, dtype=float)
     laws = [np.ones(n.size), -np.log(n)] + (
         [1 / n] if scene.excitation.waveform.corners and integrator in SPLITTINGS else []
@@ -276,7 +268,7 @@ def test_order_of_convergence(integrator: str, kind: str):
 
 
 def err(t: Any, truth: Any) -> float:
-    """Return the error as the package defines it, relative to the largest motion at any time."""
+    """Return the error as defined by the package, relative to the largest motion at any time."""
     apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max(
         (1, 2)
     )
@@ -308,13 +300,13 @@ STRONG = {
 
 @cache
 def strong(kind: str) -> Any:
-    """Return the reference solution, for all tests of it."""
+    """Return the reference solution, computed once for all its tests."""
     return reference(scene_of(*STRONG[kind], samples=5))
 
 
 @pytest.mark.parametrize("kind", thinned(STRONG, 5))
-def test_accuracy_is_as_asked_for_and_known(kind: str):
-    """Where contacts open and close, too; the two references agree."""
+def test_accuracy_is_as_requested_and_estimated(kind: str):
+    """Contacts open and close as well; the two references agree."""
     scene = scene_of(*STRONG[kind], samples=5)
     truth = strong(kind)
     u, v, own = extended_reference(scene)
@@ -340,25 +332,23 @@ IN_LAMMPS = "force, burst", "force, half-sine", "force, points", "wall, burst", 
     thinned(itertools.product(IN_LAMMPS, ("rkn6", "kahan-li6", "verlet")), 7),
 )
 def test_lammps(kind: str, integrator: str):
-    """LAMMPS takes forces and a wall that moves at the times of the method, to the round-off of its
-    heights.
-    """
+    """LAMMPS applies forces and wall motions at the method's times, to the rounding of heights."""
     scene = scene_of(*STRONG[kind], samples=5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
-    # At equal steps LAMMPS and the native engine compute the same map.
+    # With equal steps LAMMPS and the native engine compute the same map.
     step = scene.duration / 200
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
     assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
 
 
-# --- many at once, in pieces, and again from a kept state
+# --- batches, pieces and restarts
 
 
 @every
 def test_batch_equals_single_runs(integrator: str):
-    """Forces on different grains, and motions of the wall, each as if it had been alone."""
+    """Forces on different grains, and wall motions, act as in single runs."""
     given = [
         *forces(2.0, 3).values(),
         *drives(2.0).values(),
@@ -384,16 +374,14 @@ PLACES = [("native", integrator) for integrator in sorted(METHODS)] + [
 @pytest.mark.parametrize(("engine", "integrator"), PLACES)
 @pytest.mark.parametrize("kind", [kind for kind in STRONG if kind.startswith(("force", "wall"))])
 def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pytest.MonkeyPatch):
-    """A run that goes on from a kept state ends with the same bytes: the clock of a force is kept
-    too.
-    """
+    """A run that continues from a stored state ends with the same bytes, including the clock."""
     scene = scene_of(*STRONG[kind], samples=9)
     options = {"diameter": "gauge"} if engine == "lammps" else {}
     solver = engines.get(engine, integrator=integrator, step=scene.duration / 203, **options)
     candidate = solver.propose(scene, 1e-6)
     whole = solver.start([scene], candidate)
     u, v = blocks_of(whole)
-    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # four samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)  # Four samples per block.
     begun = solver.start([scene], candidate)
     blocks = []
     for block in begun.blocks():
@@ -409,7 +397,7 @@ def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pyt
     assert [e.total for e in again.errors()] == [e.total for e in whole.errors()]
 
 
-def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
+def test_adaptive_steps_restart_exactly(monkeypatch: pytest.MonkeyPatch):
     for kind in ("force, burst", "force, points", "wall, burst", "wall, points"):
         scene = scene_of(*STRONG[kind], samples=9)
         whole = simulate(scene, "native", 1e-8)
@@ -434,8 +422,8 @@ def test_adaptive_steps_restart_exactly_too(monkeypatch: pytest.MonkeyPatch):
         Waveform.through(np.array([0.1, 0.3, 0.4]), np.array([1.0, 3.0, 2.0]), "pchip", False),
     ],
 )
-def test_the_integral_of_what_acts(wave: Waveform):
-    """By quadrature, through its end and from corner to corner."""
+def test_the_integral_of_a_forcing(wave: Waveform):
+    """The integral agrees with quadrature from corner to corner."""
     edges = np.unique(np.append([0.0, 0.25, 0.9], [t for t in wave.corners if t < 0.9]))
     parts = [quad(wave.at, a, b, epsabs=1e-13)[0] for a, b in itertools.pairwise(edges)]
     assert wave.integral(edges[1:]) == pytest.approx(np.cumsum(parts), rel=1e-11, abs=1e-12)
@@ -443,7 +431,7 @@ def test_the_integral_of_what_acts(wave: Waveform):
 
 
 @pytest.mark.parametrize("kind", STRONG)
-def test_work_and_impulse_are_accounted_for(kind: str):
+def test_work_and_impulse_are_balanced(kind: str):
     """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
     scene = scene_of(*STRONG[kind], samples=4001)
     t = simulate(scene, "native", 1e-9)
@@ -472,7 +460,7 @@ def test_the_force_of_a_driver():
     alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
     t = simulate(below, "native", 1e-9)
     free = simulate(alone, "native", 1e-9)
-    # a wall above a driven grain moves nothing
+    # A wall above a driven grain has no effect.
     assert np.array_equal(t.displacement, free.displacement)
     squeezed = contact.contacts(t, [0]).change[:, 0]
     assert contact.drive_force(t) == pytest.approx(
@@ -480,7 +468,7 @@ def test_the_force_of_a_driver():
     )
 
 
-# --- what is said of them
+# --- messages
 
 FAULTS = {
     "amplitude: give amplitude and frequency": lambda: Force(amplitude=1.0),
@@ -522,12 +510,12 @@ FAULTS = {
 }
 
 
-def test_points_as_close_as_one_can_compute_with():
+def test_points_as_close_as_possible():
     assert Drive(times=[0.0, 1e-20], displacement=[0.0, 1e-30]).fastest == pytest.approx(1e20)
 
 
 @pytest.mark.parametrize("said", FAULTS)
-def test_faults_in_words(said: str):
+def test_faults_are_explained(said: str):
     with pytest.raises(InputError) as fault:
         FAULTS[said]()
     assert any(line.startswith(said) for line in str(fault.value).splitlines()), fault.value
@@ -535,7 +523,7 @@ def test_faults_in_words(said: str):
 
 @pytest.mark.parametrize("kind", [*STRONG, "packet"])
 def test_scene_files(kind: str):
-    """A scene file holds all that there is, and a scaled excitation is as much stronger."""
+    """A scene file contains everything, and a scaled excitation is stronger by the factor."""
     chain = Chain(
         grains=90,
         diameter=1e-3,
@@ -568,9 +556,7 @@ def test_a_force_in_a_file(tmp_path: Path):
     "kind", ["force, burst", "force, half-sine", "force, points", "wall, burst", "wall, points"]
 )
 def test_decks(kind: str, tmp_path: Path):
-    """A deck by itself carries forces and a wall that moves: the same steps give the
-    same motion.
-    """
+    """A complete deck has forces and a moving wall: equal steps give the same motion."""
     scene = scene_of(*STRONG[kind], samples=5)
     step = scene.duration / 400
     write_deck(scene, tmp_path, step=step, diameter="gauge")
@@ -588,7 +574,7 @@ def test_decks(kind: str, tmp_path: Path):
     ],
 )
 def test_random_scenes(seed: int):
-    """No estimate is below a third of the truth, no answer above its tolerance without a word."""
+    """No estimate is below a third of the error, and no run silently misses its tolerance."""
     rng = np.random.default_rng([77, seed])
     scene = acted_scene(rng)
     truth = reference(scene)
@@ -596,7 +582,7 @@ def test_random_scenes(seed: int):
     tolerance = max(10 ** rng.uniform(-9, -4), {"verlet": 1e-5, "gear4": 1e-6}.get(integrator, 0.0))
     step = scene.duration / 10 / int(rng.integers(3, 20))
     asked: list[Any] = ["native", "auto"]
-    with suppress(InputError):  # a step that is not stable here
+    with suppress(InputError):  # This step is unstable here.
         engines.Native(integrator, step).propose(scene, tolerance)
         asked.append(engines.Native(integrator, step))
     for engine in asked:
@@ -615,10 +601,8 @@ def test_random_scenes(seed: int):
     ("integrator", "uneven"),
     thinned(itertools.product(["dop853", "rkn4", "rkn6", "kahan-li8"], [False, True]), 5),
 )
-def test_knots_that_cut_the_steps_of_all_companions_hide_no_error(integrator: str, uneven: bool):
-    """At 1e-2 steps would be as long as from knot to knot, of the answer and of every companion
-    alike.
-    """
+def test_knots_that_cut_the_steps_of_all_runs_hide_no_error(integrator: str, uneven: bool):
+    """Steps of all runs would be as long as from knot to knot at 1e-2."""
     chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
     times = np.linspace(0, 1, 101)
     times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)

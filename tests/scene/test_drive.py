@@ -1,4 +1,4 @@
-"""A driven grain goes where it must, and the others follow Eq.
+"""A driven grain follows its drive, and the others follow Eq. (1).
 
 (1) to the order of the integrator.
 """
@@ -26,7 +26,7 @@ from lmpchain.scene.waveform import Waveform
 Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
 splitting = pytest.mark.parametrize("integrator", sorted(SPLITTINGS))
-COUNTS = {  # all multiples of 4; Gear's method comes to its order slowly, DOP853's falls to it
+COUNTS = {  # Multiples of 4; Gear's method converges slowly to its order, DOP853 from above.
     "verlet": [256, 512, 1024, 2048],
     "gear4": [512, 1024, 2048, 4096],
     "rkn4": [48, 64, 96, 128],
@@ -46,7 +46,7 @@ def scene_of(chain: Chain, drive: Drive, samples: int = 2, units: float = 8.0) -
 
 
 def sine(chain: Chain, strength: float = 1e-3, slower: float = 1.0) -> Drive:
-    """Return a drive of an amplitude in overlaps and a period in units of 2 pi sqrt(m_1 / k_1)."""
+    """Return a sine drive with amplitude in overlaps and period in 2 pi sqrt(m_1 / k_1)."""
     return Drive(
         amplitude=strength * chain.length_scale,
         frequency=1 / (2 * np.pi * slower * chain.time_scale),
@@ -54,7 +54,7 @@ def sine(chain: Chain, strength: float = 1e-3, slower: float = 1.0) -> Drive:
 
 
 def path(chain: Chain, strength: float = 1e-2, points: int = 12, seed: int = 1) -> Drive:
-    """Return a path through random points, a little longer than 8 units of time, by PCHIP."""
+    """Return a path through random points, slightly longer than 8 units of time, by PCHIP."""
     rng = np.random.default_rng(seed)
     apart = rng.uniform(0.4, 1, points)
     times = np.append(0, np.cumsum(apart)) * (8.5 * chain.time_scale / apart.sum())
@@ -65,7 +65,7 @@ def path(chain: Chain, strength: float = 1e-2, points: int = 12, seed: int = 1) 
 
 
 def cubic(chain: Chain) -> tuple[Drive, Array]:
-    """Return a path through seven points of one cubic, and the cubic's coefficients."""
+    """Return a path through seven points of a cubic, and the cubic's coefficients."""
     times = np.array([0, 0.3, 1.1, 3.0, 4.2, 7.0, 9.0]) * chain.time_scale
     coefficients = np.array([1.0, -12.0, 30.0, 0.0]) * 1e-4 * chain.length_scale
     coefficients /= chain.time_scale ** np.array([3, 2, 1, 0])
@@ -93,7 +93,7 @@ def test_grain_1_follows_a_sine(integrator: str):
 
 @every
 def test_grain_1_follows_a_path(integrator: str):
-    """The spline through points of a cubic is that cubic; through any others goes SciPy's curve."""
+    """The spline through points of a cubic is this cubic; other points give SciPy's curve."""
     chain = loaded()
     drive, coefficients = cubic(chain)
     crooked = path(chain, 0.1)
@@ -117,7 +117,7 @@ def test_two_points_make_a_piston():
     assert t.displacement[:, 0] == pytest.approx(1e-6 * scene.time, rel=1e-14)
 
 
-def test_grain_1_is_followed_whatever_its_mass():
+def test_grain_1_follows_its_drive_for_any_mass():
     chain = loaded()
     runs = []
     for mass in (1e-9, 1.0):
@@ -132,13 +132,13 @@ def test_grain_1_is_followed_whatever_its_mass():
     assert np.array_equal(runs[0].velocity, runs[1].velocity)
 
 
-# --- how the others follow
+# --- motion of the other grains
 
 
 @every
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 def test_order_of_convergence(integrator: str, bottom: str):
-    """Were the path looked up at the wrong time of a stage, the order would fall to 1 or 2."""
+    """If a stage used the path at the wrong time, the order would decrease to 1 or 2."""
     chain = loaded(bottom=bottom)
     check_order(scene_of(chain, sine(chain)), integrator)
 
@@ -151,7 +151,7 @@ def test_a_path_without_corners_keeps_the_order(integrator: str):
 
 @every
 def test_corners_between_steps_keep_the_order(integrator: str):
-    """Where the knots fall on steps, every step is smooth."""
+    """If knots are at steps, every step is smooth."""
     chain = loaded()
     displacement = np.array([0, 1, -1, 2, 0]) * 1e-3 * chain.length_scale
     drive = Drive(times=np.arange(5) * 2 * chain.time_scale, displacement=displacement)
@@ -201,7 +201,7 @@ DRIVEN = {
 
 
 @pytest.mark.parametrize("scene", DRIVEN.values(), ids=DRIVEN)
-def test_accuracy_is_as_asked_for_and_known(scene: Scene):
+def test_accuracy_is_as_requested_and_estimated(scene: Scene):
     u, v, own = extended_reference(scene)
     columns = scene.recorded - 1
     for integrator, tolerance in (
@@ -217,8 +217,7 @@ def test_accuracy_is_as_asked_for_and_known(scene: Scene):
 
 
 def by_modes(scene: Scene, mode: Any) -> tuple[Array, Array]:
-    """Solve m x'' = -K x + k_1 x_1(t) for the grains of springs that are free, in 30 digits, (T,
-    M-1) each.
+    """Solve m x'' = -K x + k_1 x_1(t) for the free grains in 30 digits, (T, M-1) each.
 
     `mode` gives q and q' of q'' = -w^2 q + x_1(t) at a time, at rest to begin with.
     """
@@ -267,9 +266,7 @@ def piston_mode(distance: float, time: float) -> Any:
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
 @pytest.mark.parametrize("kind", ["sine", "piston"])
 def test_springs_against_their_modes(kind: str, bottom: str):
-    """A chain of springs is linear as long as no contact opens: each mode is a driven
-    oscillator.
-    """
+    """A chain of closed springs is linear: each mode is a driven oscillator."""
     rng = np.random.default_rng(2)
     chain = Chain(
         grains=10,
@@ -298,10 +295,8 @@ def test_springs_against_their_modes(kind: str, bottom: str):
     assert error(*extended_reference(scene)[:2]) < 3e-15
 
 
-def test_the_chain_holds_what_the_drive_puts_in():
-    """d/dt of the energy, the driven grain's own kinetic one left out, is the force of contact 1
-    times its speed.
-    """
+def test_the_energy_of_the_chain_is_the_input_of_the_drive():
+    """The energy without grain 1 grows at the rate of the force of contact 1 times its speed."""
     chain = Chain(grains=12, diameter=1e-3, bottom="wall")
     scene = scene_of(chain, sine(chain, 2.0, slower=1.5), samples=4001, units=20)
     t = simulate(scene, "native", 1e-9)
@@ -313,15 +308,15 @@ def test_the_chain_holds_what_the_drive_puts_in():
         chain.contact_constants[0] * np.maximum(overlap, 0) ** 1.5 - chain.masses[0] * chain.gravity
     )
     assert held[-1] == pytest.approx(simpson(force * t.velocity[:, 0], x=scene.time), rel=1e-6)
-    assert overlap.min() < 0  # the contact opens and closes again
+    assert overlap.min() < 0  # The contact opens and closes again.
 
 
-# --- many at once, in pieces, and again from a kept state
+# --- batches, pieces and restarts
 
 
 @every
 def test_batch_equals_single_runs(integrator: str):
-    """Each chain of a batch follows its own drive, a sine or a path, as if it had been alone."""
+    """Each chain of a batch follows its own drive, a sine or a path, as in a single run."""
     rng = np.random.default_rng(5)
     scenes = []
     for make in (
@@ -349,7 +344,7 @@ def test_batch_equals_single_runs(integrator: str):
     assert len({*u[:, -1, 0]}) == 4
 
 
-def test_a_driven_chain_is_not_of_a_kind_with_one_that_is_struck():
+def test_driven_and_struck_chains_are_not_batched_together():
     chain = loaded()
     driven = scene_of(chain, sine(chain))
     struck = Scene(**driven.given() | {"excitation": Impulse(velocity=1e-6)})
@@ -361,9 +356,7 @@ def test_a_driven_chain_is_not_of_a_kind_with_one_that_is_struck():
 @every
 @pytest.mark.parametrize("make", [sine, path])
 def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPatch):
-    """A run that goes on from a kept state ends with the same bytes: the time of the path is kept
-    too.
-    """
+    """A run that continues from a stored state has the same bytes, including the path's time."""
     chain = Chain(grains=30, diameter=1e-3)
     scenes = [
         Scene(chain=chain, excitation=make(chain, s), duration=3e-5, samples=9) for s in (1e-3, 3.0)
@@ -372,7 +365,7 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
     candidate = solver.propose(scenes[0], 1e-6)
     whole = solver.start(scenes, candidate)
     u, v = blocks_of(whole)
-    # four samples a block, after the one at t = 0
+    # Four samples per block after the one at t = 0.
     monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)
     begun = solver.start(scenes, candidate)
     blocks = []
@@ -390,10 +383,10 @@ def test_exact_restart(integrator: str, make: Any, monkeypatch: pytest.MonkeyPat
 
 
 @every
-def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(
+def test_opportunities_to_stop_do_not_change_a_driven_run(
     integrator: str, monkeypatch: pytest.MonkeyPatch
 ):
-    """Where a run may be stopped leaves no trace."""
+    """Interruptions of a run do not change its bits."""
     chain = Chain(grains=10, diameter=1e-3)
     scene = scene_of(chain, path(chain, 2.0), samples=3)
     solver = engines.Native(integrator=integrator, step=scene.duration / 2000)
@@ -415,7 +408,7 @@ def test_where_a_driven_run_may_be_interrupted_leaves_no_trace(
     ids=["harmonic", "sampled"],
 )
 def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: Drive) -> None:
-    """Displacement and velocity are those asked for, to the last digit of a height in LAMMPS."""
+    """Displacement and velocity are the prescribed ones, within an ulp of a height in LAMMPS."""
     chain = Chain(grains=12, material="steel", diameter=5e-3, gravity=0.0, top_load=1.0)
     scene = Scene(chain=chain, excitation=drive, duration=1e-4, samples=11)
     t = simulate(scene, engine, 0.9, integrator=integrator, step=2e-7)
@@ -426,10 +419,8 @@ def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: 
     assert t.velocity[:, 0] == pytest.approx(v, rel=1e-11, abs=1e-14)
 
 
-def test_knots_and_touching_walls_count_as_not_smooth() -> None:
-    """Knots of a path and a wall that only touches break the order of a method without any contact
-    opening.
-    """
+def test_knots_and_touching_walls_are_not_smooth() -> None:
+    """Knots of a path and a wall that only touches reduce the order without any opening."""
     pressed = Chain(grains=12, material="steel", diameter=5e-3, top_load=1.0)
     loose = Chain(grains=12, material="steel", diameter=5e-3, top="wall")
     points = Drive(times=np.linspace(0, 1e-4, 9), displacement=1e-9 * np.sin(np.arange(9.0)) ** 2)
@@ -450,7 +441,7 @@ def test_knots_and_touching_walls_count_as_not_smooth() -> None:
 
 @pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 0)])
 def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path: Path):
-    """Against an independent integrator, from a scene file and from its CSV table too."""
+    """Compared with an independent integration, from a scene file and from its CSV table."""
     chain = loaded(top=top)
     rng = np.random.default_rng(3)
     u, v = (
@@ -476,7 +467,7 @@ def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path:
     assert scene.excitation.scaled(2.0).start.velocity == pytest.approx(2 * v)
 
 
-def test_a_start_that_does_not_fit():
+def test_a_start_of_another_length_is_rejected():
     chain = loaded()
     for start, said in (
         (

@@ -1,4 +1,4 @@
-"""The stated size of an excitation against the motion that it causes."""
+"""Stated sizes of excitations against the motion that they cause."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def scene_of(excitation: Excitation, chain: Chain = CHAIN) -> Scene:
 
 
 @every
-def test_the_motion_of_springs_is_as_strong_as_the_excitation(excitation: Excitation) -> None:
+def test_the_motion_of_springs_has_the_stated_size(excitation: Excitation) -> None:
     springs = Chain(**CHAIN.given() | {"exponent": 1.0})
     once, thrice = (
         simulate(scene_of(e, springs), engine="native", tolerance=1e-9)
@@ -42,7 +42,7 @@ def test_the_motion_of_springs_is_as_strong_as_the_excitation(excitation: Excita
 
 
 @every
-def test_energy_is_kept_unless_work_is_done(excitation: Excitation) -> None:
+def test_energy_is_conserved_unless_work_is_done(excitation: Excitation) -> None:
     run = simulate(scene_of(excitation), engine="native", tolerance=1e-9)
     energy = CHAIN.excess_energy(run.displacement, run.velocity)
     assert (np.ptp(energy) > 1e-3 * energy.max()) == excitation.does_work
@@ -52,8 +52,8 @@ def test_energy_is_kept_unless_work_is_done(excitation: Excitation) -> None:
     assert (still[0].size > 0) == isinstance(excitation, Drive)
 
 
-def test_what_a_harmonic_drive_puts_in_is_bounded() -> None:
-    """Contacts and the grains that are not driven never hold more."""
+def test_the_input_of_a_harmonic_drive_is_bounded() -> None:
+    """Contacts and undriven grains never have more energy than the bound."""
     stiffness = CHAIN.contacts.stiffness
     masses = CHAIN.masses
     for sign in (1, -1):
@@ -67,7 +67,7 @@ def test_what_a_harmonic_drive_puts_in_is_bounded() -> None:
 
 
 def test_the_sign_of_a_drive_does_not_change_the_error_of_linear_theory() -> None:
-    """A bound below 0 would call linear theory exact: found in drives that begin upward."""
+    """A negative bound would make linear theory exact; it once occurred for upward drives."""
     for amplitude in (1e-12, 2e-9):
         down, up = (
             expected_error(scene_of(Drive(amplitude=sign * amplitude, frequency=1e4)))

@@ -1,4 +1,4 @@
-"""Facts of a scene: each against its definition, computed once, and derived nowhere else."""
+"""Facts of a scene: each agrees with its definition, is computed once, and has one owner."""
 
 import re
 from pathlib import Path
@@ -24,7 +24,7 @@ SCENES = {
         grains=[7, 3],
     ),
 }
-# The formulas of facts, which may stand in no other file.
+# Formulas of facts that must not occur in other files.
 DERIVATIONS = (
     r"duration / \(\S*samples - 1\)",
     r"highest_frequency \* \S*duration",
@@ -37,7 +37,7 @@ DERIVATIONS = (
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_times_and_phases_follow_from_duration_samples_and_frequency(name: str) -> None:
+def test_times_and_phases_agree_with_their_definitions(name: str) -> None:
     scene = SCENES[name]
     assert scene.intervals == 7
     assert scene.sampling_interval == 5e-5 / 7
@@ -49,17 +49,17 @@ def test_times_and_phases_follow_from_duration_samples_and_frequency(name: str) 
     assert scene.sampling_decay == pytest.approx(rate * 5e-5 / 14, rel=1e-14, abs=0)
 
 
-def test_kinks_are_those_of_the_force_within_the_run() -> None:
+def test_corners_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].corners == ()
     assert SCENES["struck"].corner_spacing == np.inf
     pushed = SCENES["pushed"]
     assert pushed.corners == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
-    assert pushed.corner_spacing == pytest.approx(1e-6)  # from t = 0 to the first
+    assert pushed.corner_spacing == pytest.approx(1e-6)  # From t = 0 to the first one.
     assert pushed.recorded.tolist() == [7, 3]
 
 
 def test_no_overlap_exceeds_its_bound() -> None:
-    """A contact that holds all of the energy E has K o^2.5 / 2.5 - F (o - eps) - rest = E."""
+    """A contact with all of the energy E has K o^2.5 / 2.5 - F (o - eps) - rest = E."""
     scene = SCENES["struck"]
     chain = scene.chain
     energy = chain.masses[0] * 1e-8 / 2
@@ -73,7 +73,7 @@ def test_no_overlap_exceeds_its_bound() -> None:
 
 
 def test_the_linear_strain_of_a_driven_chain_grows_with_its_viscosity() -> None:
-    """A motion of frequency omega is met by k (1 + A omega) at most in place of k."""
+    """A motion of frequency omega feels at most k (1 + A omega) instead of k."""
     drive = Drive(amplitude=1e-12, frequency=2e4)
     plain = Scene(chain=COLUMN, excitation=drive, duration=5e-5)
     viscous = plain.replace(chain=COLUMN.replace(damping=Damping(viscoelastic=2e-6)))

@@ -1,4 +1,4 @@
-"""Arrays from elsewhere, wherever some are taken: numbers, or refused under the field's name."""
+"""Values from other libraries in array arguments: numbers, or rejected under the field's name."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,7 +21,7 @@ TIMES = [0.0, 1e-5, 2e-5]
 CHAIN = Chain(grains=3, diameter=1e-3)
 LOADED = Chain(grains=3, diameter=1e-3, gravity=0, top_load=1, top="wall")
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3)
-# three numbers that mean something else, each of which numpy takes for 1, 2 and 3
+# Three values with another meaning, which numpy converts to 1, 2 and 3.
 FOREIGN: dict[str, Any] = {
     "masked": np.ma.array([1.0, 2.0, 3.0], mask=[False, True, False]),
     "text": np.array(["1", "2", "3"]),
@@ -57,7 +57,7 @@ FIELDS: dict[str, tuple[str, Callable[[Any], Any]]] = {
 
 @pytest.mark.parametrize("kind", FOREIGN)
 @pytest.mark.parametrize("field", FIELDS)
-def test_what_is_no_number_is_refused_under_the_name_of_its_field(field: str, kind: str):
+def test_values_other_than_numbers_are_rejected_with_the_field(field: str, kind: str):
     name, take = FIELDS[field]
     with pytest.raises(InputError, match=f"^{name}: (must be|has a unit|has masked)") as refusal:
         take(FOREIGN[kind])
@@ -65,14 +65,14 @@ def test_what_is_no_number_is_refused_under_the_name_of_its_field(field: str, ki
 
 
 @pytest.mark.parametrize("value", [np.timedelta64(5, "us"), np.complex128(5), np.ma.masked])
-def test_a_number_is_one(value: Any):
+def test_numbers_are_accepted(value: Any):
     with pytest.raises(InputError, match=r"^velocity: (must be|has)"):
         Impulse(velocity=value)
     with pytest.raises(InputError, match=r"^duration: (must be|has)"):
         SCENE.replace(duration=value)
 
 
-def test_a_number_with_a_unit_is_refused_with_the_cure():
+def test_a_number_with_a_unit_is_rejected_with_the_remedy():
     length = xarray.DataArray(5.0, attrs={"units": "mm"})
     with pytest.raises(InputError, match=r"^velocity: has a unit of its own, mm: convert it"):
         Impulse(velocity=length)
@@ -89,6 +89,6 @@ def test_a_number_with_a_unit_is_refused_with_the_cure():
         lambda: dyson.average([1.0], [1.0], 5, normalised="no"),
     ],
 )
-def test_no_is_no_yes(take: Callable[[], Any]):
+def test_the_text_no_is_not_true(take: Callable[[], Any]):
     with pytest.raises(InputError, match=r": must be True or False \(got 'no'\)"):
         take()

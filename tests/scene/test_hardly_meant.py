@@ -1,6 +1,4 @@
-"""What is allowed but hardly meant gets a warning of one line, once: wrong units, strikes that are
-too hard.
-"""
+"""Valid but implausible input causes one warning line: wrong units, too strong strikes."""
 
 import warnings
 
@@ -45,15 +43,15 @@ def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
         ),
     ],
 )
-def test_it_is_said_in_one_line_with_number_and_unit(make, begin, number):
+def test_the_warning_is_one_line_with_number_and_unit(make, begin, number):
     (text,) = said(make)
     assert text.startswith(begin)
     assert number in text
     assert "\n" not in text
 
 
-def test_sound_is_that_in_the_material_of_the_grain():
-    slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s
+def test_the_sound_speed_is_that_of_the_grain_material():
+    slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s.
     assert GLASS.sound_speed == pytest.approx(5055, abs=1)
     odd = SPRINGS.replace(impurity=[Impurity(grain=2, mass=1e-20)])
     soft = Chain(
@@ -74,14 +72,14 @@ def test_sound_is_that_in_the_material_of_the_grain():
         assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
 
 
-def test_what_is_usual_is_not_remarked_on():
+def test_usual_values_cause_no_warning():
     assert not said(lambda: struck(Chain(grains=120, diameter=1e-3), 8.57e-3, 1.0))
     assert not said(
         lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3)
     )
 
 
-def test_it_is_said_once():
+def test_the_warning_is_given_once():
     def work():
         scene = struck(CHAIN, 20.0)
         plan(scene)
@@ -90,7 +88,7 @@ def test_it_is_said_once():
     assert len(said(work)) == 1
 
 
-def test_the_command_line_says_it_once(tmp_path, capsys):
+def test_the_command_line_warns_once(tmp_path, capsys):
     Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(
         tmp_path / "s.toml"
     )
@@ -102,7 +100,7 @@ def test_the_command_line_says_it_once(tmp_path, capsys):
     ]
 
 
-def test_a_sweep_says_it_once(tmp_path):
+def test_a_sweep_warns_once(tmp_path):
     swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))

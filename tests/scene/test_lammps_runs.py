@@ -1,4 +1,4 @@
-"""Scenes of users' own runs of LAMMPS: the motion that each scene has is that of its dump."""
+"""Scenes of users' LAMMPS runs: each scene moves like its dump."""
 
 from pathlib import Path
 from typing import Any
@@ -16,10 +16,10 @@ from lmpchain.trajectory.dumped_grains import scene_of_run
 UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
 STEPS = {"column": 1e-7, "dimer": 1e-8, "harmonic": 1e-5, "lepton": 1e-5, "floor": 1e-8}
 STEPS["springs"] = 1e-11
-# Inputs whose grains only a run places.
+# Inputs whose grains are placed by a run only.
 SETTLED = ("column", "floor")
 # E of Poisson's ratio 0.3 with which grains have the k of a pair style.
-SOFT = 1.365  # times k
+SOFT = 1.365  # Factor on k.
 
 
 def glass() -> RunOptions:
@@ -31,7 +31,7 @@ def scene_of(understood: Understood) -> Scene:
 
 
 def difference(dump: Path, scene: Scene, step: float, units: str | None = None) -> float:
-    """Return how far a native run by the same steps is from a dump, over the largest motion."""
+    """Return the relative distance of a native run with the same steps from a dump."""
     there = Trajectory.from_dump(dump, scene, units=units)
     method = "lagged-verlet" if scene.chain.damped else "verlet"
     here = simulate(scene, Native(method, step=step))
@@ -42,7 +42,7 @@ def difference(dump: Path, scene: Scene, step: float, units: str | None = None) 
 
 @pytest.mark.parametrize("name", INPUTS)
 def test_a_scene_moves_as_the_input_and_its_dump(name: str, tmp_path: Path):
-    """Native steps differ from those of LAMMPS by the rounding of its positions."""
+    """Native steps differ from LAMMPS steps by the rounding of its positions."""
     dump = run_input(tmp_path, INPUTS[name])
     step = STEPS.get(name, 1e-7)
     both = scene_of(scene_of_run([dump, tmp_path / "in.own"]))
@@ -54,7 +54,7 @@ def test_a_scene_moves_as_the_input_and_its_dump(name: str, tmp_path: Path):
     assert (alone.samples, alone.chain.grains) == (both.samples, both.chain.grains)
 
 
-def test_the_command_writes_a_scene_that_check_takes(tmp_path: Path, capsys):
+def test_the_command_writes_a_scene_that_check_accepts(tmp_path: Path, capsys):
     dump = run_input(tmp_path, COLUMN)
     scene = tmp_path / "scene.toml"
     options = ["--young", "6.2e9", "--poisson", "0.2", "--timestep", "1e-7"]
@@ -71,7 +71,7 @@ def test_the_command_writes_a_scene_that_check_takes(tmp_path: Path, capsys):
     assert main(["check", str(dump), "--scene", str(scene), "--tolerance", "1e-6"]) == 0
 
 
-def test_a_file_is_not_replaced_unasked(tmp_path: Path, capsys):
+def test_a_file_is_replaced_only_with_force(tmp_path: Path, capsys):
     run_input(tmp_path, TAPERED)
     scene = tmp_path / "scene.toml"
     scene.write_text("mine", encoding="utf-8")
@@ -80,7 +80,7 @@ def test_a_file_is_not_replaced_unasked(tmp_path: Path, capsys):
     assert scene.read_text(encoding="utf-8") == "mine"
     assert main([*command, "--force"]) == 0
     assert Scene.from_toml(scene).chain.grains == 12
-    # Nor is a source, with --force.
+    # A source is not replaced even with --force.
     assert main(["new", str(tmp_path / "in.own"), "--from", str(tmp_path / "in.own")]) == 2
 
 
@@ -105,7 +105,7 @@ def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
 
 
 def test_any_axis_and_either_direction(tmp_path: Path):
-    """Axes are exchanged and turned; the scene stays the same."""
+    """Axes are exchanged and reversed, but the scene is the same."""
     run_input(tmp_path, LEVEL)
     first = scene_of(scene_of_run([tmp_path / "in.own"]))
     turned = LEVEL
@@ -132,7 +132,7 @@ def frames_from(dump: Path, first: int) -> Path:
     return part
 
 
-def test_a_dump_that_begins_amid_a_wave(tmp_path: Path):
+def test_a_dump_that_begins_during_a_wave(tmp_path: Path):
     """Load and gravity follow from grains that no wave has reached; the others get a profile."""
     text, options, units = CASES["cgs"]
     dump = run_input(tmp_path, text)
@@ -148,7 +148,7 @@ def test_a_dump_that_begins_amid_a_wave(tmp_path: Path):
         scene_of_run([frames_from(dump, 30)], options, units)
 
 
-def test_a_strike_after_the_first_frame_is_named(tmp_path: Path):
+def test_a_strike_after_the_first_frame_is_reported(tmp_path: Path):
     later = LEVEL.replace("velocity        hit", "# velocity").replace("run             3000", "")
     later += "run 100\nvelocity hit set 0.1 0 0\nrun 2900\n"
     dump = run_input(tmp_path, later)
@@ -156,7 +156,7 @@ def test_a_strike_after_the_first_frame_is_named(tmp_path: Path):
         scene_of_run([dump, tmp_path / "in.own"])
 
 
-def test_a_change_amid_the_dump_is_refused(tmp_path: Path):
+def test_a_change_within_the_dump_is_rejected(tmp_path: Path):
     later = LEVEL + "fix 9 beads viscous 1.0\nrun 1000\n"
     dump = run_input(tmp_path, later)
     with pytest.raises(InputError, match=r"\(fix 9 .*changes the run at step 3000, amid the dump"):
@@ -171,8 +171,8 @@ def test_types_come_from_the_dump(tmp_path: Path):
         scene_of_run([dump, tmp_path / "in.own"])
 
 
-def test_a_floor_is_seen_from_the_dump_alone(tmp_path: Path):
-    """Grain N moves under the weight, so something carries it: a wall of its material."""
+def test_a_floor_is_inferred_from_the_dump_alone(tmp_path: Path):
+    """Grain N moves under the weight, so that a wall of its material must carry it."""
     k = 6.2e9 / (2 * (1 - 0.2**2)) * 4 / 3
     text = INPUTS["floor"].replace("hertz 1e8 300.0", f"hertz {k} 300.0")
     text = text.replace("hertz 1e8 150.0", f"hertz {k} 150.0")
@@ -189,7 +189,7 @@ velocity all set 0 0 0
     understood = scene_of_run([dump], options)
     assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
     assert scene_of(understood).chain.gravity == 9.81
-    # The place of the wall is not in the dump: grain N is taken to be at rest on it.
+    # The position of the wall is not in the dump: grain N is assumed at rest on it.
     assert difference(dump, scene_of(understood), 1e-8) < 2e-6
 
 
@@ -199,7 +199,7 @@ def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
         scene_of_run([dump], RunOptions(material="steel", timestep=1e-7))
 
 
-def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
+def test_missing_information_is_requested(tmp_path: Path):
     dump = run_input(tmp_path, LEVEL)
     bare = tmp_path / "bare.lammpstrj"
     text = dump.read_text(encoding="utf-8").replace("radius mass", "spin charge")
@@ -215,8 +215,8 @@ def test_what_is_not_in_a_dump_is_asked_for(tmp_path: Path):
         (dump, RunOptions(material="steel", diameter=1e-2), "diameter: is in the run"),
         (dump, RunOptions(material="steel", timestep=-1.0), r"timestep: must be above 0 \(got -1"),
         (dump, RunOptions(material="steel", density=1.0), "density: is in the run"),
-        (dump, RunOptions(material="steel", young=1e9), "young: is that of the material"),
-        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: is that of the dump"),
+        (dump, RunOptions(material="steel", young=1e9), "young: follows from the material"),
+        (dump, RunOptions(young=1e9, poisson=0.3, duration=1.0), "duration: follows from the dump"),
         (bare, RunOptions(material="steel"), "diameter: is not in the run: give --grain-diameter"),
         (
             bare,
@@ -282,7 +282,7 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
         lmp.close()
 
 
-def test_an_instance_has_no_load_that_no_fix_gives():
+def test_an_instance_without_a_load_fix_has_no_load():
     text = before_the_run(LEVEL).replace("id 1 12", "id 12")
     lmp = instance(text)
     try:
@@ -312,7 +312,7 @@ def test_an_instance_without_grains_or_motion_is_refused():
         lmp.commands_string("create_atoms 1 single .5 .5 .5\ncreate_atoms 1 single .5 .5 .6")
         with pytest.raises(InputError, match="has no fix nve"):
             Scene.from_lammps(lmp, duration=1e-4)
-        with pytest.raises(InputError, match="matrial: is no option"):
+        with pytest.raises(InputError, match="matrial: is not an option"):
             Scene.from_lammps(lmp, duration=1e-4, matrial="steel")
     finally:
         lmp.close()

@@ -1,4 +1,4 @@
-"""Grains that no wave can have reached are not computed, and nobody can tell."""
+"""Grains that no wave can have reached are not computed, with the same result."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from lmpchain import (
 from lmpchain.scene.facts import find_reached
 
 BEADS = {"material": GLASS, "diameter": 1e-3}
-ROUNDING = 1e-14  # what a part weighs is added up in another order
+ROUNDING = 1e-14  # The weight in a part is added in another order.
 RANDOM = 1e-3 * np.random.default_rng(3).uniform(0.8, 1.2, 600)
 SCENES = {
     "gentle": (Chain(grains=600, **BEADS), Impulse(velocity=1e-6), 100e-6),
@@ -50,14 +50,14 @@ SCENES = {
 
 
 class Whole(engines.Native):
-    """The engine, without the light cone."""
+    """The native engine without the light cone."""
 
     whole = True
 
 
 @pytest.mark.parametrize("name", SCENES)
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-12])
-def test_what_is_left_out_makes_no_difference(name: str, tolerance: float):
+def test_omitted_grains_make_no_difference(name: str, tolerance: float):
     chain, strike, duration = SCENES[name]
     scene = Scene(chain=chain, excitation=strike, duration=duration, samples=5)
     first, last = find_reached(scene)
@@ -94,9 +94,7 @@ def test_random_scenes(seed: int):
 
 
 def farthest(x: float) -> int:
-    """Return two more than the least d >= 8 with (x/2)^2d / (2d)! exp(x^2 / (8d + 4)), a bound of
-    I_2d, below 1e-22.
-    """
+    """Return two more than the least d >= 8 at which a bound of I_2d is below 1e-22."""
     d = 8
     while d * np.log(x / 2) * 2 - lgamma(2 * d + 1) + x**2 / (8 * d + 4) > np.log(1e-22):
         d += 1
@@ -104,10 +102,8 @@ def farthest(x: float) -> int:
 
 
 @pytest.mark.parametrize("x", [1e-3, 0.5, 2.0, 7.0, 30.0, 100.0, 333.0])
-def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
-    """Their motion d grains away is at most I_2d(W t), which is beyond 22 digits there, and hardly
-    sooner.
-    """
+def test_the_cone_is_as_wide_as_springs_require(x: float):
+    """The motion d grains away is at most I_2d(W t), below 22 digits outside of the cone."""
     chain = Chain(
         grains=20_000, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
     )
@@ -130,7 +126,7 @@ def test_the_cone_is_as_wide_as_the_exact_solution_of_springs_needs(x: float):
 
 
 def test_short_chains_and_wide_cones_are_not_cut():
-    """From 128 grains on, and where seven grains in ten or fewer are reached."""
+    """The cone is used from 128 grains on, if at most seven of ten grains are reached."""
     for grains, cut in ((127, False), (128, True)):
         scene = Scene(
             chain=Chain(grains=grains, **BEADS), excitation=Impulse(velocity=1e-6), duration=1e-6
@@ -166,8 +162,8 @@ def test_a_stiff_wall_widens_the_cone(end: str):
     assert farthest(20.0) <= last - 300 <= farthest(20.0) + 1
 
 
-def test_what_is_recorded_of_a_cone_is_where_it_was():
-    """Rows among the grains that are computed, columns among those that are recorded."""
+def test_recorded_grains_of_a_cone_keep_their_positions():
+    """Rows are among the computed grains, columns among the recorded ones."""
     chain = Chain(grains=600, **BEADS)
     for grains in ("all", "20:400", [3, 500, 30, 1], [599, 600]):
         scene = Scene(

@@ -1,4 +1,4 @@
-"""Packets go down at the group velocity; what meets them reflects and transmits as theory says."""
+"""Packets travel down at the group velocity, and are scattered as in theory."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def uniform(grains: int = 400, **keys: object) -> Chain:
 
 
 def middle(t, part: slice = slice(None)) -> Array:
-    """Return the mean place of the energy over time, in grains."""
+    """Return the mean position of the energy over time, in grains."""
     found = energy.shares(t)
     weight = found.of_grain[:, part]
     return (weight * found.grain[part]).sum(1) / weight.sum(1)
@@ -32,9 +32,7 @@ def middle(t, part: slice = slice(None)) -> Array:
 @pytest.mark.parametrize("q", [0.3, 1.0, 2.0])
 @pytest.mark.parametrize("engine", ["modes", "native"])
 def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
-    """On a uniform chain w = 2 sqrt(k/m) sin(q/2): its middle moves at sqrt(k/m) cos(q/2), averaged
-    over the band.
-    """
+    """The speed sqrt(k/m) cos(q/2) of w = 2 sqrt(k/m) sin(q/2) is averaged over the band."""
     chain = uniform()
     omega = 2 / chain.time_scale * np.sin(q / 2)
     width = 20.0
@@ -44,16 +42,15 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     speed = np.cos(q / 2) / chain.time_scale
     scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
     place = middle(simulate(scene, engine, 1e-9))
-    # energy is spread over wave numbers as exp(-(width dq)^2), whose mean of cos is smaller by
-    # exp(-1 / (16 width^2))
+    # The energy is distributed over wave numbers as exp(-(width dq)^2), which reduces the mean of
+    # cos by exp(-1 / (16 width^2)).
     expected = place[0] + speed * scene.time * np.exp(-1 / (16 * width**2))
     assert place == pytest.approx(expected, rel=0, abs=2e-3)
 
 
 @pytest.mark.parametrize(("q", "width"), [(0.3, 25.0), (1.0, 20.0), (2.0, 8.0), (2.9, 25.0)])
 def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
-    """On a uniform chain v = A w exp(-x^2 / 2 width^2) cos(q x) at grains, 2 A sin(q/2) the same
-    between them.
+    """At grains v = A w exp(-x^2 / 2 width^2) cos(q x), and 2 A sin(q/2) times this between them.
 
     The displacement that follows has the spectrum of the strain over 2 sin(k/2): A is the height of
     its envelope.
@@ -84,7 +81,7 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
 
 
 @pytest.mark.parametrize(("width", "most"), [(4.0, 3e-3), (8.0, 1e-9), (12.0, 1e-14)])
-def test_hardly_anything_goes_up(width: float, most: float):
+def test_the_upward_part_is_negligible(width: float, most: float):
     """The upward part is the tail of exp(-(q width)^2 / 2) beyond q = 1."""
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
@@ -102,9 +99,7 @@ def test_hardly_anything_goes_up(width: float, most: float):
 
 
 def test_a_packet_under_gravity():
-    """In a column the local wave number makes it: what goes up stays small, and arrival follows the
-    travel time.
-    """
+    """The upward part is small for local wave numbers, and the arrival follows the travel time."""
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
     packet = Packet(
@@ -124,9 +119,7 @@ def test_a_packet_under_gravity():
     "engine", ["modes", "native", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 def test_reflection_and_transmission(engine: str):
-    """A grain of another mass lets |T|^2 = 1 / (1 + (dm/m)^2 tan^2(q/2)) through, here averaged
-    over the packet.
-    """
+    """An unequal mass transmits the packet average of 1 / (1 + (dm/m)^2 tan^2(q/2))."""
     q0 = 1.2
     width = 16.0
     odd = 300
@@ -151,7 +144,7 @@ def test_reflection_and_transmission(engine: str):
 
 
 def test_energy_flows_evenly_through_an_uneven_chain():
-    """In a slowly varying chain, m v^2 times the group velocity is constant along the packet."""
+    """The product of m v^2 and the group velocity is constant along the packet."""
     x = np.linspace(-1, 1, 400)
     masses = 1e-6 * np.exp(0.5 * x)
     constants = 1e3 * np.exp(-0.8 * (x[:-1] + x[1:]) / 2)
@@ -181,10 +174,8 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     assert u[:-1] - u[1:] == pytest.approx(strain, rel=0, abs=2e-3 * np.abs(strain).max())
 
 
-def test_a_packet_that_does_not_fit_is_refused():
-    """It needs six widths on either side, and waves that travel all along; both sides of each
-    limit.
-    """
+def test_a_packet_that_does_not_fit_is_rejected():
+    """A packet needs six widths on either side, and travelling waves everywhere."""
     chain = uniform(101)
     keys = {"frequency": 3e3, "width": 8.0, "grain": 50, "amplitude": 1e-12}
     limit = np.sqrt(chain.contacts.stiffness[40] / chain.masses[0]) / np.pi

@@ -1,4 +1,4 @@
-"""Steps of velocity and compression, and pistons, begin as they say."""
+"""Initial states of steps of velocity and compression, and of pistons."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ PISTON = Drive(shape="piston", velocity=0.02, rise=1e-5)
 
 
 def test_contacts_are_closer_by_the_strain_on_either_side() -> None:
-    """Overlaps beyond rest are the strains times the mean diameter, down to the wall."""
+    """Overlaps in excess of rest are the strains times the mean diameter, including the wall."""
     walls = LOADED.replace(bottom="wall", diameter=np.linspace(1e-3, 2e-3, 12))
     step = Riemann(velocity=(0.3, -0.1), strain=(2e-4, -1e-5), grain=5)
     displacement, velocity = step.initial(walls)
@@ -26,7 +26,7 @@ def test_contacts_are_closer_by_the_strain_on_either_side() -> None:
     assert velocity.tolist() == [0.3] * 5 + [-0.1] * 7
 
 
-def test_held_grain_stays_where_it_is() -> None:
+def test_a_fixed_grain_is_not_displaced() -> None:
     """Grain N of a chain with a fixed bottom is not displaced."""
     displacement, _ = Riemann(velocity=(0, 0), strain=(1e-4, 1e-4), grain=5).initial(LOADED)
     assert displacement[-1] == 0
@@ -34,7 +34,7 @@ def test_held_grain_stays_where_it_is() -> None:
 
 
 def test_piece_of_a_chain_has_the_same_step() -> None:
-    """Grains that are cut out begin as in the whole chain."""
+    """Grains of a part start as in the whole chain."""
     step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
     whole = step.initial(LOADED)
     assert step.reach(LOADED) == (1, 5)
@@ -43,7 +43,7 @@ def test_piece_of_a_chain_has_the_same_step() -> None:
 
 
 def test_steps_and_pistons_in_scene_files(tmp_path) -> None:
-    """What a scene file says is what was written into it."""
+    """A scene file contains exactly what was written into it."""
     step = Riemann(velocity=(0.3, 0), strain=(2e-4, 0), grain=5)
     for excitation in (step, PISTON, PISTON.replace(grain=0)):
         chain = LOADED.replace(top="wall")
@@ -63,15 +63,15 @@ def test_steps_and_pistons_in_scene_files(tmp_path) -> None:
         ({"strain": (0.9, 0)}, "velocity: squeezes contact"),
     ],
 )
-def test_steps_that_cannot_be(keys, message) -> None:
-    """A step that does not fit the chain is refused in one line."""
+def test_invalid_steps(keys, message) -> None:
+    """A step that does not fit the chain is rejected in one line."""
     keys = {"velocity": (0, 0), "strain": (0, 0), "grain": 3} | keys
     with pytest.raises(InputError, match=message):
         Scene(chain=LOADED, excitation=Riemann(**keys), duration=1e-4)
 
 
 def test_piston_rises_along_straight_lines() -> None:
-    """Acceleration is a hat of the area of the speed, and the motion its integrals."""
+    """The acceleration is a triangle whose area is the speed, and the motion its integrals."""
     rise = PISTON.rise
     time = np.linspace(0, 3 * rise, 30001)
     hat = np.interp(time / rise, [0, 0.5, 1, 3], [0, 2 * 0.02 / rise, 0, 0])
@@ -85,7 +85,7 @@ def test_piston_rises_along_straight_lines() -> None:
 
 
 def test_piston_needs_speed_and_rise() -> None:
-    """A piston without a start is refused, and what else would do is named."""
+    """A piston without a rise is rejected with the alternatives."""
     with pytest.raises(InputError, match='give shape = "piston", velocity and rise'):
         Drive(shape="piston", velocity=0.1)
     with pytest.raises(InputError, match="rise: corresponds to"):

@@ -1,4 +1,4 @@
-"""Scene files: every fault names its key, and a written scene is read back equal."""
+"""Scene files: every fault names its key, and a written scene is read as an equal one."""
 
 from pathlib import Path
 
@@ -40,7 +40,7 @@ samples = 11
 """
 
 STRIKE = 'kind = "impulse"\ngrain = 1\nvelocity = 8.57e-4'
-FAULTS = {  # what is replaced, what by, and the key that must be named
+FAULTS = {  # Replaced text, replacement, and the key that must be named.
     "unknown key": ("gravity =", "gravitation =", "chain.gravitation"),
     "unknown key in the excitation": ("grain = 1\n", "grian = 1\n", "excitation.grian"),
     "unknown key in the recording": ("samples", "sample", "recording.sample"),
@@ -305,12 +305,12 @@ FAULTS = {  # what is replaced, what by, and the key that must be named
 
 
 def refused(path: Path | str, capsys: pytest.CaptureFixture[str]) -> list[str]:
-    """Return the keys that the command line complains of."""
+    """Return the keys of the faults that the command line reports."""
     code = main(["run", str(path)])
     said = capsys.readouterr()
     assert code == 2, said.err
     assert said.out == ""
-    # a warning may name the slip behind a fault, and a note what was understood of a file
+    # A warning may name the slip behind a fault, and a note the interpretation of a file.
     lines = [line for line in said.err.splitlines() if not line.startswith(("warning: ", "note: "))]
     assert lines
     assert all(line.startswith("error: ") for line in lines), said.err
@@ -322,7 +322,7 @@ def file(tmp_path: Path) -> Path:
     return tmp_path / "scene.toml"
 
 
-def test_keys_outside_of_their_sections_are_sent_there(tmp_path: Path):
+def test_keys_outside_their_sections_name_the_section(tmp_path: Path):
     path = tmp_path / "scene.toml"
     path.write_text(
         "samples = 3\nduration = 1e-5\nkind = 'impulse'\ngravity = 0\nchian = 1\n" + GOOD
@@ -352,7 +352,7 @@ def test_a_fault_is_named_by_its_key(
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+def test_all_faults_are_reported_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
     text = GOOD
     chosen = ("unknown key", "NaN", "no grain", "word for a velocity", "no duration", "one sample")
     for name in chosen:
@@ -362,14 +362,16 @@ def test_all_faults_come_at_once(file: Path, capsys: pytest.CaptureFixture[str])
     assert sorted(refused(file, capsys)) == sorted(FAULTS[name][2] for name in chosen)
 
 
-def test_faults_between_sections_come_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+def test_faults_between_sections_are_reported_at_once(
+    file: Path, capsys: pytest.CaptureFixture[str]
+):
     file.write_text(
         GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"')
     )
     assert refused(file, capsys) == ["excitation.grain", "recording.grains"]
 
 
-def test_faults_of_walls_impurities_and_drives_come_at_once(
+def test_faults_of_walls_impurities_and_drives_are_reported_at_once(
     file: Path, capsys: pytest.CaptureFixture[str]
 ):
     impurities = (
@@ -402,10 +404,8 @@ def test_faults_of_walls_impurities_and_drives_come_at_once(
     ]
 
 
-def test_what_does_not_fit_together_comes_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
-    """Each value is right by itself: walls and their materials, impurities, a drive and how long it
-    lasts.
-    """
+def test_combined_faults_are_reported_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
+    """Each value is valid by itself: walls and materials, impurities, a drive and its duration."""
     impurities = "".join(f"[[chain.impurity]]\ngrain = {n}\nmass = 1e-6\n" for n in (21, 4, 4))
     table = 'bottom_material = "steel"\n' + impurities + "[excitation]"
     drive = 'kind = "drive"\ntimes = [0.0, 9e-6]\ndisplacement = [0.0, 1e-9]\ngrain = 0'
@@ -449,7 +449,7 @@ def test_a_number_without_a_digit_after_the_point_gets_a_hint(
     assert "digit after the point" in capsys.readouterr().err
 
 
-def test_an_engine_that_does_not_know_the_exponent(file: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_engine_without_this_exponent(file: Path, capsys: pytest.CaptureFixture[str]):
     file.write_text(GOOD.replace("gravity =", "exponent = 2.0\ngravity ="))
     assert main(["run", str(file), "--engine", "lammps"]) == 2
     assert capsys.readouterr().err.startswith("error: exponent: ")
@@ -557,7 +557,7 @@ PAIRS = {
         if number % len(RECORDED) == place
     ],
 )
-def test_a_scene_file_is_read_back_equal(
+def test_a_written_scene_file_is_read_as_an_equal_scene(
     chain: Chain, excitation: Impulse, grains: str, file: Path
 ):
     scene = Scene(
@@ -574,7 +574,7 @@ def test_a_scene_file_is_read_back_equal(
     assert file.with_name("again.toml").read_bytes() == file.read_bytes()
 
 
-def test_a_changed_number_makes_another_scene(file: Path):
+def test_a_changed_number_makes_a_different_scene(file: Path):
     file.write_text(GOOD)
     scene = Scene.from_toml(file)
     changes = [
@@ -605,7 +605,7 @@ def test_a_profile_is_read_from_a_csv_file(file: Path):
     file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Profile(displacement=u, velocity=v)
-    scene.to_toml(file, overwrite=True)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # Now without the CSV file.
     assert Scene.from_toml(file) == scene
     (file.parent / "profile.csv").unlink()
     assert Scene.from_toml(file) == scene
@@ -634,12 +634,12 @@ def test_a_chain_is_read_from_a_csv_file(file: Path):
     )
     assert scene.chain == expected
     assert np.array_equal(scene.chain.masses, expected.masses)
-    scene.to_toml(file, overwrite=True)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # Now without the CSV file.
     table.unlink()
     assert Scene.from_toml(file) == scene
 
 
-def test_a_chain_file_may_hold_masses_and_leave_out_materials(file: Path):
+def test_a_chain_file_may_contain_masses_and_omit_materials(file: Path):
     table = file.with_name("grains.csv")
     table.write_text("\ufeffdiameter,mass\n1e-3,1e-6\n\n2e-3,2e-6\n1e-3,3e-6\n", encoding="utf-8")
     with_file = GOOD.replace(
@@ -657,7 +657,8 @@ def test_a_chain_file_may_hold_masses_and_leave_out_materials(file: Path):
     assert chain.masses.tolist() == [1e-6, 2e-6, 3e-6]
 
 
-CHAIN_FILES = {  # what the file holds, what the table adds, and the key that must be named
+# Contents of the file, additional keys of the table, and the key that must be named.
+CHAIN_FILES = {
     "no diameters": ("material,mass\nglass,1e-6\nglass,1e-6\n", "", "chain.file"),
     "unknown column": ("diameter,colour\n1e-3,1\n1e-3,2\n", "", "chain.file"),
     "column twice": ("diameter,diameter\n1e-3,1e-3\n1e-3,1e-3\n", "", "chain.file"),
@@ -690,7 +691,7 @@ CHAIN_FILES = {  # what the file holds, what the table adds, and the key that mu
 
 
 @pytest.mark.parametrize(("text", "more", "key"), CHAIN_FILES.values(), ids=CHAIN_FILES)
-def test_a_faulty_chain_file_is_refused(
+def test_a_faulty_chain_file_is_rejected(
     text: str, more: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]
 ):
     file.with_name("grains.csv").write_text(text)
@@ -711,7 +712,7 @@ def test_a_drive_is_read_from_a_csv_file(file: Path):
     file.write_text(GOOD.replace(STRIKE, 'kind = "drive"\nfile = "drive.csv"'))
     scene = Scene.from_toml(file)
     assert scene.excitation == Drive(times=times, displacement=u)
-    scene.to_toml(file, overwrite=True)  # now without the CSV file
+    scene.to_toml(file, overwrite=True)  # Now without the CSV file.
     table.unlink()
     assert Scene.from_toml(file) == scene
 
@@ -729,7 +730,7 @@ DRIVE_FILES = {
 
 
 @pytest.mark.parametrize(("text", "key"), DRIVE_FILES.values(), ids=DRIVE_FILES)
-def test_a_faulty_drive_file_is_refused(
+def test_a_faulty_drive_file_is_rejected(
     text: str, key: str, file: Path, capsys: pytest.CaptureFixture[str]
 ):
     file.with_name("drive.csv").write_text(text)
@@ -751,7 +752,7 @@ CSV = {
 
 
 @pytest.mark.parametrize("text", CSV.values(), ids=CSV)
-def test_a_faulty_csv_file_is_refused(text: str, file: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_faulty_csv_file_is_rejected(text: str, file: Path, capsys: pytest.CaptureFixture[str]):
     (file.parent / "profile.csv").write_text(text)
     file.write_text(GOOD.replace(STRIKE, 'kind = "profile"\nfile = "profile.csv"'))
     assert refused(file, capsys)[0].startswith("excitation.")
@@ -782,7 +783,7 @@ def test_python_finds_the_same_faults_in_a_drive_as_a_file():
     assert [key for key, _ in caught.value.faults] == ["times", "displacement"]
 
 
-def test_a_scene_cannot_be_changed_once_it_is_checked():
+def test_a_checked_scene_cannot_be_changed():
     scene = Scene(
         chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6
     )
@@ -816,7 +817,8 @@ def test_strike_number():
     assert Scene(chain=chain, excitation=moved, duration=1e-5).strike_number == pytest.approx(
         0.5, rel=1e-14, abs=0
     )
-    # the paper's unit of velocity, sqrt(delta g) (g / gamma)^(1 / (2 delta)), is 0.101096 mm/s here
+    # The paper's unit of velocity, sqrt(delta g) (g / gamma)^(1 / (2 delta)), is 0.101096 mm/s
+    # here.
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.01096e-4), duration=1e-5)
     assert scene.strike_number == pytest.approx(1, rel=1e-5, abs=0)
     vacuum = Chain(grains=20, diameter=1e-3, gravity=0.0)
@@ -826,10 +828,8 @@ def test_strike_number():
     )
 
 
-def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
-    """An unknown key, a free bottom under gravity, a strike on no grain and a record of no grain:
-    four lines.
-    """
+def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
+    """Unknown key, free bottom under gravity, missing struck grain and missing recorded grain."""
     path = tmp_path / "scene.toml"
     path.write_text(
         '[chain]\ngrains = 12\ndiameter = 1e-3\ncolour = "red"\nbottom = "free"\n'
@@ -845,7 +845,7 @@ def test_a_faulty_chain_does_not_hide_what_is_wrong_elsewhere(tmp_path: Path):
 @pytest.mark.parametrize(
     "given", [{"kind": "impulse", "velocity": 1e-5}, {}, None, 3, "impulse", [1e-5], Impulse]
 )
-def test_what_is_no_excitation_is_named(given: object):
+def test_invalid_excitations_are_named(given: object):
     with pytest.raises(InputError, match="must be of the type Excitation") as caught:
         Scene(
             chain=Chain(grains=12, diameter=1e-3),
@@ -857,7 +857,7 @@ def test_what_is_no_excitation_is_named(given: object):
 
 @pytest.mark.parametrize("value", [10**5000, [10**400], "1:" + "9" * 5000, [1.0] * 10**6], ids=type)
 @pytest.mark.parametrize("key", ["duration", "samples", "grains"])
-def test_values_of_any_length_are_refused_in_a_line(key: str, value: object):
+def test_values_of_any_length_are_rejected_in_one_line(key: str, value: object):
     fields = {
         "chain": Chain(grains=12, diameter=1e-3),
         "excitation": Impulse(velocity=1e-5),
@@ -871,7 +871,7 @@ def test_values_of_any_length_are_refused_in_a_line(key: str, value: object):
 
 
 @pytest.mark.parametrize("duration", [5e-324, 1e-310])
-def test_samples_are_apart_in_numbers_of_full_precision(duration: float):
+def test_samples_have_distinct_times(duration: float):
     with pytest.raises(InputError, match=r"^duration: 5 samples .* too close"):
         Scene(
             chain=Chain(grains=12, diameter=1e-3),
@@ -881,7 +881,7 @@ def test_samples_are_apart_in_numbers_of_full_precision(duration: float):
         )
 
 
-def test_the_text_of_a_scene_names_no_file(tmp_path: Path):
+def test_the_text_of_a_scene_refers_to_no_file(tmp_path: Path):
     (tmp_path / "grains.csv").write_text("diameter\n1e-3\n1e-3\n")
     text = GOOD.replace(
         'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3', f'file = "{tmp_path / "grains.csv"}"'

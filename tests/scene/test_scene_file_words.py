@@ -1,4 +1,4 @@
-"""What is said of a faulty scene file or table, word for word, and what a file is turned into."""
+"""Messages about faulty scene files and tables, word for word, and the content of valid ones."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ def faults(tables: dict[str, Any], folder: Path | None = None) -> list[tuple[str
     return caught.value.faults
 
 
-def test_sections_that_are_missing_or_wrong() -> None:
+def test_missing_or_wrong_sections() -> None:
     assert faults({}) == [
         (key, f"is missing; add a [{key}] table") for key in ("chain", "excitation", "recording")
     ]
@@ -77,7 +77,7 @@ def test_a_faulty_table_is_named_with_its_line(table: str, said: str, tmp_path: 
     assert text.startswith(said.format(path=path))
 
 
-def test_tables_that_are_not_there_or_not_named(tmp_path: Path) -> None:
+def test_missing_or_unnamed_tables(tmp_path: Path) -> None:
     ((key, text),) = faults(GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
     assert (key, text) == (
         "chain.file",
@@ -129,7 +129,7 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
         (b"a = 1" + b"0" * 5000, "cannot be read: "),
     ],
 )
-def test_what_is_no_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: Path) -> None:
+def test_invalid_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(text)
     with pytest.raises(InputError) as caught:
@@ -151,7 +151,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         assert message.startswith(said)
 
 
-def test_tables_of_a_scene_hold_plain_values_and_names_of_known_materials() -> None:
+def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None:
     own = Material(density=1000.0, youngs_modulus=1e9, poissons_ratio=0.3)
     glassy = GLASS.replace(density=2500.0)
     chain = Chain(

@@ -1,4 +1,4 @@
-"""Scenes and chains as keys of a dictionary, and what completion in a prompt shows of them."""
+"""Scenes and chains as keys of a dictionary, and their attributes in completion."""
 
 import pickle
 from copy import deepcopy

@@ -1,6 +1,4 @@
-"""How hard an excitation squeezes contacts at first, against collisions of two bodies worked out
-one by one.
-"""
+"""First compression of contacts by an excitation, against collisions of two bodies."""
 
 import re
 from itertools import product
@@ -56,7 +54,7 @@ ENDS: dict[str, dict[str, Any]] = {
 CASES = [
     pytest.param(STRIKES[strike], ENDS[ends], id=f"{strike}, {ends}")
     for strike, ends in product(STRIKES, ENDS)
-    if "top" not in ENDS[ends] or not strike.startswith("driven")  # grain 1 is behind a wall
+    if "top" not in ENDS[ends] or not strike.startswith("driven")  # Grain 1 is behind a wall.
     if "top" in ENDS[ends] or not strike.startswith("wall")
 ]
 
@@ -68,7 +66,7 @@ def chain_of(ends: dict[str, Any]) -> Chain:
 
 
 def one_by_one(chain: Chain, strike: Any) -> list[float]:
-    """Return the largest first overlap of each contact, m, from the two bodies beside it."""
+    """Return the largest first overlap of each contact, m, from its two bodies alone."""
     contacts = chain.contacts
     delta = chain.exponent
     (u, begun) = strike.initial(chain)
@@ -98,7 +96,7 @@ def one_by_one(chain: Chain, strike: Any) -> list[float]:
 
 @pytest.mark.parametrize(("strike", "ends"), CASES)
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
-def test_first_overlaps_are_those_of_pairs_of_bodies(
+def test_first_overlaps_agree_with_pairs_of_bodies(
     strike: Any, ends: dict[str, Any], exponent: float
 ) -> None:
     chain = chain_of(ends | {"exponent": exponent})
@@ -107,9 +105,7 @@ def test_first_overlaps_are_those_of_pairs_of_bodies(
 
 
 @pytest.mark.parametrize(("strike", "ends"), CASES)
-def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
-    strike: Any, ends: dict[str, Any]
-) -> None:
+def test_facts_about_a_strike_agree_with_the_whole_chain(strike: Any, ends: dict[str, Any]) -> None:
     chain = chain_of(ends)
     scene = Scene(chain=chain, excitation=strike, duration=1e-5)
     energy = np.inf if strike.does_work else chain.excess_energy(*scene.initial())
@@ -135,10 +131,8 @@ def test_what_a_scene_says_of_its_strike_follows_from_the_whole_chain(
 
 
 @pytest.mark.parametrize("grain", [1, 2, 5, 7, 8])
-def test_too_hard_a_strike_names_the_contact_and_how_deep_two_grains_go(grain: int) -> None:
-    """Half of v^2 times the reduced mass against (2/5) K depth^(5/2); grain 9 is held and does not
-    give way.
-    """
+def test_too_hard_a_strike_names_the_contact_and_its_compression(grain: int) -> None:
+    """The energy v^2 / 2 times the reduced mass gives (2/5) K depth^(5/2); grain 9 is fixed."""
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
     chain = Chain(grains=9, material=rubber, diameter=1e-3, gravity=0.0)
     inertia = chain.masses[0] * (1 if grain == 8 else 0.5)
@@ -156,7 +150,7 @@ def test_too_hard_a_strike_names_the_contact_and_how_deep_two_grains_go(grain: i
 
 
 def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
-    """Of a chain of many grains: those beside the ones that move, at either end fewer."""
+    """In long chains these are the moving grains and their neighbours, fewer at the ends."""
     many = Chain(grains=20_000, diameter=1e-3, bottom="wall")
     wide = np.zeros(20_000)
     wide[[99, 101]] = 1e-4
@@ -181,7 +175,7 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
     assert few._surroundings == (1, few)
 
 
-def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
+def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
     """The limits are a hundredth of the diameter and the speed of sound of the grain."""
 
     def remarks(chain: Chain, excitation: Any) -> list[str]:
@@ -222,7 +216,7 @@ def test_hits_beyond_hertz_and_faster_than_sound_are_remarked_on() -> None:
 
 
 def test_materials_differ_from_grain_to_grain() -> None:
-    """The speed of sound is that of the moving grain, not of the slowest one."""
+    """The sound speed of the moving grain is used, not the slowest one."""
     chain = Chain(
         grains=4,
         material=[STEEL, PTFE, STEEL, STEEL],

@@ -1,4 +1,4 @@
-"""Scene files with a slip: the line says what to do."""
+"""Scene files with a syntax slip: the message contains the remedy."""
 
 from pathlib import Path
 
@@ -24,13 +24,13 @@ samples = 11
 
 
 def scene_of(folder: Path, text: str, mark: bytes = b"") -> Scene:
-    """Return the scene of a file with this text, and bytes before it."""
+    """Return the scene of a file with this text, after some bytes."""
     file = folder / "scene.toml"
     file.write_bytes(mark + text.encode())
     return Scene.from_toml(file)
 
 
-def test_a_mark_of_the_encoding_is_no_fault(tmp_path: Path):
+def test_a_byte_order_mark_is_allowed(tmp_path: Path):
     scene = scene_of(tmp_path, TEXT)
     assert scene_of(tmp_path, TEXT, b"\xef\xbb\xbf") == scene
     windows = TEXT.replace("\n", "\r\n")
@@ -77,14 +77,14 @@ SLIPS = [
 
 
 @pytest.mark.parametrize(("before", "after", "message"), SLIPS)
-def test_a_slip_is_refused_with_its_cure(tmp_path: Path, before: str, after: str, message: str):
+def test_a_slip_is_rejected_with_its_remedy(tmp_path: Path, before: str, after: str, message: str):
     with pytest.raises(InputError) as refusal:
         scene_of(tmp_path, TEXT.replace(before, after, 1))
     assert refusal.match(message.removeprefix("^") if "line" in message else message)
     assert "digit" not in str(refusal.value) or "digit" in message
 
 
-def test_options_that_an_engine_lacks(tmp_path: Path):
+def test_options_that_an_engine_does_not_have(tmp_path: Path):
     scene = scene_of(tmp_path, TEXT)
     with pytest.raises(InputError, match=r"^step: the engine modes has no such option; it has no"):
         simulate(scene, "modes", step=1e-8)
@@ -96,12 +96,12 @@ def test_options_that_an_engine_lacks(tmp_path: Path):
         engines.get("native", threds=2)
 
 
-def test_steps_are_counted_in_words():
+def test_numbers_of_steps_as_text():
     cost = Cost(0.0, 0.0, 0.0, 1, 3, 10, "rkn4", 1e-6, 1)
     assert cost.steps_over(1e-6) == "1 step of 1e-06 s"
     fixed = cost._replace(steps=100)
     assert fixed.steps_over(1e-4) == "100 steps of 1e-06 s"
-    # 233 steps of 1.563 us do not make 100 us
+    # 233 steps of 1.563 us exceed 100 us, so the steps were adaptive.
     adaptive = cost._replace(steps=233, step_s=1.563e-6)
     assert adaptive.steps_over(1e-4) == "233 steps of 4.292e-07 s on average, 1.563e-06 s at most"
 

@@ -1,4 +1,4 @@
-"""Traces as instruments write them: each is read in one call, and acts as it says.
+"""Traces in the formats of instruments: each is read in one call, and acts as measured.
 
 The two files of `make_traces.py` follow closed forms; the others are written here, from numbers
 of closed forms too.
@@ -19,7 +19,7 @@ from lmpchain.cli import main
 from lmpchain.design import Traces
 
 DATA = Path(__file__).parents[1] / "data"
-# a smooth push that has a beginning before t = 0, by which a trigger is tested
+# A smooth push that begins before t = 0, for tests of a trigger.
 TIME = np.arange(-20, 61) * 1e-6
 
 
@@ -30,7 +30,7 @@ def rows(*columns: np.ndarray, form: str = "{:.9e}", between: str = ",") -> str:
 
 
 def lvm(column: bool) -> str:
-    """Return a measurement file of LabVIEW, with or without a column of the times."""
+    """Return a measurement file of LabVIEW with or without a time column."""
     times = rows(TIME, push(TIME) / 2, between="\t")
     if not column:
         times = "".join(f"\t{line.split(chr(9))[1]}\n" for line in times.splitlines())
@@ -80,7 +80,7 @@ INSTRUMENTS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize(("text", "options"), INSTRUMENTS.values(), ids=INSTRUMENTS)
-def test_a_trace_acts_as_it_says(
+def test_a_trace_acts_as_measured(
     text: str, options: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     path = tmp_path / "scope.csv"
@@ -93,7 +93,7 @@ def test_a_trace_acts_as_it_says(
     later = TIME[20:]
     np.testing.assert_allclose(force.times, later, rtol=1e-6, atol=1e-12)
     np.testing.assert_allclose(force.waveform.at(later), push(later), rtol=0, atol=3e-6)
-    # the same in a scene file, which needs its file no more when it is written again
+    # The scene file also contains the values, so that it can be written without the file.
     table = {"kind": "force", "grain": 2, "file": "scope.csv"} | options
     chain = {"grains": 6, "diameter": 5e-3, "gravity": 0.0, "top_load": 5.0}
     tables = {"chain": chain, "excitation": table, "recording": {"duration": 6e-5}}
@@ -107,7 +107,7 @@ def test_a_trace_acts_as_it_says(
 
 
 POINTS = "-1e-6,0.5\n0,0.25\n1e-6,0.75\n2e-6,1\n"
-LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # each holds the same four points
+LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the same four points.
     "LeCroy": (
         "LECROYWS64Xs,12345,Waveform\nSegments,1,SegmentSize,1002\n"
         "Segment,TrigTime,TimeSinceSegment1\n#1,13-Jul-2012 15:15:30,0\nTime,Ampl\n" + POINTS,
@@ -168,8 +168,8 @@ def test_volts_need_a_calibration(header: str, tmp_path: Path):
     assert "times 1 N/V" in force.source
 
 
-def test_an_oscilloscopes_hammer_moves_a_chain():
-    """The file of the example `hammer`: its impulse is in the chain, by its own interpolation."""
+def test_a_hammer_trace_of_an_oscilloscope_moves_a_chain():
+    """The impulse of the example `hammer` is in the chain, by an independent interpolation."""
     assert EXAMPLE.read_text() == hammer()
     force = Force(grain=1, file=EXAMPLE, scale=2.0, baseline=(-40e-6, -2e-7), trigger=0.0)
     time = np.arange(400) * 4e-7
@@ -183,8 +183,8 @@ def test_an_oscilloscopes_hammer_moves_a_chain():
     assert impulse == pytest.approx(2 * 3.0 * 40e-6 / np.pi, rel=1e-4)
 
 
-def test_a_vibrometers_piston_drives_a_chain():
-    """The file of `tests/data`: decimal commas, milliseconds, millivolts, a byte order mark."""
+def test_a_vibrometer_trace_drives_a_chain():
+    """The file in `tests/data` has decimal commas, milliseconds, millivolts and a BOM."""
     content = (DATA / "vibrometer.csv").read_bytes().decode("utf-8-sig")
     assert content == vibrometer()
     drive = Drive(file=DATA / "vibrometer.csv", scale=5e-6, trigger=1e-3, offset=0.25)
@@ -196,20 +196,18 @@ def test_a_vibrometers_piston_drives_a_chain():
 
 
 @pytest.mark.parametrize("between", [0.3, 0.5])
-def test_a_trigger_between_two_samples_begins_on_the_line_between_them(
-    between: float, tmp_path: Path
-):
+def test_a_trigger_between_two_samples_is_interpolated(between: float, tmp_path: Path):
     path = tmp_path / "scope.csv"
     path.write_text("t,F\n-1,0\n0,1\n1,3\n2,4\n")
     force = Force(grain=1, file=path, trigger=between)
     np.testing.assert_allclose(force.times, [0, 1 - between, 2 - between])
     np.testing.assert_allclose(force.force, [1 + 2 * between, 3, 4])
-    # measured values of a fit are those of the file alone
+    # Measured values of a fit are only those of the file.
     traces = Traces.from_csv(path, [3], trigger=between)
     np.testing.assert_allclose(traces.time, [1 - between, 2 - between])
 
 
-def test_profiles_come_from_columns(tmp_path: Path):
+def test_profiles_are_read_from_columns(tmp_path: Path):
     path = tmp_path / "state.csv"
     path.write_text("grain;u [nm];v [mm/s]\n1;1,5;2\n2;0,5;1\n3;0;0\n")
     profile = Profile(file=path, columns=[2, 3])
@@ -231,7 +229,7 @@ def test_traces_of_several_places(tmp_path: Path):
     np.testing.assert_allclose(traces.values, [[0, 4e-3], [2e-3, 8e-3], [4e-3, 12e-3]])
 
 
-REFUSED = {  # what the file holds, options, the key and what is said of it
+REFUSED = {  # Content of the file, options, key, and a part of the message.
     "nothing": ("", {}, "file", "no table of numbers"),
     "a picture": ("\x89PNG\0\0", {}, "file", "is no text"),
     "two channels": ("t,A,B\n0,1,2\n1,2,3\n", {}, "columns", "is ambiguous"),
@@ -283,7 +281,7 @@ REFUSED = {  # what the file holds, options, the key and what is said of it
 
 
 @pytest.mark.parametrize(("text", "options", "key", "said"), REFUSED.values(), ids=REFUSED)
-def test_what_a_file_does_not_tell_is_refused(
+def test_files_without_required_information_are_rejected(
     text: str, options: dict[str, Any], key: str, said: str, tmp_path: Path
 ):
     path = tmp_path / "scope.csv"
@@ -295,7 +293,7 @@ def test_what_a_file_does_not_tell_is_refused(
     assert said in message
 
 
-def test_options_of_a_file_go_with_one(tmp_path: Path):
+def test_options_of_a_file_require_a_file(tmp_path: Path):
     with pytest.raises(InputError, match="scale: requires a file"):
         Force(grain=1, times=[0, 1], force=[0, 1], scale=2.0)
     with pytest.raises(InputError, match="No such file"):

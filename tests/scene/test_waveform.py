@@ -1,4 +1,4 @@
-"""Waveforms against their definitions in 30 digits, and what bounds them against quadrature."""
+"""Waveforms against their definitions in 30 digits, and their bounds against quadrature."""
 
 from collections.abc import Callable
 from typing import Any
@@ -27,7 +27,7 @@ def definition(cycles: float | None) -> Callable[[Any], Any]:
 
 
 @pytest.mark.parametrize("cycles", CYCLES)
-def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None) -> None:
+def test_values_and_derivatives_agree_with_the_definition(cycles: float | None) -> None:
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
     times = np.linspace(0.003, 0.99 * min(wave.end, 1.0), 9)
     for order in range(4):
@@ -47,7 +47,7 @@ def test_values_and_derivatives_are_those_of_the_definition(cycles: float | None
     assert wave.fastest == pytest.approx(max(w for _, w in wave.sines), rel=1e-14)
 
 
-def test_a_half_sine_ends_where_it_is_0_again() -> None:
+def test_a_half_sine_ends_at_its_zero() -> None:
     wave = Waveform.half_sine(AMPLITUDE, 0.4)
     times = np.array([0.1, 0.2, 0.3999, 0.4, 0.5])
     expected = AMPLITUDE * np.sin(np.pi * times / 0.4) * (times < 0.4)
@@ -60,7 +60,7 @@ def test_a_half_sine_ends_where_it_is_0_again() -> None:
     assert wave.area(1.0) == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-14)
 
 
-def test_a_spline_is_that_through_its_points() -> None:
+def test_a_spline_passes_through_its_points() -> None:
     wave = Waveform.through(KNOTS, VALUES, "spline", holds=True)
     spline = CubicSpline(KNOTS, VALUES)
     times = np.linspace(0, 1.7, 1001)
@@ -84,7 +84,7 @@ def test_a_spline_is_that_through_its_points() -> None:
 
 
 @pytest.mark.parametrize("first", [0.4, 0.1])
-def test_points_that_begin_later_are_reached_from_rest_in_one_interval(first: float) -> None:
+def test_later_first_points_are_reached_from_rest_in_one_interval(first: float) -> None:
     """The rise begins at t = 0 if the first point is earlier than one interval."""
     wave = Waveform.through(first + KNOTS, VALUES, "linear", holds=True)
     begin = max(first - 0.3, 0.0)
@@ -95,7 +95,7 @@ def test_points_that_begin_later_are_reached_from_rest_in_one_interval(first: fl
 
 
 @pytest.mark.parametrize("cycles", CYCLES)
-def test_no_value_or_derivative_is_beyond_the_largest(cycles: float | None) -> None:
+def test_no_value_or_derivative_exceeds_the_largest(cycles: float | None) -> None:
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
     times = np.linspace(0, min(wave.end, 1.0) * (1 - 1e-12), 4001)
     for order in range(4):
@@ -108,9 +108,7 @@ def test_no_value_or_derivative_is_beyond_the_largest(cycles: float | None) -> N
 @pytest.mark.parametrize("cycles", CYCLES)
 @pytest.mark.parametrize("share", [0.1, 0.25, 0.5, 0.75, 1.0, 1.5])
 def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None:
-    """By quadrature of the size of the wave and of its slope, also where the time ends before a
-    burst does.
-    """
+    """Areas and paths by quadrature, also if the time ends before a burst does."""
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
     duration = share * (4 / FREQUENCY if cycles is None else wave.end)
     until = min(duration, wave.end) * (1 - 1e-14)
@@ -144,7 +142,7 @@ def test_areas_and_paths_are_bounded(cycles: float | None, share: float) -> None
 
 
 @pytest.mark.parametrize("cycles", CYCLES)
-def test_no_integral_is_beyond_what_is_gained(cycles: float | None) -> None:
+def test_no_integral_exceeds_the_largest(cycles: float | None) -> None:
     wave = Waveform.sine(AMPLITUDE, FREQUENCY, cycles)
     times = np.linspace(0, min(wave.end, 1.0), 20001)
     integral = np.abs(np.cumsum(wave.at(times)) * times[1]).max()
@@ -163,11 +161,11 @@ def test_points_denser_than_the_motion_are_bounded_by_their_spectrum(
     times = np.arange(int(1e-3 * rate)) / rate
     values = Waveform.sine(2.0, frequency, cycles).at(times)
     values = values + noise * np.random.default_rng(3).normal(size=times.size)
-    # the slopes of a monotone curve wiggle from point to point
+    # The slopes of a monotone curve oscillate from point to point.
     wave = Waveform.through(times, values, "spline" if holds else "pchip", holds)
     highest = 2 * np.pi * frequency * (1 + 1 / cycles)
     assert highest < wave.fastest < 5 * highest
-    # the rest of the spectrum hardly moves a free mass, or the grain itself
+    # The rest of the spectrum hardly moves a free mass or the grain itself.
     speed = np.gradient(values, times) if holds else np.cumsum(values) / rate
     spectrum = np.fft.rfft(speed - np.linspace(speed[0], speed[-1], speed.size))
     omega = 2 * np.pi * rate * np.arange(spectrum.size) / times.size

@@ -1,4 +1,4 @@
-"""Numbers, remarks, tables and pictures of a scene, against what they are defined to be."""
+"""Numbers, remarks, tables and pictures of a scene, against their definitions."""
 
 import re
 from pathlib import Path
@@ -50,7 +50,7 @@ def scene_of(excitation: Any, chain: Chain = COLUMN, **keys: Any) -> Scene:
 @pytest.mark.parametrize(
     "needed", [0.3, 0.99, 1.01, 1.99, 2.01, 2.99, 3.01, 3.99, 4.01, 5.9, 6.1, 8.1, 12.1, 90.0]
 )
-def test_quantities_are_gathered_at_the_least_of_1_2_3_4_6_8_12_that_misses_no_motion(
+def test_the_number_of_fine_intervals_is_the_smallest_sufficient_one(
     needed: float,
 ) -> None:
     """The limit is half a radian of the highest frequency, which is the drive's here."""
@@ -147,7 +147,7 @@ def test_samples_and_durations_have_limits() -> None:
     assert Scene(chain=COLUMN, excitation=Impulse(velocity=1e-6), duration=1e-5).samples == 101
 
 
-def test_a_long_duration_is_remarked_on() -> None:
+def test_a_long_duration_causes_a_remark() -> None:
     keys = {"chain": COLUMN, "excitation": Impulse(velocity=1e-6), "samples": 11}
     assert not list(make_unchecked(Scene, duration=1.0, **keys)._remarks())
     (text,) = make_unchecked(Scene, duration=100.0, **keys)._remarks()
@@ -155,7 +155,7 @@ def test_a_long_duration_is_remarked_on() -> None:
     assert text == f"{long}; times are in seconds (100 us is 1e-4)"
 
 
-def test_boulders_take_their_time() -> None:
+def test_long_durations_of_boulders_cause_no_remark() -> None:
     boulders = Chain(grains=11, diameter=0.2, gravity=0, bottom="wall")
     keys = {"chain": boulders, "excitation": Impulse(velocity=1e-6), "samples": 11}
     assert not list(make_unchecked(Scene, duration=3600.0, **keys)._remarks())
@@ -171,14 +171,14 @@ def test_boulders_take_their_time() -> None:
         ({"density": 2.4}, r"density: 2.4 kg/m3 .* \(2.4 g/cm3 is 2400\)"),
     ],
 )
-def test_materials_in_other_units_are_remarked_on(constants: dict[str, float], remark: str) -> None:
+def test_materials_in_other_units_cause_a_remark(constants: dict[str, float], remark: str) -> None:
     usual = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
     with pytest.warns(UserWarning, match=f"^{remark}"):
         Material(**usual | constants)
 
 
-def test_usual_materials_are_not_remarked_on(recwarn: pytest.WarningsRecorder) -> None:
-    # cork and rubber, the softest and lightest that grains are made of
+def test_usual_materials_cause_no_remark(recwarn: pytest.WarningsRecorder) -> None:
+    # Cork and rubber are the softest and lightest materials of grains.
     Material(density=120.0, youngs_modulus=1e6, poissons_ratio=0.0)
     assert not recwarn.list
 
@@ -187,13 +187,13 @@ def test_usual_materials_are_not_remarked_on(recwarn: pytest.WarningsRecorder) -
     "take", [simulate, plan, stability, work_precision, lambda scene: simulate_many([scene])]
 )
 @pytest.mark.parametrize("thing", [None, "scene.toml", {"chain": {}}, COLUMN])
-def test_what_is_no_scene_is_refused(take: Any, thing: Any) -> None:
+def test_invalid_scenes_are_rejected(take: Any, thing: Any) -> None:
     with pytest.raises(InputError, match=r"^scene(s\.0)?: must be a Scene \(got .*Scene.from_toml"):
         take(thing)
 
 
 @pytest.mark.parametrize("step", [1e-320, 1e-30])
-def test_steps_that_cannot_be_counted_are_refused(step: float) -> None:
+def test_steps_beyond_counting_are_rejected(step: float) -> None:
     scene = scene_of(Impulse(velocity=1e-6))
     for engine in ("native", "lammps"):
         with pytest.raises(InputError, match=r"^step: must be longer than .* cannot be counted"):
@@ -202,16 +202,16 @@ def test_steps_that_cannot_be_counted_are_refused(step: float) -> None:
         gradient(scene, Momentum([2]), ["masses"], step=step)
 
 
-def test_chains_to_average_over_are_bounded() -> None:
+def test_the_number_of_chains_in_an_average_is_limited() -> None:
     scene = scene_of(Impulse(velocity=1e-12))
     for average in (ensemble, spreading):
         with pytest.raises(InputError, match=r"^realisations: must be a whole number from 1 to 10"):
             average(scene, 5.0, realisations=10**11, seed=1)
 
 
-def test_decks_have_no_more_steps_than_lammps_counts(tmp_path: Path) -> None:
+def test_decks_have_a_number_of_steps_that_lammps_can_count(tmp_path: Path) -> None:
     scene = scene_of(Impulse(velocity=1e-6), duration=1e-5, samples=2)
-    # ten times 300 million steps are more than 32 bits hold
+    # Ten times 300 million steps exceed 32 bits.
     file = write_deck(scene, tmp_path, step=1e-5 / 3e8)
     assert "index 300000000 " in file.read_text()
     assert "thermo          ${every}" in file.read_text()
@@ -219,14 +219,14 @@ def test_decks_have_no_more_steps_than_lammps_counts(tmp_path: Path) -> None:
     assert "thermo          $(10*v_every)" in usual.read_text()
     with pytest.raises(InputError, match=r"^duration: 3000000000 steps are more than LAMMPS"):
         write_deck(scene.replace(samples=11), tmp_path, step=1e-5 / 3e9)
-    # nor has a run of the library between two samples
-    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps from one to"):
+    # A run in the library between two samples is limited in the same way.
+    with pytest.raises(InputError, match=r"^samples: must be more: 3000000000 steps per sample"):
         simulate(scene, "lammps", integrator="verlet", step=1e-5 / 3e9)
 
 
-def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_minutes_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     class Begun(Exception):
-        """The run has begun."""
+        """Raised when the run begins."""
 
     def begin(*_: object) -> None:
         raise Begun
@@ -246,9 +246,7 @@ def test_a_run_of_minutes_says_so_before_it_begins(monkeypatch: pytest.MonkeyPat
 
 
 def springs_strain(chain: Chain, excitation: Any, duration: float) -> float:
-    """Return the bound on strains, from each spring in series with all others where both ends stand
-    still.
-    """
+    """Return the bound on strains from each spring in series with the others between fixed ends."""
     contacts = chain.contacts
     there = contacts.exists
     k = contacts.stiffness[there]
@@ -284,7 +282,7 @@ AT_START = {
 def test_strains_of_the_linear_chain_are_bounded_by_its_energy(
     chain: Chain, excitation: Any
 ) -> None:
-    """The bound in other words; and no superposition of modes exceeds it."""
+    """The bound in another form; no superposition of modes exceeds it."""
     scene = scene_of(excitation, chain)
     bound = springs_strain(chain, excitation, scene.duration)
     assert scene.linear_strain == pytest.approx(bound, rel=1e-12)
@@ -312,7 +310,7 @@ def test_strains_of_a_driven_linear_chain() -> None:
             springs_strain(LOADED, excitation, 1e-4), rel=1e-12
         )
     push = Force(grain=4, **WAVE | {"amplitude": -1e-9})
-    impulse = 1e-9 * 2 / (2 * np.pi * 3e4) * 6  # six arches in 100 us
+    impulse = 1e-9 * 2 / (2 * np.pi * 3e4) * 6  # Six arches in 100 us.
     assert push.energy_norm(LOADED, 1e-4) == pytest.approx(
         impulse / np.sqrt(LOADED.masses[3]), rel=1e-12
     )
@@ -331,13 +329,11 @@ def test_strains_of_a_driven_linear_chain() -> None:
     assert scene_of(Impulse(velocity=1e-9), COLUMN.replace(gravity=0.0)).linear_strain == np.inf
 
 
-# --- what acts
+# --- the forcing
 
 
-def test_a_short_blow_moves_its_grain_as_a_blow_moves_an_oscillator() -> None:
-    """By its impulse over the mass, and that over the frequency; a slow force by all its work over
-    the way it takes.
-    """
+def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
+    """By its impulse over mass and frequency; a slow force by its work over the displacement."""
     spring = {"grains": 1, "diameter": 1e-3, "exponent": 1.0, "bottom": "wall", "masses": [2e-6]}
     chain = Chain(**spring, wall_constants=[0.0, 50.0])
     blow = Force(shape="half-sine", amplitude=-1e-3, duration=1e-7)
@@ -350,16 +346,14 @@ def test_a_short_blow_moves_its_grain_as_a_blow_moves_an_oscillator() -> None:
     assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 50.0) / 2e-6), rel=1e-12)
     assert u == pytest.approx(np.sqrt(2) * 1e-4 / 50.0, rel=1e-12)
     two = Chain(**spring | {"top": "wall", "top_load": 1e-3}, wall_constants=[20.0, 50.0])
-    (u,), (v,) = slow.largest(two)  # the softer of its contacts says how far
+    (u,), (v,) = slow.largest(two)  # The softer contact determines the distance.
     assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 20.0) / 2e-6), rel=1e-12)
     assert not np.any(Force(amplitude=0.0, frequency=1.0).largest(chain))
     assert not np.any(slow.initial(chain))
 
 
-def test_what_a_push_is_made_of() -> None:
-    """Of a driven grain, a driven wall and a force: what the outside world adds, and how the body
-    moves.
-    """
+def test_the_external_force_of_drives_and_forces() -> None:
+    """For a driven grain, a driven wall and a force: the external force and the body's motion."""
     time = np.array([0.0, 1e-5, 3e-5])
     rng = np.random.default_rng(1)
     force, rate = rng.normal(size=(2, 3, 10))
@@ -449,7 +443,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("keys", "fault"), REFUSED.values(), ids=REFUSED)
-def test_what_cannot_act_is_refused_with_its_number(
+def test_invalid_forcings_are_rejected_with_their_number(
     keys: dict[str, Any], fault: tuple[str, str]
 ) -> None:
     given = dict(keys)
@@ -458,7 +452,7 @@ def test_what_cannot_act_is_refused_with_its_number(
     assert caught.value.faults == [fault]
 
 
-def test_what_is_just_within_the_limits_acts() -> None:
+def test_forcings_at_the_limits_are_valid() -> None:
     Drive(amplitude=1e-12, frequency=1.59e19)
     Drive(times=[0.0, 1e-4], displacement=[0.0, -1e100])
     Drive(times=[0.0, 1.01e-16, 1e-4], displacement=[0.0, 0.0, 0.0])
@@ -466,7 +460,7 @@ def test_what_is_just_within_the_limits_acts() -> None:
     Force(times=[0.0, 1e-4], force=[1.0, 0.0])
 
 
-def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
+def test_forcings_that_do_not_fit_chain_or_duration_are_rejected() -> None:
     one = Chain(grains=2, diameter=1e-3)
     for excitation, chain, fault in (
         (
@@ -514,7 +508,7 @@ def test_what_does_not_fit_the_chain_or_the_duration_is_refused() -> None:
         assert not list(excitation.faults(chain, 1e-4))
 
 
-def test_every_kind_says_what_it_is() -> None:
+def test_every_excitation_describes_itself() -> None:
     packet = Packet(frequency=1e3, width=0.5, grain=5, amplitude=1e-13)
     impulse = Impulse(velocity=-2e-3, grain=2)
     moved = Displacement(displacement=1e-9)
@@ -574,7 +568,7 @@ def picture(scene: Scene) -> Any:
     return scene.plot(Figure().subplots())
 
 
-def test_the_picture_of_what_acts_is_its_course_over_time() -> None:
+def test_the_picture_of_a_forcing_shows_its_course_over_time() -> None:
     for excitation, name, unit in (
         (Drive(**WAVE), "displacement", "m"),
         (Force(**WAVE), "force", "N"),
@@ -593,14 +587,14 @@ def test_the_picture_of_what_acts_is_its_course_over_time() -> None:
         assert axes.yaxis.get_major_formatter()(1e-12).endswith(f"p{unit}")
 
 
-def test_the_picture_of_a_start_is_that_of_the_grains_around_it() -> None:
+def test_the_picture_of_an_initial_state_shows_the_grains_around_it() -> None:
     chain = Chain(grains=60, diameter=1e-3)
     axes = picture(scene_of(Impulse(velocity=1e-4, grain=30), chain))
     (line,) = axes.get_lines()
     assert line.get_xdata().tolist() == list(range(20, 41))
     assert line.get_ydata().tolist() == [1e-4 * (n == 30) for n in range(20, 41)]
     assert axes.get_xlabel() == "grain, from the top"
-    # the one quantity names the axis, with its unit
+    # A single quantity names the axis, with its unit.
     axes.figure.draw_without_rendering()
     assert axes.get_legend() is None
     assert axes.get_ylabel() == "velocity at t = 0, downward (µm/s)"
@@ -613,7 +607,7 @@ def test_the_picture_of_a_start_is_that_of_the_grains_around_it() -> None:
     assert np.flatnonzero(axes.get_lines()[0].get_ydata()).tolist() == [2]
 
 
-def test_a_notebook_shows_what_a_scene_is() -> None:
+def test_a_notebook_shows_a_scene() -> None:
     scene = scene_of(Impulse(velocity=1e-4), grains="2:5")
     html = scene._repr_html_()
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)

@@ -1,4 +1,4 @@
-"""Intervals from batch means, for sequences whose mean and memory are known exactly."""
+"""Intervals from batch means for sequences with exactly known mean and correlation."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def sequences(memory: float, copies: int, per_stretch: int, rng: np.random.Gener
 
 
 def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: int) -> float:
-    """Return the share of intervals of the mean that cover 0."""
+    """Return the fraction of intervals of the mean that cover 0."""
     rng = np.random.default_rng(seed)
     covered = 0
     for _ in range(trials):
@@ -34,7 +34,7 @@ def coverage(memory: float, copies: int, per_stretch: int, trials: int, seed: in
 )
 @pytest.mark.slow
 def test_94_to_96_percent_of_1000_intervals_cover(memory: float, copies: int):
-    """A thousand of them scatter by 0.7 % themselves, hence 2 in place of 1 %."""
+    """A fraction of a thousand intervals scatters by 0.7 %, hence 2 % instead of 1 %."""
     least, most = (0.93, 0.97) if memory >= 0 else (0.93, 1.0)
     assert least <= coverage(memory, copies, 8 if memory < 0.9 else 16, TRIALS, 1) <= most
 
@@ -46,14 +46,14 @@ def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
 
 
 @pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
-def test_intervals_of_long_memories_are_not_too_narrow(memory: float):
-    """They are of few batches, or infinite; those that are left are wide enough in the mean."""
+def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
+    """Such intervals have few batches or are infinite; the others are wide enough on average."""
     assert coverage(memory, 1, 8, 400, 3) > 0.92
 
 
 @pytest.mark.slow
-def test_intervals_of_memories_of_two_stretches_cover():
-    """Correlations that are small by chance must not let in those that are too narrow."""
+def test_intervals_of_correlations_over_two_stretches_cover():
+    """Correlations that are small by chance must not lead to too narrow intervals."""
     rng = np.random.default_rng(7)
     averages = [estimate(sequences(np.exp(-1 / 16), 1, 8, rng).mean(-1)) for _ in range(8000)]
     known = [average for average in averages if average.batches]
@@ -62,27 +62,27 @@ def test_intervals_of_memories_of_two_stretches_cover():
 
 
 @pytest.mark.slow
-def test_intervals_of_what_swings_cover():
-    """Batches of a damped oscillation follow each other with the opposite sign."""
+def test_intervals_of_oscillations_cover():
+    """Successive batches of a damped oscillation have opposite signs."""
     rng = np.random.default_rng(8)
     size = 2000, BATCHING.stretches * 8
     radius, angle = 0.98, 0.5
     swings = lfilter([1.0], [1.0, -2 * radius * np.cos(angle), radius**2], rng.normal(size=size))
     averages = [estimate(row.reshape(1, -1, 8).mean(-1)) for row in swings]
-    # two thousand scatter by 0.5 % themselves
+    # Two thousand scatter by 0.5 %.
     covered = np.mean([abs(average.mean) <= average.half_width for average in averages])
     assert 0.935 <= covered <= 0.965
 
 
-def test_a_walk_has_no_interval():
+def test_a_random_walk_has_no_interval():
     steps = np.random.default_rng(4).normal(size=BATCHING.stretches)
     average = estimate(np.cumsum(steps)[None])
     assert average.batches == 0
     assert average.half_width == np.inf
 
 
-def test_the_standard_error_is_that_of_the_sequence():
-    """Var of the mean of n values of AR(1) is (1 + a) / (1 - a) / n."""
+def test_the_standard_error_agrees_with_the_sequence():
+    """The variance of the mean of n values of AR(1) is (1 + a) / (1 - a) / n."""
     rng = np.random.default_rng(5)
     memory, per_stretch = 0.9, 64
     errors = [estimate(sequences(memory, 1, per_stretch, rng).mean(-1)).error for _ in range(400)]
@@ -91,7 +91,7 @@ def test_the_standard_error_is_that_of_the_sequence():
     assert 0.93 < np.mean(np.square(errors)) / exact < 1.07
 
 
-def test_a_constant_is_known_exactly():
+def test_a_constant_has_no_error():
     average = estimate(np.full((2, BATCHING.stretches), 3.0))
     assert average[:4] == (3.0, 0.0, 0.0, 32)
 
@@ -102,8 +102,8 @@ def test_correlation_of_neighbours_is_unbiased():
     assert abs(np.mean(rows)) < 4 / np.sqrt(64 * 2000)
 
 
-def test_what_walks_with_something_known_is_not_counted():
-    """The energy of a run walks, and takes averages with it."""
+def test_a_correlation_with_a_known_walk_is_removed():
+    """The energy of a run is a random walk, and changes the averages."""
     rng = np.random.default_rng(7)
     noise = rng.normal(size=(1, BATCHING.stretches))
     walk = np.cumsum(rng.normal(size=(1, BATCHING.stretches)), axis=1)
@@ -116,8 +116,8 @@ def test_what_walks_with_something_known_is_not_counted():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("stretches", "share"), [(3, 0.9), (5, 0.7)])
-def test_few_cosines_cover_memories_of_several_stretches(stretches: int, share: float):
-    """Of those with an interval, the shorter memories by chance, a few cover less."""
+def test_few_cosines_cover_correlations_over_several_stretches(stretches: int, share: float):
+    """Intervals that exist because correlations are small by chance cover slightly less."""
     rng = np.random.default_rng(9)
     memory = np.exp(-1 / (8 * stretches))
     averages = [estimate(sequences(memory, 1, 8, rng).mean(-1)) for _ in range(4000)]

@@ -1,4 +1,4 @@
-"""Answers keep their last bit.
+"""Results keep their bits.
 
 200 random scenes by "auto", after a stop and in batches against a stored table.
 
@@ -17,7 +17,7 @@ from lmpchain.engines import cost_model
 
 @pytest.fixture(autouse=True)
 def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Let "auto" use the shipped speeds in place of the measured speeds of this machine."""
+    """Let "auto" use the shipped speeds instead of the measured speeds of this machine."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     cost_model.measured.cache_clear()
     yield
@@ -33,15 +33,15 @@ def _shipped_speeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         for n in range(make_bits.SCENES)
     ],
 )
-def test_answers_to_a_random_scene(number: int):
+def test_results_of_a_random_scene(number: int):
     assert not list(make_bits.differences(str(number), make_bits.choice_cases(number), some=True))
 
 
-def test_answers_in_batches():
+def test_results_in_batches():
     assert not list(make_bits.differences("batches", make_bits.batches()))
 
 
-def test_without_bits_all_else_is_compared():
+def test_without_bits_all_other_data_are_compared():
     row = ["0381219472dd48c4", "1.3667e-05", "4.4e-15", "chebyshev", 1000]
     same = [
         ["ffffffffffffffff", *row[1:]],
@@ -59,7 +59,7 @@ def test_without_bits_all_else_is_compared():
     assert not any(make_bits.alike(row, each) for each in other)
 
 
-def test_the_table_names_what_it_was_made_with():
+def test_the_table_states_its_versions():
     table = json.loads(make_bits.TABLE.read_text(encoding="utf-8"))
     assert table["made with"].keys() == make_bits.fingerprint().keys()
     assert len(table) == make_bits.SCENES + 2

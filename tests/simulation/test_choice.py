@@ -1,4 +1,4 @@
-"""Which engine is chosen, at what price and why.
+"""The choice of an engine, its expected cost and its reason.
 
 Verdicts, words and numbers of a plan, the picture, calibration.
 """
@@ -59,7 +59,7 @@ def judged(equation: int = 3, tolerance: float = 1e-6, **errors) -> tuple[bool, 
     return verdict.kept, verdict.why
 
 
-def test_equation_and_solver_together_must_keep_to_the_tolerance():
+def test_model_and_solver_error_together_must_meet_the_tolerance():
     assert judged(model=4e-7, solver=6e-7) == (True, "within the tolerance")
     left_out = f"strike number {NUMBER}: linear theory leaves out up to"
     assert judged(model=5e-7, solver=6e-7) == (False, f"{left_out} 5e-07 of the solution")
@@ -85,7 +85,7 @@ def test_equation_and_solver_together_must_keep_to_the_tolerance():
         (1.0, "100 %"),
     ],
 )
-def test_errors_are_said_in_per_cent(error, words):
+def test_errors_are_given_in_per_cent(error, words):
     assert percent(error) == words
 
 
@@ -107,7 +107,7 @@ def test_numbers_of_a_proposal():
     }  # fmt: skip
 
 
-def test_why_the_cheapest_is_taken():
+def test_reasons_for_the_cheapest_engine():
     kept = [
         proposal(name, eq, cost=c, kept=True)
         for name, eq, c in (("native", 1, 3.0), ("modes", 3, 1.0))
@@ -127,7 +127,7 @@ def test_why_the_cheapest_is_taken():
 
 
 def swinging(grains: int, radians: float, samples: int, strain: float = 1e-9) -> Scene:
-    """Return a loaded chain that is struck on its top."""
+    """Return a loaded chain with a strike on its top."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
     scene = Scene(
         chain=chain,
@@ -150,8 +150,8 @@ def swinging(grains: int, radians: float, samples: int, strain: float = 1e-9) ->
         (400, 1e4, 3, 1e-3, "chebyshev modes native"),
     ],
 )
-def test_which_engine_costs_least(grains, radians, samples, tolerance, order):
-    """Steps take their time by the radian, modes by the grain, the series by either."""
+def test_the_cheapest_engine(grains, radians, samples, tolerance, order):
+    """The cost of steps is per radian, of modes per grain, of the series per both."""
     scene = swinging(grains, radians, samples)
     costs = {
         name: engines.plain(name).propose(scene.reached, tolerance).cost_s
@@ -160,7 +160,7 @@ def test_which_engine_costs_least(grains, radians, samples, tolerance, order):
     assert sorted(costs, key=lambda name: costs[name]) == order.split()
 
 
-def test_engines_that_begin_later_than_native_ends_are_not_asked():
+def test_engines_that_start_too_late_are_not_asked():
     short = swinging(50, 30.0, 11)
     long = swinging(50, 1e4, 11)
     every = {proposal.engine: proposal for proposal in propose(short, 1e-3, every=True)}
@@ -177,7 +177,7 @@ def test_engines_that_begin_later_than_native_ends_are_not_asked():
     assert strong["modes"].why.endswith("linear theory leaves out up to 100 %")
     weaker = swinging(50, 100.0, 11, strain=1e-16)
     kept = [proposal.engine for proposal in propose(weaker, 3e-14) if proposal.kept]
-    assert kept == ["chebyshev"]  # steps leave more than that by rounding
+    assert kept == ["chebyshev"]  # Steps have a larger rounding error.
 
 
 # --- the plan
@@ -252,7 +252,7 @@ def test_engines_by_name():
         engine_for("natve")
 
 
-def test_a_record_says_what_was_asked():
+def test_a_record_states_the_request():
     made = Native().propose(SCENE, 1e-6)
     given = record(Native(step=1e-7), SCENE, made, 1e-6)
     assert given["tolerance"] == "none, for a step was given"
@@ -262,8 +262,8 @@ def test_a_record_says_what_was_asked():
     assert {"numba", "numpy", "lmpchain"} <= set(kept)
 
 
-def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
-    """The message states the neglected part, the expectation and the engine of the second run."""
+def test_linear_theory_with_a_large_model_error_is_replaced_by_eq_1():
+    """The message states the model error, the expectation and the engine of the second run."""
     attempt = Attempt(proposal(model=3e-7), 1e-6)
     good = ErrorBudget(0.0, 1e-12, 1.0, model=5e-7, model_bound=9e-7)
     assert fall_back(SCENE, attempt, good) is None
@@ -288,7 +288,7 @@ def test_linear_theory_that_left_out_too_much_gives_way_to_eq_1():
         fall_back(SCENE, attempt._replace(tolerance=1e-16), good)
 
 
-def test_best_effort_loosens_what_no_engine_can():
+def test_best_effort_loosens_an_unreachable_tolerance():
     attempt = choose(SCENE, None, 1e-16, True)
     assert 1e-16 < attempt.tolerance < 1e-12
     assert "round-off alone" in attempt.refusal
@@ -300,7 +300,7 @@ def test_best_effort_loosens_what_no_engine_can():
 
 
 class Answers:
-    """Answers that take so long.
+    """Results that take these times.
 
     A start, and a slowness times their work on the reference machine.
     """
@@ -314,7 +314,7 @@ class Answers:
         monkeypatch.setattr(calibration, "simulate", self.simulate)
 
     def simulate(self, scene, engine, tolerance):
-        """Spend the time; the first answers of a row take longer."""
+        """Spend the time; the first results of a row take longer."""
         self.count += 1
         start, slowness = cost_model.speed(engine.name, engine.start_up_s)
         work = (engine.propose(engine.part(scene), tolerance).cost_s - start) / slowness
@@ -322,8 +322,8 @@ class Answers:
         self.now += self.start + self.slowness * work + late
 
 
-def test_a_calibration_finds_start_and_slowness_of_every_engine(monkeypatch):
-    """From the shortest times of a small and a large answer.
+def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
+    """They follow from the shortest times of a small and a large solution.
 
     It is written with the name of the machine.
     """
@@ -347,7 +347,7 @@ def test_a_calibration_finds_start_and_slowness_of_every_engine(monkeypatch):
     )
 
 
-def test_a_clock_that_stands_still_calibrates_nothing_absurd(monkeypatch):
+def test_a_clock_that_stands_still_gives_plausible_speeds(monkeypatch):
     Answers(monkeypatch, 0.0, 0.0)
     calibration.calibrate()
     start, slowness = cost_model.speed("native", Native.start_up_s)
@@ -355,7 +355,7 @@ def test_a_clock_that_stands_still_calibrates_nothing_absurd(monkeypatch):
     assert 0 < slowness < 1e-3
 
 
-def test_a_plan_costs_what_this_machine_takes():
+def test_a_plan_uses_the_speed_of_this_machine():
     scene = Scene(
         chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-4
     )
@@ -368,7 +368,7 @@ def test_a_plan_costs_what_this_machine_takes():
     assert native.cost_s == pytest.approx(0.5 + 3 * (shipped_s - Native.start_up_s), rel=1e-9)
 
 
-def test_auto_gives_its_reason_in_the_record():
+def test_auto_records_its_reason():
     t = simulate(SCENE, tolerance=1e-3)
     assert t.provenance["plan"] == "native: solves Eq. (1), the cheapest within the tolerance"
     assert t.provenance["plan"] == f"native: {lmpchain.plan(SCENE, 1e-3).why}"

@@ -1,4 +1,4 @@
-"""Only what lmpchain wrote, known by its seal, is ever replaced or removed in a run folder."""
+"""Only sealed files of lmpchain are replaced or removed in a run folder."""
 
 import json
 import os
@@ -52,7 +52,7 @@ def run_into(folder: Path, scene: Path, *options: str) -> int:
 
 
 def refused(folder: Path, capsys: pytest.CaptureFixture[str], scene: Path, *options: str) -> str:
-    """Run into a folder, which must be refused and left as it is; return the line."""
+    """Run into a folder, which must be rejected and left unchanged; return the error line."""
     before = contents(folder)
     capsys.readouterr()
     assert run_into(folder, scene, *options) == 2
@@ -62,15 +62,15 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], scene: Path, *opti
     return line
 
 
-# --- folders of a user's own
+# --- folders of the user
 
 
 @pytest.mark.parametrize("order", ["{}", '{"rows": []}', "", "[1]", '{"sha256": "0"}', "[" * 99999])
 @pytest.mark.parametrize("options", [(), ("--force",)])
-def test_a_scene_beside_a_run_json_is_no_run(
+def test_a_scene_beside_a_run_json_is_not_a_run_folder(
     order: str, options: tuple, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """As `compare --json run.json` leaves it; figures and notes were deleted with it."""
+    """For example after `compare --json run.json`; other files were once deleted with it."""
     scene = write(SCENE, tmp_path)
     scene = scene.rename(tmp_path / "scene.toml")
     (tmp_path / "run.json").write_text(order)
@@ -117,7 +117,7 @@ def test_a_link_is_not_followed(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "status.json" in refused(tmp_path / "run", capsys, scene)
 
 
-# --- run folders with other things in them
+# --- run folders with other files
 
 
 @pytest.mark.parametrize(
@@ -133,7 +133,7 @@ def test_a_link_is_not_followed(tmp_path: Path, capsys: pytest.CaptureFixture[st
         "pictures/front.png",
     ],
 )
-def test_what_lies_beside_a_run_is_kept(
+def test_files_beside_a_run_are_preserved(
     name: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     scene = write(SCENE, tmp_path)
@@ -143,7 +143,7 @@ def test_what_lies_beside_a_run_is_kept(
     line = refused(folder, capsys, scene, "--force")
     assert name in line
     assert "move" in line
-    # a run goes on beside them
+    # A run continues beside them.
     assert (resume(folder).velocity[:] == Trajectory.load(finished).velocity[:]).all()
 
 
@@ -159,7 +159,7 @@ def test_what_lies_beside_a_run_is_kept(
         (".lock", lambda _: "mine"),
     ],
 )
-def test_what_was_changed_is_kept(
+def test_changed_files_are_preserved(
     name: str,
     change: Callable[[str], str],
     finished: Path,
@@ -173,7 +173,7 @@ def test_what_was_changed_is_kept(
 
 
 @pytest.mark.parametrize("stop", [True, False])
-def test_the_deck_of_a_run_is_the_users_once_it_is_edited(
+def test_an_edited_deck_of_a_run_belongs_to_the_user(
     stop: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     folder = tmp_path / "run"
@@ -190,10 +190,10 @@ def test_the_deck_of_a_run_is_the_users_once_it_is_edited(
     assert "deck/in.column" in refused(folder, capsys, write(SCENE, tmp_path), "--force")
 
 
-def test_by_force_the_run_goes_and_the_folder_stays(finished: Path, tmp_path: Path):
+def test_force_removes_the_run_and_keeps_the_folder(finished: Path, tmp_path: Path):
     scene = write(SCENE, tmp_path)
     folder = shutil.copytree(finished, tmp_path / "run")
-    # half written by killed processes
+    # Unfinished files of killed processes.
     (folder / ".status.node-1-01234567.partial.json").touch()
     (folder / "trajectory.zarr" / "time" / "c" / f"0.{'a' * 32}.partial").touch()
     number = folder.stat().st_ino
@@ -206,7 +206,7 @@ def test_by_force_the_run_goes_and_the_folder_stays(finished: Path, tmp_path: Pa
     assert {"scene.toml", "run.json", "trajectory.zarr/velocity/zarr.json"} < set(listed)
 
 
-def test_the_sums_list_what_is_lmpchains(tmp_path: Path):
+def test_the_sums_list_the_files_of_lmpchain(tmp_path: Path):
     folder = tmp_path / "run"
     with pytest.raises(Stopped):
         simulate(SCENE, "native", folder=folder, max_wall=1e-9)
@@ -215,10 +215,10 @@ def test_the_sums_list_what_is_lmpchains(tmp_path: Path):
     assert "notes.md" not in (folder / "SHA256SUMS").read_text()
 
 
-def test_an_empty_folder_stays_where_a_run_is_refused_at_last(
+def test_an_empty_folder_is_kept_if_a_run_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """The folder was there before, and is no part of the run."""
+    """The folder existed before, and is not part of the run."""
 
     def refuse(*_: object) -> None:
         raise InputError.at("scene", "is refused late")
@@ -232,11 +232,11 @@ def test_an_empty_folder_stays_where_a_run_is_refused_at_last(
     assert os.listdir(tmp_path / "old") == []
 
 
-# --- names that no folder can bear
+# --- invalid names of folders
 
 
 @pytest.mark.parametrize("name", [3, 1.5, None, True, b"run", ["run"], "", "a" * 300, "a\0b"])
-def test_names_that_no_folder_can_bear(name: object, tmp_path: Path, monkeypatch):
+def test_invalid_names_of_folders(name: object, tmp_path: Path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     calls: list[Callable] = [resume, status]
     if name is not None:

@@ -1,4 +1,4 @@
-"""What `simulate`, `resume` and `simulate_many` say and keep.
+"""Messages and files of `simulate`, `resume` and `simulate_many`.
 
 Warnings, files of a folder, costs of a batch.
 """
@@ -48,7 +48,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=6e-5, sam
 
 @pytest.fixture
 def small_blocks(monkeypatch):
-    """Have four samples in a block."""
+    """Make blocks of four samples."""
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
@@ -58,11 +58,11 @@ def stopped(folder, scene=SCENE, engine="native", tolerance=1e-6):
     return str(stop.value)
 
 
-# --- what is said
+# --- messages
 
 
 @pytest.mark.parametrize("velocity", [3e-5, 1e-2])
-def test_a_warning_says_how_much_the_equation_leaves_out(velocity):
+def test_a_warning_states_the_model_error(velocity):
     scene = SCENE.replace(excitation=Impulse(velocity=velocity))
     with pytest.warns(UserWarning, match=r"^Eq\. \(3\)") as said:
         t = simulate(scene, "chebyshev", 1e-3)
@@ -78,13 +78,13 @@ def test_a_warning_says_how_much_the_equation_leaves_out(velocity):
         assert words.endswith("opens")
 
 
-def test_no_warning_where_the_equation_is_within_the_tolerance():
+def test_no_warning_for_a_model_error_within_the_tolerance():
     with warnings.catch_warnings(action="error"):
         t = simulate(SCENE.replace(excitation=Impulse(velocity=1e-9)), "chebyshev", 1e-3)
     assert 0 < t.error_estimate.model < 1e-3
 
 
-def test_a_missed_tolerance_comes_with_the_trajectory():
+def test_a_missed_tolerance_contains_the_trajectory():
     chain = Chain(grains=12, diameter=1e-3)
     chaotic = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=5)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
@@ -99,11 +99,11 @@ def test_a_missed_tolerance_comes_with_the_trajectory():
     assert best.error_estimate.total < 1e-11
 
 
-def test_options_that_are_refused():
+def test_invalid_options():
     for wrong in ("ignore", None, 3):
         with pytest.raises(InputError, match='on_miss: must be "raise" or "warn"'):
             simulate(SCENE, on_miss=wrong)
-    with pytest.raises(InputError, match="max_wall: goes with a run folder"):
+    with pytest.raises(InputError, match="max_wall: requires a run folder"):
         simulate(SCENE, max_wall=1.0)
     for wall in (0, -1.0, "1"):
         with pytest.raises(InputError, match="max_wall: must be a time above 0 s"):
@@ -114,7 +114,7 @@ def test_options_that_are_refused():
         simulate(SCENE, tolerance=1.0)
 
 
-def test_an_answer_that_does_not_fit_into_memory_says_how_large_it_is(monkeypatch):
+def test_a_result_larger_than_memory_states_its_size(monkeypatch):
     def full(*_):
         raise MemoryError
 
@@ -124,15 +124,15 @@ def test_an_answer_that_does_not_fit_into_memory_says_how_large_it_is(monkeypatc
         simulate(scene, "native")
 
 
-def test_a_run_that_needs_more_memory_than_there_is_does_not_begin(monkeypatch):
+def test_a_run_that_exceeds_the_memory_does_not_start(monkeypatch):
     monkeypatch.setattr(api, "free_memory", lambda: 1e3)
     monkeypatch.setattr(api, "LARGE_BYTES", 0)
     with pytest.raises(InputError, match="do not fit into 1e-06 GB of free memory: record fewer"):
         simulate(SCENE, "native")
 
 
-def test_columns_out_of_reach_are_zeros_that_take_no_memory():
-    """Where fewer than half of many columns are written, in pages that are made when they are."""
+def test_columns_beyond_the_wave_take_no_memory():
+    """The condition is that fewer than half of many columns are written."""
     wide, narrow = api._zeros((5, 10_000), 100), api._zeros((5, 100), 10)
     assert wide.shape == (5, 10_000)
     assert narrow.shape == (5, 100)
@@ -144,7 +144,7 @@ def test_columns_out_of_reach_are_zeros_that_take_no_memory():
     assert wide.sum() == 5
 
 
-def test_the_progress_bar_says_how_far_it_is_and_how_good(monkeypatch, small_blocks):
+def test_the_progress_bar_shows_progress_and_error(monkeypatch, small_blocks):
     class Bar(progress.ProgressBar):
         reached, remarks, made = [], [], []
 
@@ -175,7 +175,7 @@ def test_the_progress_bar_says_how_far_it_is_and_how_good(monkeypatch, small_blo
 # --- run folders
 
 
-def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
+def test_the_status_of_a_stopped_run(tmp_path, small_blocks):
     folder = tmp_path / "run"
     words = stopped(folder)
     kept = status(folder)
@@ -208,8 +208,8 @@ def test_the_status_of_a_run_that_was_stopped(tmp_path, small_blocks):
     assert t.cost.steps == simulate(SCENE, "native", 1e-6).cost.steps
 
 
-def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
-    """None tells of the attempt before, whose samples are gone.
+def test_both_checkpoints_belong_to_a_new_attempt(tmp_path, small_blocks):
+    """No checkpoint of the previous attempt remains, because its samples are removed.
 
     After a second fault the right one goes on.
     """
@@ -230,7 +230,7 @@ def test_both_checkpoints_of_a_new_attempt_are_of_it(tmp_path, small_blocks):
     assert t.cost.steps == simulate(scene, engine, 1e-5).cost.steps
 
 
-def test_checkpoints_come_and_go(tmp_path):
+def test_checkpoints_are_replaced_and_removed(tmp_path):
     assert list(load_checkpoints(tmp_path)) == []
     for number in range(3):
         save_checkpoint(tmp_path, {"number": number}, {"x": np.arange(number)})
@@ -242,11 +242,11 @@ def test_checkpoints_come_and_go(tmp_path):
     newest, before = load_checkpoints(tmp_path)
     assert newest is None
     assert before[0] == {"number": 1}
-    assert not (tmp_path / "checkpoint").exists()  # a damaged one is removed
+    assert not (tmp_path / "checkpoint").exists()  # A damaged checkpoint is removed.
 
 
-def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
-    """At most one a second, and so that they take a hundredth of the time.
+def test_the_interval_of_checkpoints(tmp_path, monkeypatch, small_blocks):
+    """The interval is at least a second, and checkpoints take a hundredth of the time.
 
     By a clock that this test sets.
     """
@@ -275,34 +275,34 @@ def test_how_often_checkpoints_are_made(tmp_path, monkeypatch, small_blocks):
     monkeypatch.setattr(run_folder.store.Writer, "put", put)
     simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
     moments = [moment for moment, _ in saved]
-    # two at the beginning, then a second
+    # There are two at the beginning, and the next one after a second.
     assert moments[0] == pytest.approx(2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9)
-    # saving took 0.05 s, so that the next one is 5 s later
+    # Saving took 0.05 s, so that the next one is 5 s later.
     assert moments[1] - moments[0] == pytest.approx(5.05, abs=0.51)
     assert status(tmp_path / "run")["wall_s"] == pytest.approx(now[0], rel=1e-9)
 
 
-def test_a_folder_that_another_process_uses_is_left_alone(tmp_path, small_blocks, monkeypatch):
+def test_a_folder_used_by_another_process_is_left_unchanged(tmp_path, small_blocks, monkeypatch):
     folder = tmp_path / "run"
     stopped(folder)
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(lock_s=0.0))
     with FileLock(folder / ".lock"):
-        with pytest.raises(InputError, match="another process is at work here"):
+        with pytest.raises(InputError, match="another process is running here"):
             resume(folder)
-        with pytest.raises(InputError, match="another process is at work here"):
+        with pytest.raises(InputError, match="another process is running here"):
             remove(folder)
     remove(folder)
     assert list(folder.iterdir()) == []
 
 
-def test_a_run_that_was_killed_says_so(tmp_path, small_blocks):
-    """Its status says "running", but nobody holds the lock."""
+def test_a_killed_run_has_the_status_killed(tmp_path, small_blocks):
+    """Its file says "running", but no process has the lock."""
     folder = tmp_path / "run"
     stopped(folder)
     file = folder / "status.json"
     file.write_text(json.dumps(json.loads(file.read_text()) | {"state": "running", "reason": ""}))
     assert (status(folder)["state"], status(folder)["reason"]) == (
-        "killed", "the process that was at work was killed",
+        "killed", "the process of the run was killed",
     )  # fmt: skip
     with FileLock(folder / ".lock"):
         assert status(folder)["state"] == "running"
@@ -316,7 +316,7 @@ def test_a_run_that_was_killed_says_so(tmp_path, small_blocks):
             status(folder)
 
 
-def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks):
+def test_a_failure_is_recorded_with_its_reason(tmp_path, monkeypatch, small_blocks):
     honest = run_folder.store.Writer.put
     puts = []
 
@@ -332,8 +332,8 @@ def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks)
     done = puts[1].stop
     assert str(failed.value) == (
         f"{tmp_path}/run/x: cannot be written: No space left on device; {done} of 61 samples were "
-        "done and most are "
-        f"kept; when that is put right, lmpchain resume {tmp_path}/run goes on"
+        f"computed and most are kept; remove the cause, then continue with "
+        f"lmpchain resume {tmp_path}/run"
     )
     assert status(tmp_path / "run")["state"] == "failed"
     assert "No space left" in status(tmp_path / "run")["reason"]
@@ -343,7 +343,7 @@ def test_a_failure_is_noted_with_its_reason(tmp_path, monkeypatch, small_blocks)
     )
 
 
-def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
+def test_a_checkpoint_of_another_version_is_rejected(tmp_path, small_blocks):
     folder = tmp_path / "run"
     stopped(folder)
     kept, state = next(load_checkpoints(folder))
@@ -371,8 +371,10 @@ def test_a_checkpoint_of_another_version_is_refused(tmp_path, small_blocks):
     assert resume(folder).time.size == 61
 
 
-def test_a_checkpoint_without_a_record_of_steps_goes_on_with_the_same_bits(tmp_path, small_blocks):
-    """Earlier versions wrote the fields of the steps beside the others, and diameters as text."""
+def test_a_checkpoint_without_a_record_of_steps_continues_with_the_same_bits(
+    tmp_path, small_blocks
+):
+    """Earlier versions stored the fields of the steps beside the others, and diameters as text."""
     folder = tmp_path / "run"
     stopped(folder)
     kept, state = next(load_checkpoints(folder))
@@ -400,13 +402,13 @@ def test_a_checkpoint_without_a_record_of_steps_goes_on_with_the_same_bits(tmp_p
     assert np.array_equal(resume(folder).velocity, simulate(SCENE, "native", 1e-6).velocity)
 
 
-def test_a_finished_run_that_missed_tells_it_again(tmp_path):
+def test_a_finished_run_with_a_missed_tolerance_repeats_the_error(tmp_path):
     with pytest.warns(UserWarning, match="round-off alone"):
         simulate(SCENE, "native", 1e-16, folder=tmp_path / "run", on_miss="warn")
     kept = status(tmp_path / "run")
     assert kept["best_effort"] is True
     assert "round-off alone" in kept["reason"]
-    assert resume(tmp_path / "run").time.size == 61  # it was asked for as well as can be
+    assert resume(tmp_path / "run").time.size == 61  # The best possible result was requested.
 
 
 def test_names_of_folders():
@@ -414,8 +416,8 @@ def test_names_of_folders():
     assert resume_command("run") == "lmpchain resume run"
 
 
-def test_what_a_new_folder_may_hold(tmp_path):
-    """What a run leaves that was killed as it began, and nothing else."""
+def test_allowed_contents_of_a_new_folder(tmp_path):
+    """Only files of a run that was killed at its start are allowed."""
     for name in ("status.json", "run.json"):
         (tmp_path / name).write_text(sealed_json({"state": "running"}))
     (tmp_path / ".lock").touch()
@@ -429,7 +431,7 @@ def test_what_a_new_folder_may_hold(tmp_path):
     assert check_new(tmp_path / "new") == tmp_path / "new"
 
 
-def test_a_task_that_was_changed_is_noticed(tmp_path, small_blocks):
+def test_a_changed_task_is_detected(tmp_path, small_blocks):
     folder = tmp_path / "run"
     stopped(folder)
     file = folder / "run.json"
@@ -443,19 +445,19 @@ def test_a_task_that_was_changed_is_noticed(tmp_path, small_blocks):
         {"options": asked["options"] | {"threads": 2}},
     ):
         file.write_text(json.dumps(asked | changed))
-        with pytest.raises(InputError, match="they are not those that the run began with"):
+        with pytest.raises(InputError, match="they differ from those at the start of the run"):
             resume(folder)
     scene = (folder / "scene.toml").read_text()
     file.write_text(json.dumps(asked))
     (folder / "scene.toml").write_text(scene.replace("samples = 61", "samples = 62"))
-    with pytest.raises(InputError, match="they are not those that the run began with"):
+    with pytest.raises(InputError, match="they differ from those at the start of the run"):
         resume(folder)
     (folder / "scene.toml").write_text(scene)
     assert resume(folder).time.size == 61
     assert len(json.loads(file.read_text())["sessions"]) == 2
 
 
-def test_engines_of_the_user_have_no_run_folder(tmp_path):
+def test_engines_of_the_user_cannot_use_a_run_folder(tmp_path):
     class Mine(Native):
         name = "mine"
 
@@ -468,7 +470,7 @@ def test_engines_of_the_user_have_no_run_folder(tmp_path):
 # --- signals
 
 
-def test_a_signal_is_noted_and_passed_on():
+def test_a_signal_is_recorded_and_passed_on():
     heard = []
     before = signal.signal(signal.SIGTERM, lambda number, _: heard.append(number))
     try:
@@ -488,11 +490,11 @@ def test_a_signal_is_noted_and_passed_on():
         signal.signal(signal.SIGTERM, before)
 
 
-# --- many
+# --- many scenes
 
 
-def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
-    """Times of the runs of a batch by its size, including earlier attempts.
+def test_the_cost_of_a_batch_is_divided(monkeypatch):
+    """The times of a batch, including earlier attempts, are divided by its size.
 
     Counts are of the batch.
     """
@@ -530,7 +532,7 @@ def test_the_costs_of_a_batch_are_shared_out(monkeypatch):
         assert following.number == 2
 
 
-def test_batches_are_no_larger_than_a_cache():
+def test_batches_fit_into_the_cache():
     wide = SCENE.replace(samples=2**11 // 12 * 8)
     size = many.BATCH_NUMBERS // (wide.samples * 12)
     scenes = dict(enumerate([wide] * (2 * size + 1)))
@@ -542,8 +544,8 @@ def test_batches_are_no_larger_than_a_cache():
     assert list(many._split({0: huge, 1: huge}, [[0, 1]])) == [[0], [1]]
 
 
-def test_scenes_that_are_cut_to_the_light_cone_go_alone():
-    """Where fewer than half of the grains are reached, a batch would compute more."""
+def test_scenes_with_a_narrow_light_cone_are_solved_alone():
+    """If fewer than half of the grains are reached, a batch would compute more."""
     long = SCENE.replace(chain=CHAIN.replace(grains=400), duration=1e-5)
     reached = long.reached.chain.grains
     assert 2 * reached < 400
@@ -553,7 +555,7 @@ def test_scenes_that_are_cut_to_the_light_cone_go_alone():
     assert dict(many.in_batches(engines.Modes(), {0: SCENE}, 1e-6)) == {}
 
 
-def test_an_engine_is_made_again_from_its_options():
+def test_an_engine_is_recreated_from_its_options():
     for engine in ("native", "modes"):
         one = engine_for(engine)
         assert engine_for(one.name, **one.options()).options() == one.options()

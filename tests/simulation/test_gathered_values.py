@@ -1,4 +1,4 @@
-"""Gathered peaks, arrivals and forces of chains of springs, whose motion is exact."""
+"""Accumulated peaks, arrivals and forces of chains of springs with exact motion."""
 
 from itertools import product
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 
 
 def springs(seed: int, samples: int = 3) -> Scene:
-    """Return three unlike grains on springs between walls, moved in any way, that never let go."""
+    """Return three unequal grains on closed springs between walls, moved in any way."""
     rng = np.random.default_rng(seed)
     chain = Chain(
         grains=3, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall",
@@ -47,7 +47,7 @@ def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
-    """Return when the displacement (0) or velocity (1) of a grain is largest, and how large."""
+    """Return time and size of the largest displacement (0) or velocity (1) of a grain."""
 
     def values(t):
         return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])
@@ -74,7 +74,7 @@ def forces(scene: Scene, contact: int, times: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("engine", "seed"), thinned(product(["native", "modes"], range(6)), 2))
-def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
+def test_accumulated_quantities_are_right_within_their_errors(engine, seed):
     scene = springs(seed)
     gathered = simulate(scene, engine, 1e-9).gathered
     speed = 1e-3
@@ -116,8 +116,8 @@ def test_what_is_gathered_is_the_truth_within_its_error(engine, seed):
 
 
 @pytest.mark.parametrize("steps", [24, 40])
-def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
-    """Of an answer at long steps.
+def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
+    """The run has long steps.
 
     Of each motion its own, of a force that of the two grains whose distance makes it.
     """
@@ -162,8 +162,8 @@ def test_errors_of_what_is_gathered_hold_those_of_the_run(steps):
             assert off <= gathered["arrival_time_error"][grain]
 
 
-def test_a_front_that_may_be_another_one_says_so():
-    """Two maxima, the first all but half of the second.
+def test_an_ambiguous_front_has_a_large_error():
+    """Of two maxima, the first is almost half of the second.
 
     Its time is off by their distance, if values are off.
     """
@@ -216,7 +216,7 @@ def test_grains_that_start_fastest_or_never_move_have_no_arrival():
         quantities=["arrival_time", "peak_velocity"],
     )  # fmt: skip
     gathered = simulate(scene, "native", 1e-8).gathered
-    assert np.isnan(gathered["arrival_time"][0])  # it is struck
+    assert np.isnan(gathered["arrival_time"][0])  # This grain is struck.
     assert np.isnan(gathered["arrival_time"][-1])
     assert gathered["arrival_time"][1] > 0
     assert gathered["peak_velocity"][0] == pytest.approx(1e-4, rel=1e-7)
@@ -224,7 +224,7 @@ def test_grains_that_start_fastest_or_never_move_have_no_arrival():
     assert gathered["peak_velocity"][-1] == 0
 
 
-def test_only_what_is_asked_for_is_gathered():
+def test_only_requested_quantities_are_accumulated():
     scene = springs(1)
     for name in ASKED:
         gathered = simulate(scene.replace(quantities=[name]), "modes", 0.9).gathered
@@ -233,7 +233,7 @@ def test_only_what_is_asked_for_is_gathered():
 
 
 def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
-    """Linear engines gather the linear force, the native one Hertz's.
+    """Linear engines accumulate the linear force, the native engine Hertz's force.
 
     They agree where the wave is weak.
     """
@@ -260,7 +260,7 @@ def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
     )
 
 
-def test_a_run_that_gathers_hands_on_the_samples_and_keeps_its_state():
+def test_an_accumulating_run_passes_samples_on_and_keeps_its_state():
     scene = springs(2, samples=4)
     engine = engines.plain("modes")
     part = engine.part(scene)

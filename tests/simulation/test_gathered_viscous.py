@@ -1,6 +1,4 @@
-"""Gathered forces of viscous contacts against Taylor series at times so close that a parabola
-through three of them has the peak.
-"""
+"""Accumulated forces of viscous contacts against dense Taylor series."""
 
 import numpy as np
 import pytest
@@ -54,7 +52,7 @@ def peak(force: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_forces_of_viscous_contacts_are_the_truth_within_their_errors(name: str):
+def test_forces_of_viscous_contacts_are_right_within_their_errors(name: str):
     scene = SCENES[name]
     numbers = [0, 3] if name == "driven wall" else [1, 6]
     asked = [f"{kind}:{number}" for kind in ("peak_force", "force") for number in numbers]
@@ -66,7 +64,7 @@ def test_forces_of_viscous_contacts_are_the_truth_within_their_errors(name: str)
         top = peak(forces(scene, number, 20_001))
         found = gathered[f"peak_force:{number}"]
         error = gathered[f"peak_force:{number}_error"]
-        # Force added by the wave; where no wave arrives it is a rounding error.
+        # The force added by the wave; without a wave it is a rounding error.
         added = top - scene.chain.contacts.force[number]
         assert abs(found - top) <= error + 1e-12 * top
         assert error <= 1e-4 * added + 1e-10 * top
@@ -88,7 +86,7 @@ def test_blocks_of_any_size_and_resumed_runs_give_the_same_bits(size: int):
         np.testing.assert_array_equal(pieces.results(1e-8)[name], values)
 
 
-def test_sweeps_keep_the_largest_force_on_a_wall(tmp_path):
+def test_sweeps_store_the_largest_force_on_a_wall(tmp_path):
     results = sweep(
         {
             "keep": ["wall_force", "peak_force:3"],

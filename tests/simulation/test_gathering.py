@@ -1,4 +1,4 @@
-"""Quantities gathered all along a run.
+"""Quantities accumulated during a run.
 
 Two samples are enough for peaks, arrivals and forces at full resolution.
 """
@@ -39,7 +39,7 @@ from lmpchain.stability.step_limit import blow_up
 
 OF_GRAINS = ["peak_velocity", "peak_displacement", "arrival_time"]
 ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
-# grain 2 is fixed: an oscillator
+# Grain 2 is fixed, which makes an oscillator.
 PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 COLUMN = Chain(grains=30, diameter=1e-3)
@@ -50,13 +50,13 @@ WEAK = STRUCK.replace(excitation=Impulse(velocity=1e-8))
 
 
 def off(gathered: dict, name: str, truth: np.ndarray | float) -> np.ndarray:
-    """Return the true error of what was gathered over the one that is claimed."""
+    """Return the ratio of true to stated error of accumulated quantities."""
     return np.abs(gathered[name] - truth) / gathered[f"{name}_error"]
 
 
 @pytest.mark.parametrize("engine", ["native", "modes", "chebyshev", "lammps"])
 def test_an_oscillator_whose_samples_are_nodes(engine: str):
-    """All is known exactly, and no sample shows it."""
+    """All quantities are known exactly, and no sample shows them."""
     length = 1e-9
     scene = Scene(
         chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA,
@@ -102,7 +102,7 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
 
 @pytest.mark.parametrize("engine", ["native", "modes"])
 def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
-    """v = F/2m t sin(omega t).
+    """The motion is v = F/2m t sin(omega t).
 
     The first maximum that is half of the largest is one of some hundred.
     """
@@ -156,7 +156,7 @@ def test_a_struck_column_as_in_an_independent_integration(engine: str):
 @pytest.mark.parametrize(
     ("engine", "scene"), [("native", STRUCK), ("modes", WEAK), ("chebyshev", WEAK)]
 )
-def test_two_samples_tell_as_much_as_20001(engine: str, scene: Scene):
+def test_two_samples_give_the_same_as_20001(engine: str, scene: Scene):
     few = simulate(scene, engine, 1e-9).gathered
     many = simulate(scene.replace(samples=20001, quantities=None), engine, 1e-9)
     motion = motion_of(many)
@@ -196,8 +196,8 @@ ACTING = {
         for what in ACTING
     ],
 )
-def test_what_acts_on_a_chain_has_its_part(what: str):
-    """Grain 1 or a wall that is moved, a grain that is pushed.
+def test_accumulated_quantities_of_forced_chains(what: str):
+    """Grain 1 or a wall is driven, or a grain is pushed.
 
     Their contacts and neighbours, too.
     """
@@ -210,7 +210,7 @@ def test_what_acts_on_a_chain_has_its_part(what: str):
     u, v, own = extended_reference(
         Scene(**scene.given() | {"samples": 20 * (scene.fine.samples - 1) + 1})
     )
-    missed = 8e-5  # of a peak between two of these samples
+    missed = 8e-5  # Relative error of a peak between two of these samples.
     for name, x in (("peak_velocity", v), ("peak_displacement", u)):
         most = np.abs(x).max(axis=0)
         error = found[f"{name}_error"] + own * np.abs(x).max()
@@ -231,7 +231,7 @@ def test_what_acts_on_a_chain_has_its_part(what: str):
     "engine", ["native", "modes", "chebyshev", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 @pytest.mark.filterwarnings("ignore:Eq. ")
-def test_stopped_after_every_block_it_gathers_the_same_bits(
+def test_interruptions_after_every_block_do_not_change_the_bits(
     engine: str, tmp_path: Path, monkeypatch
 ):
     scene = WEAK if engine in ("modes", "chebyshev") else STRUCK
@@ -250,7 +250,7 @@ def test_stopped_after_every_block_it_gathers_the_same_bits(
             break
         except Stopped:
             stops += 1
-            assert status(tmp_path / "run")["samples_done"] == 1  # it stands between two samples
+            assert status(tmp_path / "run")["samples_done"] == 1  # The run is between two samples.
     assert stops == 2
     assert found.gathered.keys() == whole.gathered.keys()
     for name, values in whole.gathered.items():
@@ -258,7 +258,7 @@ def test_stopped_after_every_block_it_gathers_the_same_bits(
     assert np.array_equal(np.asarray(found.velocity), whole.velocity)
 
 
-def test_it_is_kept_in_files(tmp_path: Path):
+def test_accumulated_quantities_are_stored_in_files(tmp_path: Path):
     t = simulate(STRUCK, "native", folder=tmp_path / "run")
     t.save(tmp_path / "run.nc")
     again = Trajectory.load(tmp_path / "run.nc")
@@ -278,7 +278,7 @@ def test_it_is_kept_in_files(tmp_path: Path):
 
 
 def test_recorded_grains_and_the_light_cone():
-    """Of a long chain only what the wave can reach is computed; the rest is at rest."""
+    """Only the grains that the wave can reach are computed; all others are at rest."""
     chain = COLUMN.replace(grains=400)
     whole = STRUCK.replace(chain=chain)
     some = STRUCK.replace(
@@ -295,7 +295,7 @@ def test_recorded_grains_and_the_light_cone():
     assert few.gathered["peak_force:4"] == every.gathered["peak_force:4"]
 
 
-def test_a_batch_gathers_what_each_of_its_scenes_does():
+def test_a_batch_accumulates_like_single_runs():
     scenes = [STRUCK.replace(excitation=Impulse(velocity=v)) for v in (1e-6, 8e-6, 9e-6)]
     for one, scene in zip(simulate_many(scenes, 1e-8), scenes, strict=True):
         alone = simulate(scene, "native", 1e-8).gathered
@@ -308,8 +308,8 @@ def test_a_batch_gathers_what_each_of_its_scenes_does():
             assert (apart <= errors[known]).all()
 
 
-def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone():
-    """Of 200 grains the wave reaches 111 around the one that is struck."""
+def test_a_batch_accumulates_in_the_whole_chain():
+    """Of 200 grains the wave reaches 111 around the struck grain."""
     chain = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=0.05, top="wall", bottom="wall")
     struck = [Impulse(velocity=velocity, grain=100) for velocity in (1e-5, 2e-5)]
     asked = {"duration": 4e-5, "samples": 41, "quantities": ["peak_velocity"]}
@@ -324,20 +324,20 @@ def test_a_batch_gathers_in_the_whole_where_a_run_alone_is_cut_to_the_light_cone
         )
 
 
-def test_it_is_refused_in_one_line():
+def test_invalid_requests_are_rejected_in_one_line():
     chain = Chain(grains=200, diameter=1e-3)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"]
     )
     for name in ("bessel", "continuum"):
         with pytest.raises(
-            InputError, match=f"quantities: {name} solves no equation of motion .* use native"
+            InputError, match=f"quantities: {name} computes no accelerations .* use native"
         ):
             simulate(scene, name)
 
 
-def test_studies_of_methods_gather_nothing():
-    """Their steps are between samples."""
+def test_studies_of_methods_accumulate_nothing():
+    """The steps of these studies are between samples."""
     plain = WEAK.ungathered
     assert plain.quantities == ()
     assert WEAK.fine.samples > plain.fine.samples == 2
@@ -347,7 +347,7 @@ def test_studies_of_methods_gather_nothing():
     assert np.array_equal(one.velocity, other.velocity)
 
 
-def test_auto_gathers_too():
+def test_auto_accumulates_quantities():
     hardly = Impulse(velocity=1e-16)
     long = WEAK.replace(excitation=hardly, duration=30 * WEAK.duration)
     t = simulate(long, tolerance=1e-9)
@@ -367,14 +367,14 @@ def test_auto_gathers_too():
         ("peak_velocity", "must be a list of names"),
     ],
 )
-def test_what_cannot_be_gathered(asked, says: str):
+def test_unsupported_quantities(asked, says: str):
     with pytest.raises(InputError, match=f"quantities: {says}"):
         STRUCK.replace(quantities=asked)
 
 
 @pytest.mark.slow
-def test_it_takes_the_memory_of_its_results():
-    """All samples would take a gigabyte."""
+def test_accumulation_needs_the_memory_of_its_results():
+    """All samples together would take a gigabyte."""
     size = 50_000
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
     velocity = np.append(1e-3 * np.random.default_rng(1).normal(size=size - 1), 0.0)

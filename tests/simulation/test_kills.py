@@ -1,4 +1,4 @@
-"""Whatever part of a run is killed, at any moment, it goes on and ends with the same bits."""
+"""After a kill of any part at any moment, a run continues and ends with the same bits."""
 
 import itertools
 import json
@@ -62,23 +62,23 @@ SMALL = Scene(
     samples=9,
 )
 
-# --- every moment of the disk
+# --- kills at every change of the disk
 
 
 def native(_: pytest.MonkeyPatch):
-    """Several attempts, each at a shorter step."""
+    """Return several attempts with decreasing steps."""
     return SHORT, engines.Native(adaptive=False), 1e-4
 
 
 def lammps(monkeypatch: pytest.MonkeyPatch):
-    """An attempt with the physical diameter, by too hopeful a law, and one with the gauge."""
+    """Return an attempt with the physical diameter by an optimistic law, and one with the gauge."""
     heights = lammps_engine.HEIGHTS._replace(rounding=1e-6)
     monkeypatch.setattr(lammps_engine, "HEIGHTS", heights)
     return paper("weak", 13), engines.Lammps(), 1e-6
 
 
 def breakdown(monkeypatch: pytest.MonkeyPatch):
-    """A first attempt with steps that are far too long, so that it breaks down."""
+    """Return a first attempt with far too long steps, so that it breaks down."""
     honest = time_stepping.TimeSteppingEngine.propose
 
     def choose(*arguments):
@@ -92,13 +92,13 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
 
 
 def by_formula(monkeypatch: pytest.MonkeyPatch):
-    """A contact law by formula, with a kink."""
+    """Return a scene with a contact law by formula that has a kink."""
     chain = SMALL.chain.replace(law=laws.bilinear(0.3, k=1e5))
     return SMALL.replace(chain=chain), engines.Native("rkn4"), 1e-6
 
 
 def fallback(monkeypatch: pytest.MonkeyPatch):
-    """An attempt of "auto" with linear theory, which turns out to leave out too much."""
+    """Return an attempt of "auto" with linear theory, whose model error proves too large."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
@@ -113,7 +113,7 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
 
 @pytest.fixture
 def busy_disk(monkeypatch: pytest.MonkeyPatch):
-    """Have a checkpoint after every four samples, and do not wait for the disk."""
+    """Save a checkpoint after every four samples, without waiting for the disk."""
     monkeypatch.setattr(files, "_to_disk", lambda _: None)
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     intervals = run_folder.INTERVALS._replace(checkpoint_s=0.0, checkpoint_share=1e9)
@@ -133,7 +133,7 @@ EVERY = [
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize(("case", "most"), EVERY)
 @pytest.mark.slow
-def test_a_kill_at_any_change_of_the_disk(
+def test_a_kill_at_any_change_of_the_disk_is_recovered(
     case: Callable, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, busy_disk: None
 ):
     scene, engine, tolerance = case(monkeypatch)
@@ -148,12 +148,12 @@ def test_a_kill_at_any_change_of_the_disk(
     begun = [folder for folder in left if (folder / "scene.toml").exists()]
     assert len(begun) > most / 2
     for folder in begun:
-        # the next session is killed, too
+        # The next session is killed as well.
         if status(folder)["state"] == "killed" and rng.random() < 0.5:
             again = kill_moments(
                 folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}"
             )
-            # there is no copy of a moment at which another thread moved a file
+            # There is no copy from a moment at which another thread moved a file.
             folder = rng.choice(again)
         answer = resume(folder)
         assert same(answer, right), folder
@@ -170,10 +170,10 @@ def names(folder: Path) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", [0, 1, "mpiexec"])
-def test_a_killed_rank_is_no_step_that_is_too_long(
+def test_a_killed_rank_does_not_shorten_the_step(
     victim: int | str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """Whichever process of the ranks goes, an attempt at a step that was chosen goes on."""
+    """Whichever rank dies, an attempt with a given step continues."""
     scene = SMALL
     engine = engines.Lammps("kahan-li6", ranks=2)
     right = simulate(scene, engines.Lammps("kahan-li6"), 1e-4)
@@ -190,9 +190,7 @@ def test_a_killed_rank_is_no_step_that_is_too_long(
 
     monkeypatch.setattr(SubprocessRanks, "ask", ask)
     left[0] = rng.randint(1, 5)
-    with pytest.raises(
-        EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume .* goes on"
-    ):
+    with pytest.raises(EngineUnavailable, match=r"a rank of LAMMPS died.*lmpchain resume"):
         simulate(scene, engine, 1e-4, folder=tmp_path / "run")
     said = status(tmp_path / "run")
     assert (said["state"], said["attempt"]) == ("failed", 1)
@@ -207,7 +205,7 @@ def test_a_killed_rank_is_no_step_that_is_too_long(
 
 
 def alive(pid: int) -> bool:
-    """Say whether a process is there, and more than the entry of one that has ended."""
+    """Return whether a process exists and is not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
@@ -215,8 +213,8 @@ def alive(pid: int) -> bool:
 
 
 @pytest.mark.slow
-def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_path: Path):
-    """What no kill leaves behind.
+def test_ranks_name_no_shared_memory_and_end_with_their_launcher(tmp_path: Path):
+    """No kill leaves processes or shared memory behind.
 
     A name in /dev/shm, or a rank whose launcher was killed with all that watches it.
     """
@@ -253,8 +251,8 @@ def test_ranks_hold_no_name_of_shared_memory_and_end_with_their_launcher(tmp_pat
     until(lambda: not processes(f"MARK={tmp_path}"))
 
 
-def test_files_of_killed_runs_are_swept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Those of ranks which were killed as they started, and of launchers.
+def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """These are files of ranks killed at their start, and of launchers.
 
     Not what is in use, new, or of others.
     """
@@ -292,8 +290,8 @@ VERLET = ["--engine", "lammps", "--integrator", "verlet"]
 FIXED = [*VERLET, "--step", "1e-7", "--diameter", "physical"]
 FREE = [*VERLET, "--tolerance", "3e-3"]
 TWO = ["--ranks", "2"]
-# scene, words for `run`, and the processes that mpirun starts for the first command and those after
-# it, in turn
+# Scene, options of `run`, and numbers of processes of mpirun for the first and later commands in
+# turn.
 CASES = {
     "native": (LONGER, ["--engine", "native", "--step", "1e-9"], [1]),
     "native to a tolerance": (LONGER, ["--engine", "native", "--tolerance", "1e-9"], [1]),
@@ -309,18 +307,18 @@ SEVERAL = {
     "lammps",
     "two ranks to a tolerance",
 }
-# an idle rank sleeps: where there are fewer cores than ranks, the other one comes to its turn
+# An idle rank sleeps, so that with fewer cores than ranks the others can run.
 DOZE = {"MPIR_CVAR_POLLS_BEFORE_YIELD": "1", "MPIR_CVAR_ENABLE_HEAVY_YIELD": "1"}
 
 
 @pytest.fixture(scope="module")
 def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajectory]:
-    """Return a function that computes the uninterrupted answer to a case on one rank."""
+    """Return a function that computes the uninterrupted result of a case on one rank."""
 
     @cache
     def answer(case: str) -> Trajectory:
         scene, words, _ = CASES[case]
-        simulate(scene, "native", 1e-2)  # every fork has these kernels
+        simulate(scene, "native", 1e-2)  # Every fork then has these kernels.
         at = tmp_path_factory.mktemp("truth")
         alone = words[: -len(TWO)] if words[-len(TWO) :] == TWO else words
         code, said = finish("run", write(scene, at), "-o", f"{at}/run/", *alone, command=HURRIED)
@@ -331,7 +329,7 @@ def truth(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Trajector
 
 
 def reached(folder: Path) -> float:
-    """Return the number of finished attempts of a run folder, plus the share of the current one."""
+    """Return the number of finished attempts of a run folder, plus the fraction of the current."""
     if not (folder / "scene.toml").exists():
         return -1.0
     said = status(folder)
@@ -364,7 +362,7 @@ class Command:
         return [*processes(self._mark), *([self.pid] if self.at_work() else [])]
 
     def ended(self) -> tuple[int | None, str]:
-        """Wait until it and all that it has started has ended.
+        """Wait until the process and all its children have ended.
 
         Return its exit code and what it said.
         """
@@ -378,7 +376,7 @@ class Command:
 def killed(
     case: str, folder: Path, parts: list[float], rng: random.Random
 ) -> tuple[Trajectory, int]:
-    """Run a case and kill one of its processes at random after this number of attempts.
+    """Run a case, and kill one of its processes at random after this number of attempts.
 
     Returns the answer, and how often something was killed. A part below 0 is of the time before the
     first sample.
@@ -393,7 +391,7 @@ def killed(
         command = Command(line, next(counts), folder)
         while command.at_work() and reached(folder / "run") < part:
             time.sleep(0.01)
-        # not always just behind a sample
+        # The kill is not always just after a sample.
         time.sleep(rng.uniform(0, 1) if part < 0 else rng.uniform(0, 0.1))
         there = command.processes()
         alive_still = command.at_work()
@@ -402,7 +400,7 @@ def killed(
             os.kill(victim, signal.SIGKILL)
         code, said = command.ended()
         assert "Traceback" not in said, said
-        if is_run(folder / "run"):  # else it was so early that there is nothing to go on with
+        if is_run(folder / "run"):  # Otherwise the kill was too early for a resumable run.
             line = ("resume", folder / "run")
             kills = kills + (alive_still and code != 0)
     code, said = Command(line, next(counts), folder).ended()
@@ -417,7 +415,7 @@ def killed(
 @pytest.mark.parametrize(
     ("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)]
 )
-def test_killed_again_and_again(case: str, times: int, tmp_path: Path, truth: Callable):
+def test_repeated_kills(case: str, times: int, tmp_path: Path, truth: Callable):
     rng = random.Random(case)
     parts = sorted(rng.uniform(0.01, 0.5) for _ in range(times))
     answer, kills = killed(case, tmp_path / "here", parts, rng)
@@ -442,8 +440,8 @@ SOAK = {
     ("case", "piece"),
     [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)],
 )
-def test_killed_at_random(case: str, piece: int, tmp_path: Path, truth: Callable):
-    """Ten kills, some of them of the same run, in any of its attempts."""
+def test_random_kills(case: str, piece: int, tmp_path: Path, truth: Callable):
+    """Ten kills at random, some of them in the same run, in any of its attempts."""
     right = truth(case)
     rng = random.Random(f"{case} {piece}")
     count = 0

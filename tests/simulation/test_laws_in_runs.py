@@ -45,7 +45,7 @@ def same(one: lmpchain.Trajectory, two: lmpchain.Trajectory) -> bool:
 
 
 @pytest.mark.parametrize(("law", "damped"), thinned(product([HARDER, KINKED], [False, True]), 3))
-def test_a_run_that_was_stopped_ends_with_the_same_bits(
+def test_a_stopped_run_ends_with_the_same_bits(
     law: Law, damped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = {"damping": Damping(viscoelastic=1e-7, drag=100.0)} if damped else {}
@@ -68,7 +68,7 @@ def test_a_run_that_was_stopped_ends_with_the_same_bits(
     assert answer.scene == scene
 
 
-def test_a_saved_answer_and_its_scene_are_read_back(tmp_path: Path) -> None:
+def test_a_saved_run_and_its_scene_are_read(tmp_path: Path) -> None:
     parameters = np.linspace(1e4, 1e5, N - 1).tolist()
     scene = scene_of(HARDER.replace(c=parameters))
     run = simulate(scene, "native", 1e-6)
@@ -100,7 +100,7 @@ BATCHES = {
 
 
 @pytest.mark.parametrize("name", thinned(BATCHES, 2))
-def test_a_batch_has_parameters_of_its_own_for_every_scene(name: str) -> None:
+def test_every_scene_of_a_batch_has_its_own_parameters(name: str) -> None:
     scenes = BATCHES[name]
     answers = simulate_many(scenes, tolerance=1e-9)
     finals = []
@@ -115,14 +115,14 @@ def test_a_batch_has_parameters_of_its_own_for_every_scene(name: str) -> None:
     assert np.abs(np.diff(finals, axis=0)).max(axis=1).min() > 1e-5
 
 
-def test_scenes_that_differ_in_parameters_are_one_batch() -> None:
+def test_scenes_with_other_parameters_form_one_batch() -> None:
     for name in ("parameters", "constants", "one for each contact", "pulls", "damped"):
         assert len({kind(scene) for scene in BATCHES[name]}) == 1
     assert len({kind(scene) for scene in BATCHES["kinks of their own"]}) == 2
 
 
 @pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])
-def test_threads_do_not_change_a_bit(law: Law) -> None:
+def test_threads_do_not_change_the_bits(law: Law) -> None:
     scene = scene_of(law, grains=600)
     one, two = (simulate(scene, Native(threads=threads), tolerance=1e-6) for threads in (1, 2))
     assert same(one, two)

@@ -1,4 +1,4 @@
-"""Many runs in one process: neither memory nor open files grow."""
+"""Many runs in one process do not increase memory or the number of open files."""
 
 import gc
 

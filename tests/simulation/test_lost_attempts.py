@@ -1,4 +1,4 @@
-"""Attempts that are lost end on the way; runs that cannot be predicted end where they can be."""
+"""Hopeless attempts end early, and unpredictable runs end at their predictability horizon."""
 
 import math
 
@@ -24,7 +24,7 @@ from lmpchain.engines.stepping.monitor import JudgingTimes, place_looks
 
 
 def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
-    """Return grains that all move, and fly."""
+    """Return flying grains that all move."""
     velocity = 1e-3 * np.random.default_rng(3).normal(size=grains)
     velocity[-1] = 0.0
     start = Profile(displacement=[0.0] * grains, velocity=velocity.tolist())
@@ -33,7 +33,7 @@ def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
 
 
 def springs(duration: float) -> Scene:
-    """Return a chain of nearly linear contacts that open, which is soon unpredictable."""
+    """Return nearly linear contacts that open, a motion that soon becomes unpredictable."""
     chain = Chain(grains=12, diameter=1e-3, exponent=1.05)
     strike = Impulse(velocity=0.05)
     samples = round(duration / 2e-5) + 1
@@ -42,13 +42,13 @@ def springs(duration: float) -> Scene:
 
 @pytest.fixture
 def early(monkeypatch):
-    """Have short runs judged, too."""
+    """Judge short runs as well."""
     monkeypatch.setattr(monitor, "JUDGING", JudgingTimes(begin_s=1e-5))
 
 
 @pytest.fixture
 def ends(monkeypatch):
-    """Runs that end on the way: why, at which part, and with which error."""
+    """Record the early ends of runs: reason, fraction of the run, and error."""
     ends = []
     judge = lmpchain.engines.step_control._judge
 
@@ -64,8 +64,8 @@ def ends(monkeypatch):
     return ends
 
 
-def test_looks_rest_on_the_scene_alone():
-    """Each within a tenth of the next; none in a short run."""
+def test_judging_times_depend_only_on_the_scene():
+    """Each time is within a tenth of the next; short runs have none."""
     assert place_looks(0.005, 1000, 4) == frozenset()
     looks = sorted(place_looks(1.0, 10**6, 4))
     assert all(look % 4 == 0 for look in looks)
@@ -73,8 +73,8 @@ def test_looks_rest_on_the_scene_alone():
     assert looks[0] == pytest.approx(0.01 * 10**6, rel=0.1)
 
 
-def test_a_lost_attempt_ends_and_tells_the_next_its_step(early, ends):
-    """Its estimate was beyond the tolerance, and it was not at its end."""
+def test_a_hopeless_attempt_ends_early_and_sets_the_next_step(early, ends):
+    """Its estimate exceeded the tolerance before its end."""
     scene = agitated(12, 4e-4)
     answer = simulate(scene, "native", 1e-8)
     assert answer.error_estimate.solver <= 1e-8
@@ -85,8 +85,8 @@ def test_a_lost_attempt_ends_and_tells_the_next_its_step(early, ends):
     assert all(done < 1 and error > PATIENCE.lost * 1e-8 for _, done, error in ends)
 
 
-def test_what_cannot_be_predicted_is_hardly_begun(ends):
-    """Runs a last digit apart tell before an error is large; steps would be short from there on."""
+def test_unpredictable_scenes_are_stopped_early(ends):
+    """Runs one ulp apart show the growth before the error is large."""
     for scene in (springs(1e-2), agitated(12, 2e-3)):
         with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
             simulate(scene, "native", 1e-6)
@@ -99,8 +99,8 @@ def test_what_cannot_be_predicted_is_hardly_begun(ends):
     assert all(done < 0.05 and error < 1e-6 for done, error in refused)
 
 
-def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_path):
-    """Its errors grow as rounding does: right for twice as long they must be squared."""
+def test_a_horizon_that_needs_ever_shorter_steps_is_halved(tmp_path):
+    """Errors grow like rounding: twice the duration squares them."""
     chain = Chain(grains=12, diameter=1e-3, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=0.02, samples=501)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as missed:
@@ -119,8 +119,8 @@ def test_a_beginning_that_takes_ever_shorter_steps_ends_at_half_the_time(tmp_pat
 
 
 @pytest.mark.slow
-def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
-    """Stops in any attempt, also in a run that ends at its predictability horizon."""
+def test_an_interrupted_folder_ends_with_the_same_bits(early, tmp_path):
+    """Stops are in any attempt, also in a run that ends at its predictability horizon."""
     for name, scene in {"agitated": agitated(12, 4e-4), "springs": springs(4e-3)}.items():
         folder = tmp_path / name
         answers = []
@@ -144,8 +144,8 @@ def test_a_folder_that_is_stopped_ends_with_the_same_bits(early, tmp_path):
         assert memory.error_estimate == disk.error_estimate
 
 
-def test_what_cannot_be_predicted_ends_where_it_can(early, tmp_path):
-    """What is kept is right, and it is what the scene to that time has for an answer."""
+def test_unpredictable_scenes_end_at_their_horizon(early, tmp_path):
+    """The stored part is right, and equals the result of the scene up to this time."""
     scene = springs(4e-3)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off, which may exceed") as missed:
         simulate(scene, "native", 1e-6)
@@ -165,7 +165,7 @@ def test_what_cannot_be_predicted_ends_where_it_can(early, tmp_path):
     assert disk.scene == kept.scene
 
 
-def test_who_wants_the_best_answer_gets_all_of_it(early):
+def test_the_best_possible_result_is_complete(early):
     scene = springs(1e-3)
     with pytest.warns(UserWarning, match="amplifies round-off"):
         answer = simulate(scene, "native", 1e-6, on_miss="warn")
@@ -174,7 +174,7 @@ def test_who_wants_the_best_answer_gets_all_of_it(early):
         simulate(scene, "native", 1e-6)
     kept = missed.value.trajectory
     assert answer.cost.step_s < kept.cost.step_s
-    # It is as accurate up to the predictability horizon.
+    # The result is equally accurate up to the predictability horizon.
     apart = answer.velocity[: kept.time.size] - kept.velocity
     assert np.abs(apart).max() <= 2e-6 * np.abs(kept.velocity).max()
 
@@ -188,8 +188,8 @@ def test_a_scene_ends_before_a_time():
 
 
 @pytest.mark.slow
-def test_round_off_of_lammps_is_judged_at_its_end(early):
-    """Heights round as much at first, of which a slow drive had moved but little: refused then."""
+def test_rounding_of_lammps_is_judged_at_the_end(early):
+    """Rounding of heights is large at first, when a slow drive has moved little."""
     times = np.linspace(0.0, 4e-4, 401)
     shake = 1e-7 * np.sin(np.pi / 2 * times / times[-1]) ** 8
     chain = Chain(grains=8, diameter=1e-3, gravity=0.0, top_load=1.0)

@@ -1,4 +1,4 @@
-"""A list of scenes in one call: the answers, their order, their errors, and refusals."""
+"""A list of scenes in one call: results, order, errors and refusals."""
 
 from functools import partial
 
@@ -22,8 +22,8 @@ from lmpchain.engines import Native
 short = partial(struck, grains=12, duration=2e-5)
 
 
-def test_answers_come_in_order_with_the_bits_of_each_alone():
-    """Scenes of several shapes and strengths, shuffled.
+def test_results_are_in_order_with_the_bits_of_single_runs():
+    """The scenes have several shapes and strengths, in random order.
 
     Those that are alike go together, and each is itself.
     """
@@ -43,8 +43,8 @@ def test_answers_come_in_order_with_the_bits_of_each_alone():
         assert t.error_estimate.total <= 1e-8
 
 
-def test_a_sine_beside_points_is_as_it_is_alone():
-    """DOP853 lengthens its steps where no knots cut them.
+def test_a_sine_beside_sampled_drives_is_computed_as_alone():
+    """DOP853 has longer steps without knots.
 
     Those of a scene, not those of another in its batch.
     """
@@ -64,8 +64,8 @@ def test_a_sine_beside_points_is_as_it_is_alone():
         assert np.array_equal(t.velocity, simulate(scene, engine, 1e-6).velocity)
 
 
-def test_the_error_covers_the_truth():
-    """Against SciPy's DOP853 of another equation of motion.
+def test_the_estimate_covers_the_error():
+    """Compared with SciPy's DOP853 on another form of the equation of motion.
 
     Chains that open contacts and chains that do not.
     """
@@ -80,8 +80,8 @@ def test_the_error_covers_the_truth():
         assert t.error_estimate.total <= 1e-7
 
 
-def test_a_batch_costs_its_scenes_the_same():
-    """Shares of a batch add up; one that took two attempts has both in it."""
+def test_the_cost_of_a_batch_is_shared_equally():
+    """Shares of a batch add up to its cost, including both attempts of a scene."""
     alike = simulate_many([short(1e-4 * (1 + 1e-3 * i)) for i in range(4)])
     assert len({t.cost.integration_s for t in alike}) == 1
     assert all(t.cost.integration_s > 0 for t in alike)
@@ -97,7 +97,7 @@ def test_other_engines_and_given_steps():
     assert simulate_many([]) == []
 
 
-def test_one_that_cannot_be_met():
+def test_a_tolerance_that_cannot_be_met():
     scenes = [short(1e-6), short(3e-2)]
     with pytest.raises(ToleranceNotMet) as missed:
         simulate_many(scenes, 3e-15)
@@ -108,7 +108,7 @@ def test_one_that_cannot_be_met():
     assert found[1].error_estimate.total > 3e-15
 
 
-def test_what_is_refused():
+def test_invalid_requests_are_rejected():
     with pytest.raises(InputError, match=r"scenes\.1: must be a Scene"):
         simulate_many([short(1e-6), 3])
     with pytest.raises(InputError, match="on_miss"):

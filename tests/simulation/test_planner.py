@@ -1,4 +1,4 @@
-"""Which engine: plans are kept to, against the truth; hopes that fail are noticed.
+"""Plans agree with runs and references, and failed expectations are detected.
 
 Costs are those of the machine.
 """
@@ -43,7 +43,7 @@ SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 
 @pytest.fixture(autouse=True)
 def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Give every test a cache folder of its own."""
+    """Give every test a separate cache folder."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     speed.measured.cache_clear()
     yield
@@ -53,7 +53,7 @@ def shipped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 def periodic(
     strike: float = 1e-12, top_load: float = 1e-3, duration: float = 200.0, samples: int = 11
 ) -> Scene:
-    """Return a few grains that swing for long, where linear theory costs least."""
+    """Return a few grains with a long oscillation, for which linear theory is cheapest."""
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=top_load)
     speed = strike * chain.length_scale / chain.time_scale
     return Scene(
@@ -65,9 +65,9 @@ def periodic(
 
 
 def struck(seed: int) -> Scene:
-    """Draw a scene of any kind, from strikes that linear theory is made for to strong ones."""
+    """Draw a scene of any kind, with strikes from weak to strong."""
     rng = np.random.default_rng(seed)
-    while seed % 2:  # half of them gentle
+    while seed % 2:  # Half of the scenes are gentle.
         scene = random_scene(rng)
         chain = scene.chain
         length = scene.chain.length_scale
@@ -105,23 +105,24 @@ def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     (u, v, error) = extended_reference(scene.part(first, last), 1e-17)
     here = slice(first - 1, last)
     apart = relative_error(found.displacement[:, here], found.velocity[:, here], u, v)
-    assert apart < min(1e-10, 1e-14 + 3 * error)  # a part may differ in the last bits of its forces
+    # A part may differ in the last bits of its forces.
+    assert apart < min(1e-10, 1e-14 + 3 * error)
     for x in (found.displacement, found.velocity):
         assert np.abs(np.delete(x, np.r_[here], axis=1)).max(initial=0) < 1e-15 * np.abs(x).max()
     return found.displacement, found.velocity
 
 
 def keeps_its_word(seed: int) -> str:
-    """Check a random scene at every tolerance, and return which engines answered."""
+    """Check a random scene at every tolerance, and return the engines used."""
     scene = wide_scene(np.random.default_rng(seed))
     used = []
     u, v = truth(scene)
     for tolerance in TOLERANCES:
         with warnings.catch_warnings(action="ignore"), pytest.MonkeyPatch.context() as patch:
-            # linear theory wherever it would do
+            # Linear theory is used if it is accurate enough.
             if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
-                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # and asked at all
+                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # And it is asked at all.
             plan = lmpchain.plan(scene, tolerance)
             t = simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
@@ -152,7 +153,7 @@ def test_random_scenes_are_within_the_tolerance(seed: int):
 
 
 def with_alternatives(seed: int) -> Scene:
-    """Draw a scene; half of them last long, which is where engines differ in cost."""
+    """Draw a scene; half of them are long, so that engines differ in cost."""
     rng = np.random.default_rng(seed)
     scene = wide_scene(rng)
     if seed % 2 == 0 or (scene.drive and scene.drive.times is not None):
@@ -165,7 +166,7 @@ def with_alternatives(seed: int) -> Scene:
 
 
 def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajectory]:
-    """Return the shortest of some times that an answer takes from scratch, s, and the answer."""
+    """Return the shortest of several times of a complete run, s, and the run."""
     found = []
     while len(found) < 2 or (len(found) < 5 and sum(found) < 1):
         afresh = Scene(**scene.given())
@@ -176,9 +177,10 @@ def cpu_time(scene: Scene, engine: str, tolerance: float) -> tuple[float, Trajec
 
 
 def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float:
-    """Return the time of the choice of a plan over the fastest that would do, all measured.
+    """Return the measured time of the planned engine, relative to the fastest valid engine.
 
-    What is expected to take 20 times as long is not tried. NaN if the choice takes less than 1 ms.
+    Engines that are expected to take 20 times as long are left out. The
+    result is NaN if the choice takes less than 1 ms.
     """
     plan = lmpchain.plan(scene, tolerance)
     took = {}
@@ -195,8 +197,8 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore:Eq. ")
-def test_the_choice_takes_at_most_twice_the_time_of_the_cheapest():
-    """In nine of ten where it takes over 1 ms."""
+def test_the_choice_takes_at_most_twice_the_time_of_the_fastest():
+    """This holds for nine of ten scenes above 1 ms."""
     scenes = [
         scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20
     ]
@@ -211,7 +213,7 @@ def test_the_choice_takes_at_most_twice_the_time_of_the_cheapest():
     assert np.mean(ratios <= 2) >= 0.9, np.sort(ratios)[-50:]
 
 
-def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
+def test_the_cost_of_a_driven_chain_does_not_depend_on_distant_grains():
     def expected(grains: int) -> float:
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
         drive = Drive(amplitude=1e-12, frequency=0.1 / chain.time_scale)
@@ -223,8 +225,8 @@ def test_what_a_driven_chain_costs_does_not_depend_on_grains_out_of_reach():
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize("seed", thinned(range(1, 61, 4), 3))
-def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
-    """Beforehand from the strike, afterwards from the linear wave: never below half the truth."""
+def test_the_model_error_is_bounded_before_and_after_a_run(seed: int):
+    """The bounds from the strike and from the linear wave are never below half of the error."""
     scene = struck(seed)
     modes = Modes()
     if modes.refuses(scene):
@@ -238,7 +240,7 @@ def test_what_linear_theory_leaves_out_is_bounded_before_and_after(seed: int):
 
 
 def test_plans_of_the_paper_scenes():
-    """A strike number of 8.5 leaves no room for linear theory.
+    """A strike number of 8.5 excludes linear theory.
 
     A weak strike is left to the cheapest.
     """
@@ -256,14 +258,15 @@ def test_plans_of_the_paper_scenes():
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
-def test_a_weak_strike_is_answered_by_linear_theory_where_that_is_right():
-    """At 1 um/s linear theory is 1.36e-3 off; a long run is answered by it where that will do."""
+def test_a_weak_strike_is_solved_by_linear_theory_within_its_error():
+    """At 1 um/s the model error is 1.36e-3; long runs use linear theory if this is enough."""
     weak = Scene.from_toml(SCENES / "weak.toml")
     u, v, _ = extended_reference(weak)
     t = simulate(weak, "chebyshev", 0.5)
     off = relative_error(t.displacement, t.velocity, u, v)
     assert off == pytest.approx(1.36e-3, rel=0.01, abs=0)
-    assert lmpchain.plan(weak, 1e-2).engine == "native"  # so short a run costs least so
+    # For such a short run the native engine is cheapest.
+    assert lmpchain.plan(weak, 1e-2).engine == "native"
     gentle = weak.replace(excitation=Impulse(velocity=1e-9), duration=1e-2, samples=11)
     assert lmpchain.plan(gentle, 1e-9).engine == "native"
     plan = lmpchain.plan(gentle, 1e-3)
@@ -285,14 +288,14 @@ def test_linear_theory_where_it_is_cheaper():
 
 
 def hopeful(monkeypatch: pytest.MonkeyPatch) -> Scene:
-    """Let linear engines think that they leave nothing out; return a scene where they do."""
+    """Make linear engines expect no model error; return a scene that has one."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
     return periodic(0.1, duration=30.0)
 
 
-def test_a_plan_that_was_too_hopeful_is_done_again(
+def test_a_plan_with_a_wrong_expectation_is_repeated(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
 ):
     scene = hopeful(monkeypatch)
@@ -317,7 +320,7 @@ def test_a_plan_that_was_too_hopeful_is_done_again(
     assert [line[:17] for line in said.err.splitlines()] == ["warning: Eq. (3) "]
 
 
-def test_no_engine_left_after_a_hope_that_failed(monkeypatch: pytest.MonkeyPatch):
+def test_no_engine_remains_after_a_failed_expectation(monkeypatch: pytest.MonkeyPatch):
     scene = hopeful(monkeypatch)
     with pytest.raises(
         ToleranceNotMet, match=r"leaves out up to .*native: round-off alone may make"
@@ -326,7 +329,7 @@ def test_no_engine_left_after_a_hope_that_failed(monkeypatch: pytest.MonkeyPatch
     assert missed.value.trajectory is not None
 
 
-def test_refusals_are_said_by_name():
+def test_refusals_name_the_engine():
     with pytest.raises(
         ToleranceNotMet, match=r"native: round-off alone may make .*above the tolerance"
     ):
@@ -341,10 +344,10 @@ def test_refusals_are_said_by_name():
     )
     why = {proposal.engine: proposal.why for proposal in lmpchain.plan(vacuum).candidates}
     assert why["modes"].startswith("cannot do it: without gravity and load")
-    assert why["lammps"].startswith("only if asked for by name")
+    assert why["lammps"].startswith("used only if requested by name")
 
 
-def test_lammps_is_asked_where_no_other_engine_can(monkeypatch: pytest.MonkeyPatch):
+def test_lammps_is_asked_if_no_other_engine_is_possible(monkeypatch: pytest.MonkeyPatch):
     def refuse(*_: object) -> list:
         return [("exponent", "too odd")]
 
@@ -356,7 +359,7 @@ def test_lammps_is_asked_where_no_other_engine_can(monkeypatch: pytest.MonkeyPat
     assert simulate(paper("fig5 g", 6), tolerance=1e-3).engine == "lammps"
 
 
-def test_grains_outside_the_light_cone_are_left_out_of_linear_answers_too():
+def test_linear_engines_omit_grains_outside_the_light_cone():
     chain = Chain(grains=10**5, diameter=1e-3)
     scene = Scene(
         chain=chain,
@@ -393,7 +396,7 @@ def test_table_and_json(tmp_path: Path, capsys):
         sum("dropped: strike number 8.5: linear theory leaves out up to 100 %" in x for x in said)
         == 2
     )
-    # a path stays whole, however long it is
+    # A path is not broken, whatever its length.
     assert max(len(line) for line in said if str(json_file) not in line) <= 80
     found = json.loads(json_file.read_text())
     plan = lmpchain.plan(Scene.from_toml(SCENES / "fig5_1g.toml"), 1e-3)
@@ -404,7 +407,7 @@ def test_table_and_json(tmp_path: Path, capsys):
         "lammps",
     ]
     lammps = next(row for row in found["candidates"] if row["engine"] == "lammps")
-    assert lammps["why"].startswith("only if asked for by name")
+    assert lammps["why"].startswith("used only if requested by name")
     assert lammps["cost_s"] > 0
     assert not lammps["kept"]
     assert lammps["step"] == lmpchain.engines.get("lammps").propose(plan_scene(), 1e-3).step
@@ -414,8 +417,8 @@ def plan_scene() -> Scene:
     return Scene.from_toml(SCENES / "fig5_1g.toml")
 
 
-def test_what_it_would_take_in_lammps(capsys: pytest.CaptureFixture[str]):
-    """Each integrator of an engine, and a run with its step has the error that was planned."""
+def test_the_expected_cost_in_lammps(capsys: pytest.CaptureFixture[str]):
+    """Each integrator of an engine is listed, and a run with its step has the expected error."""
     plan = lmpchain.plan(plan_scene(), 1e-4, engine="lammps")
     kinds = {each.integrator: each for each in plan.candidates}
     assert list(kinds) == ["verlet", "rkn6", "kahan-li6"]
@@ -463,10 +466,10 @@ def test_bad_input(words: list[str], said: str, capsys):
     assert told.count("\n") == 1
 
 
-def test_calibration_is_kept_and_used(capsys):
+def test_a_calibration_is_stored_and_used(capsys):
     assert not speed.cache_file().exists()
     lmpchain.plan(paper("weak"))
-    assert not speed.cache_file().exists()  # nobody asked
+    assert not speed.cache_file().exists()  # No calibration was requested.
     assert main(["plan", "--calibrate"]) == 0
     assert "measured in" in capsys.readouterr().out
     kept = json.loads(speed.cache_file().read_text())
@@ -505,14 +508,16 @@ def test_damaged_calibration_is_not_used(content: str):
     assert speed.speed("native", Native.start_up_s) == (Native.start_up_s, 1.0)
 
 
-def test_calibration_of_another_machine_is_not_used():
+def test_a_calibration_of_another_machine_is_not_used():
     path = speed.cache_file()
     path.parent.mkdir(parents=True)
     path.write_text(json.dumps({"host": "elsewhere", "engines": {"native": [1e-3, 2.0]}}))
     assert speed.speed("native", Native.start_up_s) == (Native.start_up_s, 1.0)
 
 
-def test_no_place_for_the_calibration(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys):
+def test_a_calibration_without_a_writable_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+):
     (tmp_path / "file").write_text("not a folder")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     speed.measured.cache_clear()
@@ -523,7 +528,7 @@ def test_no_place_for_the_calibration(tmp_path: Path, monkeypatch: pytest.Monkey
     assert told.count("\n") == 1
 
 
-def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
+def test_a_run_folder_continues_as_planned(tmp_path: Path):
     scene = periodic(duration=2e5, samples=2001)
     with pytest.raises(lmpchain.Stopped):
         simulate(scene, folder=tmp_path / "run", max_wall=1e-9)
@@ -535,8 +540,8 @@ def test_a_run_folder_goes_on_as_planned(tmp_path: Path):
 
 
 @pytest.mark.parametrize("seed", thinned(range(30), 3))
-def test_a_run_takes_what_its_plan_says(seed: int):
-    """Though engines that begin too late to be the cheapest are asked by the plan only."""
+def test_a_run_makes_the_choices_of_its_plan(seed: int):
+    """Only a plan asks engines that start too late to be the cheapest."""
     rng = np.random.default_rng(33_000_000 + seed)
     scene = trial_scene(rng)
     tolerance = 10 ** rng.uniform(-9, -0.1)

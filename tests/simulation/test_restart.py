@@ -1,4 +1,4 @@
-"""Stopped at any block, a run goes on and ends with the bits that it would have had."""
+"""Runs stopped at any block continue and end with the bits of an uninterrupted run."""
 
 import itertools
 import json
@@ -105,7 +105,7 @@ LONGEST = (
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch):
-    """Have four samples in a block, however short the run, so that it can be stopped on the way."""
+    """Make blocks of four samples in any run, so that it can be stopped early."""
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
 
 
@@ -115,7 +115,7 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
     [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED],
 )
 def test_stopped_after_every_block(case: str, tmp_path: Path):
-    """Every engine's own state.
+    """The state belongs to the engine.
 
     At the end of its time already, a run stops as soon as it has a sample.
     """
@@ -147,8 +147,8 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
-    """A later attempt, at a shorter step, is the one that is gone on with.
+def test_a_run_resumes_in_the_interrupted_attempt(tmp_path: Path):
+    """A later attempt with a shorter step is continued.
 
     The time is that of all sessions.
     """
@@ -179,7 +179,7 @@ def test_a_run_resumes_in_the_attempt_that_was_stopped(tmp_path: Path):
 
 @pytest.fixture
 def stopped(tmp_path: Path) -> Path:
-    """Return the folder of a run stopped twice, which has two checkpoints of other samples."""
+    """Return the folder of a run stopped twice, with two checkpoints of different samples."""
     with pytest.raises(Stopped):
         simulate(SHORT, "native", 1e-2, folder=tmp_path / "run", max_wall=1e-9)
     with pytest.raises(Stopped):
@@ -187,7 +187,7 @@ def stopped(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def test_a_damaged_checkpoint_falls_back_to_the_one_before(stopped: Path):
+def test_a_damaged_checkpoint_is_replaced_by_the_previous_one(stopped: Path):
     newest = stopped / "checkpoint"
     done = status(stopped)["samples_done"]
     whole = newest.read_bytes()
@@ -208,7 +208,7 @@ def test_a_damaged_checkpoint_falls_back_to_the_one_before(stopped: Path):
     assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
 
 
-def test_without_a_checkpoint_it_starts_anew(stopped: Path):
+def test_a_run_without_a_checkpoint_starts_again(stopped: Path):
     (stopped / "checkpoint").write_bytes(b"nothing")
     (stopped / "checkpoint-before").write_bytes(b"nothing")
     with pytest.warns(UserWarning, match="going on from the start"):
@@ -230,7 +230,7 @@ def test_another_version_is_named(stopped: Path):
         resume(stopped)
 
 
-def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
+def test_a_changed_scene_is_rejected_in_one_line(stopped: Path):
     whole = (stopped / "scene.toml").read_text()
     for name, text in (
         ("scene.toml", "[chain"),
@@ -245,7 +245,7 @@ def test_a_changed_scene_is_refused_in_one_line(stopped: Path):
     assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
 
 
-def test_ranks_are_for_engines_that_can_use_them(stopped: Path):
+def test_ranks_require_an_engine_that_uses_them(stopped: Path):
     with pytest.raises(InputError, match="ranks: the engine native runs on one"):
         resume(stopped, ranks=2)
     assert same(resume(stopped), simulate(SHORT, "native", 1e-2))
@@ -257,7 +257,7 @@ def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
     scene, engine, tolerance = STOPPED[case]
     with pytest.raises(Stopped):
         simulate(scene, engine, tolerance, folder=tmp_path / "run", max_wall=1e-9)
-    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         resume(tmp_path / "run", ranks=1000)
     with pytest.raises(Stopped):
         resume(tmp_path / "run", ranks=2, max_wall=1e-9)
@@ -268,7 +268,7 @@ def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
 
 
 def on_ranks(scene: Scene, engine: engines.Lammps, ranks: list[int], folder: Path) -> Trajectory:
-    """Run a scene on these numbers of ranks in turn, stopped after one block each."""
+    """Run a scene with these numbers of ranks in turn, stopping after a block each."""
     for number, count in enumerate(ranks):
         limit = None if number == len(ranks) - 1 else 1e-9
         with nullcontext() if limit is None else pytest.raises(Stopped):

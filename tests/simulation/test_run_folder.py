@@ -1,4 +1,4 @@
-"""A run folder: its contents, its lock, and reading of samples during the run."""
+"""A run folder: contents, lock, and reading during the run."""
 
 import hashlib
 import json
@@ -58,15 +58,15 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def contents(folder: Path) -> dict[str, tuple[int, int]]:
-    # some versions of filelock touch the lock itself
+    # Some versions of filelock touch the lock themselves.
     files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock")
     return {str(path): (path.stat().st_mtime_ns, path.stat().st_size) for path in files}
 
 
-# --- what is in it
+# --- contents
 
 
-def test_a_folder_holds_the_answer_of_a_file(finished: Path):
+def test_a_folder_contains_the_same_data_as_a_file(finished: Path):
     answer = Trajectory.load(finished)
     plain = simulate(SCENE, "native", 1e-9)
     assert same(answer, plain)
@@ -82,7 +82,7 @@ def test_a_folder_holds_the_answer_of_a_file(finished: Path):
 
 
 def test_the_folder_alone_reproduces_the_run(tmp_path: Path):
-    """What the scene file needs from other files is in the folder's."""
+    """Data that the scene file needs from other files are copied to the folder."""
     (tmp_path / "grains.csv").write_text("diameter,material\n" + "1e-3,steel\n1.1e-3,glass\n" * 5)
     (tmp_path / "profile.csv").write_text("velocity\n" + "1e-5\n" * 9 + "0\n")
     (tmp_path / "in.toml").write_text(
@@ -122,7 +122,7 @@ def test_provenance(finished: Path):
 
 @pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
 def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
-    """With velocity Verlet it is the run itself; else it answers the same scene."""
+    """With velocity Verlet the deck is the run itself; otherwise it solves the same scene."""
     scene = paper("fig5 g", 11)
     engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
     answer = simulate(scene, engine, folder=tmp_path / "run")
@@ -140,7 +140,7 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
 
 @pytest.mark.parametrize("integrator", ["rkn6", pytest.param("verlet", marks=pytest.mark.slow)])
 def test_the_log_of_lammps(integrator: str, tmp_path: Path):
-    """Every session adds to it; it does not grow with the drifts of a splitting."""
+    """Every session appends to the log; its size does not depend on the drifts of a splitting."""
     engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
     scene = paper("fig5 g", 301)
     with pytest.raises(Stopped):
@@ -157,7 +157,7 @@ def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     assert same(answer, simulate(scene, engine))
 
 
-def test_a_missed_tolerance_is_kept_and_told_again(
+def test_a_missed_tolerance_is_stored_and_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     chain = Chain(grains=12, diameter=1e-3)
@@ -174,13 +174,13 @@ def test_a_missed_tolerance_is_kept_and_told_again(
     first = capsys.readouterr()
     assert "amplifies round-off" in first.err
     assert main(["resume", f"{tmp_path}/run"]) == 1
-    # the scene was warned of before
+    # The warnings about the scene are not repeated.
     assert capsys.readouterr().err == first.err.splitlines(keepends=True)[-1]
     with pytest.raises(ToleranceNotMet) as caught:
         resume(tmp_path / "run")
     kept = caught.value.trajectory
     assert kept is not None
-    # the beginning that can be predicted
+    # The predictable part.
     assert kept.scene == strong.until(kept.time[-1] + strong.time[1] / 2)
     assert kept.time[-1] < strong.duration
     assert kept.velocity.shape == (kept.scene.samples, 12)
@@ -190,8 +190,8 @@ def test_a_missed_tolerance_is_kept_and_told_again(
 # --- reading it
 
 
-def test_arrays_stay_on_the_disk(finished: Path):
-    """What is indexed is read, and numpy takes the whole for an array."""
+def test_arrays_remain_on_disk(finished: Path):
+    """Only indexed parts are read; numpy receives the whole as an array."""
     lazy = Trajectory.load(finished)
     plain = simulate(SCENE, "native", 1e-9)
     assert not isinstance(lazy.velocity, np.ndarray)
@@ -237,7 +237,7 @@ def test_xarray_opens_the_store(finished: Path):
     assert data.attrs["solver_error"] == Trajectory.load(finished).error_estimate.solver
 
 
-def test_folders_without_a_run_are_refused(tmp_path: Path):
+def test_folders_without_a_run_are_rejected(tmp_path: Path):
     with pytest.raises(InputError, match="without a run in it"):
         Trajectory.load(tmp_path)
     (tmp_path / "trajectory.zarr").mkdir()
@@ -246,8 +246,8 @@ def test_folders_without_a_run_are_refused(tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
-    """xarray and `load` see only complete samples, the right ones, and more and more of them."""
+def test_reading_during_a_run_and_after_a_kill(tmp_path: Path):
+    """xarray and `load` see only complete samples, correct ones, and increasingly many."""
     folder = tmp_path / "run"
     process = start(
         "run", write(LONG, tmp_path), "-o", f"{folder}/", "--engine", "native", "--step", "1e-6"
@@ -272,7 +272,7 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     partial = Trajectory.load(folder)
     assert partial.time.size >= seen[-1]
     noted = json.loads((folder / "status.json").read_text())
-    # nothing is known of samples that came after the last checkpoint
+    # The error of samples after the last checkpoint is unknown.
     assert partial.error_estimate.total in (np.inf, noted["error_estimate"])
     first = Scene(
         chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11
@@ -282,11 +282,11 @@ def test_reading_while_the_run_goes_on_and_after_a_kill(tmp_path: Path):
     assert noted["state"] == "running", "a kill leaves no time to say more"
     assert (status(folder)["state"], status(folder)["reason"]) == (
         "killed",
-        "the process that was at work was killed",
+        "the process of the run was killed",
     )
 
 
-# --- who may work in it
+# --- access
 
 
 def test_resume_of_a_finished_run(finished: Path, capsys: pytest.CaptureFixture[str]):
@@ -298,7 +298,7 @@ def test_resume_of_a_finished_run(finished: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize("word", ["run", "resume"])
-def test_folders_that_are_refused(
+def test_invalid_folders_are_rejected(
     word: str, finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     scene = write(SCENE, tmp_path)
@@ -306,8 +306,8 @@ def test_folders_that_are_refused(
     (tmp_path / "other" / "file").touch()
     wanted = {
         "run": {
-            f"{finished}/": "holds a run already: go on with it, lmpchain resume",
-            f"{finished}": "holds a run already",
+            f"{finished}/": "contains a run already: continue it, lmpchain resume",
+            f"{finished}": "contains a run already",
             f"{tmp_path}/other": "is neither empty nor a run folder",
             f"{scene}/": "is a file",
             "/proc/none/": "cannot be made",
@@ -344,7 +344,7 @@ def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
     assert os.listdir(tmp_path) == []
 
 
-def test_an_empty_folder_serves(tmp_path: Path):
+def test_an_empty_folder_can_be_used(tmp_path: Path):
     (tmp_path / "run").mkdir()
     assert (
         main(["run", str(write(SCENE, tmp_path)), "-o", f"{tmp_path}/run", "--engine", "native"])
@@ -362,12 +362,12 @@ def test_one_process_at_a_time(tmp_path: Path):
         code, said = finish("resume", folder)
         assert contents(folder) == before
     assert code == 2
-    assert said == f"error: {folder}: another process is at work here; wait for it, or stop it\n"
+    assert said == f"error: {folder}: another process is running here; wait for it, or stop it\n"
     assert resume(folder).velocity.shape == (301, 3)
 
 
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
-def test_a_time_that_there_is_not(said: str, tmp_path: Path):
+def test_an_invalid_elapsed_time(said: str, tmp_path: Path):
     """An invalid elapsed time is ignored and does not end the run."""
     with pytest.raises(Stopped):
         simulate(SCENE, "native", folder=tmp_path, max_wall=1e-9)
@@ -382,7 +382,7 @@ def test_a_time_that_there_is_not(said: str, tmp_path: Path):
 
 
 def test_in_another_thread(tmp_path: Path):
-    """Where no signals can be waited for, as in a worker."""
+    """A thread, such as a worker, cannot wait for signals."""
     worker = threading.Thread(target=lambda: simulate(SCENE, "native", folder=tmp_path / "run"))
     worker.start()
     worker.join()
@@ -395,7 +395,7 @@ def test_in_another_thread(tmp_path: Path):
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [2_000, 150_000])
 def test_a_full_disk(limit: int, tmp_path: Path):
-    """No file may grow beyond the limit.
+    """No file may exceed the limit.
 
     One line, what is done is kept, and it goes on where there is room.
     """
@@ -427,7 +427,7 @@ def test_a_full_disk(limit: int, tmp_path: Path):
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_a_folder_that_may_not_be_written_to(finished: Path, tmp_path: Path):
+def test_a_folder_without_write_permission(finished: Path, tmp_path: Path):
     folder = shutil.copytree(finished, tmp_path / "run")
     (folder / "status.json").write_text(
         (folder / "status.json").read_text().replace("finished", "stopped")
@@ -441,7 +441,7 @@ def test_a_folder_that_may_not_be_written_to(finished: Path, tmp_path: Path):
 
 @pytest.mark.soak
 def test_memory_does_not_grow_with_the_samples(tmp_path: Path):
-    """10^5 grains, all of which move: 100 samples and 2,000, which are 3.2 GB."""
+    """10^5 moving grains with 100 and 2,000 samples, which are 3.2 GB."""
     script = """
 import resource, sys, lmpchain, numpy
 samples = int(sys.argv[1])
@@ -463,14 +463,14 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
     assert peaks[1] < peaks[0] + 60
 
 
-def test_a_stopped_run_loads_with_its_estimate_so_far(
+def test_a_stopped_run_loads_with_its_current_estimate(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    """The estimate is of the samples that are there, and covers their true error.
+    """The estimate refers to the existing samples, and covers their error.
 
     Later samples make it unknown.
     """
-    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
+    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
     scene = Scene(
         chain=Chain(grains=12, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),
@@ -493,7 +493,7 @@ def test_a_stopped_run_loads_with_its_estimate_so_far(
         )
         assert off <= part.error_estimate.total < 100 * off
     about = json.loads((tmp_path / "run" / "trajectory.zarr" / "zarr.json").read_text())
-    about["attributes"]["error_so_far"]["samples"] -= 1  # as if samples had come since
+    about["attributes"]["error_so_far"]["samples"] -= 1  # As if samples had been added since.
     (tmp_path / "run" / "trajectory.zarr" / "zarr.json").write_text(json.dumps(about))
     assert Trajectory.load(tmp_path / "run").error_estimate.total == np.inf
     whole = resume(tmp_path / "run")

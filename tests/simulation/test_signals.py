@@ -1,4 +1,4 @@
-"""Stopping in good order: Ctrl-C, SIGTERM and the end of the time allowed."""
+"""Orderly stops: Ctrl-C, SIGTERM and the end of the allowed time."""
 
 import os
 import re
@@ -77,13 +77,13 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
     finally:
         process.kill()
     assert ending == code, said
-    assert f"to go on: lmpchain resume {folder}" in said
+    assert f"continue with: lmpchain resume {folder}" in said
     assert "Traceback" not in said
     kept = status(folder)
     assert kept["state"] == "stopped"
     assert ("Ctrl-C" if number == signal.SIGINT else "SIGTERM") in kept["reason"]
     assert Trajectory.load(folder).time.size == kept["samples_done"] >= began > 0
-    until(lambda: not processes(mark))  # no rank is left behind
+    until(lambda: not processes(mark))  # No rank remains.
     again = start("resume", folder, ranks=ranks, env=environment)
     try:
         until(
@@ -99,8 +99,8 @@ def test_a_signal_stops_at_the_next_block(case: str, number: int, code: int, tmp
 
 
 @pytest.mark.slow
-def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
-    """Where one takes many blocks, the stop comes at its end, so that nothing is lost."""
+def test_a_stop_waits_for_the_current_sample(tmp_path: Path):
+    """If a sample takes many blocks, the stop occurs at its end, so that nothing is lost."""
     scene = ENDLESS.replace(samples=1001)
     folder = tmp_path / "run"
     process = start(
@@ -119,7 +119,7 @@ def test_a_stop_waits_for_the_sample_at_work(tmp_path: Path):
 
 @pytest.mark.slow
 def test_a_signal_in_python_is_passed_on(tmp_path: Path):
-    """Whoever calls `simulate` gets KeyboardInterrupt, once all is saved."""
+    """The caller of `simulate` gets KeyboardInterrupt after all data are saved."""
     script = (
         "import lmpchain, sys\n"
         "try:\n"
@@ -135,7 +135,7 @@ def test_a_signal_in_python_is_passed_on(tmp_path: Path):
     assert ended(process)[1] == "stopped\n"
 
 
-def test_handlers_are_put_back(tmp_path: Path):
+def test_handlers_are_restored(tmp_path: Path):
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     with pytest.raises(Stopped, match="stopped at the end of its time after"):
         simulate(ENDLESS, "native", folder=tmp_path / "run", step=1e-6, max_wall=1e-9)
@@ -163,7 +163,7 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.slow
-def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
+def test_a_stopped_single_file_run_names_the_folder_option(tmp_path: Path):
     words = [
         "run",
         write(ENDLESS, tmp_path),
@@ -175,9 +175,9 @@ def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
         "1e-6",
     ]
     with on_a_terminal(*COMMAND, *words) as (process, read_until):
-        read_until("native:")  # the progress bar
+        read_until("native:")  # The progress bar.
         process.send_signal(signal.SIGTERM)
-        said = read_until("; with -o FOLDER/ what is done is kept")
+        said = read_until("; with -o FOLDER/ a stopped run is kept")
         assert ended(process)[0] == 143
     assert "stopped by SIGTERM; nothing unfinished was kept; with" in said
     assert "Traceback" not in said
@@ -185,7 +185,7 @@ def test_a_single_file_says_how_a_folder_would_have_kept_it(tmp_path: Path):
 
 @pytest.mark.slow
 def test_progress_on_a_terminal(tmp_path: Path):
-    """Rate, time left and the error so far; nothing where stderr is no terminal."""
+    """The bar shows rate, remaining time and error, and nothing if stderr is not a terminal."""
     words = [
         "run",
         write(ENDLESS, tmp_path),

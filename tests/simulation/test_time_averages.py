@@ -1,4 +1,4 @@
-"""Averages over time against ensembles in closed form, and refusals."""
+"""Time averages against ensembles in closed form, and refusals."""
 
 import math
 import warnings
@@ -13,14 +13,14 @@ from lmpchain.simulation.observables import observable
 
 
 def vacuum(grains: int, exponent: float = 1.5, **others) -> Chain:
-    """Return steel beads of 6 mm that just touch each other and two walls."""
+    """Return steel beads of 6 mm that touch each other and two walls."""
     ends = {"top": "wall", "bottom": "wall"}
     size = {"grains": grains, "material": "steel", "diameter": 6e-3}
     return Chain(**size, gravity=0, exponent=exponent, **ends, **others)
 
 
 def struck(chain: Chain, seed: int = 1) -> Scene:
-    """Return a scene of 1 m/s in all, shared out at random."""
+    """Return a scene with a total velocity of 1 m/s, distributed at random."""
     speeds = np.random.default_rng(seed).normal(size=chain.grains)
     speeds[chain.movable :] = 0.0
     still = np.zeros(chain.grains)
@@ -42,14 +42,14 @@ def beta(grains: int, exponent: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize(("grains", "exponent"), [(38, 1.5), (30, 2.5)])
 def test_kinetic_energy_of_beads_between_walls_is_microcanonical(grains: int, exponent: float):
-    """The mean is exact for any motion (virial theorem), the variance in equilibrium alone."""
+    """The mean is exact for any motion (virial theorem), the variance only in equilibrium."""
     scene = struck(vacuum(grains, exponent))
     mean, variance = beta(grains, exponent)
     found = averages(scene, ["kinetic_energy"], time=0.3, tolerance=1e-3)
     assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
     assert found.variance["kinetic_energy"] / scene.energy**2 == pytest.approx(variance, rel=0.03)
     low, high = found.variance_interval["kinetic_energy"]
-    # one in twenty does not cover: half as wide again
+    # One interval in twenty does not cover, hence half as wide again.
     assert low / 1.01 < variance * scene.energy**2 < high * 1.01
     assert found.energy_error <= 1e-3
 
@@ -66,7 +66,7 @@ def test_variance_of_the_kinetic_energy_of_38_beads_to_a_thousandth():
 
 @pytest.mark.soak
 def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
-    """Of the kinetic energy of one bead of 24: 5/9 of a 24th of all."""
+    """The quantity is the kinetic energy of one bead of 24, whose mean is 5/9 of E / 24."""
     chain = vacuum(24)
     name = "kinetic_energy:3"
     covered = 0
@@ -74,7 +74,7 @@ def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
         scene = struck(chain, seed)
         low, high = averages(scene, [name], time=0.1, tolerance=6e-4).interval[name]
         covered += low < 5 / 9 * scene.energy / 24 < high
-    # a thousand scatter by 0.7 % themselves
+    # A thousand intervals scatter by 0.7 %.
     assert 0.93 <= covered / 1000 <= 0.97
 
 
@@ -86,7 +86,7 @@ def test_temperature_and_equipartition():
     assert mean["temperature"] == pytest.approx(mean["kinetic_energy"] / 10, rel=1e-12)
     whole = mean["kinetic_energy"] + mean["potential_energy"]
     assert whole == pytest.approx(scene.energy, rel=2 * found.energy_error)
-    # 1 where velocities of one kinetic energy are equally likely
+    # The value is 1 if velocities of one kinetic energy are equally likely.
     assert mean["equipartition"] == pytest.approx(1.0, abs=0.05)
     # The mean velocity between walls is zero.
     low, high = found.interval["velocity:7"]
@@ -105,7 +105,7 @@ def test_a_linear_chain_has_the_averages_of_its_mode():
     scene = Scene(chain=chain, excitation=start, duration=1e-3)
     period = 2 * np.pi / modes.frequency[2]
     with warnings.catch_warnings():
-        # a motion without chaos remembers for ever
+        # A motion without chaos has infinite correlations.
         warnings.simplefilter("ignore")
         found = averages(scene, ["kinetic_energy"], time=1280.3 * period, tolerance=1e-6)
     assert found.integrator == "rkn6"
@@ -114,7 +114,7 @@ def test_a_linear_chain_has_the_averages_of_its_mode():
 
 
 @pytest.mark.parametrize("number", [0, 1, 4, 5])
-def test_forces_are_those_of_measure(number: int):
+def test_forces_agree_with_those_of_measure(number: int):
     chain = Chain(grains=5, diameter=1e-3, top="wall", bottom="wall")
     displacement, velocity = 1e-9 * np.random.default_rng(1).normal(size=(2, 3, 5))
     force = observable(chain, f"force:{number}").measure(displacement, velocity)
@@ -123,15 +123,15 @@ def test_forces_are_those_of_measure(number: int):
     np.testing.assert_allclose(force, chain.contacts.force[number] + change, rtol=1e-9)
 
 
-def test_equipartition_is_largest_where_one_grain_has_all():
+def test_equipartition_is_largest_if_one_grain_has_all_energy():
     chain = Chain(grains=5, diameter=1e-3)
     velocity = np.array([[0.0, 2.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0, 0.0], [0.0] * 5])
     found = observable(chain, "equipartition").measure(np.zeros((3, 5)), velocity)
-    # four grains move
+    # Four grains move.
     np.testing.assert_allclose(found, [2.0, 0.5, 1.0], rtol=1e-14)
 
 
-def test_copies_agree_with_one():
+def test_copies_agree_with_a_single_run():
     scene = struck(vacuum(10))
     one, four = (
         averages(scene, ["force:5"], time=time, tolerance=1e-3, copies=copies)
@@ -145,14 +145,14 @@ def test_copies_agree_with_one():
     assert apart < 2 * sum(widths)
 
 
-def test_copies_that_stay_together_are_refused():
+def test_copies_that_stay_together_are_rejected():
     chain = Chain(grains=5, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Displacement(displacement=1e-14), duration=1e-3)
-    with pytest.raises(InputError, match="copies: begin so close that they are still together"):
+    with pytest.raises(InputError, match="copies: are still close to each other"):
         averages(scene, ["kinetic_energy"], copies=2)
 
 
-def test_a_time_too_short_has_no_interval_and_names_the_cure():
+def test_a_short_time_has_no_interval_and_states_the_remedy():
     scene = struck(vacuum(20))
     with pytest.warns(UserWarning, match=r"too short for an interval of equipartition.*try time="):
         found = averages(scene, ["equipartition"], time=1e-4, tolerance=1e-2)
@@ -162,7 +162,7 @@ def test_a_time_too_short_has_no_interval_and_names_the_cure():
     assert "unknown" in found.table()
 
 
-def test_an_interval_of_the_fewest_batches_says_so():
+def test_an_interval_of_the_fewest_batches_is_marked():
     scene = struck(vacuum(10), 1)
     with pytest.warns(UserWarning, match=r"is worth 4 independent batches, .*: try time="):
         averages(scene, ["kinetic_energy:3"], time=5e-4, tolerance=6e-4)
@@ -171,7 +171,7 @@ def test_an_interval_of_the_fewest_batches_says_so():
         averages(scene, ["kinetic_energy:3"], time=2e-2, tolerance=6e-4)
 
 
-def test_the_step_follows_from_the_tolerance():
+def test_the_step_depends_on_the_tolerance():
     scene = struck(vacuum(8))
     loose, tight = (
         averages(scene, ["kinetic_energy"], time=0.02, tolerance=tolerance)
@@ -181,7 +181,7 @@ def test_the_step_follows_from_the_tolerance():
     assert tight.energy_error <= 1e-5 < loose.energy_error <= 1e-2
 
 
-def test_what_no_step_meets_names_the_call(monkeypatch):
+def test_an_unreachable_tolerance_names_the_call(monkeypatch):
     patience = time_averages.Averaging(attempts=1)
     hopeful = time_averages.EnergyErrors(wobble=1e-6, walk=0.0)
     monkeypatch.setattr(time_averages, "AVERAGING", patience)
@@ -225,7 +225,7 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (
             SCENE.replace(chain=SCENE.chain.replace(damping={"drag": 1.0})),
             {},
-            "chain.damping: averages are those of a motion that never ends",
+            "chain.damping: averages require a motion that never ends",
         ),
         (
             SCENE.replace(chain=SCENE.chain.replace(top="free")),
@@ -235,7 +235,7 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (
             SCENE.replace(chain=COLUMN, excitation=Drive(amplitude=1e-9, frequency=1e4)),
             {},
-            "excitation: must leave the energy as it is",
+            "excitation: must do no work after t = 0",
         ),
         (SCENE.replace(excitation=Impulse(velocity=0.0)), {}, "excitation: moves nothing"),
     ],

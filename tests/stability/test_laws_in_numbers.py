@@ -1,4 +1,4 @@
-"""The laws of stability in numbers.
+"""The laws of stability, checked numerically.
 
 Trends, predictability, overlaps, warnings, and the boundaries that are shown.
 """
@@ -51,8 +51,8 @@ def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
     return EnergyError(np.linspace(0.0, duration, len(error)), np.asarray(error), 1.0).trend()
 
 
-def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
-    """Of white noise, whose slope has the standard deviation sqrt(12 / n) / T.
+def test_the_interval_of_a_trend_covers_in_99_of_100_draws() -> None:
+    """White noise, whose slope has the standard deviation sqrt(12 / n) / T.
 
     T of 48 degrees is 2.68 at 99 %.
     """
@@ -68,8 +68,8 @@ def test_the_interval_of_a_trend_holds_it_in_99_of_100_draws() -> None:
     assert np.mean(widths) == pytest.approx(stats.t.ppf(0.995, 48) * deviation, rel=0.04)
 
 
-def test_the_interval_of_a_trend_is_wider_where_each_stretch_resembles_the_one_before() -> None:
-    """An autoregressive draw with r = 0.6: as many as a quarter of the stretches count."""
+def test_the_interval_of_a_trend_is_wider_for_correlated_stretches() -> None:
+    """An autoregressive sequence with r = 0.6 counts as a quarter of its length."""
     rng = np.random.default_rng(5)
     hits = 0
     plain = 0
@@ -81,11 +81,11 @@ def test_the_interval_of_a_trend_is_wider_where_each_stretch_resembles_the_one_b
         rate, width = trend(values[100:])
         hits += abs(rate) < width
         plain += abs(rate) < 2.68 * stats.linregress(time, values[100:]).stderr
-    assert plain < 0.9 * 200  # without the correction
+    assert plain < 0.9 * 200  # Without the correction.
     assert hits > 0.94 * 200
 
 
-def test_a_drift_that_slows_down_is_no_resemblance() -> None:
+def test_a_drift_that_slows_down_is_not_a_correlation() -> None:
     """The trend of a parabola is its regression line, with the standard error of the residuals."""
     time = np.linspace(0.0, 2.0, 50)
     noise = 1e-3 * np.random.default_rng(6).normal(size=50)
@@ -95,8 +95,8 @@ def test_a_drift_that_slows_down_is_no_resemblance() -> None:
     assert width == pytest.approx(2.68 * line.stderr, rel=0.15)
 
 
-def test_the_last_samples_make_fifty_stretches() -> None:
-    """Those before, that fill none, are left out."""
+def test_the_last_samples_form_fifty_stretches() -> None:
+    """Earlier samples that do not fill a stretch are ignored."""
     error = np.append(1e6 * np.ones(7), np.linspace(0, 1, 100))
     rate, _ = trend(error, duration=106.0)
     assert rate == pytest.approx(1 / 99, rel=1e-9)
@@ -105,9 +105,7 @@ def test_the_last_samples_make_fifty_stretches() -> None:
 # --- steps
 
 
-def test_the_longest_step_is_the_stability_limit_over_the_frequency_that_the_strike_brings() -> (
-    None
-):
+def test_the_longest_step_is_the_stability_limit_over_the_frequency_of_the_strike() -> None:
     for name in ("verlet", "rkn6", "kahan-li6"):
         method = METHODS[name]
         assert limit(STRUCK, name) == pytest.approx(
@@ -130,8 +128,8 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
         assert math.log(method.growth(suspect(name))) == pytest.approx(math.log(most), rel=0.05)
 
 
-def test_energies_are_followed_for_so_many_periods_of_the_band_edge() -> None:
-    """With Verlet, whose energy is off by less than (w h)^2 / 4, and not at all at the start."""
+def test_energies_are_followed_for_a_number_of_periods_of_the_band_edge() -> None:
+    """The relative energy error of Verlet is below (w h)^2 / 4, and 0 at the start."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
     scene = Scene(
         chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2]
@@ -155,8 +153,8 @@ def column(grains: int, number: float, **keys: Any) -> Scene:
     return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-3, samples=101)
 
 
-def test_a_reflection_takes_as_long_as_the_pulse_in_a_chain_without_load() -> None:
-    """Between grains 20 and 40 of a vacuum, where the largest velocity is 0.6816 of the strike."""
+def test_the_reflection_time_agrees_with_a_pulse_in_an_unloaded_chain() -> None:
+    """The largest velocity between grains 20 and 40 of a vacuum is 0.6816 of the strike."""
     chain = Chain(grains=50, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1.4e-4, samples=1401)
     t = simulate(scene, "native", 1e-7)
@@ -177,8 +175,8 @@ def test_a_reflection_takes_as_long_as_the_pulse_in_a_chain_without_load() -> No
         reflection_time(scene.replace(excitation=Displacement(displacement=1e-9)))
 
 
-def test_it_amplifies_within_the_limits_that_were_measured() -> None:
-    """6 to 40 grains; strike numbers from 30 to 50 N; at the top, of Hertz's exponent."""
+def test_amplification_is_predicted_within_the_measured_limits() -> None:
+    """The limits are 6 to 40 grains, strike numbers of 30 to 50 N, and Hertz's law."""
     for grains, number, known in (
         (5, 100, False),
         (6, 100, True),
@@ -197,7 +195,7 @@ def test_it_amplifies_within_the_limits_that_were_measured() -> None:
     assert not amplifies(column(10, 100, exponent=1.6))
 
 
-def test_predicted_times_count_decades_from_the_rounding_of_a_run() -> None:
+def test_predicted_times_count_decades_from_the_rounding_error() -> None:
     scene = column(10, 100)
     assert predicted_time(scene, 1e-14) == pytest.approx(0.0, abs=1e-18)
     assert predicted_time(scene, 1e-4) == pytest.approx(10 / growth_rate(scene), rel=1e-12)
@@ -208,14 +206,12 @@ def test_predicted_times_count_decades_from_the_rounding_of_a_run() -> None:
         growth_rate(s) * reflection_time(s)
         for s in (column(10, 100), column(20, 100), column(40, 100))
     ]
-    # 1 - exp(-N / const)
+    # The law is 1 - exp(-N / const).
     assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx((rise[2] / rise[1] - 1), rel=1e-9)
 
 
-def test_a_tolerance_is_passed_where_the_change_that_was_made_has_grown_beyond_ten_times_it() -> (
-    None
-):
-    """The change of 1e-13 is ten times what rounding does."""
+def test_a_tolerance_is_missed_where_a_change_has_grown_tenfold_beyond_it() -> None:
+    """The change of 1e-13 is ten times the effect of rounding."""
     times = np.linspace(0.0, 1.0, 11)
     apart = 1e-13 * 10.0 ** np.arange(11)
     assert predictability_time_of(times, apart, 0.99e-9) == pytest.approx(0.5, rel=1e-12)
@@ -239,7 +235,7 @@ def test_the_excess_of_hertz_over_spheres(strain: float) -> None:
     assert float(hertz_excess(strain)) == pytest.approx(exact, rel=5e-4)
 
 
-def test_the_deepest_overlap_holds_all_energy_in_one_contact() -> None:
+def test_the_deepest_overlap_is_that_of_all_energy_in_one_contact() -> None:
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.5), duration=1e-5)
     energy = chain.masses[0] * 0.125
@@ -253,7 +249,7 @@ def test_the_deepest_overlap_holds_all_energy_in_one_contact() -> None:
 # --- linear theory
 
 
-def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
+def test_strike_numbers_at_the_limit_of_linear_theory() -> None:
     scene = column(20, 0.01).replace(duration=5e-5)
     assert strike_number_where(0.03, scene) == pytest.approx(
         strike_number_at(0.03, "package"), rel=1e-14
@@ -271,7 +267,7 @@ def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
         assert there == pytest.approx(error, rel=0.02)
     still = loaded.replace(excitation=Impulse(velocity=0.0))
     assert strike_number_where(0.01, still) == np.inf
-    alien = linear_law(1e9, "velocity")  # two fields of one energy that have nothing in common
+    alien = linear_law(1e9, "velocity")  # Two fields of equal energy without correlation.
     assert alien == pytest.approx(np.sqrt(2), rel=1e-6)
     with pytest.raises(
         InputError, match=r"norm: must be one of velocity, displacement, package, peak \(got "
@@ -286,7 +282,7 @@ def test_strike_numbers_at_which_linear_theory_fails_in_any_scene() -> None:
 
 
 @pytest.mark.parametrize("number", [1e-4, 30.0])
-def test_floors_are_those_of_engines_at_steps_of_three_tenths(number: float) -> None:
+def test_floors_are_those_of_engines_at_omega_h_of_0_3(number: float) -> None:
     scene = column(12, number)
     steps = 100 * math.ceil(1e-5 * scene.highest_frequency / 0.3)
     speed = abs(scene.excitation.velocity)
@@ -315,7 +311,7 @@ def test_floors_are_those_of_engines_at_steps_of_three_tenths(number: float) -> 
 # --- warnings before a run
 
 
-def test_warnings_say_their_numbers() -> None:
+def test_warnings_state_their_numbers() -> None:
     longest = 0.7 * limit(STRUCK, "verlet")
     assert not list(pre_run_warnings(STRUCK, Native("verlet", 0.999 * longest), 0.5))
     (text,) = pre_run_warnings(STRUCK, Native("verlet", 1.01 * longest), 0.5)
@@ -337,7 +333,7 @@ def test_warnings_say_their_numbers() -> None:
     assert len(list(pre_run_warnings(bouncing.replace(duration=1.01 * end), None, 1e-6))) == 1
 
 
-def test_deep_overlaps_are_warned_of_with_how_far_hertz_is_off() -> None:
+def test_warnings_about_deep_overlaps_state_the_error_of_hertz() -> None:
     chain = Chain(grains=8, material="ptfe", diameter=5e-3 * 0.7 ** np.arange(8), gravity=0.0)
     texts = {}
     for speed in (0.1, 3.0):
@@ -352,7 +348,7 @@ def test_deep_overlaps_are_warned_of_with_how_far_hertz_is_off() -> None:
     ]
 
 
-# --- what is shown
+# --- displayed results
 
 
 def shown() -> Stability:
@@ -373,7 +369,7 @@ def shown() -> Stability:
     return Stability(STRUCK, rows, curves, ("overlap: too long",))
 
 
-def test_the_table_marks_what_lies_beyond() -> None:
+def test_the_table_marks_exceeded_limits() -> None:
     lines = shown().table().splitlines()
     assert lines[0].split() == ["predicted", "measured", "this", "scene"]
     assert [line.startswith("!") for line in lines[1:]] == [False, False, False, True]
@@ -405,7 +401,7 @@ def lines_of(axes: Any) -> dict[str, Any]:
     return {line.get_label(): line for line in axes.get_lines()}
 
 
-def test_the_four_panels_hold_the_numbers() -> None:
+def test_the_four_panels_contain_the_numbers() -> None:
     panels = Figure().subplots(2, 2).ravel()
     assert shown().plot(panels) is panels[0]
     steps, energy, growth, strength = panels
@@ -455,7 +451,7 @@ def test_the_four_panels_hold_the_numbers() -> None:
     assert len(shown().plot().figure.axes) == 4
 
 
-def test_times_far_beyond_the_end_are_not_drawn() -> None:
+def test_times_far_after_the_end_are_not_drawn() -> None:
     for late, count in ((1.19e-3, 1), (1.21e-3, 0)):
         row = Boundary("predictable to 1e-6 until", "any", "s", late, math.inf, 1e-3)
         axes = Figure().subplots(2, 2).ravel()
@@ -464,10 +460,10 @@ def test_times_far_beyond_the_end_are_not_drawn() -> None:
         assert all(each.get_legend() is None for each in axes[[1, 3]])
 
 
-# --- all of it, predicted only
+# --- all limits, predicted only
 
 
-def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_measurements_are_replaced_by_predictions(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find, "LONGEST_S", 0.0)
     result = find.stability(STRUCK)
     steps = {row.method: row for row in result.boundaries if row.what == "longest step"}
@@ -509,7 +505,7 @@ def test_what_would_take_long_is_predicted_only(monkeypatch: pytest.MonkeyPatch)
     assert {curve.panel for curve in result.curves} == {"strength"}
 
 
-def test_what_cannot_be_predicted_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find, "LONGEST_S", 0.0)
     vacuum = Scene(
         chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
@@ -532,7 +528,7 @@ def test_what_cannot_be_predicted_says_why(monkeypatch: pytest.MonkeyPatch) -> N
 
 
 @pytest.mark.parametrize(("level", "beyond"), [(1e-3, True), (1e-9, False)])
-def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
+def test_a_scene_is_beyond_its_predictability_horizon_if_its_runs_separate(
     level: float, beyond: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     times = np.linspace(0, WEAK.duration, 11)
@@ -548,7 +544,7 @@ def test_a_scene_lies_beyond_the_predictability_time_if_its_runs_part(
 
 
 @pytest.mark.parametrize(("duration", "measured"), [(1e-3, 2e-6), (1e3, math.nan)])
-def test_the_longest_step_is_measured_where_that_takes_seconds(
+def test_the_longest_step_is_measured_if_this_takes_seconds(
     duration: float, measured: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(find, "blow_up", lambda *_: 2e-6)

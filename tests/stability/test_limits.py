@@ -1,4 +1,4 @@
-"""Where scenes, theories and engines end.
+"""Limits of scenes, theories and engines.
 
 The laws of `stability.limits` against what is measured, and closed forms.
 """
@@ -24,7 +24,7 @@ def slope(x: np.ndarray, y: np.ndarray) -> float:
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 @pytest.mark.parametrize("load", [0.0, 1e-3])
-def test_answers_go_on_to_no_gravity(exponent: float, load: float):
+def test_solutions_converge_in_the_limit_of_no_gravity(exponent: float, load: float):
     gravity = np.logspace(-8, -4, 3)
     found = limits.from_vacuum(gravity, exponent, load)
     assert slope(gravity, found) == pytest.approx(limits.vacuum_power(exponent, load > 0), abs=0.05)
@@ -35,14 +35,14 @@ def law(scene: Scene) -> float:
     return linear_law(scene.strike_number, "package", scene.chain.exponent)
 
 
-def test_the_unit_of_time_has_no_limit_without_gravity():
+def test_the_unit_of_time_diverges_without_gravity():
     times = [Chain(grains=2, diameter=1e-3, gravity=g).time_scale for g in (1e-6, 1e-3)]
     assert slope(np.array([1e-6, 1e-3]), np.array(times)) == pytest.approx(-1 / 6, abs=1e-9)
     assert Chain(grains=2, diameter=1e-3, gravity=0.0).time_scale == np.inf
     assert np.isfinite(Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3).time_scale)
 
 
-def test_linear_theory_ends_where_gravity_does():
+def test_linear_theory_becomes_invalid_without_gravity():
     gravity = np.logspace(-2, 3, 6)
     scenes = [limits.weak(1.5, float(g), 1e-5) for g in gravity]
     found, theory = (np.array([f(scene) for scene in scenes]) for f in (limits.from_linear, law))
@@ -65,7 +65,7 @@ def test_hertz_becomes_springs():
 
 @pytest.mark.parametrize("grains", [2, 3])
 @pytest.mark.parametrize("number", [1e-3, 0.3, 5.0, 100.0])
-def test_two_and_three_grains_swing_as_their_energy_says(grains: int, number: float):
+def test_two_and_three_grains_oscillate_with_the_exact_period(grains: int, number: float):
     scene = limits.swinging(grains, number)
     assert limits.measured_period(scene) == pytest.approx(scene.duration, rel=1e-10, abs=0)
     end = simulate(scene, "native", 1e-9)
@@ -88,7 +88,7 @@ def test_periods_in_closed_form():
     assert hard.duration == pytest.approx(2 * v / chain.gravity + touch, rel=1e-6, abs=0)
 
 
-def test_three_free_grains_part_in_closed_form():
+def test_three_free_grains_separate_as_in_closed_form():
     """The outer two hit the middle one from both sides.
 
     Each is as on a wall of its own, and goes back as it came.
@@ -113,8 +113,8 @@ def test_overlaps_are_bounded_and_both_engines_agree(strain: float):
     assert apart < 1e-6
 
 
-def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
-    """A taper squeezes its last grains far more than the first: accepted, and the bound tells."""
+def test_a_tenth_of_the_diameter_is_rejected_at_first_but_not_later():
+    """A taper squeezes its last grains more than the first, which is allowed within the bound."""
     with pytest.raises(
         InputError, match=r"squeezes contact 1 to 0.1 of the diameter, more than 0.1"
     ):
@@ -129,19 +129,19 @@ def test_a_tenth_of_the_diameter_is_refused_at_once_but_not_later():
     assert LIMITS.compression < found < deepest(scene)
 
 
-def test_spheres_are_softer_than_hertz_says():
-    """A tenth of the strain; and the stiffness of any smooth contact is 2 E* times its radius."""
+def test_spheres_are_softer_than_hertz():
+    """The strain is a tenth; the stiffness of any smooth contact is 2 E* times its radius."""
     strain = np.array([1e-6, 1e-4, 1e-2])
     assert hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
-    # x = a / R; o / 2R = x artanh x, F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess)
+    # With x = a / R: o / 2R = x artanh x, and F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess).
     for x in (0.3, 0.8):
         overlap = x * np.arctanh(x) * np.array([1 - 1e-4, 1 + 1e-4])
         force = 4 / 3 * overlap**1.5 * (1 - hertz_excess(overlap))
         assert np.diff(force)[0] / np.diff(overlap)[0] == pytest.approx(2 * x, rel=1e-6, abs=0)
 
 
-def test_bends_grow_in_lammps_as_the_column_is_unstable():
-    """Rates go as d^(-1/2), and are the same for any bend that is small."""
+def test_bends_grow_in_lammps_because_the_column_is_unstable():
+    """Growth rates scale as d^(-1/2), and are equal for all small bends."""
     chain = Chain(grains=12, diameter=1e-3)
     gauges = np.array([1e-6, 1e-5, 1e-4])
     law = [float(limits.buckling(chain, float(d)).frequency[-1]) for d in gauges]
@@ -157,8 +157,8 @@ def test_bends_grow_in_lammps_as_the_column_is_unstable():
 
 
 @pytest.mark.parametrize("diameter", ["physical", "gauge"])
-def test_the_engine_keeps_to_the_axis_and_notices_the_least_bend(diameter: str, tmp_path: Path):
-    """Nothing pushes sideways, so a straight column stays straight to the last bit.
+def test_the_engine_keeps_to_the_axis_and_detects_the_smallest_bend(diameter: str, tmp_path: Path):
+    """No sideways force acts, so that a straight column stays straight to the last bit.
 
     A bend of 1e-18 m is an error.
     """
@@ -172,7 +172,7 @@ def test_the_engine_keeps_to_the_axis_and_notices_the_least_bend(diameter: str, 
 
 
 @pytest.mark.parametrize("m", [1.0, 10.0, 143.0, 1e3, 1e6, 1e12])
-def test_dysons_weight_is_as_good_as_its_argument(m: float):
+def test_dysons_weight_is_as_accurate_as_its_argument(m: float):
     kappa = 1 + np.array([-0.9, -0.3, 0.0, 0.7, 2.0, 5.0]) / np.sqrt(m)
     with mp.workdps(60):
         true = [

@@ -1,4 +1,4 @@
-"""Where the theories fail.
+"""Limits of validity of the theories.
 
 Every law against what is measured, and its constants against other arithmetic.
 """
@@ -29,7 +29,7 @@ from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
 from lmpchain.theory import bessel, continuum, front
 
-TAU = 14.555  # 100 us at g
+TAU = 14.555  # A time of 100 us at g.
 
 
 def slope(x, y) -> float:
@@ -39,7 +39,7 @@ def slope(x, y) -> float:
 def second_order(
     delta: float, tau: float, grains: int = 50, step: float = 0.02
 ) -> dict[str, float]:
-    """Return the errors of Eq. (3) over v0*, as v0* -> 0, from phi = v0* phi_1 + v0*^2 phi_2."""
+    """Return the errors of Eq. (3) over v0* for v0* -> 0, from phi = v0* phi_1 + v0*^2 phi_2."""
     n = np.arange(1, grains)
     kappa = n ** (1 - 1 / delta)
     square = (delta - 1) / 2 * n ** (1 - 2 / delta)
@@ -71,7 +71,7 @@ def second_order(
 
 
 @pytest.mark.parametrize("delta", [1.1, 1.2, 1.5, 2.0, 2.2])
-def test_constants_of_linear_theory_are_those_of_perturbation_theory(delta):
+def test_constants_of_linear_theory_agree_with_perturbation_theory(delta):
     exact = second_order(delta, TAU)
     for norm, value in exact.items():
         assert linear_theory.linear_law(1e-9, norm, delta) == pytest.approx(
@@ -84,8 +84,8 @@ def test_constants_of_linear_theory_are_those_of_perturbation_theory(delta):
 
 @pytest.mark.parametrize("norm", linear_theory.LINEAR)
 @pytest.mark.parametrize("error", [0.01, 0.1])
-def test_linear_theory_fails_where_it_is_foretold(norm, error):
-    """At g after 100 us, where grain 19 is the last one passed.
+def test_linear_theory_has_the_predicted_error(norm, error):
+    """The error is compared at g after 100 us, when the wave has passed grain 19.
 
     1/6 and 6 times the gravity change nothing.
     """
@@ -101,7 +101,7 @@ def test_linear_theory_fails_where_it_is_foretold(norm, error):
 
 
 def test_strike_numbers_at_one_percent():
-    """In velocities 0.04 at 100 us, in displacements 0.1, in the peak velocity 0.3."""
+    """The values are 0.04 for velocities at 100 us, 0.1 for displacements, 0.3 for peaks."""
     found = {
         norm: linear_theory.strike_number_at(0.01, norm, grain=19) for norm in linear_theory.LINEAR
     }
@@ -111,7 +111,7 @@ def test_strike_numbers_at_one_percent():
 
 
 def test_error_of_linear_theory_without_any_engine():
-    """The exact series of Eq. (3) and DOP853 for Eq.
+    """The exact series of Eq. (3) is compared with DOP853 for Eq. (1).
 
     (1), at the strike where the package's error is 1 %.
     """
@@ -138,8 +138,8 @@ def test_error_of_linear_theory_grows_with_the_strike():
         assert slope(strikes, [row[norm] for row in found]) == pytest.approx(1, abs=0.05)
 
 
-def test_error_of_linear_theory_while_the_wave_goes_to_and_fro():
-    """From tau = 6 to the bottom the law holds to 10 %, for ten passages to a factor of 2.1."""
+def test_error_of_linear_theory_over_several_reflections():
+    """The law holds to 10 % from tau = 6 to the bottom, and to a factor of 2.1 for ten passages."""
     for tau in (6, 10, 20, 40):
         assert linear_error(column(1e-3, tau, 80))["velocity"] == pytest.approx(
             2.7e-4, rel=0.1, abs=0
@@ -151,8 +151,8 @@ def test_error_of_linear_theory_while_the_wave_goes_to_and_fro():
             assert 1 / 2.1 < found[norm] / linear_theory.linear_law(1e-3, norm) < 2.1
 
 
-def test_error_of_the_peak_falls_with_depth():
-    """As the power -3/2 of the width of the front: -1/4 for Hertz."""
+def test_error_of_the_peak_decreases_with_depth():
+    """The error scales with the power -3/2 of the front's width, which is -1/4 for Hertz."""
     taus = {
         delta: [float(continuum.chi(n + 4, delta)) for n in (12, 110)] for delta in (1.2, 1.5, 2.0)
     }
@@ -174,8 +174,8 @@ def front_grains(scene) -> np.ndarray:
     return track(theory(scene, "chebyshev")).grain
 
 
-def test_the_package_foresees_the_error_of_linear_theory():
-    """What the strike lets expect, the bound of a look, and the estimate of the run, at g."""
+def test_the_package_predicts_the_error_of_linear_theory():
+    """The expectation from the strike, the evaluated bound and the estimate agree at g."""
     for strike in (1e-3, 1e-2, 0.1, 1.0, 8.48):
         scene = column(strike, TAU, 60)
         true = linear_error(scene)["package"]
@@ -183,7 +183,7 @@ def test_the_package_foresees_the_error_of_linear_theory():
         assert true / 2 < theory(scene, "chebyshev").error_estimate.model < 2 * true
 
 
-def test_what_is_a_struck_column():
+def test_recognition_of_a_struck_column():
     scene = struck()
     chain = scene.chain
     lasts = float(passage(scene).sum())
@@ -210,7 +210,7 @@ def test_what_is_a_struck_column():
 @pytest.mark.parametrize(
     ("name", "error"), [("fig5 10g", 0.28), ("fig5 g", 0.99), ("fig5 g/10", 1.44)]
 )
-def test_fig_5_lies_where_linear_theory_fails(name, error):
+def test_fig_5_is_beyond_linear_theory(name, error):
     scene = paper(name, 101)
     assert linear_error(scene)["velocity"] == pytest.approx(error, abs=0.01)
     assert scene.strike_number > 3 * linear_theory.strike_number_at(0.1, "velocity")
@@ -226,7 +226,7 @@ def test_norms_are_named():
 @pytest.mark.parametrize("level", [0.01, 0.1])
 @pytest.mark.parametrize("grain", [100, 1000])
 @pytest.mark.parametrize("width", [0.0, 3.0])
-def test_homogeneous_chain_fails_where_it_is_foretold(level, grain, width):
+def test_the_homogeneous_chain_has_the_predicted_error(level, grain, width):
     gradient = 1 / (3 * grain)
     far = np.geomspace(1, 200, 400)
     foretold = far[np.argmax([theories.uniform_law(gradient, T, width) > level for T in far])]
@@ -236,7 +236,7 @@ def test_homogeneous_chain_fails_where_it_is_foretold(level, grain, width):
 
 
 def test_homogeneous_chain_over_distance_and_depth():
-    """The error grows as the square of the distance over the depth."""
+    """The error grows as the squared ratio of distance and depth."""
     far = np.array([20.0, 28.0, 40.0])
     grains = np.array([500, 1000, 2000])
     assert slope(far, [uniform_error(2000, T) for T in far]) == pytest.approx(2, abs=0.05)
@@ -251,7 +251,7 @@ def test_fig_2_holds_for_ten_grains_at_most():
 
 
 @pytest.mark.parametrize("load", [0, 10, 1000])
-def test_bessel_fails_where_it_is_foretold(load):
+def test_bessel_solutions_have_the_predicted_error(load):
     compared = 0
     for tau in (0.5, 1.0, 2.0, 3.0, 5.0, 10.0, 20.0):
         contrast, error = bessel_error(load, tau)
@@ -270,7 +270,7 @@ def test_bessel_at_early_times():
 
 
 def test_eqs_7_and_8():
-    """Eq. (7) is off by a third of the wave or more at any time; Eq.
+    """Eq. (7) is off by a third of the wave or more at any time.
 
     (8) tends to it as n^2 / tau.
     """
@@ -283,8 +283,8 @@ def test_eqs_7_and_8():
 
 
 @pytest.mark.parametrize("level", [0.01, 0.1])
-def test_continuum_fails_where_it_is_foretold(level):
-    """In widths to 12 %, in errors to 35 %, and better the later."""
+def test_the_continuum_has_the_predicted_error(level):
+    """Widths agree to 12 % and errors to 35 %, better at later times."""
     off = []
     for tau in (10.0, 100.0):
         width = float(continuum.chi(theories.continuum_width(level, tau)))
@@ -296,7 +296,7 @@ def test_continuum_fails_where_it_is_foretold(level):
 
 
 def test_continuum_over_width():
-    """The error falls as the third power of the width in time, for other exponents too."""
+    """The error decreases as the third power of the width in time, also for other exponents."""
     widths = np.array([4.0, 5.0, 6.5])
     for delta in (1.2, 1.5):
         errors = [continuum_error(s, np.array([60.0]), delta)[0] for s in widths]
@@ -306,18 +306,18 @@ def test_continuum_over_width():
         )
 
 
-def test_behind_the_front_the_impulse_response_is_that_of_the_chain():
+def test_the_impulse_response_agrees_with_the_chain_behind_the_front():
     for tau in (30.0, 100.0, 300.0):
         _, h, off = impulse_error(tau)
         for error, tail in theories.SLOWEST_TAIL.items():
             behind = theories.behind_front(h, error)
             assert off[-1][behind < tau].max() < error
             assert off[-1][(behind >= tau) & (behind - 0.4 * tail * h**0.25 < tau)].max() > error
-        assert np.nanmax(off[-1]) > 0.3  # at the front itself it is infinite
+        assert np.nanmax(off[-1]) > 0.3  # It is infinite at the front.
 
 
 def test_dispersion():
-    """1 % below 12.8 grains, 10 % below 4: the chain's phase velocities, of a driven top."""
+    """The error of phase velocities is 1 % below 12.8 grains and 10 % below 4 for a driven top."""
     for frequency in (1.0, 1.5, 2.4):
         wavelength, ratio = phase_velocities(frequency)
         deep = wavelength > 3
@@ -338,7 +338,7 @@ def test_a_driven_wave_gets_out_of_phase():
 
 
 def test_light_cone_and_width_of_the_front():
-    """Arrival as (6/5) h^(5/6), not n^(5/6), which is a sixth too early; width as h^(1/6)."""
+    """The arrival is (6/5) h^(5/6), not n^(5/6), which is a sixth too early; width is h^(1/6)."""
     grain, arrival, width = fronts(300.0)
     deep = (grain > 200) & np.isfinite(width)
     h = grain[deep] - 0.5

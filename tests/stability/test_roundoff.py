@@ -1,4 +1,4 @@
-"""The floor of round-off and the predictability time, held against extended precision."""
+"""The rounding floor and the predictability horizon, compared with extended precision."""
 
 import math
 from functools import partial
@@ -53,7 +53,7 @@ def column(grains, strike, tau, samples=11, gravity=9.81):
 
 
 def agitated(grains, strike, reflections, samples=201, gravity=9.81):
-    """Return such a column, for this many reflections of the pulse."""
+    """Return such a column for this number of reflections of the pulse."""
     scene = column(grains, strike, 1.0, 2, gravity)
     duration = reflections * reflection_time(scene)
     return Scene(chain=scene.chain, excitation=scene.excitation, duration=duration, samples=samples)
@@ -63,12 +63,12 @@ def slope(x, y):
     return np.polyfit(np.log(x), np.log(y), 1)[0]
 
 
-# round-off
+# Rounding.
 
 
 @pytest.mark.parametrize("options", HEIGHTS)
-def test_the_measured_floor_is_the_error_of_the_answer(options):
-    """So weak a strike that the floor exceeds what the steps leave.
+def test_the_measured_floor_is_the_error_of_the_run(options):
+    """The floor exceeds the truncation error for such a weak strike.
 
     Then it is all the error there is.
     """
@@ -117,13 +117,13 @@ def test_the_exact_force_has_one_floor_for_all_strikes():
     assert measured_floor(column(10, 1e-9, 8), force="plain") > 1e6 * max(found)
 
 
-def test_the_automatic_force_takes_the_plain_one_where_it_loses_nothing():
+def test_the_automatic_force_uses_the_plain_one_where_it_is_accurate():
     assert floor(column(10, 1e-6, 8)) == floor(column(10, 1e-6, 8), force="exact")
     strong = column(10, 10.0, 8)
     assert floor(strong) == floor(strong, force="plain") < 1.1 * floor(strong, force="exact")
 
 
-def test_the_floor_of_a_chain_that_is_displaced():
+def test_the_floor_of_a_displaced_chain():
     chain = Chain(grains=10, diameter=1e-3)
     scene = Scene(
         chain=chain,
@@ -140,7 +140,7 @@ def test_long_columns_are_measured_where_the_wave_is():
     assert 1 / 6 < measured_floor(scene, "lammps") / floor(scene, "lammps") < 6
 
 
-def test_scenes_without_a_round_off_floor_are_refused():
+def test_scenes_without_a_rounding_floor_are_rejected():
     scene = column(5, 1e-3, 2)
     for function in (floor, measured_floor):
         with pytest.raises(InputError, match=r"native \| lammps"):
@@ -175,11 +175,11 @@ def test_the_law_on_random_scenes():
     assert high < 10
 
 
-# predictability
+# Predictability.
 
 
 def crossing(times, apart, value):
-    """Return when a change first exceeds a value, s."""
+    """Return the time at which a change first exceeds a value, s."""
     beyond = np.flatnonzero(apart > value)
     return times[beyond[0]] if beyond.size else math.inf
 
@@ -192,7 +192,7 @@ def apart_in_long_double(scene, change):
 
 
 @pytest.mark.slow
-def test_growth_is_that_of_extended_precision():
+def test_growth_agrees_with_extended_precision():
     scene = agitated(8, 100.0, 5, samples=26)
     times, apart = growth(scene, 1e-11)
     true = apart_in_long_double(scene, 1e-11)
@@ -202,7 +202,7 @@ def test_growth_is_that_of_extended_precision():
 
 
 @pytest.mark.soak
-def test_growth_is_that_of_extended_precision_over_many_decades():
+def test_growth_agrees_with_extended_precision_over_many_decades():
     scene = agitated(10, 99.0, 28, samples=201)
     _, apart = growth(scene)
     true = apart_in_long_double(scene, 1e-13)
@@ -218,8 +218,8 @@ def test_a_gentle_wave_does_not_amplify():
     assert predictability_time(scene, 1e-9) == math.inf
 
 
-def test_decades_a_reflection():
-    """The rate depends on the length of the column alone: measured between 1e-11 and 1e-4.
+def test_decades_per_reflection():
+    """The rate depends only on the length of the column, measured between 1e-11 and 1e-4.
 
     Each is within the factor of 1.5 that is claimed, and their mean within 10 %.
     """
@@ -248,8 +248,8 @@ def test_the_predicted_predictability_time():
 
 
 @pytest.mark.soak
-def test_no_double_precision_run_holds_beyond_the_predictability_time():
-    """The error of accurate runs passes a tolerance when a change has grown so, to 0.5 ms."""
+def test_double_precision_runs_are_wrong_beyond_the_predictability_horizon():
+    """Errors of accurate runs exceed a tolerance when a change has grown to it, within 0.5 ms."""
     scene = agitated(10, 99.0, 32, samples=201)
     true = reference(scene)
     said = {tolerance: predictability_time(scene, tolerance) for tolerance in (1e-9, 1e-6)}
@@ -261,20 +261,20 @@ def test_no_double_precision_run_holds_beyond_the_predictability_time():
             assert crossing(scene.time, error, tolerance) == pytest.approx(end, abs=5e-4)
 
 
-def test_a_reflection_time_is_known_for_strikes_alone():
+def test_a_reflection_time_requires_a_strike():
     chain = Chain(grains=5, diameter=1e-3, exponent=2.0)
     with pytest.raises(InputError, match=r"exponent 1\.5"):
         reflection_time(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5))
 
 
-# the early refusal
+# Early refusal.
 
 
 def chaotic(reflections=35.0):
     return agitated(12, 100.0, reflections, samples=101)
 
 
-def test_chaos_is_refused_before_it_is_run():
+def test_chaos_is_rejected_before_the_run():
     scene = chaotic()
     with pytest.raises(
         ToleranceNotMet, match="amplifies round-off, which may exceed the tolerance at t = "
@@ -287,7 +287,7 @@ def test_chaos_is_refused_before_it_is_run():
     assert early.time[-1] < said < scene.duration
 
 
-def test_lammps_refuses_chaos_before_it_runs():
+def test_lammps_rejects_chaos_before_the_run():
     with pytest.raises(
         ToleranceNotMet, match="amplifies round-off, which may exceed the tolerance at t = "
     ) as refusal:
@@ -311,8 +311,8 @@ def answerable(scene, tolerance, patient):
     return not outcome.missed
 
 
-def test_what_can_be_answered_is_not_refused():
-    """Up to close to the predictability time."""
+def test_solvable_scenes_are_not_rejected():
+    """Durations are up to close to the predictability horizon."""
     whole = chaotic()
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):
@@ -324,7 +324,7 @@ def test_what_can_be_answered_is_not_refused():
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-def test_no_random_scene_is_refused_that_can_be_answered():
+def test_no_solvable_random_scene_is_rejected():
     rng = np.random.default_rng(3)
     refused = 0
     for _ in range(60):

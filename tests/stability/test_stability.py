@@ -1,4 +1,4 @@
-"""All boundaries of one scene: the command, its table and picture, and what `run` warns of."""
+"""All limits of a scene: the command, its table and picture, and warnings of `run`."""
 
 import contextlib
 import io
@@ -28,7 +28,7 @@ BOUNCING = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=0.02, sa
 
 @pytest.fixture(scope="module")
 def search() -> tuple[Stability, str]:
-    """Return the boundaries of a strong strike on a few grains, and what the search said.
+    """Return the limits of a strong strike on a few grains, and what the search said.
 
     The runs that show the boundaries give no warnings, because the user did not ask for them.
     """
@@ -56,7 +56,7 @@ def by_method(found: Stability, what: str) -> dict:
     return {row.method: row for row in found.boundaries if row.what == what}
 
 
-def test_every_boundary_is_found_and_predicted(found: Stability):
+def test_every_limit_is_found_and_predicted(found: Stability):
     steps = by_method(found, "longest step")
     assert len(steps) == 8
     for row in steps.values():
@@ -89,7 +89,7 @@ def test_curves(found: Stability):
 def test_command(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(find, "LONGEST_S", 0.0)  # what is measured is held against its law above
+    monkeypatch.setattr(find, "LONGEST_S", 0.0)  # Measurements are compared with their laws above.
     scene = tmp_path / "scene.toml"
     paper("weak").to_toml(scene)
     words = [
@@ -103,14 +103,14 @@ def test_command(
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "predicted" in said.splitlines()[0]
-    assert "!" not in said  # a weak strike is beyond nothing
+    assert "!" not in said  # A weak strike exceeds no limit.
     assert (tmp_path / "chart.png").read_bytes()[:4] == b"\x89PNG"
     rows = json.loads((tmp_path / "found.json").read_text())["rows"]
     assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
 
 
 @pytest.mark.slow
-def test_what_cannot_be_measured_is_said(tmp_path: Path):
+def test_missing_measurements_are_reported(tmp_path: Path):
     vacuum = Scene(
         chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
         excitation=Impulse(velocity=0.1),
@@ -128,12 +128,12 @@ def test_what_cannot_be_measured_is_said(tmp_path: Path):
         found.plot().figure.savefig(tmp_path / name)
 
 
-def test_a_weak_scene_is_warned_of_nothing():
+def test_a_weak_scene_causes_no_warning():
     for engine in (Native(), Lammps(), Modes(), Native(integrator="verlet", step=1e-7)):
         assert not list(pre_run_warnings(paper("weak"), engine, 1e-6))
 
 
-def test_a_step_that_holds_at_rest_only():
+def test_a_step_that_is_stable_only_at_rest():
     at_rest = 1.9 / FEW.band_edge
     struck = limit(STRUCK, "verlet")
     assert struck < 0.65 * at_rest
@@ -142,14 +142,14 @@ def test_a_step_that_holds_at_rest_only():
     assert not list(pre_run_warnings(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
 
 
-def test_a_scene_that_outlasts_its_predictability_time():
+def test_a_scene_beyond_its_predictability_horizon():
     (said,) = pre_run_warnings(BOUNCING, Native(), 1e-6)
     assert "amplify rounding errors beyond 1e-06 at about" in said
     assert not list(pre_run_warnings(STRUCK, Native(), 1e-6))
 
 
 def test_deep_overlaps():
-    """Contact 1 is squeezed by less than a tenth, as `Scene` asks, but one further down by more."""
+    """Contact 1 is compressed by less than a tenth, as `Scene` requires, a lower one by more."""
     sizes = 5e-3 * 0.7 ** np.arange(8)
     chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)

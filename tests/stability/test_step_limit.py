@@ -1,4 +1,4 @@
-"""Where steps fail: the predicted boundaries against runs, exact motions and closed forms."""
+"""Step limits: predictions against runs, exact motions and closed forms."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lmpchain.stability.step_limit import blow_up, energy_error, limit, struck_f
 from lmpchain.theory.modes import eigenmodes
 
 LOADED = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
-LONG = {"rkn4": 400, "rkn6": 2000}  # periods, where growth beyond the limit is slow
+LONG = {"rkn4": 400, "rkn6": 2000}  # Number of periods, because growth beyond the limit is slow.
 every = pytest.mark.parametrize("integrator", METHODS)
 soak = pytest.mark.soak
 
@@ -36,7 +36,7 @@ def struck(chain: Chain, number: float, periods: float = 100) -> Scene:
 
 
 def fastest_mode(periods: float) -> Scene:
-    """Return a chain that swings in its highest mode, too little to stiffen."""
+    """Return a chain that oscillates in its highest mode, too weakly to stiffen."""
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-2)
     shape = np.append(eigenmodes(chain).shape[:, -1], 0.0)
     start = Profile(displacement=1e-2 * chain.length_scale * shape / np.abs(shape).max())
@@ -49,13 +49,14 @@ def fastest_mode(periods: float) -> Scene:
     + [pytest.param("lammps", "verlet", marks=pytest.mark.slow)]
     + [pytest.param("lammps", name, marks=soak) for name in ("kahan-li6", "rkn6")],
 )
-def test_every_method_breaks_at_its_own_limit_on_the_band_edge(
+def test_every_method_breaks_down_at_its_limit_on_the_band_edge(
     engine: str, integrator: str
 ) -> None:
     scene = fastest_mode(LONG.get(integrator, 60))
     found = blow_up(scene, integrator, engine)
     assert found == pytest.approx(limit(scene, integrator), rel=0.02, abs=0)
-    if integrator != "gear4":  # which grows with every step: its limit depends on the duration
+    # Gear's method grows with every step, so that its limit depends on the duration.
+    if integrator != "gear4":
         assert found * scene.chain.band_edge == pytest.approx(
             METHODS[integrator].stability_limit, rel=0.02
         )
@@ -63,7 +64,7 @@ def test_every_method_breaks_at_its_own_limit_on_the_band_edge(
 
 @pytest.mark.parametrize("integrator", ["rkn4", "rkn6", "kahan-li8"])
 def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
-    """So a run of a hundred periods passes over it, and breaks far beyond the limit."""
+    """A run of a hundred periods passes this band, and breaks down far beyond the limit."""
     method = METHODS[integrator]
     assert method.growth(suspect(integrator)) > 1.0004
     assert method.growth(1.02 * method.stability_limit) == 1
@@ -72,7 +73,7 @@ def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
 
 
 def stiffest(scene: Scene) -> float:
-    """Return the highest eigenfrequency of the chain at any moment of the exact motion, rad/s."""
+    """Return the highest eigenfrequency of the chain during the exact motion, rad/s."""
     chain = scene.chain
     contacts = scene.chain.contacts
     u, _, _ = extended_reference(scene, 1e-10)
@@ -88,7 +89,7 @@ def stiffest(scene: Scene) -> float:
 
 
 COLUMN = Chain(grains=20, diameter=1e-3)
-CHAINS = {  # chain, strike number, how far the law may be off
+CHAINS = {  # Chain, strike number, and largest deviation of the law.
     "weak": (LOADED, 0.1, 0.01),
     "medium": (LOADED, 10, 0.03),
     "strong": (LOADED, 1e3, 0.03),
@@ -108,7 +109,7 @@ CHAINS = {  # chain, strike number, how far the law may be off
 
 
 @pytest.mark.parametrize("case", CHAINS.values(), ids=CHAINS)
-def test_the_frequency_that_a_strike_brings_about(case: tuple[Chain, float, float]) -> None:
+def test_the_frequency_of_a_struck_chain(case: tuple[Chain, float, float]) -> None:
     chain, number, off = case
     periods = 30 if number < 1 else 8
     quick = Scene(
@@ -121,7 +122,7 @@ def test_the_frequency_that_a_strike_brings_about(case: tuple[Chain, float, floa
 
 
 def test_the_frequency_of_two_grains_pressed_together() -> None:
-    """A closed form.
+    """Compared with a closed form.
 
     All the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E.
     """
@@ -138,7 +139,7 @@ def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge()
     assert struck_frequency(scene) == scene.highest_frequency
 
 
-def test_nothing_limits_the_step_where_nothing_moves() -> None:
+def test_the_step_is_unlimited_if_nothing_moves() -> None:
     chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
     assert (
         limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet")
@@ -160,7 +161,7 @@ def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
 @soak
 @pytest.mark.parametrize("integrator", engines.Lammps.integrators)
 @pytest.mark.parametrize("number", [1e-2, 10])
-def test_both_engines_break_at_the_same_step(integrator: str, number: float) -> None:
+def test_both_engines_break_down_at_the_same_step(integrator: str, number: float) -> None:
     scene = struck(LOADED, number)
     assert blow_up(scene, integrator, "lammps") == pytest.approx(
         blow_up(scene, integrator), rel=0.02, abs=0
@@ -168,8 +169,8 @@ def test_both_engines_break_at_the_same_step(integrator: str, number: float) -> 
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
-def test_in_the_vacuum_the_step_goes_as_a_power_of_the_energy(exponent: float) -> None:
-    """h ~ E^(-(delta-1)/(2 delta+2)) exactly: there is no other scale of time."""
+def test_in_the_vacuum_the_step_scales_with_the_energy(exponent: float) -> None:
+    """The law h ~ E^(-(delta-1)/(2 delta+2)) is exact, because there is no other time scale."""
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, exponent=exponent)
     speeds = np.array([1e-4, 1e-2]) if exponent == 1.5 else np.array([1e-2, 0.1])
     found = []
@@ -188,7 +189,7 @@ def test_in_the_vacuum_the_step_goes_as_a_power_of_the_energy(exponent: float) -
 
 
 def hot(number: float, grains: int = 4) -> Scene:
-    """Return a loaded chain of three moving grains by default, with random speeds.
+    """Return a loaded chain with random speeds, by default of three moving grains.
 
     More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a
     million that is none.
@@ -205,8 +206,8 @@ STEPS = {"verlet": (0.02, 0.2), "rkn4": (0.05, 0.12), "rkn6": (0.2, 0.4), "kahan
 
 
 @pytest.mark.parametrize("integrator", SPLITTINGS)
-def test_the_energy_error_goes_as_the_step_to_the_order(integrator: str) -> None:
-    """While chaos has not yet told one step from another: then all see the same motion."""
+def test_the_energy_error_has_the_order_of_the_method(integrator: str) -> None:
+    """The duration is short, so that all steps give the same motion before chaos sets in."""
     scene = hot(0.2, 8)
     runs = [
         energy_error(scene, integrator, reach / scene.chain.band_edge, 100, 201)
@@ -221,7 +222,7 @@ def test_the_energy_error_goes_as_the_step_to_the_order(integrator: str) -> None
 @pytest.mark.slow
 @every
 def test_the_energy_over_a_million_steps(integrator: str) -> None:
-    """Splittings keep it to a fluctuation without a trend; the others lose or gain it, steadily."""
+    """Splittings have a bounded fluctuation; the other methods lose or gain energy steadily."""
     scene = hot(0.2)
     reach = {"gear4": 0.1, "dop853": 0.5}.get(integrator, 0.1 * METHODS[integrator].stability_limit)
     steps = 2e5 if integrator == "dop853" else 1e6
@@ -243,7 +244,7 @@ def test_the_energy_over_a_million_steps(integrator: str) -> None:
 
 
 @pytest.mark.parametrize(("integrator", "reach"), [("gear4", 0.05), ("dop853", 0.6)])
-def test_a_weak_wave_drifts_as_its_modes_grow(integrator: str, reach: float) -> None:
+def test_a_weak_wave_drifts_like_its_modes(integrator: str, reach: float) -> None:
     scene = hot(1e-4)
     run = energy_error(scene, integrator, reach / scene.chain.band_edge, 3000)
     expected = drift(scene, METHODS[integrator].growth, run.step)
@@ -257,7 +258,7 @@ def test_a_weak_wave_drifts_as_its_modes_grow(integrator: str, reach: float) -> 
 
 @cache
 def opening(exponent: float) -> tuple[Scene, Reference, float]:
-    """Return a strike on 30 beads that opens contacts, the truth, and its error."""
+    """Return a strike on 30 beads that opens contacts, its reference, and the reference error."""
     velocity, duration = {1.5: (8.57e-3, 60e-6), 1.25: (8.57e-3, 30e-6), 2.0: (1.0, 60e-6)}[
         exponent
     ]
@@ -283,9 +284,7 @@ def slope(counts: np.ndarray, errors: np.ndarray) -> float:
         pytest.param(*pair, marks=soak) for pair in (("dop853", 1.5), ("gear4", 1.5), ("rkn6", 2.0))
     ],
 )
-def test_steps_of_one_length_fall_to_the_order_of_the_opening(
-    integrator: str, exponent: float
-) -> None:
+def test_equal_steps_have_the_order_of_the_opening(integrator: str, exponent: float) -> None:
     scene, truth, own = opening(exponent)
     first, last = (2000, 20000) if integrator == "gear4" else (70, 6000)
     counts = np.geomspace(first, last, 10).astype(int)
@@ -303,13 +302,13 @@ def test_adaptive_steps_keep_the_order(integrator: str) -> None:
     scene, truth, own = opening(1.5)
     counts = np.array([70, 100, 140, 200, 280, 400, 560])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=1)
-    assert errors.min() > 20 * own  # and above round-off
+    assert errors.min() > 20 * own  # And above rounding errors.
     assert slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8", "dop853"])
 def test_adaptive_steps_are_of_order_6_or_better(integrator: str) -> None:
-    """What openings leave dominates here: it falls with the seventh power or so."""
+    """The error of openings dominates here, and has about the seventh order."""
     scene, truth, own = opening(1.5)
     counts = np.array([50, 70, 100, 140] if integrator == "dop853" else [70, 100, 140, 200])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=20)

@@ -1,4 +1,4 @@
-"""What tables of a sweep file stand for: axes, laws, and both sides of each refusal."""
+"""Tables of a sweep file: axes, laws, and both sides of each limit."""
 
 import hashlib
 import json
@@ -31,7 +31,7 @@ def test_a_grid_has_an_axis_for_each_key():
     assert first.arrays == ()
 
 
-def test_coordinates_are_numbers_or_words():
+def test_coordinates_are_numbers_or_texts():
     columns = {
         "chain.gravity": [1.0, 2],
         "chain.material": ["glass", {"density": 1.0}],
@@ -53,7 +53,7 @@ def test_coordinates_are_numbers_or_words():
     }
 
 
-def test_cases_have_as_many_values_each():
+def test_cases_have_equal_numbers_of_values():
     (axis,) = make_axes({"list": {"chain.gravity": (1.0, 2.0), "chain.top": ["free", "wall"]}})
     assert (axis.name, axis.length) == ("case", 2)
     told = faults({"list": {"chain.gravity": [1.0, 2.0], "chain.top": ["free"]}})
@@ -66,7 +66,7 @@ def test_cases_have_as_many_values_each():
     assert faults({"grid": [1]}) == [("grid", "must be a table, [grid]")]
 
 
-def test_a_hypercube_is_that_of_its_seed():
+def test_a_hypercube_is_reproducible_from_its_seed():
     low = {"low": 1.0, "high": 3.0}
     high = {"mean": 5.0, "deviation": 0.5}
     table = {"draws": 40, "seed": 3, "chain.gravity": low, "excitation.velocity": high}
@@ -91,7 +91,7 @@ def test_a_hypercube_is_that_of_its_seed():
     assert faults({"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
 
 
-def test_realisations_have_contacts_of_their_own_where_an_order_is_given():
+def test_realisations_have_random_contacts_if_an_order_is_given():
     (contacts,) = make_axes({"disorder": {"m": 2, "seed": 1, "realisations": 3}})
     assert (contacts.name, contacts.drawn, contacts.arrays) == ("realisation", True, ())
     assert list(contacts.columns["disorder.index"]) == [0, 1, 2]
@@ -109,7 +109,7 @@ def test_realisations_have_contacts_of_their_own_where_an_order_is_given():
     assert "disorder.index" in indexed.columns
 
 
-def test_scenes_are_a_million_at_most(monkeypatch: pytest.MonkeyPatch):
+def test_the_number_of_scenes_is_limited_to_a_million(monkeypatch: pytest.MonkeyPatch):
     assert module.MOST_SCENES == 10**6
     monkeypatch.setattr(module, "MOST_SCENES", 6)
     grid = {"chain.gravity": [1.0, 2.0], "chain.exponent": [1.5, 2.0, 3.0]}
@@ -132,7 +132,7 @@ def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
     assert make_axes({"random": {"draws": 1, "seed": 0} | ranges})[0].length == 1
 
 
-def test_keys_are_those_of_a_scene_and_swept_once():
+def test_keys_must_belong_to_a_scene_and_be_unique():
     keys = "they begin with chain, excitation, recording, as chain.gravity does"
     (fault,) = faults({"grid": {"chian.gravity": [1.0]}})
     assert fault == ("chian.gravity", f"is no key of a scene (did you mean 'chain'?); {keys}")
@@ -145,7 +145,7 @@ def test_keys_are_those_of_a_scene_and_swept_once():
         {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
     )
     assert overlap == [("chain.material", "overlaps chain.material.density: sweep one of them")]
-    # One begins like the other, and is none of it.
+    # One key begins like the other, but is a different key.
     make_axes({"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}})
     (fault,) = faults({})
     assert fault == ("grid", "nothing is swept: add a table [grid], [list], [random], [disorder]")
@@ -157,7 +157,7 @@ def test_keys_are_those_of_a_scene_and_swept_once():
 PARTS = np.array([1e-6, 0.1, 0.5, 0.9, 1 - 1e-6])
 
 
-def test_laws_are_those_of_scipy():
+def test_laws_agree_with_scipy():
     uniform = Uniform(low=2.0, high=5.0)
     normal = Normal(mean=3.0, deviation=0.5)
     assert uniform.at(PARTS) == pytest.approx(stats.uniform.ppf(PARTS, 2.0, 3.0), rel=1e-14)
@@ -208,13 +208,13 @@ def test_a_table_is_a_range_or_a_distribution():
         ({"mean": 1.0, "deviation": 0.0}, "deviation", "must be above 0 (got 0.0)"),
     ],
 )
-def test_laws_that_are_none(table: dict[str, Any], key: str, message: str):
+def test_invalid_laws(table: dict[str, Any], key: str, message: str):
     with pytest.raises(InputError) as caught:
         make_law(table)
     assert caught.value.faults == [(key, message)]
 
 
-def test_laws_just_inside_their_limits():
+def test_laws_at_their_limits():
     make_law({"low": 2.0, "high": float(np.nextafter(2.0, 3.0))})
     make_law({"low": 5e-324, "high": 2.0, "log": True})
     make_law({"low": -2.0, "high": -1.0})
@@ -222,8 +222,8 @@ def test_laws_just_inside_their_limits():
     make_law({"mean": 0.0, "deviation": 1.0})
 
 
-def test_numbers_of_grains_follow_from_seed_scene_and_key():
-    """As documented, so that others can draw them again."""
+def test_numbers_of_grains_depend_on_seed_scene_and_key():
+    """The documented recipe reproduces the numbers."""
     uniform = Uniform(low=1.0, high=2.0)
     for key, fewer in (("chain.masses", 0), ("chain.diameter", 0), ("chain.contact_constants", 1)):
         mark = int.from_bytes(hashlib.sha256(key.encode()).digest()[:4], "big")

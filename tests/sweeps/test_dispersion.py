@@ -14,7 +14,7 @@ def chain_and_scene() -> tuple[Chain, Scene]:
     return chain, Scene(chain=chain, excitation=drive, duration=60 / frequency)
 
 
-def test_phase_falls_with_the_square_of_the_amplitude() -> None:
+def test_phase_decreases_with_the_square_of_the_amplitude() -> None:
     """Weak waves have the phase of linear theory; the shift grows with the amplitude squared."""
     chain, scene = chain_and_scene()
     omega = np.array([0.4, 0.45]) * chain.band_edge
@@ -34,7 +34,7 @@ def test_phase_falls_with_the_square_of_the_amplitude() -> None:
     assert "(rad)" in axes.get_ylabel()
 
 
-def test_a_scene_without_a_harmonic_drive_is_refused() -> None:
+def test_a_scene_without_a_harmonic_drive_is_rejected() -> None:
     """A strike has no frequency, and a drive beyond the band sends no steady wave far enough."""
     chain, scene = chain_and_scene()
     with pytest.raises(InputError, match="Drive or a Force"):

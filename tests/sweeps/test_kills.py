@@ -51,16 +51,16 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
             time.sleep(0.02)
         # A random delay separates the kill from the end of a scene.
         time.sleep(rng.uniform(0, 3) if part < 0 else rng.uniform(0, 0.1))
-        there = processes(mark)  # workers
+        there = processes(mark)  # Worker processes.
         victim = process.pid if rng.random() < 0.7 or not there else rng.choice(there)
         alive_still = process.poll() is None
         with suppress(ProcessLookupError):
             os.kill(victim, signal.SIGKILL)
         code, said = process.ended()
-        # Python's own resource tracker tells how it was killed.
+        # Python's own resource tracker reports how it was killed.
         assert f'File "{PACKAGE}' not in said, said
         assert code in (0, -signal.SIGKILL), said
-        until(lambda: not processes(mark))  # nothing of it is left
+        until(lambda: not processes(mark))  # No process remains.
         counts[0] += alive_still
         counts[1] += code == -signal.SIGKILL
     last = Fork(
@@ -76,7 +76,7 @@ def killed(folder: Path, parts: list[float], rng: random.Random) -> tuple[int, i
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of the same sweep on one process, undisturbed."""
+    """Return the folder of the same sweep on one process without interruptions."""
     folder = tmp_path_factory.mktemp("serial")
     assert (
         main(
@@ -90,8 +90,8 @@ def serial(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.soak
 @pytest.mark.timeout(0)
 @pytest.mark.parametrize("piece", range(5))
-def test_killed_at_random(piece: int, tmp_path: Path, serial: Path):
-    """Ten kills, some of them of the same sweep."""
+def test_random_kills(piece: int, tmp_path: Path, serial: Path):
+    """Ten kills at random, some of them in the same sweep."""
     rng = random.Random(f"sweep {piece}")
     count = 0
     for again in itertools.count():

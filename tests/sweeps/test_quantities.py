@@ -95,8 +95,8 @@ def energies(run: Any) -> tuple[np.ndarray, np.ndarray]:
     return kinetic, held
 
 
-def test_the_energy_is_that_of_recorded_grains_and_contacts_between_them(swept: Any, whole: Any):
-    """Of 3, 4 and 7 the contact between 3 and 4 alone."""
+def test_the_energy_is_that_of_recorded_grains_and_contacts(swept: Any, whole: Any):
+    """Of grains 3, 4 and 7, only the contact between 3 and 4 is included."""
     kinetic, held = energies(whole)
     rows = slice(None, None, 100)
     of_grains = kinetic[rows][:, [2, 3, 6]].sum(1)
@@ -120,7 +120,7 @@ def test_energies_of_grains_and_contacts(swept: Any, whole: Any):
         assert swept.grain_energy[0, :, place].values == pytest.approx(share, abs=1e-4 * size)
 
 
-def test_peaks_are_those_between_samples(swept: Any, whole: Any):
+def test_peaks_include_the_motion_between_samples(swept: Any, whole: Any):
     for name, motion in (("displacement", whole.displacement), ("velocity", whole.velocity)):
         peak = np.abs(motion[:, [2, 3, 6]]).max(0)
         found = swept[f"peak_{name}"][0].values
@@ -129,12 +129,13 @@ def test_peaks_are_those_between_samples(swept: Any, whole: Any):
     overlap = CHAIN.equilibrium_overlap - np.diff(whole.displacement)
     force = CHAIN.contact_constants * np.maximum(overlap, 0.0) ** 1.5
     assert swept.peak_force_4.item() == pytest.approx(force[:, 3].max(), rel=1e-6)
-    held = force[:, -1].max() + 9.81 * CHAIN.masses[-1]  # with the weight of the grain that is held
+    # The weight of the fixed grain is included.
+    held = force[:, -1].max() + 9.81 * CHAIN.masses[-1]
     assert swept.wall_force.item() == pytest.approx(held, rel=1e-3)
     assert swept.wall_force_error.item() < 0.01 * swept.wall_force.item()
 
 
-def test_the_front_arrives_when_half_of_the_peak_has(swept: Any):
+def test_the_front_arrives_at_half_of_the_peak(swept: Any):
     from lmpchain.measure.front import track
 
     alone = track(simulate(SCENE, "native", 1e-9))
@@ -183,8 +184,8 @@ def test_laws_and_times_are_labelled(tmp_path: Path):
 
 
 @pytest.mark.parametrize("bottom", ["fixed", "wall"])
-def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
-    """Contacts open, and the wave reaches the bottom between two of six samples."""
+def test_quantities_between_distant_samples_are_stored(bottom: str, tmp_path: Path):
+    """Contacts open, and the wave reaches the bottom, between two of six samples."""
     chain = Chain(grains=20, diameter=1e-3, bottom=bottom)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.5), duration=6e-5, samples=6)
     names = ["wall_force", "peak_velocity", "peak_displacement", "arrival_time"]
@@ -209,9 +210,9 @@ def test_what_happens_between_far_samples_is_kept(bottom: str, tmp_path: Path):
         for name, truth in truths.items():
             value = row[name].values
             error = row[f"{name}_error"].values
-            # The grain that is held has no motion to be accurate about.
+            # The fixed grain has no motion, so that accuracy is undefined.
             assert np.atleast_1d(error <= 0.1 * np.abs(value))[:last].all()
-            # 1e-5: what the largest of 6001 samples misses.
+            # The largest of 6001 samples has an error of 1e-5.
             assert (np.abs(value - truth) <= error + 1e-5 * truth).all(), name
         times = row.arrival_time.values
         assert np.isfinite(times).sum() > 10
@@ -225,8 +226,8 @@ TAPER = Scene(
 )
 
 
-def test_what_is_settled_before_a_scene_cannot_be_predicted_is_kept(tmp_path: Path):
-    """A wall force at 0.02 ms was lost, for nobody knows where grains are after 1.5 ms."""
+def test_quantities_known_before_chaos_are_stored(tmp_path: Path):
+    """A wall force at 0.02 ms was once lost, because the motion is unknown after 1.5 ms."""
     kept = ["wall_force", "peak_velocity", "peak_displacement", "velocity"]
     plan = {"scene": TAPER.to_dict(), "keep": kept, "grid": {"chain.gravity": [9.81]}}
     results = sweep(plan, tmp_path).load()
@@ -240,13 +241,13 @@ def test_what_is_settled_before_a_scene_cannot_be_predicted_is_kept(tmp_path: Pa
     assert error < 1e-3 * force
     speeds = np.abs(truth.velocity).max(0)
     assert results.peak_velocity[0].values == pytest.approx(speeds, rel=1e-3)
-    # Grain 1 flies on, and what is kept of all times would be known at the end alone.
+    # Grain 1 flies on, so that its maxima over all times are unknown.
     assert np.isnan(results.peak_displacement[0, 0])
     assert np.isnan(results.velocity).all()
 
 
-def test_what_samples_do_not_show_to_a_tenth_is_left_out_with_the_reason(tmp_path: Path):
-    """The continuum gathers nothing along its way."""
+def test_quantities_with_a_large_error_are_omitted_with_the_reason(tmp_path: Path):
+    """The continuum engine accumulates no quantities."""
     scene = Scene(
         chain=Chain(grains=60, diameter=1e-3),
         excitation=Impulse(velocity=1e-7),

@@ -141,7 +141,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("chain", "excitation", "drawn"), CASES)
-def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, drawn: Any):
+def test_scenes_derived_together_equal_single_scenes(chain: str, excitation: str, drawn: Any):
     table = drawn if isinstance(drawn, dict) else {key: LAWS[key] for key in drawn}
     plan = read_sweep(asked(chain, excitation, table))
     together = scenes(plan, 0, 5, together=True)
@@ -155,7 +155,7 @@ def test_scenes_made_together_are_those_made_alone(chain: str, excitation: str, 
 
 @pytest.mark.parametrize("chain", ["column", "walls", "impurities"])
 @pytest.mark.parametrize("key", ["chain.diameter", "chain.masses"])
-def test_a_copy_of_a_chain_made_together_has_its_grains(chain: str, key: str):
+def test_a_copy_of_a_chain_derived_together_has_its_grains(chain: str, key: str):
     plan = read_sweep(asked(chain, "first", {key: LAWS[key]}))
     for number, scene in enumerate(scenes(plan, 0, 5, together=True)):
         alone = plan.scene((number,)).chain
@@ -166,7 +166,7 @@ def test_a_copy_of_a_chain_made_together_has_its_grains(chain: str, key: str):
 
 
 @pytest.mark.parametrize("spoilt", ["stiffness", "masses", "compression", "drawn"])
-def test_a_chain_that_is_not_sound_is_made_alone(spoilt: str):
+def test_an_invalid_chain_is_derived_alone(spoilt: str):
     """A chain made alone is checked, and an error names its fault."""
     chain = Chain(grains=3, diameter=1e-3)
     masses = np.full((3, 3), 1e-6)

@@ -35,7 +35,7 @@ def in_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Bar:
-    """What a progress bar is asked."""
+    """A stub that records the calls of a progress bar."""
 
     bars: ClassVar[list["Bar"]] = []
 
@@ -81,10 +81,10 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     assert executor.tried.count(2) == 3
     assert executor.tried[-1] == "gather"
     executor = Faulty(BrokenExecutor("dead"), 3)
-    with pytest.warns(UserWarning, match="some scenes could not be done") as warned:
+    with pytest.warns(UserWarning, match="some scenes could not be solved") as warned:
         found = sweep(ASKED, tmp_path / "b", executor=executor)
     text = (
-        "some scenes could not be done this time; of the first: the process that was at it died 3 "
+        "some scenes could not be solved this time; the first: the process that was at it died 3 "
         "times"
     )
     assert [str(each.message) for each in warned] == [text]
@@ -95,10 +95,10 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
 
 
 @pytest.mark.usefixtures("in_pairs")
-def test_what_a_machine_prevents_is_told_and_done_the_next_time(tmp_path: Path, monkeypatch: Any):
+def test_faults_of_the_machine_are_reported_and_repeated_later(tmp_path: Path, monkeypatch: Any):
     monkeypatch.setattr(run, "ProgressBar", Bar)
     Bar.bars.clear()
-    with pytest.warns(UserWarning, match="of the first: OSError full$"):
+    with pytest.warns(UserWarning, match="; the first: OSError full$"):
         sweep(ASKED, tmp_path, executor=Faulty(OSError("full"), 9), progress=True)
     (bar,) = Bar.bars
     assert (bar.total, bar.options) == (7, {"unit": " scenes", "done": 0, "shown": True})
@@ -112,13 +112,13 @@ def test_what_a_machine_prevents_is_told_and_done_the_next_time(tmp_path: Path, 
     )
     sweep(ASKED, tmp_path)
     assert Bar.bars[2].options["done"] == 7
-    with pytest.warns(UserWarning, match="of the first: KeyError$"):
+    with pytest.warns(UserWarning, match="; the first: KeyError$"):
         sweep(ASKED, tmp_path / "b", executor=Faulty(KeyError(), 9))
 
 
 @pytest.mark.usefixtures("in_pairs")
 @pytest.mark.parametrize(("most", "workers"), [(1, 1), (3, 1), (256, 1)])
-def test_an_executor_has_so_many_tasks_at_a_time(
+def test_an_executor_has_a_limited_number_of_tasks(
     most: int, workers: int, tmp_path: Path, monkeypatch: Any
 ):
     counts: list[int] = []
@@ -144,7 +144,7 @@ def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
     assert caught.value.faults == [("workers", f"must be a whole number from 1 (got {workers!r})")]
 
 
-def test_what_is_hardly_meant_is_said_once_for_all_scenes(tmp_path: Path):
+def test_warnings_are_given_once_for_all_scenes(tmp_path: Path):
     chain = SCENE["chain"] | {"diameter": 1.0}
     grid = {"excitation.velocity": [1e-4, 2e-4], "chain.diameter": [1.0, 2.0]}
     with warnings.catch_warnings(record=True) as warned:
@@ -156,7 +156,7 @@ def test_what_is_hardly_meant_is_said_once_for_all_scenes(tmp_path: Path):
     assert remarks[0].endswith("; perhaps in other scenes, too")
 
 
-def test_small_scenes_make_a_task_together():
+def test_small_scenes_share_a_task():
     """A task has at most 256 scenes, with 4 million numbers."""
 
     def scene(grains: int, samples: int) -> Scene:
@@ -172,7 +172,7 @@ def test_small_scenes_make_a_task_together():
     assert count_scenes("lammps", scene(10, 11)) == 1
 
 
-def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
+def test_dask_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch):
     asked: list[Any] = []
 
     class Client:
@@ -213,7 +213,7 @@ def test_dask_is_asked_for_by_its_address(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_processes_that_cannot_start_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """As where there is no /dev/shm, whose semaphores processes need."""
+    """For example without /dev/shm, which the semaphores of processes need."""
 
     def refuse(*_: object, **__: object) -> None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
@@ -224,9 +224,9 @@ def test_processes_that_cannot_start_are_named(tmp_path: Path, monkeypatch: pyte
         run.sweep(ASKED, tmp_path, workers=2)
 
 
-def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path: Path):
+def test_a_worker_without_access_to_the_folder_reports_it(tmp_path: Path):
     class Elsewhere(Here):
-        """A machine to which the folder is not there."""
+        """An executor on a machine where the folder does not exist."""
 
         def submit(self, function: Any, /, *values: Any, **named: Any) -> Any:
             if isinstance(values[0], tasks.SweepTask):
@@ -236,11 +236,11 @@ def test_a_worker_that_does_not_see_the_folder_says_so(tmp_path: Path):
     with pytest.warns(UserWarning, match="does not see the folder /nowhere: all machines must"):
         found = run.sweep(ASKED, tmp_path, executor=Elsewhere())
     assert "does not see the folder" in found["reason"].to_numpy()[0]
-    with pytest.raises(InputError, match="goes without an executor"):
+    with pytest.raises(InputError, match="cannot be combined with an executor"):
         run.sweep(ASKED, tmp_path, scheduler="tcp://a:1", executor=Here())
 
 
-def test_a_folder_in_the_place_of_a_file_is_named(tmp_path: Path):
+def test_a_folder_in_place_of_a_file_is_named(tmp_path: Path):
     run.sweep(ASKED, tmp_path)
     (file,) = tmp_path.glob("*/results.zarr/zarr.json")
     file.unlink()
@@ -252,7 +252,7 @@ def test_a_folder_in_the_place_of_a_file_is_named(tmp_path: Path):
 # --- labels
 
 
-def test_labels_are_those_of_all_scenes():
+def test_labels_cover_all_scenes():
     recording = {
         "recording.samples": [3, 5],
         "recording.grains": [[5, 2], [2, 3]],
@@ -281,12 +281,12 @@ def test_labels_are_those_of_all_scenes():
     assert later.extra["time"].shape == (3,)
 
 
-# --- what an earlier sweep has found
+# --- results of an earlier sweep
 
 
 @pytest.mark.usefixtures("in_pairs")
-def test_what_is_known_is_taken_over_whatever_its_place(tmp_path: Path, monkeypatch: Any):
-    """Also where it lies in several shards, and in parts of others."""
+def test_earlier_results_are_reused_at_any_position(tmp_path: Path, monkeypatch: Any):
+    """They may be in several shards, and in parts."""
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=1))
     few = ASKED | {"grid": {"chain.gravity": [3.0, 6.0, 1.0, 9.0, 2.0]}}
     first = sweep(few, tmp_path).load()

@@ -1,4 +1,4 @@
-"""Files of the results: shards and parts, and reading any mixture of them."""
+"""Files of the results: shards and parts, and reading of any mixture of them."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> StoreLayout:
     )
 
 
-def test_a_shard_holds_so_many_scenes_that_a_hundred_files_hold_ten_thousand():
+def test_a_hundred_files_contain_ten_thousand_scenes():
     made = laid(10**4, 64, velocity=(3,), peak=())
     assert made.shards * len(made.columns) <= 100
     assert made.shard % made.batch == 0
@@ -53,14 +53,14 @@ def test_a_shard_holds_so_many_scenes_that_a_hundred_files_hold_ten_thousand():
 
 
 def test_a_shard_is_no_larger_than_128_MB():
-    wide = laid(10**6, 1, velocity=(2**10, 2**10))  # 8 MB a scene
+    wide = laid(10**6, 1, velocity=(2**10, 2**10))  # 8 MB per scene.
     assert wide.shard == 16
     huge = laid(10, 1, velocity=(2**14, 2**14))  # 2 GB
     assert huge.shard == 1
     assert laid(10**6, 5, velocity=(2**10, 2**10)).shard == 20
 
 
-def test_the_layout_has_an_error_beside_each_number_read_off():
+def test_the_layout_has_an_error_for_each_derived_number():
     extra = {"time": StoredArray(("sample",), (7,), "s", "")}
     made = make_layout(["velocity", "energy", "wall_force", "peak_force:3"], 9, 2, 7, 4, extra)
     shapes = {name: column.shape for name, column in made.columns.items()}
@@ -89,7 +89,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     velocity = group["velocity"]
     peak = group["peak"]
     assert dict(group.attrs) == {"batch": 4, "swept": {"case": 4000}}
-    assert velocity.chunks == (4, 128, 64)  # 64 kB a scene
+    assert velocity.chunks == (4, 128, 64)  # 64 kB per scene.
     assert velocity.shards == (made.shard, 128, 64)
     assert peak.chunks == (made.shard,)
     assert velocity.metadata.dimension_names == ("scene", "a", "b")
@@ -103,7 +103,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
 
 @pytest.fixture
 def split(tmp_path: Path, monkeypatch: Any) -> tuple[Path, StoreLayout, dict[str, np.ndarray]]:
-    """Two shards of six scenes, the first gathered, of the second a part and some of another."""
+    """Return two shards of six scenes: a complete one, and one with a part and some scenes."""
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=2))
     made = laid(11, 3, velocity=(2, 4), peak=())
     assert (made.shard, made.shards) == (6, 2)
@@ -157,16 +157,16 @@ def test_any_scenes_are_read_from_shards_and_parts(split: Any, numbers: Any):
     assert np.array_equal(found, expected, equal_nan=True)
 
 
-def test_what_is_not_done_is_no_number(tmp_path: Path):
+def test_missing_results_are_nan(tmp_path: Path):
     made = laid(3, 1, peak=())
     store.create_results(tmp_path, made, {}, {"case": 3})
     assert np.isnan(store.read_column(tmp_path, made, "peak", np.arange(3))).all()
     assert store.read_column(tmp_path, made, "reason", np.arange(3)).tolist() == ["not done"] * 3
 
 
-def test_what_killed_processes_leave_is_cleaned_away(split: Any):
+def test_leftovers_of_killed_processes_are_removed(split: Any):
     folder, made, _ = split
-    store.join_parts(folder, made, 0)  # once more: another process was faster
+    store.join_parts(folder, made, 0)  # The same again: another process was faster.
     left = [
         folder / "parts" / ".0000006.1.partial",
         folder / "results.zarr" / "peak" / "c" / f"0.{'a' * 32}.partial",
@@ -174,7 +174,7 @@ def test_what_killed_processes_leave_is_cleaned_away(split: Any):
     for path in left:
         path.touch()
     (folder / ".results.zarr.12.partial").mkdir()
-    np.savez(part_of(folder, 3), peak=np.zeros(3))  # of a shard that is there
+    np.savez(part_of(folder, 3), peak=np.zeros(3))  # A part of an existing shard.
     store.clean(folder, made)
     assert not any(path.exists() for path in left)
     assert sorted(path.name for path in folder.iterdir()) == [
@@ -220,7 +220,7 @@ def plain(folder: Path, length: int, *, held: int, shape: Any = None) -> None:
     (node / "c" / "0").write_bytes(bytes(held))
 
 
-def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
+def test_an_array_cannot_declare_more_than_its_file_can_contain(tmp_path: Path):
     """The limits are 64 MB, and a thousand times the size of the file."""
     cases = [
         (2**23, 0, True),
@@ -239,10 +239,10 @@ def test_an_array_claims_no_more_than_its_file_can_hold(tmp_path: Path):
                 store_check.check_store(folder / "results.zarr")
 
 
-def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
+def test_the_inner_chunks_of_a_shard_are_small_and_complete(tmp_path: Path):
     made = StoreLayout(
         4000, 4, laid(1, 1, velocity=(128, 32)).columns
-    )  # 32 kB a scene: eight a chunk
+    )  # 32 kB per scene, eight scenes per chunk.
     store.create_results(tmp_path, made, {}, {"case": 4000})
     file = tmp_path / "results.zarr" / "velocity" / "zarr.json"
     about = json.loads(file.read_text())
@@ -263,7 +263,7 @@ def test_the_inner_chunks_of_a_shard_are_small_and_whole(tmp_path: Path):
 
 
 @pytest.mark.parametrize("batch", [0, -1, True, 1.0, "1", None])
-def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
+def test_a_batch_is_a_positive_integer(tmp_path: Path, batch: Any):
     store.create_results(tmp_path, laid(2, 1, peak=()), {}, {"case": 2})
     file = tmp_path / "results.zarr" / "zarr.json"
     about = json.loads(file.read_text())
@@ -275,7 +275,7 @@ def test_a_batch_is_a_whole_number_from_1(tmp_path: Path, batch: Any):
 # --- places, keys and names
 
 
-def test_places_follow_the_last_axis_first():
+def test_positions_follow_the_last_axis_first():
     grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
     plan = read_sweep(
         {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
@@ -290,7 +290,7 @@ def test_places_follow_the_last_axis_first():
         assert not is_name(other)
 
 
-def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
+def test_a_name_and_a_key_depend_on_all_options():
     base = {"scene": SCENE, "grid": {"chain.gravity": [1.0, 2.0]}}
     other_scene = SCENE | {"excitation": {"kind": "impulse", "velocity": 2e-4}}
     names = set()
@@ -321,7 +321,7 @@ def test_a_name_and_a_key_follow_from_all_that_shapes_the_answer():
         read_text(json.dumps({"scene": "scene.toml", "files": {}}), plan.folder)
 
 
-def test_one_scene_for_each_value_is_tried_before_all_are_run():
+def test_one_scene_for_each_value_is_tried_before_the_run():
     grid = {"chain.gravity": [1.0, 2.0, 3.0], "excitation.velocity": [1e-4, 2e-4]}
     plan = read_sweep(
         {"scene": SCENE, "grid": grid, "disorder": {"m": 2, "seed": 1, "realisations": 4}}
@@ -330,8 +330,8 @@ def test_one_scene_for_each_value_is_tried_before_all_are_run():
     assert tried == [(1.0, 1e-4), (1.0, 2e-4), (2.0, 1e-4), (3.0, 1e-4)]
 
 
-def test_of_draws_32_are_tried(monkeypatch: Any):
-    """A sweep is refused if none of them makes a scene."""
+def test_32_draws_are_tried(monkeypatch: Any):
+    """A sweep is rejected if none of the draws gives a valid scene."""
     law = {"low": -40.0, "high": 1.0}
     plan = read_sweep(
         {
@@ -357,7 +357,7 @@ def test_of_draws_32_are_tried(monkeypatch: Any):
 
 
 @pytest.mark.parametrize("grains", [0, -1, True, 2.0, "6", None, 10**8 + 1])
-def test_drawn_numbers_need_a_chain_of_so_many_grains(grains: Any):
+def test_drawn_numbers_need_a_chain_with_this_number_of_grains(grains: Any):
     chain = {
         key: value
         for key, value in (SCENE["chain"] | {"grains": grains}).items()

@@ -7,7 +7,7 @@ from lmpchain import InputError, RunFailed, strike_shares
 from lmpchain.sweeps import strike_shares as strikes
 
 
-def test_shares_are_those_of_independent_runs() -> None:
+def test_shares_agree_with_independent_runs() -> None:
     """Shares agree with runs by SciPy's DOP853, whose durations were chosen by hand."""
     found = strike_shares([1.5, 2.0, 3.0], accuracy=1e-6)
     expected = [0.99366100753, 0.99845213883, 0.99989110533]
@@ -31,8 +31,8 @@ def test_errors_cover_longer_chains() -> None:
     assert (np.diff(tight.share) > 0).all()
 
 
-def test_wrong_exponents_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Waves of a linear chain are not solitary, and those close to it do not part in time."""
+def test_wrong_exponents_are_rejected(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Waves of a linear chain are not solitary; for similar exponents they separate too late."""
     with pytest.raises(InputError, match="above 1"):
         strike_shares([1.0])
     with pytest.raises(InputError, match="accuracy"):

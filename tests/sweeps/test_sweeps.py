@@ -61,11 +61,11 @@ def chains(count: int, **more: Any) -> dict[str, Any]:
 
 
 def begun(folder: Path) -> bool:
-    """Say whether a part of a sweep is done; quicker than to count."""
+    """Return whether a part of a sweep is done; this is faster than counting."""
     return any(folder.glob("*/parts/[0-9]*.npz")) or any(folder.glob("*/results.zarr/reason/c/*"))
 
 
-# --- what is swept
+# --- swept keys
 
 
 def test_a_cell_and_a_taper_are_swept(tmp_path):
@@ -100,7 +100,7 @@ def test_moduli_of_the_grains_of_a_cell_are_drawn():
 
 
 def test_a_grid_is_every_combination(tmp_path):
-    """Each place holds what `simulate` gives for the scene with these values, to the last bit."""
+    """Each position contains the result of `simulate` for its values, to the last bit."""
     speeds = [1e-5, 1e-3]
     grid = {"chain": {"gravity": GRAVITIES}, "excitation.velocity": speeds}
     found = sweep({"scene": SHORT, "grid": grid}, tmp_path)
@@ -119,7 +119,7 @@ def test_a_grid_is_every_combination(tmp_path):
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
     assert (found.reason == "").all()
-    found.load()  # before the next sweep takes its folder over
+    found.load()  # Loaded before the next sweep takes over its folder.
     turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
     assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), (
         "as they are named"
@@ -128,9 +128,7 @@ def test_a_grid_is_every_combination(tmp_path):
 
 
 def test_chains_of_one_grain(tmp_path):
-    """Walls are swept by their constants; small motions between them go with their stiffness at
-    rest.
-    """
+    """Walls are swept by their constants; small motions depend on the stiffness at rest."""
     chain = {
         "grains": 1,
         "diameter": 1e-3,
@@ -145,12 +143,12 @@ def test_chains_of_one_grain(tmp_path):
     )
     made = Chain(**chain)
     for place, k in enumerate(constants):
-        stiffness = 1.5 * np.power(k, 2 / 3).sum()  # F = 1 N
+        stiffness = 1.5 * np.power(k, 2 / 3).sum()  # The force is 1 N.
         exact = 1e-4 * np.cos(np.sqrt(stiffness / made.masses[0]) * found.time)
         assert found.velocity[place, :, 0].values == pytest.approx(exact, abs=1e-7)
 
 
-def test_a_list_goes_case_by_case(tmp_path):
+def test_a_list_is_run_case_by_case(tmp_path):
     cases = {"chain.material": ["glass", "steel", "ptfe"], "chain.diameter": [1e-3, 2e-3, 3e-3]}
     found = sweep({"scene": SHORT, "list": cases}, tmp_path)
     assert found.velocity.dims == ("case", "time", "grain")
@@ -164,7 +162,7 @@ def test_a_list_goes_case_by_case(tmp_path):
 
 
 def test_draws_fill_a_latin_hypercube(tmp_path):
-    """Of n draws one lies in each n-th part of every range, and a seed stands for the same ones."""
+    """Each of n equal parts of every range has one of the n draws, reproducible by the seed."""
     ranges = {
         "chain.gravity": {"low": 1, "high": 21},
         "excitation.velocity": {"low": 1e-6, "high": 1e-2, "log": True},
@@ -180,15 +178,15 @@ def test_draws_fill_a_latin_hypercube(tmp_path):
     speed = found["excitation.velocity"].values
     assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
     assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
-    # Nothing is faster than the strike.
+    # No velocity exceeds the strike.
     assert found.peak_velocity[:, 0].values == pytest.approx(speed, rel=1e-12)
     assert found.identical(sweep(asked, tmp_path / "b"))
     other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
     assert not np.isin(other["chain.gravity"], gravity).any()
 
 
-def test_realisations_are_those_of_the_disordered_chain(tmp_path):
-    """Also where the order m is swept and the first tries at a step miss the tolerance."""
+def test_realisations_agree_with_the_disordered_chain(tmp_path):
+    """The order m may be swept, and the first attempts may miss the tolerance."""
     strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
     found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
     assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
@@ -224,7 +222,7 @@ DRAWN: dict[str, dict[str, Any]] = {
     ),
 )
 def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
-    """Each scene equals its scene file, to the last bit; drawn numbers are a coordinate."""
+    """Each scene equals its scene file to the last bit; drawn numbers are a coordinate."""
     impurity = [{"grain": 4, "mass": 1e-6}]
     scene = SHORT | {"chain": SHORT["chain"] | {"bottom": bottom, "impurity": impurity}}
     table = {"seed": 4, "realisations": 5} | {key: DRAWN[key] for key in keys}
@@ -246,8 +244,8 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
     assert found.solver_error[3] == alone.error_estimate.solver
 
 
-def test_a_packet_is_that_of_each_chain():
-    """The packet follows from masses and stiffnesses of each chain, and so does its energy."""
+def test_a_packet_depends_on_each_chain():
+    """The packet follows from the masses and stiffnesses of each chain, and so does its energy."""
     chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
     packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
     scene = Scene(chain=chain, excitation=packet, duration=2e-5)
@@ -256,8 +254,8 @@ def test_a_packet_is_that_of_each_chain():
     assert [each.energy for each in made] == [plan.scene((number,)).energy for number in range(3)]
 
 
-def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
-    """What is done in a folder is found again by all that shapes it."""
+def test_laws_with_a_small_difference_have_different_results(tmp_path):
+    """Stored results are identified by all options that affect them."""
     found = []
     for mean in (1.0, 1.0 + 1e-7):
         law = {"mean": 62e9 * mean, "deviation": 1e9, "per_grain": True}
@@ -268,8 +266,8 @@ def test_laws_that_differ_in_a_late_digit_are_not_the_same(tmp_path):
 
 
 @pytest.mark.parametrize("log", [False, True])
-def test_drawn_numbers_obey_their_law(tmp_path, log):
-    """Mean and deviation are those of the number; a seed fixes the numbers for any count."""
+def test_drawn_numbers_follow_their_law(tmp_path, log):
+    """Mean and deviation agree with the law; a seed fixes the numbers for any count."""
     law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
     asked = {
         "scene": SHORT,
@@ -286,7 +284,7 @@ def test_drawn_numbers_obey_their_law(tmp_path, log):
     assert np.array_equal(again["chain.material.youngs_modulus"], found[:3])
 
 
-def test_draws_that_make_no_scene_are_recorded(tmp_path):
+def test_draws_without_a_valid_scene_are_recorded(tmp_path):
     table = {"seed": 4, "realisations": 30, "chain.masses": {"mean": 1e-6, "deviation": 6e-7}}
     found = sweep({"scene": SHORT, "disorder": table}, tmp_path)
     lost = found["chain.masses"].isnull().any("chain.masses.entry").values
@@ -326,23 +324,21 @@ def test_material_and_impurity_keys(tmp_path):
 
 
 @pytest.mark.parametrize("entry", ["2", "\N{SUPERSCRIPT ONE}", "1" * 5000])
-def test_entries_that_are_not_there(entry: str, tmp_path):
+def test_missing_entries(entry: str, tmp_path):
     """Python refuses to read numbers of 5000 digits."""
     scene = SHORT | {"chain": SHORT["chain"] | {"impurity": [{"grain": 3, "mass": 1e-6}]}}
     with pytest.raises(InputError, match=r"there is no entry .*: the scene has 1, counted from 0"):
         sweep({"scene": scene, "grid": {f"chain.impurity.{entry}.mass": [1e-6]}}, tmp_path)
 
 
-def test_what_is_swept_may_be_missing_from_the_scene(tmp_path):
+def test_a_swept_key_may_be_missing_from_the_scene(tmp_path):
     scene = SHORT | {"excitation": {"kind": "impulse"}}
     found = sweep({"scene": scene, "grid": {"excitation.velocity": [1e-5, 1e-4]}}, tmp_path)
     assert found.velocity[:, 0, 0].values.tolist() == [1e-5, 1e-4]
 
 
-def test_files_count_by_what_is_in_them(tmp_path):
-    """A scene file and its CSV file are found beside the sweep file; new contents make
-    a new scene.
-    """
+def test_files_are_identified_by_their_contents(tmp_path):
+    """A scene file and its CSV file are found beside the sweep file."""
     (tmp_path / "grains.csv").write_text("diameter\n" + "1e-3\n" * 8)
     (tmp_path / "scene.toml").write_text(
         '[chain]\nfile = "grains.csv"\n[excitation]\nkind = "impulse"\n[recording]\nduration = '
@@ -363,7 +359,7 @@ def test_files_count_by_what_is_in_them(tmp_path):
 
 
 def test_traces_of_instruments_are_swept(tmp_path):
-    """Their calibration, as any key; also a file in the start of a drive counts by its contents."""
+    """Their calibration is swept like any key; a start file is identified by its contents."""
     (tmp_path / "scope.csv").write_text("t (us);u (mV)\n-1;10\n0;10\n5;11,5\n20;13\n")
     (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
     options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
@@ -382,8 +378,8 @@ def test_traces_of_instruments_are_swept(tmp_path):
     assert (after.velocity.sel(grain=2)[:, 0] == 1e-4).all()
 
 
-def test_scenes_recorded_unlike(tmp_path):
-    """Times become a coordinate, grains a union; what a scene has not recorded is NaN."""
+def test_scenes_with_different_recordings(tmp_path):
+    """Times become a coordinate, grains a union; unrecorded values are NaN."""
     cases = {
         "recording.duration": [1e-5, 2e-5],
         "recording.samples": [3, 5],
@@ -404,21 +400,22 @@ def test_scenes_recorded_unlike(tmp_path):
     assert np.isfinite(found.velocity[1, :, :3]).all()
 
 
-def test_a_single_order_of_grains_is_kept(tmp_path):
+def test_a_common_order_of_grains_is_preserved(tmp_path):
     scene = SHORT | {"recording": SHORT["recording"] | {"grains": [7, 2]}}
     found = sweep({"scene": scene, "grid": {"chain.gravity": [5.0]}}, tmp_path)
     assert found.grain.values.tolist() == [7, 2]
     assert np.abs(found.velocity[0, -1, 1]) > np.abs(found.velocity[0, -1, 0]) > 0
 
 
-def test_kept_quantities_are_those_of_measure(tmp_path):
+def test_stored_quantities_agree_with_measure(tmp_path):
     """Numbers are those that `measure` reads off the trajectory."""
     keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
     found = sweep(
         {"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep},
         tmp_path,
     )
-    (alone,) = simulate_many([Scene.from_toml(SCENES / "weak.toml")])  # of all grains, too
+    # All grains are recorded here.
+    (alone,) = simulate_many([Scene.from_toml(SCENES / "weak.toml")])
     errors = {f"{name}_error" for name in keep}
     assert set(found) == {*keep, *errors, "reason", "model_error", "solver_error"}
     front = track(alone)
@@ -433,10 +430,8 @@ def test_kept_quantities_are_those_of_measure(tmp_path):
     assert not list(tmp_path.rglob("velocity"))
 
 
-def test_what_is_gathered_is_kept(tmp_path):
-    """In a batch and alone: in place of what samples show, and forces of contacts, which no sample
-    is needed for.
-    """
+def test_accumulated_quantities_are_stored(tmp_path):
+    """Accumulated values replace values from samples, and contact forces need no samples."""
     tables = {
         "chain": {"grains": 30, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 1e-3},
@@ -460,7 +455,7 @@ def test_what_is_gathered_is_kept(tmp_path):
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        # Two samples show nothing of it, so that it is gathered, too.
+        # Two samples do not show the value, so that it is accumulated.
         farthest = peaks(one, "displacement")
         error = own["peak_displacement_error"] + farthest.error[[6, 2]]
         assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()
@@ -476,9 +471,7 @@ def test_what_is_gathered_is_kept(tmp_path):
 
 
 def test_the_example(tmp_path, capsys):
-    """A weak wave in a Hertzian column has one time scale, which goes as gravity to the power -1/6,
-    in any disorder.
-    """
+    """A weak wave in a Hertzian column has one time scale, which is g^(-1/6) for any disorder."""
     assert (
         main(["sweep", str(SCENES.parent / "sweep.toml"), "-o", str(tmp_path), "--workers", "1"])
         == 0
@@ -492,8 +485,8 @@ def test_the_example(tmp_path, capsys):
     )
 
 
-def test_arrays_are_read_when_they_are_used(tmp_path):
-    """Of the files only those that are asked for, and of these the entries that are."""
+def test_arrays_are_read_on_use(tmp_path):
+    """Only the required files, and of these only the required entries, are read."""
     found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
     whole = load_sweep(tmp_path).velocity.load()
     for row, part in enumerate(
@@ -519,7 +512,7 @@ def test_other_engines(tmp_path, engine, workers):
     assert found.model_error[2] == alone.error_estimate.model
 
 
-# --- what goes wrong
+# --- faults
 
 
 @pytest.mark.parametrize(
@@ -620,16 +613,17 @@ def test_other_engines(tmp_path, engine, workers):
         ),
     ],
 )
-def test_bad_sweeps_are_refused_before_anything_runs(tmp_path, wrong, keys):
-    """Every fault at once, each under its key."""
+def test_invalid_sweeps_are_rejected_before_the_run(tmp_path, wrong, keys):
+    """All faults are reported at once, each under its key."""
     with pytest.raises(InputError) as caught:
         sweep({"scene": SHORT} | wrong, tmp_path / "out")
     assert {key for key, _ in caught.value.faults} == keys
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(run, "TASKS", run.TASKS._replace(scheduler_s=0.2))  # where nobody listens
+def test_a_faulty_sweep_file_gives_a_line_per_fault(tmp_path, capfd, monkeypatch):
+    # No scheduler listens there.
+    monkeypatch.setattr(run, "TASKS", run.TASKS._replace(scheduler_s=0.2))
     path = tmp_path / "sweep.toml"
     path.write_text("[grid\n")
     assert main(["sweep", str(path), "-o", str(tmp_path / "out")]) == 2
@@ -651,10 +645,8 @@ def test_a_bad_sweep_file_is_one_line_a_fault(tmp_path, capfd, monkeypatch):
     assert main(["sweep", str(path), "-o", str(tmp_path / "file"), "--workers", "1"]) == 2
 
 
-def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
-    """A strike that only the hard grains stand; a duration after which round-off alone
-    is too much.
-    """
+def test_failing_scenes_are_recorded_and_the_others_are_solved(tmp_path, capfd):
+    """Only hard grains allow the strike, and the duration is beyond predictability."""
     path = tmp_path / "sweep.toml"
     path.write_text(
         """
@@ -696,7 +688,7 @@ def test_scenes_that_fail_are_recorded_and_the_rest_goes_on(tmp_path, capfd):
     assert contents(tmp_path / "out") == before
 
 
-def test_a_file_that_is_no_name():
+def test_an_invalid_file_name():
     tables = {
         "scene": {
             "chain": {"grains": 5, "diameter": 1e-3},
@@ -711,7 +703,7 @@ def test_a_file_that_is_no_name():
         )
 
 
-def test_folders_that_are_no_sweeps(tmp_path):
+def test_folders_without_a_sweep(tmp_path):
     with pytest.raises(InputError, match="holds no sweep"):
         load_sweep(tmp_path)
     sweep(chains(2), tmp_path)
@@ -734,15 +726,15 @@ def test_folders_that_are_no_sweeps(tmp_path):
         load_sweep(tmp_path)
 
 
-# --- what survives
+# --- persistence
 
 
-def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
-    """What an interrupted sweep has left is completed; a longer one takes over what there is."""
+def test_only_missing_results_are_computed(tmp_path, monkeypatch):
+    """The rest of an interrupted sweep is completed; a longer sweep reuses existing results."""
     monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
     monkeypatch.setattr(run, "join_parts", None)
-    with pytest.warns(UserWarning, match="could not be done"):
-        sweep(chains(6), tmp_path / "parts")  # whose shard cannot be gathered
+    with pytest.warns(UserWarning, match="could not be solved"):
+        sweep(chains(6), tmp_path / "parts")  # The shard cannot be written.
     (folder,) = (tmp_path / "parts").glob("*/parts")
     assert sorted(path.name for path in folder.iterdir()) == [
         "0000000.npz",
@@ -751,7 +743,7 @@ def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     ]
     whole = load_sweep(tmp_path / "parts").load()
     (folder / "0000002.npz").unlink()
-    (folder / ".0000002.1.partial").touch()  # as a kill leaves it
+    (folder / ".0000002.1.partial").touch()  # A leftover of a kill.
     assert (load_sweep(tmp_path / "parts").reason == "not done").values.tolist() == [
         False,
         False,
@@ -767,10 +759,8 @@ def test_only_what_is_missing_is_done(tmp_path, monkeypatch):
     assert list(folder.iterdir()) == []
 
 
-def test_a_longer_sweep_takes_over_what_there_is(tmp_path, monkeypatch):
-    """Scenes that an earlier sweep has answered keep their results, whatever would be found for
-    them now.
-    """
+def test_a_longer_sweep_reuses_existing_results(tmp_path, monkeypatch):
+    """Finished scenes of an earlier sweep keep their results."""
     short = sweep(chains(6), tmp_path).load()
     longer = sweep(chains(8), tmp_path)
     assert longer.sizes["realisation"] == 8
@@ -779,14 +769,12 @@ def test_a_longer_sweep_takes_over_what_there_is(tmp_path, monkeypatch):
     other = sweep(chains(8, grid={"chain.gravity": [5.0]}), tmp_path)
     assert other.sizes["realisation"] == 8
     assert len(list(tmp_path.glob("*/results.zarr"))) == 2, "the second has what the third lacks"
-    monkeypatch.setattr(run, "answer", None)  # nothing is left to do
+    monkeypatch.setattr(run, "answer", None)  # No scene remains to be solved.
     assert sweep(chains(8), tmp_path).load().equals(longer.load())
 
 
-def test_the_rest_of_a_batch_gets_the_bits_that_all_of_it_would(tmp_path):
-    """Also the estimate of the error, which depends on the company where steps are
-    barely stable.
-    """
+def test_the_rest_of_a_batch_has_the_same_bits(tmp_path):
+    """The error estimate depends on the other scenes if steps are barely stable."""
     scene = {
         "chain": {"grains": 60, "diameter": 1e-3},
         "excitation": {"kind": "impulse", "velocity": 0.0857},
@@ -801,15 +789,15 @@ def test_the_rest_of_a_batch_gets_the_bits_that_all_of_it_would(tmp_path):
     assert found.solver_error[30:].equals(anew.solver_error[30:])
 
 
-def test_any_executor_of_the_kind_of_concurrent_futures(tmp_path):
+def test_any_executor_with_the_interface_of_concurrent_futures(tmp_path):
     sweep(chains(5), tmp_path / "serial")
     with ThreadPoolExecutor(2) as threads:
         sweep(chains(5), tmp_path / "threads", executor=threads)
-        assert threads.submit(int).result() == 0  # it was not shut down
+        assert threads.submit(int).result() == 0  # The executor was not shut down.
     assert contents(tmp_path / "threads") == contents(tmp_path / "serial")
 
 
-def test_a_process_that_dies_takes_only_its_own_task():
+def test_a_dying_process_loses_only_its_own_task():
     with Processes(2) as processes:
         futures = [
             processes.submit(os._exit, 3) if number == 4 else processes.submit(abs, number)
@@ -825,8 +813,8 @@ def test_a_process_that_dies_takes_only_its_own_task():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["shutdown", "kill"])
-def test_processes_end_in_the_middle_of_a_task(how):
-    """With the pool, and with the process that has the pool, however that ends."""
+def test_processes_end_within_a_task(how):
+    """They end with the pool, and with the process of the pool, however it ends."""
     script = (
         "import os, sys, time\n"
         "from lmpchain.sweeps.executors import Processes\n"
@@ -858,7 +846,7 @@ def test_processes_end_in_the_middle_of_a_task(how):
 def children(parent: int) -> list[psutil.Process]:
     """Return the worker processes of a sweep."""
     found = []
-    with suppress(psutil.Error):  # one that has just ended
+    with suppress(psutil.Error):  # The process has just ended.
         for child in psutil.Process(parent).children(recursive=True):
             if "spawn_main" in " ".join(child.cmdline()):
                 found.append(child)
@@ -866,7 +854,7 @@ def children(parent: int) -> list[psutil.Process]:
 
 
 @pytest.mark.slow
-def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
+def test_a_task_that_kills_every_process_is_repeated_later(tmp_path):
     stop = threading.Event()
 
     def hunt() -> None:
@@ -888,7 +876,7 @@ def test_what_kills_every_process_is_given_up_and_done_the_next_time(tmp_path):
 
 @contextmanager
 def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
-    """Run `lmpchain sweep`, and leave none of its processes behind."""
+    """Run `lmpchain sweep`, and end all of its processes afterwards."""
     line = [sys.executable, "-m", "lmpchain.cli", "sweep", *map(str, arguments)]
     process = subprocess.Popen(
         line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, **options
@@ -900,12 +888,12 @@ def command(*arguments: Any, **options: Any) -> Iterator[subprocess.Popen]:
         process.communicate()
 
 
-SCENES_OF_A_SWEEP = 200  # as many as it takes to be in the midst of them
+SCENES_OF_A_SWEEP = 200  # Enough scenes for an interruption in between.
 
 
 @pytest.fixture(scope="module")
 def serial(tmp_path_factory):
-    """Return a sweep to be interrupted, and its results without interruption."""
+    """Return a sweep for interruptions, and its results without interruptions."""
     folder = tmp_path_factory.mktemp("serial")
     path = long_sweep(folder, SCENES_OF_A_SWEEP)
     sweep(path, folder / "out")
@@ -935,8 +923,8 @@ def test_a_killed_worker_loses_nothing(tmp_path, serial):
         pytest.param(signal.SIGKILL, marks=pytest.mark.slow),
     ],
 )
-def test_a_stopped_sweep_goes_on(tmp_path, serial, how):
-    """Ctrl-C reaches all processes of a terminal; finished scenes stay, no process does."""
+def test_a_stopped_sweep_continues(tmp_path, serial, how):
+    """Ctrl-C reaches all processes of a terminal; finished scenes remain, but no process."""
     path, expected = serial
     with command(path, "-o", tmp_path, "--workers", 2, start_new_session=True) as process:
         until(lambda: begun(tmp_path))
@@ -959,7 +947,7 @@ def test_one_sweep_at_a_time_in_a_folder(tmp_path):
     assert (sweep(chains(2), tmp_path).reason == "").all()
 
 
-def test_what_a_worker_was_writing_as_it_was_killed_is_removed(tmp_path):
+def test_unfinished_files_of_a_killed_worker_are_removed(tmp_path):
     class Deadly(Here):
         def submit(self, function, /, *values, **named):
             for task in values:
@@ -974,7 +962,7 @@ def test_what_a_worker_was_writing_as_it_was_killed_is_removed(tmp_path):
 
 @pytest.mark.slow
 def test_a_full_disk(tmp_path, serial):
-    """No file may grow beyond 16 kB: arrays do not fit.
+    """No file may exceed 16 kB, so that arrays do not fit.
 
     Nothing is half written, and later all is done.
     """
@@ -985,7 +973,7 @@ def test_a_full_disk(tmp_path, serial):
     )
     ended = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=PATIENCE)
     assert ended.returncode == 1
-    assert "could not be done this time" in ended.stderr
+    assert "could not be solved this time" in ended.stderr
     assert "Traceback" not in ended.stderr
     assert not list(tmp_path.glob("*/parts/*"))
     assert main(["sweep", str(path), "-o", str(tmp_path), "--workers", "1"]) == 0
@@ -996,9 +984,7 @@ def test_a_full_disk(tmp_path, serial):
 def cluster(
     folder: Path, workers: int = 2
 ) -> Iterator[tuple[str, list[psutil.Process], subprocess.Popen]]:
-    """Start a Dask scheduler and workers, each a process with a nanny; yield the address, the
-    workers and the scheduler.
-    """
+    """Start a Dask scheduler and workers; yield the address, the workers and the scheduler."""
     tool = str(Path(sys.executable).with_name("dask"))
     quiet: dict[str, Any] = {
         "stdout": subprocess.DEVNULL,
@@ -1067,14 +1053,14 @@ def test_a_scheduler_that_dies_ends_the_sweep(tmp_path):
         _, said = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert said.startswith("error: the connection to the Dask scheduler is lost")
-    assert said.count("\n") == 1  # nothing of Dask's own
-    assert done(folder)  # what was computed is kept
+    assert said.count("\n") == 1  # No messages of Dask.
+    assert done(folder)  # Computed results are preserved.
     assert main(["sweep", str(path), "-o", str(folder)]) == 0
 
 
 @pytest.mark.soak
 def test_dask_soak(tmp_path):
-    """1,000 scenes; workers killed at random moments."""
+    """1,000 scenes with workers killed at random moments."""
     path = long_sweep(tmp_path, 1000)
     sweep(path, tmp_path / "serial")
     for attempt in range(3):
@@ -1105,7 +1091,7 @@ def test_many_scenes_soak(tmp_path):
         while process.poll() is None:
             count = done(tmp_path / "out")
             if count > 1000:
-                with suppress(psutil.Error):  # it is ending
+                with suppress(psutil.Error):  # The process is ending.
                     all_three = [psutil.Process(process.pid), *children(process.pid)]
                     seen.append(
                         (count, [(each.memory_info().rss, each.num_fds()) for each in all_three])
@@ -1114,10 +1100,10 @@ def test_many_scenes_soak(tmp_path):
         assert "10000 of 10000" in process.communicate()[0]
     memory, files = np.array(
         [each for count, each in seen if count < 9900 and len(each) == 3]
-    ).T  # (3, T) each
+    ).T  # Shape (3, T).
     part = memory.shape[1] // 3
     assert (
         memory[:, -part:].min(1) - memory[:, :part].min(1) < 8e6
-    ).all()  # it comes and goes with the batches
+    ).all()  # Memory varies with the batches.
     assert (files[:, -part:].min(1) <= files[:, :part].min(1)).all()
     assert np.isfinite(load_sweep(tmp_path / "out").peak_velocity).all()

@@ -1,4 +1,4 @@
-"""Modified results of sweeps are refused in one line, before any file is opened."""
+"""Modified results of sweeps are rejected in one line before any file is opened."""
 
 import json
 import os
@@ -39,7 +39,7 @@ def whole(tmp_path_factory) -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path, whole: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Return a copy of the folder, with a store that must not be opened."""
+    """Return a copy of the folder with a store that must not be opened."""
     import zarr
 
     def opened(*_: Any, **__: Any) -> None:
@@ -82,7 +82,7 @@ def link(name: str) -> Callable[[Path], None]:
 
 
 def pipe(name: str) -> Callable[[Path], None]:
-    """Return a function that replaces a file by a pipe, on which a reader would wait for ever."""
+    """Return a function that replaces a file by a pipe, which would block a reader."""
 
     def change(folder: Path) -> None:
         file = results(folder) / name if name else folder / "sweep.json"
@@ -93,7 +93,7 @@ def pipe(name: str) -> Callable[[Path], None]:
 
 
 def named(name: str) -> Callable[[Path], None]:
-    """Return a function that makes the index name other results."""
+    """Return a function that makes the index refer to other results."""
 
     def change(folder: Path) -> None:
         index = json.loads((folder / "sweep.json").read_text())
@@ -113,7 +113,7 @@ def asking(**more: Any) -> Callable[[Path], None]:
 
 
 def older(folder: Path) -> None:
-    """Turn an array into one of Zarr version 2 with a filter that runs code when it is read."""
+    """Convert an array to Zarr version 2 with a filter that executes code when it is read."""
     array = results(folder) / "results.zarr" / "wall_force"
     shutil.rmtree(array)
     array.mkdir()
@@ -193,7 +193,7 @@ def older(folder: Path) -> None:
         ),
     ],
 )
-def test_what_lmpchain_does_not_write_is_not_opened(folder, tamper):
+def test_stores_not_written_by_lmpchain_are_not_opened(folder, tamper):
     tamper(folder)
     with pytest.raises(InputError) as caught:
         load_sweep(folder)
@@ -204,13 +204,13 @@ def test_what_lmpchain_does_not_write_is_not_opened(folder, tamper):
 @pytest.mark.parametrize(
     "tamper", [link("sweep.json"), pipe("parts/0000000.npz"), asking(scene={})]
 )
-def test_nothing_goes_on_in_such_results(folder, tamper):
+def test_modified_results_are_not_continued(folder, tamper):
     tamper(folder)
     with pytest.raises(InputError, match="is damaged"):
         sweep(ASKED, folder)
 
 
-def test_a_lock_is_no_link(tmp_path):
+def test_a_lock_may_not_be_a_link(tmp_path):
     (tmp_path / "precious").write_text("precious")
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / ".lock").symlink_to(tmp_path / "precious")
@@ -220,7 +220,7 @@ def test_a_lock_is_no_link(tmp_path):
 
 
 class Trap:
-    """What leaves a mark if it is unpickled."""
+    """An object that leaves a mark when it is unpickled."""
 
     def __init__(self, mark: Path):
         self.mark = mark
@@ -230,8 +230,8 @@ class Trap:
 
 
 @pytest.mark.parametrize("how", ["pickle", "compressed", "too small", "whole"])
-def test_parts_hold_plain_numbers(tmp_path, whole, how):
-    """What has been found of unfinished sweeps is not unpickled, and no larger than its file."""
+def test_parts_contain_plain_numbers(tmp_path, whole, how):
+    """Parts are not unpickled, and may not be larger than their file."""
     shutil.copytree(whole, tmp_path / "sweep")
     mine = results(tmp_path / "sweep")
     shutil.rmtree(mine / "results.zarr" / "reason" / "c")

@@ -1,4 +1,4 @@
-"""Results of a sweep count as done only after they are whole and on the disk."""
+"""Results of a sweep count as done only after they are complete and on disk."""
 
 import json
 import os
@@ -71,7 +71,7 @@ def cut(path: Path) -> None:
 
 
 def zeros(path: Path) -> None:
-    """As a power cut leaves a file whose length is on the disk and whose content is not."""
+    """Truncate content like a power cut: the length is on disk, but the content is zeros."""
     path.write_bytes(bytes(path.stat().st_size))
 
 
@@ -91,10 +91,10 @@ STORED = [
 
 
 @pytest.mark.parametrize(("damage", "name"), thinned(product(DAMAGE, STORED), 13))
-def test_what_is_not_whole_is_computed_again(
+def test_incomplete_results_are_computed_again(
     name: str, damage: Callable[[Path], None], folder: Path, right: Any
 ):
-    """Until then it is said to be not done, or to be damaged; never zeros, never an answer."""
+    """Until then they count as missing or damaged, never as zeros or as results."""
     name = name.replace("peak_force_2", right_name(folder))
     (path,) = folder.glob(f"*/results.zarr/{name}")
     damage(path)
@@ -113,7 +113,7 @@ def test_what_is_not_whole_is_computed_again(
 
 
 def loaded(folder: Path) -> Any:
-    """Return the results in a folder, or the line that refuses them."""
+    """Return the results in a folder, or the error line that rejects them."""
     try:
         return load_sweep(folder).load()
     except InputError as error:
@@ -129,7 +129,9 @@ def right_name(folder: Path) -> str:
     ("name", "damage"),
     thinned(product(["shards/0000001.json", "store.json", "sweep.json"], DAMAGE), 2),
 )
-def test_seals_and_tasks_too(name: str, damage: Callable[[Path], None], folder: Path, right: Any):
+def test_incomplete_seals_and_tasks(
+    name: str, damage: Callable[[Path], None], folder: Path, right: Any
+):
     (path,) = folder.glob(f"*/{name}")
     damage(path)
     if name == "sweep.json" and damage is not remove:
@@ -141,14 +143,14 @@ def test_seals_and_tasks_too(name: str, damage: Callable[[Path], None], folder: 
 
 
 @pytest.mark.parametrize("damage", [empty, cut, zeros])
-def test_a_part_that_is_not_whole_is_computed_again(
+def test_an_incomplete_part_is_computed_again(
     damage: Callable[[Path], None], tmp_path: Path, right: Any, monkeypatch: pytest.MonkeyPatch
 ):
     from lmpchain.sweeps import run
 
     with monkeypatch.context() as patch:
         patch.setattr(run, "join_parts", None)
-        with pytest.warns(UserWarning, match="could not be done"):
+        with pytest.warns(UserWarning, match="could not be solved"):
             sweep(ASKED, tmp_path / "sweep")
     damage(next((tmp_path / "sweep").glob("*/parts/0000002.npz")))
     with pytest.raises(InputError, match="sweep again"):
@@ -156,8 +158,8 @@ def test_a_part_that_is_not_whole_is_computed_again(
     assert sweep(ASKED, tmp_path / "sweep").load().identical(right)
 
 
-def test_results_are_on_the_disk_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Shards before their seal, the seal before the parts go, parts before their name."""
+def test_results_are_on_disk_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """Shards precede their seal, the seal precedes removal of parts, parts precede their name."""
     events: list[tuple[str, str]] = []
     honest = {"flush": files._to_disk, "replace": os.replace, "unlink": Path.unlink}
 
@@ -193,7 +195,7 @@ def test_results_are_on_the_disk_before_they_count(tmp_path: Path, monkeypatch: 
     assert events[named - 1][1].startswith(f"{Path(part).parent}/.0000002.")
 
 
-def test_damaged_results_of_another_sweep_are_not_taken_over(folder: Path, right: Any):
+def test_damaged_results_of_another_sweep_are_not_reused(folder: Path, right: Any):
     longer = ASKED | {"grid": {"chain.gravity": [*ASKED["grid"]["chain.gravity"], 5.0]}}
     zeros(next(folder.glob("*/results.zarr/velocity/c/1/0/0")))
     found = sweep(longer, folder).load()
@@ -201,10 +203,10 @@ def test_damaged_results_of_another_sweep_are_not_taken_over(folder: Path, right
     assert found.velocity[:5].equals(right.velocity)
 
 
-# --- what is not lmpchain's
+# --- files of users
 
 
-def test_a_sweep_json_of_a_user_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_sweep_json_of_a_user_is_preserved(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "sweep.toml").write_text(
         f"scene = {json.dumps(str(tmp_path / 'scene.toml'))}\n[grid]\n'chain.gravity' = [1.0]\n"
     )
@@ -219,15 +221,15 @@ def test_a_sweep_json_of_a_user_is_kept(tmp_path: Path, capsys: pytest.CaptureFi
     assert (tmp_path / "sweep.json").read_text() == '{"mine": 1}'
 
 
-def test_a_lock_of_a_user_is_kept(tmp_path: Path):
+def test_a_lock_of_a_user_is_preserved(tmp_path: Path):
     (tmp_path / ".lock").write_text("mine")
     with pytest.raises(InputError, match=r"\.lock: is not lmpchain's"):
         sweep(ASKED, tmp_path)
     assert (tmp_path / ".lock").read_text() == "mine"
 
 
-def test_an_older_sweep_with_notes_in_it_is_kept(folder: Path):
-    """A longer sweep takes its place otherwise."""
+def test_an_older_sweep_with_a_users_notes_is_preserved(folder: Path):
+    """Otherwise a longer sweep replaces it."""
     (old,) = (path.parent for path in folder.glob("*/store.json"))
     copy = shutil.copytree(folder, folder.with_name("copy"))
     longer = ASKED | {"grid": {"chain.gravity": [*ASKED["grid"]["chain.gravity"], 5.0]}}
@@ -252,7 +254,7 @@ print("went on")
 
 @pytest.mark.slow
 @pytest.mark.parametrize("from_file", [True, False])
-def test_a_script_without_its_guard_fails_with_the_cure(from_file: bool, tmp_path: Path):
+def test_a_script_without_its_guard_fails_with_the_remedy(from_file: bool, tmp_path: Path):
     script = UNGUARDED.format(scene=SCENE)
     (tmp_path / "script.py").write_text(script)
     done = subprocess.run(

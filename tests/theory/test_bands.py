@@ -1,6 +1,4 @@
-"""Bands of periodic chains: closed forms, differences, densities, and
-modes in gaps against exact ones.
-"""
+"""Bands of periodic chains and modes in gaps, against closed forms and dense matrices."""
 
 import numpy as np
 import pytest
@@ -31,7 +29,7 @@ def test_uniform_chain():
 
 
 def test_a_uniform_chain_folded():
-    """A cell of four like grains has the one branch of the uniform chain, folded four times."""
+    """A cell of four equal grains has the branch of the uniform chain, folded four times."""
     folded = branches(Chain(grains=4, **LOADED), Q)
     one = branches(Chain(grains=2, **LOADED), 2 * np.pi * np.arange(2)[:, None].T[0]).cell
     unit = np.sqrt(one.stiffness[0] / one.masses[0])
@@ -51,7 +49,7 @@ def test_dimer(m: float):
 
 
 @each
-def test_many_cells_have_these_frequencies(cell: Cell):
+def test_rings_of_cells_have_frequencies_of_the_branches(cell: Cell):
     """A ring of 6 cells by a dense matrix."""
     m = np.tile(cell.masses, 6)
     k = np.tile(cell.stiffness, 6)
@@ -85,9 +83,7 @@ def test_group_velocity_by_differences(cell: Cell):
 
 @each
 def test_density_of_states(cell: Cell):
-    """1 / (pi |v|) of every branch; the integral over all frequencies up to
-    one counts the modes below it.
-    """
+    """Each branch contributes 1 / (pi |v|); the integral counts the modes below a frequency."""
     q = np.linspace(0.05, 3.05, 31)
     found = branches(cell, q)
     assert found.density_of_states(found.frequency) == pytest.approx(
@@ -108,16 +104,14 @@ def test_density_of_states(cell: Cell):
 
 
 @each
-def test_edges_are_where_a_fine_scan_finds_them(cell: Cell):
+def test_edges_agree_with_a_fine_scan(cell: Cell):
     fine = branches(cell, np.linspace(0, np.pi, 801)).frequency
     between = np.column_stack((fine[:-1].max(1), fine[1:].min(1)))
     assert gaps(cell) == pytest.approx(between[between[:, 1] - between[:, 0] > 1e-6], rel=1e-9)
 
 
 def test_a_local_resonator_opens_a_gap():
-    """Mass in mass: the gap begins below the frequency sqrt(k/m) of the resonator
-    and ends at q = 0, m_eff = 0.
-    """
+    """The gap begins below the resonator frequency sqrt(k/m) and ends at q = 0, m_eff = 0."""
     ((low, high),) = gaps(Cell([1.0], [1.0], [[0.4, 0.2]]))
     assert low < np.sqrt(0.5) < high
     assert high == pytest.approx(np.sqrt(0.2 / 0.4 * (1 + 0.4)), rel=1e-13)
@@ -125,9 +119,7 @@ def test_a_local_resonator_opens_a_gap():
 
 
 def test_a_chain_as_a_cell():
-    """Closed by the contact of its last grain with its first, whether contacts
-    are given or follow from Hertz.
-    """
+    """The cell is closed by a contact of the last grain with the first, given or Hertzian."""
     kinds = {
         "material": ["steel", "ptfe", "glass"],
         "diameter": [1e-3, 2e-3, 1.5e-3],
@@ -162,7 +154,7 @@ def period_of(masses, constants, first: int, last: int, most: int) -> int:
     return 1
 
 
-def test_what_repeats():
+def test_periods_of_repeating_chains():
     """Random patterns with up to two faults, between random grains."""
     rng = np.random.default_rng(3)
     periods = []
@@ -184,7 +176,7 @@ def test_what_repeats():
     assert len(set(periods)) > 4
 
 
-def test_how_alike_what_repeats_must_be_and_how_long_it_may_be():
+def test_tolerance_and_largest_length_of_a_period():
     for odd, period in ((0.9e-9, 1), (1.1e-9, 2)):
         masses = np.resize([1.0, 1 + odd], 8)
         assert (
@@ -201,9 +193,7 @@ def test_how_alike_what_repeats_must_be_and_how_long_it_may_be():
 
 @each
 def test_long_waves_and_edges(cell: Cell):
-    """Sound has the mean mass and compliance of a cell; all other
-    branches are flat at 0 and at pi.
-    """
+    """Sound has the mean mass and compliance of a cell; other branches are flat at 0 and pi."""
     inside = 0.0 if cell.resonators is None else np.sum(cell.resonators, axis=0)[0]
     sound = 1 / np.sqrt((np.sum(cell.masses) + inside) * np.sum(1 / np.array(cell.stiffness)))
     velocity = branches(cell, [0.0, 1e-5, -1e-5, np.pi]).group_velocity
@@ -213,7 +203,7 @@ def test_long_waves_and_edges(cell: Cell):
 
 
 def test_density_of_states_at_edges_and_of_any_shape():
-    """Of the uniform chain 2 / (pi sqrt(4 - w^2)), which is infinite at its edge."""
+    """For the uniform chain 2 / (pi sqrt(4 - w^2)), which is infinite at its edge."""
     bands = branches(Cell([1.0], [1.0]), 0.3)
     w = np.array([[0.1, 1.0], [1.9, 1.99]])
     assert bands.density_of_states(w) == pytest.approx(2 / np.pi / np.sqrt(4 - w**2), rel=1e-7)
@@ -222,15 +212,14 @@ def test_density_of_states_at_edges_and_of_any_shape():
     assert bands.density_of_states([2.0001, 5.0]).tolist() == [0.0, 0.0]
 
 
-def test_narrow_gaps_are_none():
-    for odd, count in ((2.7e-9, 0), (2.95e-9, 1)):  # in 1e-9 of the highest frequency: 0.95, 1.04
+def test_very_narrow_gaps_are_ignored():
+    # Widths in 1e-9 of the highest frequency: 0.95 and 1.04.
+    for odd, count in ((2.7e-9, 0), (2.95e-9, 1)):
         assert len(gaps(Cell([1.0, 1 + odd], [1.0, 1.0]))) == count
 
 
 def edges_around(chain: Chain, period: int) -> np.ndarray:
-    """Return frequencies at the wavenumbers 0 and pi of the cells around
-    grains, by dense matrices.
-    """
+    """Return frequencies at wavenumbers 0 and pi of the cells around grains, by dense matrices."""
     m = chain.masses
     k = chain.linear_stiffness
     edges = np.zeros((chain.grains, period, 2))
@@ -280,9 +269,7 @@ def test_bands_around_a_single_grain_and_in_a_vacuum():
 
 
 def test_a_light_impurity_has_a_mode_above_the_band():
-    """w / w_max = [mu (2 - mu)]^(-1/2) for the mass mu < 1 among equal springs;
-    displacements fall by mu / (2 - mu).
-    """
+    """w / w_max = [mu (2 - mu)]^(-1/2) for a mass mu < 1 among equal springs."""
     mu = 0.5
     host = Chain(
         grains=81,
@@ -305,7 +292,7 @@ def test_a_light_impurity_has_a_mode_above_the_band():
 
 
 def test_a_surface_mode_at_a_light_free_end():
-    """w^2 = K (1/m + 1/M) in the gap of a dimer; amplitudes fall by m / M a cell.
+    """w^2 = K (1/m + 1/M) in the gap of a dimer; amplitudes fall by m / M per cell.
 
     Theocharis et al. (2010).
     """
@@ -328,7 +315,7 @@ def test_a_surface_mode_at_a_light_free_end():
 
 
 def test_picture_of_bands():
-    """Branches in Hz in the order of wavenumbers, gaps as spans."""
+    """Branches are in Hz in the order of wavenumbers, and gaps are spans."""
     q = np.array([2.0, 0.5, 3.0])
     bands = branches(Cell([1.0, 3.0], [1e8, 1e8]), q)
     (axes,) = bands.plot().figure.axes

@@ -24,7 +24,7 @@ def besselj(order: int, z: float) -> float:
 
 
 def test_infinite_chain_against_an_integrator():
-    """Eq. (6): grain 50 of 99 moved by 1, long before the ends know of it."""
+    """Eq. (6) for grain 50 of 99, long before the wave reaches the ends."""
     T = np.array([0.0, 0.3, 2.0, 9.0])
     exact, _ = integrate(np.ones(99), unit(99, 50), 0.0, T)
     assert bessel.infinite(np.arange(1, 100), 50, T[:, None]) == pytest.approx(exact, abs=1e-13)
@@ -61,7 +61,7 @@ def test_main_maximum_passes_later_than_2t_equals_2n():
     ("n", "T"), [(1, 0.4), (3, 7.0), (50, 10.0), (200, 3.0), (300, 310.0), (1000, 900.0)]
 )
 def test_free_end_by_the_other_closed_form(n: int, T: float):
-    """Eq. (11) is (2n-1)/T J_(2n-1)(2T); far ahead of the front it keeps its relative accuracy."""
+    """Eq. (11) equals (2n-1)/T J_(2n-1)(2T), with relative accuracy far ahead of the front."""
     exact = (2 * n - 1) / T * besselj(2 * n - 1, 2 * T)
     assert bessel.free_end(n, T) == pytest.approx(exact, rel=1e-12, abs=0 if n / 2 > T else 1e-13)
 
@@ -70,9 +70,7 @@ def test_free_end_by_the_other_closed_form(n: int, T: float):
     ("n", "T"), [(1, 0.4), (1, 40.0), (3, 7.0), (50, 10.0), (40, 45.0), (200, 3.0)]
 )
 def test_free_end_impulse_by_quadrature(n: int, T: float):
-    """Eq. (13), as small as it may be: the integrand is scaled to 1, for the
-    quadrature has an absolute error.
-    """
+    """Even tiny values of Eq. (13) agree with quadrature, whose integrand is scaled to 1."""
     with mp.workdps(25):
         last = mp.besselj(2 * n - 1, 2 * T) if n > T else mp.mpf(1)
         places = mp.linspace(0, T, 3 + int(T / 2))
@@ -92,7 +90,7 @@ def test_free_end_against_an_integrator():
     assert bessel.free_end_impulse(n, T[:, None]) == pytest.approx(dynamic, abs=1e-12)
 
 
-def test_closed_forms_begin_with_the_initial_data():
+def test_closed_forms_have_the_initial_values():
     n = np.arange(1, 5)
     assert bessel.free_end(n, 0.0).tolist() == [1, 0, 0, 0]
     assert bessel.free_end_impulse(n, 0.0).tolist() == [0, 0, 0, 0]
@@ -103,9 +101,7 @@ def test_closed_forms_begin_with_the_initial_data():
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 3.0])
 def test_local_and_far_field(delta: float):
-    """Eqs. (7) and (8): the next term of the asymptotic series is (16 n^2 -
-    1) / (8 x) of the envelope.
-    """
+    """The next term of the asymptotic series of Eqs. (7) and (8) is (16 n^2 - 1) / (8 x)."""
     for n in (1, 2, 5):
         root = n ** ((1 - 1 / delta) / 2)
         assert bessel.local(n, 7.3, delta) == pytest.approx(
@@ -123,9 +119,7 @@ def test_local_and_far_field(delta: float):
 
 
 def test_coefficients_of_a_uniform_chain():
-    """A_n = A_(n+1) = 1 and 0 elsewhere, until the reflection takes 1 away
-    at j = 2N - n and 2N - n + 1.
-    """
+    """A_n = A_(n+1) = 1 and all others are 0, until the reflection at j = 2N - n and 2N - n + 1."""
     found = bessel.coefficients(np.ones(7), np.arange(1, 8), 1, 15)
     expected = np.zeros((7, 15))
     for n in range(1, 8):
@@ -153,7 +147,7 @@ def test_coefficients_by_eigenvectors(grains: int, delta: float):
     assert found == pytest.approx((X * X[k - 1]) @ brace, abs=2e-12)
 
 
-def test_coefficients_of_high_order_stay_small_and_right():
+def test_coefficients_of_high_order_are_accurate():
     kappa = gravity_column(30)
     A = bessel.coefficients(kappa, [1, 30], 1, 20000)
     square, X = np.linalg.eigh(
@@ -209,9 +203,7 @@ def test_series_against_modes_over_a_long_time():
 
 
 def test_uniform_series_by_images():
-    """The held grain N and the free end reflect: images of grain 1 at distances
-    2N - 1, with alternating signs.
-    """
+    """The fixed grain N and the free end cause images of grain 1 with alternating signs."""
     N = 12
     n = np.arange(1, 12)
     T = np.array([[3.0], [20.0], [80.0]])
@@ -221,7 +213,7 @@ def test_uniform_series_by_images():
     assert bessel.finite(np.ones(N - 1), n, 1, T) == pytest.approx(images, abs=2e-13)
 
 
-def test_series_ahead_of_the_front_keeps_relative_accuracy():
+def test_the_series_has_relative_accuracy_ahead_of_the_front():
     assert bessel.finite(np.ones(99), 60, 1, 2.0) == pytest.approx(
         119 / 2 * besselj(119, 4.0), rel=1e-12
     )
@@ -231,7 +223,7 @@ def test_series_ahead_of_the_front_keeps_relative_accuracy():
     ("n", "peak"), [(100, 0.251742), (500, 0.169778), (1000, 0.142535), (4000, 0.099840)]
 )
 def test_peak_velocity_published(n: int, peak: float):
-    """Source: the linear column struck at grain 1, by an independent code, six digits."""
+    """The source is an independent code for the column struck at grain 1, with six digits."""
     h = n - 0.5
     expected = 1.2 * h ** (5 / 6) + 0.908 * (h**0.5 / 4) ** (1 / 3)
     kappa = gravity_column(int(continuum.depth(expected + 20)) + 50)
@@ -240,7 +232,7 @@ def test_peak_velocity_published(n: int, peak: float):
 
 
 def test_long_time_laws_of_the_top_grain():
-    """Dynamic C tau^(-1/5), static its derivative -(C/5) tau^(-6/5), without the oscillation of Eq.
+    """The dynamic law is C tau^(-1/5), the static one -(C/5) tau^(-6/5).
 
     (8).
     """
@@ -258,9 +250,7 @@ def test_long_time_laws_of_the_top_grain():
 
 
 def test_tables_of_bessel_functions():
-    """J_(2k) and the sums of odd orders, from no argument to large ones and from
-    order 0 to far too high ones.
-    """
+    """J_(2k) and sums of odd orders for arguments from 0 to large ones, and all orders."""
     z = np.array([0.0, 1e-5, 0.5, 3.0, -30.0, 77.7, 1000.3])
     even, integral, column = bessel.table("z", z, 700)
     for i, x in enumerate(z):

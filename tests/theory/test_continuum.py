@@ -14,7 +14,7 @@ from lmpchain.theory import bessel, continuum, modes
 
 DELTAS = (1.0, 1.2, 1.5, 2.2, 3.0)
 each_delta = pytest.mark.parametrize("delta", DELTAS)
-# inside the light cone, outside, on it (None), before tau = 0, at the very top, far ahead
+# Inside the light cone, outside, on it (None), before tau = 0, at the top, far ahead.
 PLACES = [(2.0, 3.0), (2.0, 1.0), (2.0, None), (5.0, -1.0), (0.0, 2.0), (1e-3, 7.0), (50.0, 1.0)]
 each_place = pytest.mark.parametrize(("h", "tau"), PLACES)
 
@@ -29,7 +29,7 @@ def when(h: float, tau: float | None, delta: float) -> float:
 
 @each_delta
 def test_travel_time_and_depth(delta: float):
-    """Waves take dh / sqrt(kappa) over dh."""
+    """The travel time is the integral of dh / sqrt(kappa) over depth."""
     xi = 1 - 1 / delta
     assert continuum.chi(7.0, delta) == pytest.approx(
         quad(lambda h: h ** (-xi / 2), 0, 7)[0], rel=1e-9
@@ -86,7 +86,7 @@ def test_limit_of_modes_at_the_top(delta: float):
 
 
 def test_modes_fade_with_depth():
-    """|u| falls all the way, in the end as h^(-1/12)."""
+    """The size |u| decreases monotonically, finally as h^(-1/12)."""
     h = np.geomspace(1e-3, 1e8, 200)
     size = abs(continuum.mode(h, 0.5))
     assert np.all(np.diff(size) < 0)
@@ -99,7 +99,7 @@ def test_modes_fade_with_depth():
 
 @pytest.mark.parametrize(("delta", "place"), thinned(product([1.0, 1.5, 3.0], PLACES), 2))
 def test_superposition_and_packet(delta: float, place: tuple[float, float | None]):
-    """Eqs. (29) and (32), against mpmath at h > 0 and at h = 0 against the limit of the formula."""
+    """Eqs. (29) and (32) against mpmath at h > 0, and at h = 0 against the limit of the formula."""
     h, tau = place[0], when(*place, delta)
     exact = superposition(max(h, 1e-40), tau, delta, 0.0)
     assert abs(continuum.superpose(ones, h, tau, delta) - exact) < 3e-14 * abs(exact)
@@ -120,11 +120,10 @@ def test_superposition_and_resonant_packet(delta: float, place: tuple[float, flo
 
 @pytest.mark.parametrize("power", thinned([2, 1], 2))
 def test_superposition_along_the_real_axis(power: int):
-    """A = exp(-lambda) and exp(-lambda^2), where the integral needs no rotation; the
-    second allows only a small one.
-    """
+    """A = exp(-lambda) needs no rotation of the path; exp(-lambda^2) allows only a small one."""
 
-    def integrand(t: mp.mpf) -> mp.mpf:  # lambda = t^5 takes the singularity at 0 away
+    # The substitution lambda = t^5 removes the singularity at 0.
+    def integrand(t: mp.mpf) -> mp.mpf:
         x = t**5
         return (
             5
@@ -140,9 +139,7 @@ def test_superposition_along_the_real_axis(power: int):
 
 
 def test_constants_of_eq_32():
-    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed -2 sin(pi/10)
-    belongs to the imaginary part.
-    """
+    """The real part has (5/6)^(2/5) / (2 sin(pi/5)); the printed one is for the imaginary part."""
     h = 2.0
     tau = np.array([3.0, 6.0])
     chi = continuum.chi(h)
@@ -154,7 +151,7 @@ def test_constants_of_eq_32():
     )
 
 
-# differences cannot reach the top
+# Finite differences cannot reach the top.
 @each_delta
 @pytest.mark.parametrize(("h", "tau"), [place for place in PLACES if place[0] > 0.1])
 def test_packets_solve_eq_27(h: float, tau: float | None, delta: float):
@@ -183,7 +180,7 @@ def test_packet_is_smooth_on_the_light_cone(delta: float):
 
 
 def test_packet_front_for_hertz():
-    """Eq. (33) in both its forms, with the right constant."""
+    """Eq. (33) in both its forms with the correct constant."""
     h = np.array([0.3, 20.0])
     constant = (5 / 6) ** 0.4 / (2 * np.sin(np.pi / 5))
     assert continuum.packet_front(h) == pytest.approx(
@@ -195,7 +192,7 @@ def test_packet_front_for_hertz():
 
 
 def test_resonant_packet_published():
-    """No resonance: 0.886524713011 at the cone for h = 2, 0.93751 outside at tau = 1, where Eq.
+    """The value is 0.886524713011 at the cone for h = 2, without a resonance.
 
     (34) prints 1.1203.
     """
@@ -234,11 +231,11 @@ def test_peaked_solves_eq_27_on_both_sides(delta: float):
 
 @each_delta
 def test_amplitude_of_the_impulse_response(delta: float):
-    """Unit momentum: the integral of phi over the depth is tau."""
+    """The integral of phi over the depth is tau for unit momentum."""
     xi = 1 - 1 / delta
     eta = 1 + 1 / delta
     tau = 3.0
-    total, _ = quad(  # in chi, with the singularity at chi = tau as the weight
+    total, _ = quad(  # Integral over chi, with the singularity at chi = tau as the weight.
         lambda x: (
             continuum.impulse_response(continuum.depth(x, delta), tau, delta)
             * (tau - x) ** (xi / (2 * eta))
@@ -258,7 +255,7 @@ def test_amplitude_published():
 
 
 def test_impulse_response_of_the_chain():
-    """Grain n is at h = n - 1/2; behind half the light cone the chain is a continuum to 3.5e-7."""
+    """Grain n is at h = n - 1/2; behind half the light cone the continuum is accurate to 3.5e-7."""
     n = np.arange(1, 901)
     tau = 400.0
     chain = bessel.finite_impulse(gravity_column(900), n, 1, tau)
@@ -273,7 +270,7 @@ def test_impulse_response_is_causal():
     assert continuum.impulse_response(h, 2.0)[1] > 0
     assert continuum.impulse_response(h, 2.0)[2] == 0
     assert continuum.impulse_response(h, continuum.chi(h)).tolist() == [np.inf] * 3
-    # chi = h
+    # Here chi = h.
     assert continuum.impulse_response([1.999, 2.0, 2.001], 2.0, 1.0) == pytest.approx(
         [1, 1, 0], rel=4e-16
     )
@@ -291,9 +288,7 @@ def relative(found: np.ndarray, exact: np.ndarray) -> float:
     ("delta", "driven"), thinned(product([1.0, 1.5, 2.0, 3.0], [False, True]), 3)
 )
 def test_solver_is_of_second_order(delta: float, driven: bool):
-    """Against a standing wave between the free top and the held grain: exact,
-    and not smooth in h at the top.
-    """
+    """A standing wave between free top and fixed grain is exact, but not smooth at the top."""
     lam = float(modes.quasi_normal(1, 6, delta))
     shape = lambda h: continuum.standing(h, lam, delta)  # noqa: E731
     drive = (
@@ -323,10 +318,8 @@ def test_solver_conserves_momentum():
     assert field.velocity.sum(1) == pytest.approx(4.5, abs=1e-13)
 
 
-def test_solver_keeps_what_eq_28_keeps():
-    """A tau + B is exact until the held grain is felt, and h^(1/delta) + D rests if
-    its flux is given at the top.
-    """
+def test_the_solver_preserves_the_invariants_of_eq_28():
+    """A tau + B is exact until the fixed grain matters; h^(1/delta) + D is static with its flux."""
     field = continuum.solve([0.0, 5.0], 60, displacement=lambda h: 3.0, velocity=lambda h: 2.0)
     assert field.displacement[1, :30] == pytest.approx(13, rel=1e-14)
     assert field.velocity[1, :30] == pytest.approx(2, rel=1e-14)
@@ -336,7 +329,7 @@ def test_solver_keeps_what_eq_28_keeps():
 
 
 def test_impulse_of_fig_9():
-    """Behind the front the solver meets Eq.
+    """The solver agrees with Eq. (35) behind the front.
 
     (35) made causal; far ahead it has nothing, unlike the printed |...|.
     """
@@ -352,7 +345,7 @@ def test_impulse_of_fig_9():
 
 
 def test_driven_top_of_fig_8():
-    """A driven top sends down the conjugate of u_lambda: 0.1 %, where Eq.
+    """A driven top emits the conjugate of u_lambda, within 0.1 %.
 
     (29) as printed is 100 % off.
     """
@@ -373,7 +366,7 @@ def test_driven_top_of_fig_8():
     assert relative(field.displacement[0, near], incoming[near]) > 1
 
 
-def test_solver_records_what_it_is_given():
+def test_the_solver_records_the_given_values():
     field = continuum.solve([0.0], 3, np.sin, np.cos)
     assert field.h.tolist() == [0.5, 1.5, 2.5]
     assert field.displacement[0] == pytest.approx([np.sin(0.5), np.sin(1.5), 0], rel=1e-15)
@@ -432,8 +425,8 @@ def test_refusals(call, key: str):
 
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0, 3.0])
-def test_impulse_of_a_grain_is_the_mean_over_its_place(delta):
-    """Against quadrature of the impulse response, and its velocity against differences in time."""
+def test_impulse_of_a_grain_is_the_mean_over_its_cell(delta):
+    """Compared with quadrature of the impulse response, and velocity with time differences."""
     tau = 7.3
     n = np.arange(1, 12)
     phi, speed = continuum.impulse_of_grain(n, tau, delta)
@@ -459,7 +452,7 @@ def test_impulse_of_a_grain_is_the_mean_over_its_place(delta):
 
 
 def test_defaults_of_the_solver():
-    """Three cells a grain, Hertz: the same field as by name."""
+    """Three cells per grain and Hertz's law: the same field as with explicit values."""
     field = continuum.solve([0.0, 3.0], 8, velocity=lambda h: h < 1)
     named = continuum.solve([0.0, 3.0], 8, velocity=lambda h: h < 1, delta=1.5, cells=3)
     assert field.displacement.tolist() == named.displacement.tolist()
@@ -469,7 +462,7 @@ def test_defaults_of_the_solver():
 
 
 def test_steps_of_the_solver(monkeypatch):
-    """Velocity Verlet at 0.9 of the stable step 2 / w_max fixes the number of evaluations."""
+    """Velocity Verlet at 0.9 of the stable step 2 / w_max determines the number of evaluations."""
     times = []
 
     def drive(now):
@@ -477,21 +470,21 @@ def test_steps_of_the_solver(monkeypatch):
         return 0.0, 0.0
 
     continuum.solve([0.0, 2.0, 7.0], 10, drive=drive, delta=1.0, cells=1)
-    steps = [int(np.ceil(time / (0.9 * 1.0))) for time in (2.0, 5.0)]  # w_max = 2 of unit springs
+    steps = [int(np.ceil(time / (0.9 * 1.0))) for time in (2.0, 5.0)]  # For unit springs w_max = 2.
     expected = [0.0, 0.0]
     for begin, end, count in ((0.0, 2.0, steps[0]), (2.0, 7.0, steps[1])):
         expected += [begin + (end - begin) * (i + 1) / count for i in range(count)] + [end]
     assert times == pytest.approx(expected, rel=1e-14)
 
 
-def test_depth_and_travel_time_written_out():
+def test_explicit_depths_and_travel_times():
     assert continuum.chi(10.0) == pytest.approx(1.2 * 10 ** (5 / 6), rel=1e-14)
     assert continuum.depth(10.0) == pytest.approx((50 / 6) ** 1.2, rel=1e-14)
     assert continuum.chi(10.0, 3.0) == pytest.approx(1.5 * 10 ** (2 / 3), rel=1e-14)
     assert (float(continuum.chi(0.0)), float(continuum.depth(0.0))) == (0.0, 0.0)
 
 
-def test_impulse_of_a_grain_begins_at_the_top():
+def test_impulse_of_the_first_grain_starts_at_the_top():
     phi, speed = continuum.impulse_of_grain([1, 2], 0.0)
     assert phi.tolist() == [0.0, 0.0]
     assert speed.tolist() == [1.0, 0.0]

@@ -21,7 +21,7 @@ CELLS = {
 
 
 def ratio(cell: Cell, w: float, cells: int = 300) -> complex:
-    """Return by what the motion of the first grain changes from a cell to the next, driven at w."""
+    """Return the ratio of the motions of successive cells driven at w."""
     m, k = (np.asarray(x, float) for x in (cell.masses, cell.stiffness))
     size = m.size
     gamma = np.broadcast_to(cell.drag, size)
@@ -37,14 +37,14 @@ def ratio(cell: Cell, w: float, cells: int = 300) -> complex:
         if n + 1 < total:
             spring = k[i] * (1 - 1j * w * viscosity[i])
             matrix[n : n + 2, n : n + 2] += spring * np.array([[1, -1], [-1, 1]])
-    # the first grain moves with amplitude 1
+    # The first grain moves with amplitude 1.
     x = np.linalg.solve(matrix[1:, 1:], -matrix[1:, 0])
     motion = np.append(1.0, x)[::size]
     return complex(motion[3] / motion[2])
 
 
 @pytest.mark.parametrize("name", thinned(CELLS, 2))
-def test_the_wavenumber_is_that_of_a_driven_chain(name):
+def test_the_wavenumber_agrees_with_a_driven_chain(name):
     cell = CELLS[name]
     w = np.array([0.35, 0.8, 1.4, 2.2, 4.0])
     found = waves(cell, w)
@@ -61,7 +61,7 @@ def test_one_grain_in_closed_form():
         assert waves(CELLS["one grain"], w).wavenumber == pytest.approx([exact], rel=1e-13)
 
 
-def test_weak_damping_falls_by_its_rate_over_the_group_velocity():
+def test_weak_damping_gives_its_rate_over_the_group_velocity():
     viscosity = 1e-6
     drag = 3e-6
     lossless = branches(Cell([1.0, 3.0], [1.0, 2.0]), [0.4, 1.5, 2.9])
@@ -71,7 +71,7 @@ def test_weak_damping_falls_by_its_rate_over_the_group_velocity():
         assert waves(damped, w).attenuation == pytest.approx(expected, rel=1e-4)
 
 
-def test_without_damping_waves_fall_in_gaps_alone():
+def test_without_damping_waves_decay_only_in_gaps():
     cell = Cell([1.0, 3.0], [1.0, 2.0])
     q = np.array([0.4, 1.5, 2.9])
     for branch in branches(cell, q).frequency:
@@ -111,13 +111,13 @@ def test_a_chain_is_a_cell_with_its_damping():
         ("viscoelastic", Cell([1.0], [1.0], viscoelastic=-1.0), 1.0),
     ],
 )
-def test_what_has_no_wave(key, cell, frequency):
+def test_chains_without_waves(key, cell, frequency):
     with pytest.raises(InputError, match=key):
         waves(cell, frequency)
 
 
-def test_real_bands_of_damped_cells_are_refused():
-    words = "knows no damping"
+def test_real_bands_of_damped_cells_are_rejected():
+    words = "(does not support|must have no) damping"
     chain = Chain(grains=9, damping={"drag": 1.0}, **LOADED)
     for refused in (
         lambda: branches(CELLS["one grain"], [0.1]),
@@ -132,12 +132,12 @@ def test_real_bands_of_damped_cells_are_refused():
 
 
 def scattered(chain: Chain, w: float) -> tuple[complex, complex, float]:
-    """Return both amplitudes, and the share of the energy that damping takes, by a dense solve."""
+    """Return both amplitudes, and the dissipated fraction of the energy, by a dense solve."""
     m = chain.masses
     k = chain.linear_stiffness
     n = chain.grains
     viscosity = chain.contact_viscosity[1:-1]
-    # leads lose nothing
+    # The leads are undamped.
     turns = [2 * np.arcsin(w / 2 * np.sqrt(m[end] / k[end])) for end in (0, -1)]
     matrix = np.diag(-m * w**2 - 1j * w * m * chain.drag)
     for i in range(n - 1):
@@ -156,7 +156,7 @@ def scattered(chain: Chain, w: float) -> tuple[complex, complex, float]:
 
 @pytest.mark.parametrize("strength", [1e-4, 1e-2, 1.0])
 def test_scattering_against_a_linear_solve(strength):
-    """Unlike leads, and a viscosity a contact and a drag a grain."""
+    """Leads are different, with a viscosity per contact and a drag per grain."""
     grains = 14
     chain = Chain(
         grains=grains, material=["steel", "glass"] * 7, gravity=0.0, top_load=2.0,

@@ -1,6 +1,4 @@
-"""Solitary waves of dimer chains: the equation itself, what travels, the
-scan of mass ratios, refusals.
-"""
+"""Solitary waves of dimer chains: equation of motion, propagation, scans and refusals."""
 
 from functools import cache
 
@@ -33,13 +31,13 @@ def dimer(grains: int = 40, heavy_first: bool = True, ratio: float | None = None
 
 
 def test_mass_ratio_published():
-    """0.3428 of Jayaprakash, Starosvetsky and Vakakis (2011); ten digits by another solver."""
+    """The ratio is 0.3428 (Jayaprakash et al. 2011), to ten digits by another solver."""
     assert wave_of().mass_ratio == pytest.approx(0.3428457812, abs=1e-10)
 
 
 @each
 def test_equation_of_motion(delta: float):
-    """c^2 A'' = N(A(1 - x)) - N(A(x)) (1 + 1/m) + N(A(-1 - x)) / m, by differences of order 8."""
+    """c^2 A'' = N(A(1 - x)) - N(A(x)) (1 + 1/m) + N(A(-1 - x)) / m by differences of order 8."""
     wave = wave_of(delta)
     inertia = 1 / wave.mass_ratio
     scale = wave.overlap(0.0)
@@ -59,9 +57,7 @@ def test_equation_of_motion(delta: float):
 
 @each
 def test_grains_move_as_contacts_close(delta: float):
-    """Contacts are squeezed by the difference of displacements, and
-    velocities are -c times the slopes.
-    """
+    """Overlaps are differences of displacements, and velocities are -c times the slopes."""
     wave = wave_of(delta)
     x = np.array([-9.0, -3.1, -0.8, 0.0, 0.35, 2.0])
     largest = float(wave.displacement(-8.0))
@@ -83,11 +79,11 @@ def test_grains_move_as_contacts_close(delta: float):
     assert wave.overlap(0.3, light_behind=True) == wave.overlap(-0.3)
 
 
-def test_the_velocity_asked_for_is_the_largest_of_heavy_grains():
+def test_the_given_velocity_is_the_largest_of_heavy_grains():
     for wave, velocity in ((wave_of(), 0.1), (wave_of(2.0), 3.0), (solve(0.35), 1.0)):
         coarse = np.linspace(-2, 2, 81)
         fine = coarse[wave.velocity(coarse).argmax()] + np.linspace(-0.05, 0.05, 201)
-        # Places 5e-4 apart miss the peak by less than 2e-7.
+        # Points 5e-4 apart miss the peak by less than 2e-7.
         assert wave.velocity(fine).max() == pytest.approx(velocity, rel=2e-7)
     assert solve(0.35).delta == 1.5
 
@@ -109,10 +105,8 @@ def test_travels_unchanged(heavy_first: bool):
     assert 0.08 < np.max(start.velocity[heavy]) <= 0.1 * (1 + 1e-9)
 
 
-def test_the_approximation_is_near_the_wave():
-    """The pulse behind a strike, moved and scaled to speed 1: Newton's method
-    begins within 2 % of its wave.
-    """
+def test_the_approximation_is_close_to_the_wave():
+    """Newton's method starts within 2 % for the pulse after a strike, scaled to speed 1."""
     wave = solve(0.35)
     unit = wave.speed ** (2 / (wave.delta - 1))
     x = np.linspace(-6, 6, 97)
@@ -124,7 +118,7 @@ def test_the_approximation_is_near_the_wave():
 
 
 def test_newtons_method_needs_few_steps(monkeypatch):
-    """The derivatives are right: from 2 % off, 4 steps are 1e-12 off and the search ends."""
+    """Correct derivatives reduce an error of 2 % to 1e-12 in 4 steps."""
     wave = wave_of()
     steps = []
     solve_linear = np.linalg.solve
@@ -163,7 +157,7 @@ def test_a_scan_finds_the_published_ratio():
     assert antiresonances(0.3) == pytest.approx([0.3428457812], abs=1e-9)
 
 
-def test_a_scan_gives_every_ratio_once_in_falling_order(monkeypatch):
+def test_a_scan_gives_every_ratio_once_in_descending_order(monkeypatch):
     ratios = (0.3428457812, 0.1547515139, 0.0901, 0.0615)
     for least, count in ((0.06, 4), (0.0901, 3), (0.1, 2), (0.2, 1), (0.35, 0), (0.03, 4)):
         values, _ = scan(least, monkeypatch)
@@ -176,8 +170,8 @@ def test_a_scan_gives_every_ratio_once_in_falling_order(monkeypatch):
 
 
 @pytest.mark.parametrize("least", [0.03, 0.06, 0.1, 0.3, 0.9])
-def test_searches_begin_half_as_far_apart_as_the_ratios_are(least: float, monkeypatch):
-    """In s = 1 / sqrt(ratio), from 1 on and past the least, where waves are some 0.8 apart."""
+def test_searches_start_at_half_the_distance_of_the_ratios(least: float, monkeypatch):
+    """The waves are some 0.8 apart in s = 1 / sqrt(ratio), which starts at 1."""
     _, begun = scan(least, monkeypatch)
     s = 1 / np.sqrt(begun)
     assert 1 < s[0] < 1.4
@@ -186,7 +180,7 @@ def test_searches_begin_half_as_far_apart_as_the_ratios_are(least: float, monkey
     assert 0.3 < s[-1] - 1 / np.sqrt(least) < 0.71
 
 
-def test_a_scan_shows_its_progress_if_asked(monkeypatch):
+def test_a_scan_shows_its_progress_on_request(monkeypatch):
     bars = []
 
     class Bar:
@@ -282,14 +276,14 @@ def test_refusals(call, key: str, message: str):
     assert message in text
 
 
-def test_what_is_just_right_is_no_fault(monkeypatch):
+def test_values_at_the_limits_are_accepted(monkeypatch):
     wave_of().on(dimer(ratio=wave_of().mass_ratio * (1 + 0.9e-9)), 7)
     wave_of().on(dimer(contact_constants=np.append(np.full(38, 2e9), 2e9 * (1 + 0.5e-9))), 33)
     assert scan(0.5, monkeypatch, delta=3.0)[0] == ()
     assert scan(0.999, monkeypatch, delta=3)[0] == ()
 
 
-def test_a_search_that_does_not_end_says_so(monkeypatch):
+def test_a_search_without_convergence_is_reported(monkeypatch):
     monkeypatch.setattr(dimer_soliton.np.linalg, "solve", lambda _, right: np.ones(right.size))
     with pytest.raises(
         InputError,

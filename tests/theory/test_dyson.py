@@ -29,7 +29,7 @@ def test_distribution_by_mpmath(function, power: int, m: float):
     assert np.all(abs(function(kappa, m) - exact) <= tolerance * exact)
 
 
-def test_at_no_force_constant():
+def test_at_force_constant_0():
     assert dyson.weight(0.0, [0.5, 1, 7]).tolist() == [0, 0, 0]
     assert dyson.density(0.0, [0.5, 1, 7]).tolist() == [np.inf, pytest.approx(1, rel=1e-14), 0]
 
@@ -53,10 +53,8 @@ def test_moments(function, mean, variance, m: int):
 
 
 @pytest.mark.parametrize("m", [1, 2, 10])
-def test_printed_form_leaves_the_compliance_alone(m: int):
-    """The mean of 1/kappa is exactly 1 for every m, so disorder does not
-    change the speed of long waves.
-    """
+def test_the_printed_form_preserves_the_compliance(m: int):
+    """The mean of 1/kappa is exactly 1 for every m, so that long waves keep their speed."""
     assert quad(lambda k: dyson.weight(k, m) / k, 0, 60, points=[1])[0] == pytest.approx(
         1, abs=1e-11
     )
@@ -64,13 +62,13 @@ def test_printed_form_leaves_the_compliance_alone(m: int):
 
 @pytest.fixture(scope="module")
 def column() -> tuple[np.ndarray, np.ndarray]:
-    """kappa_n and the velocities at tau = 15 of 60 grains under gravity, the top one struck."""
+    """Return kappa_n and velocities at tau = 15 of 60 grains under gravity, struck at the top."""
     kappa = np.arange(1, 61) ** (1 / 3)
     return kappa, np.append(bessel.finite(kappa[:-1], np.arange(1, 60), 1, 15.0), 0.0)
 
 
 def test_sum_as_printed(column):
-    """Source: the same sum by an independent code, four digits."""
+    """The source is the same sum by an independent code, with four digits."""
     kappa, velocity = column
     published = {1: 0.1523, 3: 0.0258, 5: -0.0241, 100: -0.0380, 1e4: -0.3604}
     found = dyson.average(velocity, kappa, list(published))
@@ -80,9 +78,7 @@ def test_sum_as_printed(column):
 
 
 def test_sum_for_large_m(column):
-    """It diverges as sqrt(m / 2 pi) times the velocity of grain 1, where kappa = 1;
-    normalised it is that velocity.
-    """
+    """The sum diverges as sqrt(m / 2 pi); normalised it converges to the velocity of grain 1."""
     kappa, velocity = column
     m = 1e4
     assert dyson.average(velocity, kappa, m) == pytest.approx(
@@ -106,8 +102,8 @@ def test_sum_broadcasts(column):
     assert table[0, 0] == pytest.approx(by_hand, rel=1e-13)
 
 
-# ---------------------------------------------------------------------------------------- his exact
-# spectrum
+# ---------------------------------------------------------------------------------------- Dyson's
+# exact spectrum
 
 
 @pytest.mark.parametrize(
@@ -115,12 +111,13 @@ def test_sum_broadcasts(column):
     [(1, 1.0, 1.0), (0.3, 0.5, 0.7), (2.5, 2.0, 1.9), (7.3, 7.3, 0.5), (7.3, 7.3, 1.99)],
 )
 def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
-    """The integral for Tricomi's function and its derivative, along a straight ray from 0."""
+    """Tricomi's function and its derivative are integrated along a straight ray from 0."""
     with mp.workdps(16):
         x = mp.mpf(rate) * mp.mpf(frequency) ** 2
         ray = mp.expj(3 * mp.pi / 4)
 
-        def integrand(y: mp.mpf) -> mp.mpf:  # t = ray y^(1/shape) takes the singularity at 0 away
+        # The substitution t = ray y^(1/shape) removes the singularity at 0.
+        def integrand(y: mp.mpf) -> mp.mpf:
             t = ray * y ** (1 / mp.mpf(shape))
             return mp.exp(x * t - shape * mp.log(1 + t))
 
@@ -137,9 +134,7 @@ def test_spectrum_by_mpmath(shape: float, rate: float, frequency: float):
 
 @pytest.mark.parametrize("shape", [60, 100])
 def test_spectrum_of_nearly_ordered_chains(shape: float):
-    """By quadrature with many more nodes and further beyond the saddle,
-    from low to high frequencies.
-    """
+    """Quadrature with many more nodes and a longer path beyond the saddle, at all frequencies."""
     w = np.sqrt(shape) * np.array([0.5, 1.5, 1.9, 2.5, 8.0])
     s, weight = np.polynomial.legendre.leggauss(40)
     s = ((2 * np.arange(50)[:, None] + 1 + s) / 50 - 1).ravel()
@@ -147,7 +142,7 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
     exact = []
     for x in w**2:
         saddle = -0.5 + 1j * np.sqrt(max(shape / x - 0.25, 0.04))
-        t = saddle * (s + 1) / 2  # up to the saddle, and beyond
+        t = saddle * (s + 1) / 2  # Up to the saddle, and beyond it.
         beyond = saddle + np.abs(saddle) * np.exp(0.75j * np.pi) * 3 * (s + 1) / 2
         path = np.concatenate((t, beyond))
         step = np.concatenate(
@@ -161,9 +156,7 @@ def test_spectrum_of_nearly_ordered_chains(shape: float):
 
 @pytest.mark.parametrize("shape", [0.05, 1, 100])
 def test_dysons_chain_at_its_ends(shape):
-    """All modes lie below a high frequency; few below a low one, by the
-    singularity psi'(shape) / log^2.
-    """
+    """All modes are below a high frequency, and few below a low one, by psi'(shape) / log^2."""
     mean = np.sqrt(shape)
     assert dyson.integrated(mean * 40, shape) == pytest.approx(1, abs=1e-8)
     low = dyson.integrated(np.array([1e-20, 1e-40]), shape)
@@ -212,6 +205,6 @@ def test_refusals(call, key: str):
         ("frequency", (np.inf, 1)),
     ],
 )
-def test_what_is_wrong_with_dysons_chain_is_named(key, values):
+def test_invalid_parameters_of_dysons_chain_are_named(key, values):
     with pytest.raises(InputError, match=f"^{key}:"):
         dyson.integrated(*values)

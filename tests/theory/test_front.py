@@ -1,6 +1,4 @@
-"""The front of a strike on the top grain: exponents, absolute amplitude and
-shape, against the chain itself.
-"""
+"""The front after a strike on the top grain: exponents, amplitude and shape, against the chain."""
 
 from functools import cache
 
@@ -30,7 +28,7 @@ def test_exponents(delta: float, p: float, q: float):
     assert front.decay(delta) == pytest.approx((p, q), abs=1e-15)
 
 
-def test_exponents_have_no_jump_at_three():
+def test_exponents_are_continuous_at_three():
     assert front.decay(3 - 1e-9) == pytest.approx(front.decay(3.0), abs=1e-9)
 
 
@@ -39,7 +37,7 @@ def test_exponents_have_no_jump_at_three():
     [(100, -0.2381), (200, -0.2441), (500, -0.2504), (1000, -0.2541), (2000, -0.2569)],
 )
 def test_local_exponents_of_the_chain_published(n: int, slope: float):
-    """They approach -4/15 slowly and pass -1/4 near n = 500.
+    """The exponents approach -4/15 slowly and pass -1/4 near n = 500.
 
     Source: an independent code, four digits.
     """
@@ -50,7 +48,7 @@ def test_local_exponents_of_the_chain_published(n: int, slope: float):
 
 @pytest.mark.parametrize(("delta", "coefficient"), [(1.0, 1.071313), (1.5, 0.931768)])
 def test_absolute_peak_velocity(delta: float, coefficient: float):
-    """Chain over limit, extrapolated in n^(-1/3), is 1."""
+    """The ratio of chain and limit, extrapolated in n^(-1/3), is 1."""
     n = np.array([250, 500, 1000, 2000])
     p, _ = front.decay(delta)
     assert front.peak_velocity(10**9, delta) * 1e9**p == pytest.approx(coefficient, rel=1e-6)
@@ -74,7 +72,7 @@ def test_peak_of_the_airy_function_published():
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.5])
 @pytest.mark.parametrize("s", [-3.0, 0.9, 5.0, 25.0])
 def test_profiles_by_quadrature(delta: float, s: float):
-    """The integrals of y^(-a) Ai(y - s) and of its derivative."""
+    """The integrands are y^(-a) Ai(y - s) and its derivative."""
     xi = 1 - 1 / delta
     eta = 1 + 1 / delta
     n = 1000
@@ -102,9 +100,7 @@ def test_profiles_by_quadrature(delta: float, s: float):
 
 
 def test_shape_of_the_front_in_the_chain():
-    """The limit approaches the chain, by 2^(-1/3) or faster for every
-    doubling of n; 2 % off at n = 4000.
-    """
+    """The limit converges by 2^(-1/3) or faster per doubling of n, and is 2 % off at n = 4000."""
     misses = []
     for n in (500, 4000):
         width = ((n - 0.5) ** 0.5 / 4) ** (1 / 3)

@@ -1,4 +1,4 @@
-"""The parts of the theory come when they are asked for."""
+"""Modules of the theory are imported on first use."""
 
 from importlib import import_module
 

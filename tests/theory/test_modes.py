@@ -1,6 +1,4 @@
-"""Eigenmodes of chains, against mpmath, an integrator, exactly solvable
-columns and published numbers.
-"""
+"""Eigenmodes of chains against mpmath, an integrator, exact columns and published numbers."""
 
 import mpmath as mp
 import numpy as np
@@ -33,9 +31,7 @@ each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 
 
 def exact_squares(chain: Chain, start: np.ndarray) -> list[mp.mpf]:
-    """Return the roots near `start` of det(K - lambda M), by Newton's method on its
-    three-term recurrence in mpmath.
-    """
+    """Return the roots near `start` of det(K - lambda M), by Newton's method in mpmath."""
     k = [mp.mpf(0), *map(mp.mpf, chain.linear_stiffness.tolist())]
     m = list(map(mp.mpf, chain.masses.tolist()))
     roots = []
@@ -61,7 +57,7 @@ def exact_squares(chain: Chain, start: np.ndarray) -> list[mp.mpf]:
 
 
 @each_chain
-def test_every_frequency_to_the_last_digits(chain: Chain):
+def test_every_frequency_is_accurate(chain: Chain):
     found = modes.eigenmodes(chain).frequency
     with mp.workdps(40):
         exact = [float(mp.sqrt(square)) for square in exact_squares(chain, found**2)]
@@ -70,9 +66,7 @@ def test_every_frequency_to_the_last_digits(chain: Chain):
 
 
 def test_lowest_frequencies_of_a_long_chain():
-    """Plain diagonalisation has absolute errors, which here cost the lowest
-    frequencies some five digits.
-    """
+    """Plain diagonalisation has absolute errors, which would cost five digits here."""
     chain = springs(gravity_column(1000))
     found = modes.eigenmodes(chain).frequency[:3]
     with mp.workdps(40):
@@ -80,10 +74,8 @@ def test_lowest_frequencies_of_a_long_chain():
     assert found == pytest.approx(exact, rel=2e-15)
 
 
-def test_lowest_shapes_to_the_last_digits():
-    """Plain diagonalisation mixes low modes by ``eps (omega_max /
-    omega)^2``: here 1e-10 of each.
-    """
+def test_lowest_shapes_are_accurate():
+    """Plain diagonalisation mixes low modes by ``eps (omega_max / omega)^2``, here 1e-10."""
     stiffness = 10 ** RNG.uniform(-2, 2, 30)
     masses = 10 ** RNG.uniform(-2, 2, 30)
     found = modes.eigenmodes(springs(stiffness, np.append(masses, 1.0)))
@@ -116,7 +108,7 @@ def test_shapes_solve_eq_14_and_are_orthonormal_in_mass(chain: Chain):
 
 @each_chain
 def test_response_against_an_integrator(chain: Chain):
-    """Eqs. (15) and (16) with both kinds of initial data."""
+    """Eqs. (15) and (16) with both types of initial data."""
     scale = chain.time_scale
     displacement, velocity = RNG.normal(size=(2, chain.movable))
     tau = np.linspace(0, 60, 6) / (chain.band_edge * scale)
@@ -129,7 +121,7 @@ def test_response_against_an_integrator(chain: Chain):
 
 
 def test_two_grains_are_an_oscillator():
-    """Eq. (17), for any exponent."""
+    """Eq. (17) for any exponent."""
     for delta in (1.0, 1.5, 3.0):
         chain = Chain(grains=2, diameter=1e-3, exponent=delta)
         assert modes.eigenmodes(chain).frequency * chain.time_scale == pytest.approx([1], rel=1e-14)
@@ -143,7 +135,7 @@ def test_two_grains_are_an_oscillator():
     ],
 )
 def test_published_frequencies(movable: int, lowest: list[float], highest: float):
-    """Source: the same column by an independent code, twelve digits."""
+    """The source is an independent code for the same column, with twelve digits."""
     found = modes.eigenmodes(springs(gravity_column(movable))).frequency
     assert found[[0, 1, 2]] == pytest.approx(lowest, abs=1e-12)
     assert found[-1] == pytest.approx(highest, abs=1e-12)
@@ -159,9 +151,7 @@ def test_uniform_chain():
 
 
 def test_column_of_infinite_exponent():
-    """kappa_n = n: squares of the frequencies are the zeros of the Laguerre
-    polynomial L_M, modes are L_(n-1).
-    """
+    """For kappa_n = n the squared frequencies are the zeros of the Laguerre polynomial L_M."""
     result = modes.eigenmodes(springs(np.arange(1.0, 101)))
     zeros, _ = roots_laguerre(100)
     assert result.frequency**2 == pytest.approx(zeros, rel=1e-13)
@@ -171,9 +161,7 @@ def test_column_of_infinite_exponent():
 
 @pytest.mark.parametrize("delta", [1.0, 1.2, 1.5, 2.0, 3.0])
 def test_quasi_normal_modes_of_the_continuum(delta: float):
-    """Frequencies by the zeros of J_(-nu), with the depth N - 1/2 for every
-    delta: right to some 0.1 (k/M)^2.
-    """
+    """Frequencies from the zeros of J_(-nu), with depth N - 1/2, accurate to some 0.1 (k/M)^2."""
     nu = 1 / (1 + delta)
     eta = 1 + 1 / delta
     k = np.arange(1, 400)
@@ -183,7 +171,7 @@ def test_quasi_normal_modes_of_the_continuum(delta: float):
             mp.besselj(-nu, mp.mpf(z)) * mp.sqrt(mp.pi * z / 2) for z in zeros[[0, 1, 2, 50, 398]]
         ]
     assert max(map(abs, miss)) < 5e-13
-    assert np.all(abs(np.diff(zeros) - np.pi) < 0.05)  # none is left out
+    assert np.all(abs(np.diff(zeros) - np.pi) < 0.05)  # No zero is missing.
     assert zeros[0] < np.pi
     errors = [
         modes.quasi_normal(1, movable + 1, delta)
@@ -209,7 +197,7 @@ def test_band_edge(movable: int, error: float):
 
 
 def test_participation_numbers():
-    """How many grains take part in modes 1, 500, 900 and 1000 of 1000.
+    """The number of participating grains in modes 1, 500, 900 and 1000 of 1000.
 
     Source: an independent code, five digits.
     """
@@ -218,9 +206,7 @@ def test_participation_numbers():
 
 
 def test_wkb_counts_the_modes():
-    """At frequency k it counts k - 1/4 - nu/2 if the mode reaches the top, k -
-    1/4 if it turns on its way.
-    """
+    """WKB counts k - 1/4 - nu/2 at frequency k for modes at the top, otherwise k - 1/4."""
     frequency = modes.eigenmodes(springs(gravity_column(2000))).frequency
     k = np.arange(1, 2001)
     excess = modes.count(frequency, 2001) - k
@@ -235,7 +221,7 @@ def test_wkb_integral_by_quadrature(delta: float):
     xi = 1 - 1 / mp.mpf(delta)
     depth = mp.mpf(30.5)
     for frequency in (1e-3, 2.0, 2.4, 50.0):
-        top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # above it every mode counts
+        top = min(depth, (mp.mpf(frequency) / 2) ** (2 / xi))  # Above this depth every mode counts.
         low = max(mp.log(top), mp.mpf(-60))
         rest = mp.quad(
             lambda x, top=top, xi=xi: (

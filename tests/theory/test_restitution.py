@@ -1,4 +1,4 @@
-"""Rebound of two spheres against the motion itself, against its series, and for linear springs."""
+"""Restitution of two spheres against the motion, the series, and linear springs."""
 
 import math
 
@@ -23,7 +23,7 @@ def pair() -> tuple[float, float]:
 
 
 def rebound(x: complex) -> complex:
-    """Return the restitution by the velocity form, x = 1.5 A (K/m)^(2/5) v^(1/5).
+    """Return the restitution from the velocity form, x = 1.5 A (K/m)^(2/5) v^(1/5).
 
     With the root s of the overlap, and a time that runs by dt / s, all is a polynomial: no square
     root spoils the beginning and the end.
@@ -46,7 +46,7 @@ def rebound(x: complex) -> complex:
         r = s * left
         return 2 * s * (-(r**4) - x * r * r * state) / state
 
-    # Only the real part of s vanishes there if x is complex.
+    # For complex x, only the real part of s vanishes there.
     return -solve_ivp(leave, (1.0, 0.0), [v], **options).y[0, -1]
 
 
@@ -57,7 +57,7 @@ def test_four_decades_of_viscosity_and_speed(viscoelastic):
     e = restitution.coefficient(speeds, viscoelastic, **SPHERES)
     x = 1.5 * viscoelastic * (constant / mass) ** 0.4 * speeds**0.2
     assert e == pytest.approx([rebound(float(value)) for value in x], abs=1e-9)
-    # the series where it holds
+    # The series within its range.
     by_series = restitution.series(speeds, viscoelastic, **SPHERES)
     converges = x < 1
     assert (abs(by_series - e) <= 0.0489 * x**9 + 1e-11)[converges].all()
@@ -66,7 +66,7 @@ def test_four_decades_of_viscosity_and_speed(viscoelastic):
 
 
 def test_coefficients_of_the_series():
-    """By Cauchy's integral over a circle in the complex plane, from other equations of motion."""
+    """Computed by Cauchy's integral over a circle, from another form of the equations."""
     radius = 0.45
     circle = radius * np.exp(2j * np.pi * np.arange(32) / 32)
     values = np.array([rebound(complex(x)) for x in circle])
@@ -77,8 +77,8 @@ def test_coefficients_of_the_series():
     assert -found[1] == pytest.approx(first, abs=1e-11)
 
 
-def test_a_film_played_backward_is_a_collision_with_the_opposite_viscosity():
-    """So e(-x e^(1/5)) e(x) = 1, which ties the coefficients of even powers to the others."""
+def test_time_reversal_corresponds_to_the_opposite_viscosity():
+    """So e(-x e^(1/5)) e(x) = 1, which relates the even coefficients to the others."""
     from numpy.polynomial import polynomial
 
     for x in (0.02, 0.05, 0.1):
@@ -88,7 +88,7 @@ def test_a_film_played_backward_is_a_collision_with_the_opposite_viscosity():
 
 
 @pytest.mark.parametrize("ratio", [1e-4, 1e-2, 0.3, 0.9, 0.99])
-def test_springs_rebound_as_a_damped_oscillator(ratio):
+def test_springs_have_the_restitution_of_a_damped_oscillator(ratio):
     mass = STEEL.density * math.pi / 6 * 1e-6
     modulus = STEEL.youngs_modulus / (1 - STEEL.poissons_ratio**2) / 2
     constant = 4 / 3 * modulus * math.sqrt(2.5e-3) * math.sqrt(1e-2)
@@ -98,7 +98,7 @@ def test_springs_rebound_as_a_damped_oscillator(ratio):
     assert e == pytest.approx([exact, exact], rel=1e-12)
 
 
-def test_it_is_what_damping_is_fitted_to():
+def test_it_inverts_the_fit_of_damping():
     damping = Damping.from_restitution(0.93, velocity=0.3, material="steel", diameter=1e-2)
     e = restitution.coefficient(0.3, damping.viscoelastic, "steel", 1e-2)
     assert e == pytest.approx(0.93, abs=1e-12)
@@ -119,7 +119,7 @@ def test_it_is_what_damping_is_fitted_to():
         ("exponent", 0.5),
     ],
 )
-def test_what_has_no_restitution(key, value):
+def test_invalid_collisions(key, value):
     options = {"velocity": [1.0, 2.0], "viscoelastic": 1e-6, "material": "steel", "diameter": 1e-2}
     with pytest.raises(InputError) as raised:
         restitution.coefficient(**options | {key: value})

@@ -16,7 +16,7 @@ RNG = np.random.default_rng(5)
 
 
 def solved(chain: Chain, w: float) -> tuple[complex, complex]:
-    """Return amplitudes by one dense linear solve for all grains and both waves that leave.
+    """Return amplitudes by a dense linear solve for all grains and both outgoing waves.
 
     Beyond its band edge a lead has the wave that decays: z + 1/z = 2 - m w^2 / k with ``|z| < 1``.
     """
@@ -30,7 +30,7 @@ def solved(chain: Chain, w: float) -> tuple[complex, complex]:
         q.append(2 * np.arcsin(sine) if sine <= 1 else decay)
     matrix = np.zeros((n, n), complex)
     right = np.zeros(n, complex)
-    for i in range(n):  # unknown: all displacements, with phi_1 = 1 + r and phi_N = t
+    for i in range(n):  # The unknowns are all displacements, with phi_1 = 1 + r and phi_N = t.
         above = k[max(i - 1, 0)]
         below = k[min(i, n - 2)]
         matrix[i, i] = above + below - m[i] * w**2
@@ -46,7 +46,7 @@ def solved(chain: Chain, w: float) -> tuple[complex, complex]:
 
 
 def test_against_a_linear_solve():
-    """Amplitudes with their phases, for a random piece and unlike leads."""
+    """Amplitudes and phases for a random piece and different leads."""
     chain = Chain(grains=14, material=["steel", "glass"] * 7, gravity=0.0, top_load=2.0,
                   diameter=RNG.uniform(0.8e-3, 1.3e-3, 14))  # fmt: skip
     edges = [2 * np.sqrt(chain.linear_stiffness[end] / chain.masses[end]) for end in (0, -1)]
@@ -58,7 +58,7 @@ def test_against_a_linear_solve():
     assert found.reflected == pytest.approx(np.abs(exact[0]) ** 2, rel=1e-10)
 
 
-def test_a_uniform_chain_lets_all_pass():
+def test_a_uniform_chain_transmits_everything():
     w = EDGE * np.linspace(1e-6, 1 - 1e-6, 7)
     found = transmission(HOST, w)
     assert np.abs(found.reflected).max() < 1e-20
@@ -77,10 +77,8 @@ def test_energy_is_conserved_in_long_pieces():
     assert found.transmitted.min() < 1e-100
 
 
-def test_a_wave_that_cannot_go_on_comes_back():
-    """Amplitudes with their phases on both sides of the edge of the lead
-    below, where a wave decays.
-    """
+def test_a_wave_that_cannot_propagate_is_reflected():
+    """Amplitudes and phases on both sides of the band edge of the lower lead."""
     heavy = Chain(
         grains=9,
         material=["steel"] * 4 + ["tungsten_carbide"] * 5,
@@ -104,7 +102,7 @@ def test_a_wave_that_cannot_go_on_comes_back():
 
 
 def test_two_uniform_leads():
-    """A step in mass and stiffness: T = 4 Z Z' / (Z + Z')^2 with Z = sqrt(k m) of long waves."""
+    """A step in mass and stiffness has T = 4 Z Z' / (Z + Z')^2, Z = sqrt(k m), for long waves."""
     masses = np.ones(8)
     constants = np.ones(7)
     masses[4:] = 3.0
@@ -147,15 +145,13 @@ def test_one_impurity_has_no_resonance_in_mass():
 
 
 def masses_that_are_transparent(k: float, apart: int) -> float:
-    """Return the factor on two masses, some grains apart, that lets a wavenumber pass."""
+    """Return the factor on two distant masses at which a wavenumber passes."""
     return 1 + 1 / np.tan(k * apart) / np.tan(k / 2)
 
 
 @pytest.mark.parametrize("apart", [1, 2, 4])
 def test_masses_of_two_impurities_that_are_transparent(apart: int):
-    """Two point scatterers: (mu - 1) w^2 m / k = 2 sin(k) cot(k d); only those
-    between the bounds are given.
-    """
+    """For two point scatterers (mu - 1) w^2 m / k = 2 sin(k) cot(k d), within the bounds."""
     grains = {1: [5, 6], 2: [5, 7], 4: [4, 8]}[apart]
     numbers = []
     for k in (0.2, 1.7):
@@ -184,9 +180,7 @@ def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int)
 
 
 def test_diameter_and_modulus_of_the_factor():
-    """The same grains with contacts and masses written out: K ~ sqrt(R*)
-    E*, k ~ K^(2/3), m ~ d^3.
-    """
+    """The contacts and masses are written out: K ~ sqrt(R*) / E*, k ~ K^(2/3), m ~ d^3."""
     for vary in ("diameter", "youngs_modulus"):
         factors = transparent(HOST, 0.62 * EDGE, [5, 6], vary)
         assert factors.size > 0
@@ -203,7 +197,7 @@ def test_diameter_and_modulus_of_the_factor():
             assert abs(passed) == pytest.approx(1, rel=1e-9)
 
 
-def test_where_grains_may_stand():
+def test_allowed_positions_of_grains():
     w = 0.5 * EDGE
     for grains in ([3, 9], [3, 4, 5, 6, 7, 8, 9], [6]):
         transparent(HOST, w, grains, "mass", (0.9, 1.1))
@@ -233,7 +227,7 @@ def test_picture():
     assert len(axes.get_legend().get_texts()) == 2
 
 
-def test_the_band_edge_in_words():
+def test_the_message_about_the_band_edge():
     steel = Chain(grains=4, material=["steel"] * 2 + ["glass"] * 2, **LOADED)
     edge = 2 * np.sqrt(steel.linear_stiffness[0] / steel.masses[0])
     text = f"must be above 0 and below {edge:.6g} rad/s, the band edge of the lead above"
@@ -281,7 +275,7 @@ def test_refusals(call, key: str):
         call()
 
 
-def test_the_former_name_of_a_modulus_is_refused_with_the_present_one():
+def test_the_former_name_of_a_modulus_is_rejected_with_the_current_name():
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0)
     with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
         transparent(chain, 1e5, [5, 6], vary="modulus")

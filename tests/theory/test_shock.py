@@ -1,4 +1,4 @@
-"""Closed forms of shocks agree with each other, and with Korteweg and de Vries's as they weaken."""
+"""Closed forms of shocks agree with each other, and with KdV theory for weak shocks."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ AHEAD = State(0.1, 0.7)
 
 
 def test_simple_waves_follow_the_characteristics() -> None:
-    """J is the integral of the speed of sound over the overlap, and `driven` its inverse."""
+    """J is the integral of the sound speed over the overlap, and `driven` is its inverse."""
     behind = GAS.behind(AHEAD, 1.3)
     overlaps = np.linspace(AHEAD.overlap, behind.overlap, 20001)
     integral = np.trapezoid([GAS.sound(x) for x in overlaps], overlaps)
@@ -20,7 +20,7 @@ def test_simple_waves_follow_the_characteristics() -> None:
 
 
 def test_steady_shock_conserves_mass_and_momentum() -> None:
-    """What flows in flows out, under a load and without; there K R^(delta+1) = m v^2."""
+    """Inflow equals outflow, with and without a load; in the latter case K R^(delta+1) = m v^2."""
     for ahead in (AHEAD, State(0.1, 0.0)):
         behind, speed = GAS.rankine_hugoniot(ahead, 1.3)
         rise = GAS.force(behind.overlap) - GAS.force(ahead.overlap)
@@ -29,8 +29,8 @@ def test_steady_shock_conserves_mass_and_momentum() -> None:
     assert behind.overlap == pytest.approx((0.3 * 1.2**2 / 2.0) ** 0.4, rel=1e-12)
 
 
-def test_step_leaves_the_state_of_both_waves() -> None:
-    """The state between two waves is behind the one, and behind the mirrored other."""
+def test_a_step_gives_the_state_of_both_waves() -> None:
+    """The state between two waves is behind one wave and behind the mirrored other one."""
     left = State(0.4, 0.9)
     middle = GAS.between(left, AHEAD)
     assert GAS.behind(AHEAD, middle.velocity).overlap == pytest.approx(middle.overlap, rel=1e-12)
@@ -38,8 +38,8 @@ def test_step_leaves_the_state_of_both_waves() -> None:
     assert mirrored.overlap == pytest.approx(middle.overlap, rel=1e-12)
 
 
-def test_edges_solve_the_equations_of_the_fitting() -> None:
-    """The closed forms are the numerical solution of El's equations for w = 2 c sin(k/2)."""
+def test_edges_solve_els_equations() -> None:
+    """The closed forms agree with the numerical solution of El's equations for w = 2 c sin(k/2)."""
     behind = 1.4 * AHEAD.overlap
 
     def rate(overlap: float, slope: float) -> float:
@@ -65,8 +65,8 @@ def test_edges_solve_the_equations_of_the_fitting() -> None:
 
 @pytest.mark.parametrize("law", ["dispersive", "toda"])
 @pytest.mark.parametrize("exponent", [1.3, 1.5, 2.6])
-def test_weak_shocks_are_those_of_korteweg_and_de_vries(law: str, exponent: float) -> None:
-    """The differences of both edges fall as the square of the jump."""
+def test_weak_shocks_agree_with_kdv_theory(law: str, exponent: float) -> None:
+    """The differences of both edges scale with the square of the jump."""
     gas = Medium(exponent, 2.0, 0.3)
     jumps = 0.04 * AHEAD.overlap / 2.0 ** np.arange(4)
     for number in range(2):
@@ -82,7 +82,7 @@ def test_weak_shocks_are_those_of_korteweg_and_de_vries(law: str, exponent: floa
 
 
 def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
-    """Where sound behind is twice as fast as ahead, the train reaches back to the piston."""
+    """If sound is twice as fast behind as ahead, the wave train extends to the piston."""
     assert GAS.dispersive(AHEAD, 15.9 * AHEAD.overlap).trailing > 0
     assert np.isnan(GAS.dispersive(AHEAD, 16.1 * AHEAD.overlap).trailing)
     assert np.isnan(GAS.kdv(AHEAD, 5.1 * AHEAD.overlap).trailing)
@@ -90,7 +90,7 @@ def test_no_trailing_edge_behind_strong_shocks_and_in_a_vacuum() -> None:
 
 
 def test_contacts_open_behind_a_fast_withdrawal() -> None:
-    """Grains fly at the velocity that the whole overlap turns into; the trailing edge stays."""
+    """Grains fly at the velocity that corresponds to the whole overlap; the trailing edge stays."""
     escape, _ = quad(lambda x: np.sqrt(1.5 * 2.0 * np.sqrt(x) / 0.3), 0.0, AHEAD.overlap)
     for velocity in (AHEAD.velocity - 1.001 * escape, -1e9):
         behind = GAS.behind(AHEAD, velocity)
@@ -100,12 +100,12 @@ def test_contacts_open_behind_a_fast_withdrawal() -> None:
     assert edges[1:] == (0.0, -AHEAD.overlap)
     assert np.isnan(GAS.between(State(AHEAD.velocity - 2.1 * escape, 0.7), AHEAD).velocity)
     middle = GAS.between(State(AHEAD.velocity - 1.9 * escape, 0.7), AHEAD)
-    # 1 - 0.95 of J is left, which grows as the power 5/4 of the overlap
+    # The remaining J is 1 - 0.95 of it, and J scales with the power 5/4 of the overlap.
     assert middle.overlap == pytest.approx(0.7 * 0.05**0.8, rel=1e-9)
 
 
 @pytest.mark.parametrize("overlap", [-1e-9, np.nan])
-def test_overlaps_of_gaps_are_refused(overlap: float) -> None:
+def test_overlaps_of_gaps_are_rejected(overlap: float) -> None:
     """No power of a negative overlap is taken, ahead or behind."""
     gap = State(0.0, overlap)
     for law in (
@@ -125,7 +125,7 @@ def test_overlaps_of_gaps_are_refused(overlap: float) -> None:
             law()
 
 
-def test_waves_of_the_wrong_kind_are_refused() -> None:
+def test_waves_of_the_wrong_type_are_rejected() -> None:
     """A shock does not expand the chain, a rarefaction does not compress it."""
     less = 0.5 * AHEAD.overlap
     laws = (GAS.dispersive, GAS.toda, GAS.kdv, lambda *pair: GAS.thickness(*pair, 1e-3))
@@ -136,8 +136,8 @@ def test_waves_of_the_wrong_kind_are_refused() -> None:
         GAS.rarefaction(AHEAD, 2 * AHEAD.overlap)
 
 
-def test_what_is_no_shock_is_refused() -> None:
-    """Springs, and a piston that pulls, make none."""
+def test_linear_chains_and_pulling_pistons_are_rejected() -> None:
+    """Springs and a pulling piston make no shock."""
     with pytest.raises(InputError, match="exponent: must be above 1"):
         Medium(1.0, 2.0, 0.3)
     with pytest.raises(InputError, match="velocity: must exceed"):

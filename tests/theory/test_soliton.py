@@ -1,6 +1,4 @@
-"""Solitary waves of the lattice: the equation itself, conservation laws,
-limits, published numbers, refusals.
-"""
+"""Solitary waves of the lattice: equation of motion, conservation laws, limits and refusals."""
 
 from dataclasses import replace
 
@@ -22,7 +20,7 @@ each = pytest.mark.parametrize("wave", VACUUM + LOADED, ids=lambda w: f"{w.delta
 
 
 def excess(wave: Soliton, overlap: np.ndarray) -> np.ndarray:
-    """Return the force of a contact, written out."""
+    """Return the force of a contact, written independently."""
     return (
         np.expm1(wave.delta * np.log1p(overlap)) / wave.delta
         if wave.loaded
@@ -46,7 +44,7 @@ def test_equation_of_motion(wave: Soliton):
 
 @each
 def test_integrals_of_velocity(wave: Soliton):
-    """Displacement by quadrature of the velocity; momentum c times what a grain moves."""
+    """Displacement is the integral of the velocity; momentum is c times a grain's displacement."""
     x = 0.3
     moved, _ = quad(
         lambda y: float(wave.velocity(y)) / wave.speed,
@@ -66,7 +64,7 @@ def test_integrals_of_velocity(wave: Soliton):
 
 
 @each
-def test_energy_and_momentum_are_those_at_any_instant(wave: Soliton):
+def test_energy_and_momentum_are_constant_in_time(wave: Soliton):
     for shift in (0.13, 0.5):
         n = np.arange(-200, 201) + shift
         r = wave.overlap(n + 0.5)
@@ -82,18 +80,14 @@ def test_energy_and_momentum_are_those_at_any_instant(wave: Soliton):
     "wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}"
 )
 def test_exponential_tail(wave: Soliton):
-    """sinh(kappa/2) = c kappa/2 of linear waves, far from the middle; complex roots
-    decay nearly as slowly at 8 c.
-    """
+    """sinh(kappa/2) = c kappa/2 for linear waves far from the middle, up to 8 c."""
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
     assert np.sinh(kappa / 2) / (kappa / 2) == pytest.approx(wave.speed, rel=1e-9)
 
 
 @pytest.mark.parametrize("wave", VACUUM, ids=lambda w: f"{w.delta}")
 def test_double_exponential_tail(wave: Soliton):
-    """log r(x + 1) / log r(x) tends to delta, here with the curvature that the
-    equation leaves of the overlap.
-    """
+    """log r(x + 1) / log r(x) tends to delta, with the correction of the equation."""
     x = 0.8 * wave.reach
     log = np.log([float(wave.overlap(x + s)) for s in (-1e-4, 0, 1e-4)])
     first = (log[2] - log[0]) / 2e-4
@@ -107,8 +101,8 @@ def test_double_exponential_tail(wave: Soliton):
     assert wave.overlap(np.array([1.5, 3.0]) * wave.reach)[1] == 0.0
 
 
-def test_weak_waves_are_those_of_korteweg_and_de_vries():
-    """Overlap and speed, relative errors of the first order in the excess of the speed."""
+def test_weak_waves_agree_with_kdv_theory():
+    """Relative errors of overlap and speed are of first order in the excess speed."""
     x = np.linspace(0, 60, 61)
     off = []
     for e in (4e-4, 1e-4):
@@ -120,8 +114,8 @@ def test_weak_waves_are_those_of_korteweg_and_de_vries():
     assert float(solve(speed=1.001).overlap(0.0)) * 0.5 / 6 == pytest.approx(1.001 - 1, rel=2e-3)
 
 
-def test_strong_waves_are_those_of_the_sonic_vacuum():
-    """V = G F^(1/6) of largest force and speed."""
+def test_strong_waves_agree_with_the_sonic_vacuum():
+    """V = G F^(1/6) for the largest force and the speed."""
     vacuum = solve(velocity=1.0)
     strong = solve(speed=100.0)
     unit = vacuum.speed / float(vacuum.force(0.0)) ** (1 / 6)
@@ -131,7 +125,7 @@ def test_strong_waves_are_those_of_the_sonic_vacuum():
 
 
 def test_long_waves_published():
-    """Nesterenko's cos^4 and Coste's formula, written out."""
+    """Nesterenko's cos^4 and Coste's formula are written out."""
     x = np.linspace(-2, 2, 9)
     assert soliton.nesterenko_overlap(x, 0.9) == pytest.approx(
         (1.25 * 0.81) ** 2 * np.cos(np.sqrt(10) / 5 * x) ** 4
@@ -143,7 +137,7 @@ def test_long_waves_published():
     assert soliton.coste_speed(f) == pytest.approx(coste, rel=1e-9)
 
 
-def test_struck_is_solve_the_other_way():
+def test_struck_is_the_inverse_of_solve():
     for speed in (1.002, 1.3):
         wave = solve(speed=speed)
         assert soliton.struck(float(wave.velocity(0.0))).speed == pytest.approx(speed, rel=1e-12)
@@ -152,7 +146,7 @@ def test_struck_is_solve_the_other_way():
 @pytest.mark.parametrize("downward", [True, False])
 @pytest.mark.parametrize("load", [0.0, 2.0])
 def test_on_a_chain(load: float, downward: bool):
-    """SI units: energy and momentum of the chain, and every overlap."""
+    """Energy and momentum of the chain, and every overlap, are compared in SI units."""
     chain = Chain(
         grains=120, diameter=1e-3, gravity=0.0, top_load=load, material="steel", bottom="fixed"
     )
@@ -207,7 +201,7 @@ def test_picture(wave: Soliton):
 
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 3.0])
-def test_approximations_written_out(delta: float):
+def test_explicit_approximations(delta: float):
     x = np.array([-0.9, 0.0, 0.4, 1.3])
     c = 0.8
     v = np.array([1e-3, 1.0, 7.0])
@@ -233,7 +227,7 @@ def test_approximations_written_out(delta: float):
 
 
 def test_displacement_published():
-    """Sen et al. (2008), f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5: within 3e-4 of the wave."""
+    """Sen et al. (2008): f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5, within 3e-4 of the wave."""
     x = np.linspace(-3, 3, 13)
     f = 2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5
     assert soliton.sen_displacement(x) == pytest.approx(1 / (1 + np.exp(f)), rel=1e-9, abs=1e-16)
@@ -244,7 +238,7 @@ def test_displacement_published():
 
 @each
 def test_residual_between_the_points(wave: Soliton):
-    """c^2 r = integral of (1 - |s|) N(r(x + s)): the stated residual is the largest of them."""
+    """c^2 r = integral of (1 - |s|) N(r(x + s)): the stated residual is the largest one."""
     s, weight = np.polynomial.legendre.leggauss(120)
     s = np.concatenate((s - 1, s + 1)) / 2
     weight = np.tile(weight, 2) / 2
@@ -271,10 +265,10 @@ def test_residual_between_the_points(wave: Soliton):
         ((1.5, 1.3, 0.5), 14, 48),
     ],
 )
-def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeypatch):
-    """Linear systems until Newton's method ends, its derivatives right, and
-    coefficients that suffice.
-    """
+def test_the_number_of_linear_systems_of_a_search(
+    arguments, solutions: int, terms: int, monkeypatch
+):
+    """Correct derivatives and enough coefficients let Newton's method end soon."""
     systems = []
     solve_linear = np.linalg.solve
 
@@ -288,7 +282,7 @@ def test_how_soon_a_wave_is_found(arguments, solutions: int, terms: int, monkeyp
     assert series.coefficients.size == terms
 
 
-def test_a_wave_that_no_series_resolves(monkeypatch):
+def test_an_unresolvable_wave_is_reported(monkeypatch):
     short = replace(soliton_series.RESOLUTION, most_terms=60)
     monkeypatch.setattr(soliton_series, "RESOLUTION", short)
     for arguments, key in (((1.5, 1.2), "speed"), ((3.0, None), "delta")):
@@ -296,14 +290,12 @@ def test_a_wave_that_no_series_resolves(monkeypatch):
             soliton_series.solve_series.__wrapped__(*arguments)
 
 
-def test_where_a_wave_fits_a_chain():
-    """From where its overlap is 1e-10 of the largest, one grain more, to
-    as far from the other end.
-    """
+def test_positions_at_which_a_wave_fits_a_chain():
+    """The wave extends to 1e-10 of its largest overlap, and one grain more, on both sides."""
     wave = VACUUM[1]
     far = 1 + brentq(lambda x: float(wave.overlap(x) / wave.overlap(0.0)) - 1e-10, 1, wave.reach)
     chain = Chain(**CHAIN)
-    low, high = 1 + far, 39 - far  # grain 40 is held
+    low, high = 1 + far, 39 - far  # Grain 40 is fixed.
     for grain in (low + 1e-6, high - 1e-6):
         assert wave.on(chain, grain).velocity.max() > 0
     for grain in (low - 1e-3, high + 1e-3):
@@ -334,7 +326,7 @@ def test_where_a_wave_fits_a_chain():
 
 
 def test_the_whole_profile_on_a_chain():
-    """All displacements and velocities are in SI units; the held bottom grain does not move."""
+    """All displacements and velocities are in SI units; the fixed bottom grain does not move."""
     chain = Chain(**CHAIN, bottom="fixed")
     wave = VACUUM[1]
     profile = wave.on(chain, 12.25)

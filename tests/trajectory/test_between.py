@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from lmpchain.trajectory.between import hermite
 from lmpchain.trajectory.between.derivatives import STILL, derive
 
-SAMPLES, FINE = 8, 2000  # and times of the quadrature in an interval between two of them
+SAMPLES, FINE = 8, 2000  # Number of samples, and of quadrature times between two of them.
 KNOTS, WEIGHTS = np.polynomial.legendre.leggauss(4)
 
 

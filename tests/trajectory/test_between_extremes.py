@@ -19,8 +19,8 @@ SAMPLES = 9
 END = H * (SAMPLES - 1)
 # Velocity change between samples due to an error of the acceleration, in intervals.
 PUSHED = 5 / 16
-STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
-TILT_S = 0.3  # rad/s by which errors of values may go up and down
+STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # Slope and curvature of an error curve.
+TILT_S = 0.3  # Rate of change of errors, rad/s.
 
 
 @pytest.fixture(autouse=True)
@@ -73,12 +73,12 @@ def test_the_largest_value_of_a_polynomial_is_exact(kind: int):
         allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
         value, error = peak(motion_of(position, off), kind)
         assert value == pytest.approx(most.max(), rel=1e-12)
-        low = max(ends.max(), most.max() - allowed)  # samples have no such error
+        low = max(ends.max(), most.max() - allowed)  # Samples do not have this error.
         assert error == pytest.approx(max(allowed, value - low), rel=1e-6)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
+def test_hidden_maxima_are_bounded(kind: int):
     for _ in range(5):
         position = wavy()
         most, ends = tops(position, kind)
@@ -94,7 +94,7 @@ def test_what_may_hide_between_samples_bounds_the_largest_value(kind: int):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_steep_and_steady_intervals_hide_no_larger_value(kind: int):
+def test_steep_intervals_may_hide_a_larger_value(kind: int):
     """Slopes of one sign at both ends do not exclude a maximum between them."""
     for step in range(60):
         values = np.zeros((5, 3))
@@ -170,13 +170,13 @@ def span(curve: Polynomial, level: float, top: float) -> float:
     return at[at > top].min() - at[at < top].max()
 
 
-SINGLE = Polynomial([0, 0, 1]) * Polynomial([1, -1]) ** 3  # it is largest at 0.4
+SINGLE = Polynomial([0, 0, 1]) * Polynomial([1, -1]) ** 3  # Its maximum is at 0.4.
 MOTIONS = [(hermite.VELOCITY, 1.0), (hermite.DISPLACEMENT, -1.0)]
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize(("known", "off"), [(0.0, 0.0), (1e-5, 0.0), (0.0, 1e-3), (2e-5, 5e-4)])
-def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: float, off: float):
+def test_a_single_bump_is_the_front(kind: int, sign: float, known: float, off: float):
     """Errors of value and slope propagate to the time of the maximum, and to the width."""
     allowed = PUSHED * H * off * (1 if kind == hermite.VELOCITY else H / 2.1875)
     time, height, width, late, higher, wider = front(
@@ -200,7 +200,9 @@ def test_one_bump_is_the_front_to_the_last_digit(kind: int, sign: float, known: 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("frequency", [40.0, 400.0])
-def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, frequency: float):
+def test_the_time_error_of_a_front_is_limited_by_its_value(
+    kind: int, sign: float, frequency: float
+):
     """A fast error says nothing about the slope, so the time error follows from the value."""
     known = 1e-6
     top = SINGLE(0.4)
@@ -215,7 +217,7 @@ def test_a_front_is_no_later_than_its_value_lasts(kind: int, sign: float, freque
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
-def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
+def test_two_maxima_of_similar_height(kind: int, sign: float):
     """The first maximum is half as large as the second within the errors, so either may be the
     front.
     """
@@ -242,7 +244,7 @@ def test_two_tops_that_errors_may_exchange(kind: int, sign: float):
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
-def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
+def test_a_first_maximum_without_later_ones_may_not_be_a_front(kind: int, sign: float):
     """The largest value is at the end; if the first maximum were below the fraction, there is no
     front.
     """
@@ -264,7 +266,7 @@ def test_a_first_top_that_nothing_follows_may_be_none(kind: int, sign: float):
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 @pytest.mark.parametrize("deeper", [-1.0, 1.0])
-def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, deeper: float):
+def test_a_decrease_within_the_error_is_no_front(kind: int, sign: float, deeper: float):
     """A decrease within the error is not a maximum; slightly more leaves two possible fronts."""
     first = 0.3
     second = 0.8
@@ -275,7 +277,7 @@ def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, de
     certain = fall * (1 + deeper * 1e-3)
     time, _, _, late, _, _ = front(values, kind, 0.5, known, certain)
     assert time == pytest.approx(second if deeper > 0 else first, rel=1e-9)
-    if deeper < 0:  # 2 errors more, and it is none
+    if deeper < 0:  # By 2 errors more, it is not a maximum.
         assert (late > 0.1) == (certain + 2 * known >= fall)
     far = front(values, kind, 0.5, known, fall - 2 * known * (1 + deeper * 1e-3))
     assert far[0] == pytest.approx(first, rel=1e-9)
@@ -286,7 +288,7 @@ def test_a_fall_within_what_is_certain_makes_no_front(kind: int, sign: float, de
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
-def test_where_there_is_no_front(kind: int, sign: float):
+def test_motions_without_a_front(kind: int, sign: float):
     rising = position_of(sign * Polynomial([0, 1.0, 0.5]), kind)
     assert np.isnan(front(rising, kind)).all()
     late = position_of(sign * (SINGLE + 0.51 * SINGLE(0.4)), kind)
@@ -310,14 +312,14 @@ def test_a_width_whose_ends_are_not_recorded_is_unknown():
     found = front(position_of(curve, hermite.VELOCITY), hermite.VELOCITY)
     assert found[0] == pytest.approx(2 / 3, rel=1e-9)
     assert found[2] == pytest.approx(span(curve, 0.5, 2 / 3), rel=1e-9)
-    slow = SINGLE(Polynomial([0.15, 0.5]))  # it has not fallen to half by the end
+    slow = SINGLE(Polynomial([0.15, 0.5]))  # It has not decreased to half by the end.
     found = front(position_of(slow, hermite.VELOCITY), hermite.VELOCITY, 0.99)
     assert found[0] == pytest.approx(0.5, rel=1e-9)
     assert np.isnan(found[[2, 5]]).all()
 
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
-def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
+def test_hidden_maxima_make_a_front_uncertain(kind: int, sign: float):
     values = position_of(sign * SINGLE, kind)
     t = H * np.arange(SAMPLES)
     size = np.abs(SINGLE(t))
@@ -333,7 +335,7 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
             if kind != hermite.VELOCITY:
                 ceiling[hidden] = (2 * bound - size[hidden] - size[hidden + 1]) / H
             time, height, _, late, higher, wider = front(values, kind, ceiling=ceiling, width=True)
-            inside = hidden == 3  # where the largest value is
+            inside = hidden == 3  # The interval with the largest value.
             high = max(bound, SINGLE(0.4) if not inside else size[3:5].max())
             assert time == pytest.approx(t[3] if inside and size[3] > size[4] else 0.4, rel=1e-9)
             assert height == pytest.approx(sign * SINGLE(time), rel=1e-9)
@@ -344,7 +346,7 @@ def test_what_may_hide_makes_a_front_unsure(kind: int, sign: float):
             assert wider == END
 
 
-def test_a_bump_that_hardly_rises_may_have_turned_before():
+def test_a_slow_maximum_may_have_turned_earlier():
     """The maximum may be at any time with a slope within its error."""
     turning = Polynomial.fromroots([0.35, 0.35, 0.8]) * -1.0
     curve = (turning + 1e-3 * Polynomial([0.8, -1])).integ()
@@ -437,7 +439,7 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
 
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
-def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
+def test_fronts_of_random_signals_agree_with_dense_samples(kind: int):
     """The front is the first maximum above a fraction of the largest, and its width spans many
     intervals.
     """
@@ -470,7 +472,7 @@ def test_fronts_of_random_signals_are_those_of_dense_samples(kind: int):
     assert clear > 30
 
 
-def test_shoulders_of_a_rise_are_where_its_slope_is_least():
+def test_shoulders_of_a_rise_are_at_minima_of_the_slope():
     """The rise may have turned as long before as the slope is within its error."""
     seen = 0
     for _ in range(40):
@@ -490,7 +492,7 @@ def test_shoulders_of_a_rise_are_where_its_slope_is_least():
             assert event["height"] == pytest.approx(curve(place), rel=1e-9)
             assert event["tilt"] == pytest.approx(-slope(place), rel=1e-7)
             assert event["bend"] == pytest.approx(slope.deriv(2)(place), rel=1e-6)
-            allowed = 4 * slope(place)  # of the slope: with it the rise may turn before
+            allowed = 4 * slope(place)  # Error of the slope within which the rise may turn earlier.
             rules = fronts.Rules(0.3, allowed, 0.0, 1.0, H, 1.0, 1, False)
             begin, height = earlier(log, 1.0, 0.0, 0.0, rules)
             parabola = place - np.sqrt(6 * slope(place) / slope.deriv(2)(place))

@@ -19,7 +19,7 @@ SAMPLES = 9
 FINAL = SAMPLES - 1
 # Velocity change between samples due to an error of the acceleration, in intervals.
 PUSHED = 5 / 16
-STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # slope and curvature of what a value is off by
+STEEP, BENT = 7.514 / 2.1875, 2 * 52.5 / 2.1875  # Slope and curvature of an error curve.
 
 
 @pytest.fixture(autouse=True)
@@ -93,7 +93,7 @@ def largest(curve: Polynomial, signed: bool = False) -> float:
 
 @pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, FINAL), tuple(range(1, SAMPLES))])
 @pytest.mark.parametrize("off", [0.0, 0.5])
-def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, ...], off: float):
+def test_largest_values_do_not_depend_on_the_order_of_intervals(parts: tuple[int, ...], off: float):
     """The approach of the wall to the grain has a sign, and both errors add up."""
     for _ in range(8):
         position = wavy()
@@ -127,7 +127,7 @@ def test_largest_values_are_exact_however_the_intervals_come(parts: tuple[int, .
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("middle", [0.437, 0.48, 0.5, 0.55])
-def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int):
+def test_a_peak_slightly_above_the_last_is_not_missed(middle: float, sign: int):
     """A parabola exceeds its samples by at most an eighth of a second difference."""
     curve = sign * (1 - 3 * (Polynomial([-middle, 1])) ** 2)
     for low, seen in ((1 - 1e-9, True), (1 + 1e-9, False)):
@@ -139,7 +139,7 @@ def test_a_peak_just_above_what_was_is_not_passed_over(middle: float, sign: int)
 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("outer", [4.1, 10.0])
-def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: int):
+def test_a_peak_between_unevenly_rising_samples_is_found(outer: float, sign: int):
     """Four samples of a speed rise, but the speed has a maximum between the middle two."""
     v = np.zeros(SAMPLES)
     v[2:6] = np.cumsum([1, outer, 1, outer])
@@ -168,7 +168,7 @@ def test_a_peak_between_samples_that_rise_unevenly_is_found(outer: float, sign: 
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize("off", [0.0, 1e-3])
 @pytest.mark.parametrize("parts", [(FINAL,), (1, 3, 4, 6, FINAL)])
-def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts: tuple[int, ...]):
+def test_maxima_before_larger_ones_are_logged(sign: int, off: float, parts: tuple[int, ...]):
     first = 0.22
     second = 0.83
     speed, dip = two(first, second, 0.6)
@@ -196,7 +196,7 @@ def test_maxima_that_larger_ones_follow_are_logged(sign: int, off: float, parts:
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_constant_speed_is_reached_where_it_began(sign: int):
+def test_a_constant_speed_is_reached_at_its_beginning(sign: int):
     """In free flight the time of the maximum is the beginning: the speed rises to 1 and stays."""
     v = np.array([0, 0.3, 0.9, 1, 1, 1, 1, 1, 1.0])
     u = np.append(0, np.cumsum(H * (v[1:] + v[:-1]) / 2))

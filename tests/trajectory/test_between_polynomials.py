@@ -35,7 +35,8 @@ fill_path = direct(maxima.fill_path)
 RNG = np.random.default_rng(8)
 KINDS = hermite.VELOCITY, hermite.DISPLACEMENT, hermite.RAISED
 H = 0.7
-SHAPE = 140 * Polynomial([0, 0, 0, 1]) * Polynomial([1, -1]) ** 3  # of a misfit: its integral is 1
+# Shape of a misfit, whose integral is 1.
+SHAPE = 140 * Polynomial([0, 0, 0, 1]) * Polynomial([1, -1]) ** 3
 DENSE = np.linspace(0, 1, 2001)
 
 
@@ -114,7 +115,7 @@ def test_a_velocity_of_degree_six_is_exact_between_samples(kind: int):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_errors_follow_from_the_misfit_of_the_way_and_of_the_acceleration(kind: int):
+def test_errors_follow_from_misfits_of_displacement_and_acceleration(kind: int):
     for _ in range(5):
         values = RNG.normal(size=(5, 6)) * [[1], [1], [1], [1], [0.1]]
         values[4] = np.abs(values[4])
@@ -145,7 +146,7 @@ def test_the_quick_bound_is_close_where_samples_are(kind: int):
         assert p[hermite.REACH, i] <= top + 0.01 * omega ** (kind == hermite.VELOCITY)
 
 
-def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
+def test_factors_of_errors_agree_with_the_shape_of_a_misfit():
     assert SHAPE(0.5) == hermite.SHAPE.height
     assert np.abs(SHAPE.deriv()(DENSE)).max() == pytest.approx(
         hermite.SHAPE.slope * hermite.SHAPE.height, rel=2e-3
@@ -157,7 +158,7 @@ def test_factors_of_errors_are_those_of_the_shape_of_a_misfit():
     assert pushed(DENSE).max() == pytest.approx(hermite.SHAPE.push, rel=1e-6)
 
 
-def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
+def test_a_curvature_is_certain_beyond_errors_and_rounding():
     curve = Polynomial([1.0, 0.3, -2.0, 0.7, 0.1, -0.4, 0.2])
     slopes = bernstein(curve.deriv(), 5)
     # The ratio of twice the largest curvature of a misfit to the largest misfit.
@@ -166,12 +167,13 @@ def test_a_curvature_is_sure_beyond_the_errors_and_rounding():
         bend = abs(curve.deriv(2)(s))
         found = sure_bend(slopes, 6, s, 0.0, 0.01, hermite.scratch())
         assert found == pytest.approx(bend - ratio * 0.01, rel=1e-12)
-    for size, sure in ((0.95e-9, False), (1.05e-9, True)):  # of a value of 1: less is rounding
+    # Relative to a value of 1; less is rounding.
+    for size, sure in ((0.95e-9, False), (1.05e-9, True)):
         slopes = bernstein(Polynomial([0, size]), 5)
         assert (sure_bend(slopes, 6, 0.5, 1.0, 0.0, hermite.scratch()) > 0) == sure
 
 
-def test_the_largest_of_values_counts_both_ends_and_signs():
+def test_the_largest_value_includes_both_ends_and_signs():
     values = np.array([-5.0, 1.0, 3.0])
     for order, kind, top in (
         (values, hermite.VELOCITY, 5.0),
@@ -211,7 +213,8 @@ def test_close_turns_beside_a_steep_jerk_are_found():
         )
         true = np.sort(zeros[(zeros > 0) & (zeros < 1)])
         if np.diff(np.sort(zeros)).min() < 3e-2 * width:
-            continue  # too close for the coefficients of a polynomial in double precision
+            # Closer roots are not resolved by polynomial coefficients in double precision.
+            continue
         places = roots(bernstein(shape, 5))
         assert places.size == true.size
         assert places == pytest.approx(true, abs=1e-6)
@@ -231,7 +234,7 @@ def test_close_turns_beside_a_steep_jerk_are_found():
     ],
 )
 def test_a_level_is_found_to_all_digits(curve: Polynomial, level: float, place: float, sign: int):
-    multiple = 1e-4 if level == 0.0 else 1e-12  # of a root of third order
+    multiple = 1e-4 if level == 0.0 else 1e-12  # The zero level is a root of third order.
     places = roots(bernstein(sign * (curve - level), 6))
     assert places.size == 1
     assert places[0] == pytest.approx(place, rel=0, abs=multiple)
@@ -269,7 +272,7 @@ def unsure_of(y: np.ndarray, climb: np.ndarray, rate: np.ndarray, mass: float) -
             continue
         jump = OPENINGS.kink * H * abs(rate[i] - rate[i - 1])
         deeper = (now > 0 and climb[i] < 0) or (before > 0 and climb[i - 1] > 0)
-        if deeper if crosses else now <= 0:  # it collides in between
+        if deeper if crosses else now <= 0:  # The contact collides in between.
             jump = max(jump, OPENINGS.collision * mass * abs(climb[i] - climb[i - 1]) / H)
         off[i - 1] = jump
     return off
@@ -295,13 +298,13 @@ ENDS = {
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
 @pytest.mark.parametrize("linear", [False, True])
 @pytest.mark.parametrize("strength", [0.2, 2.0])
-def test_accelerations_and_jerks_are_those_of_the_forces(
+def test_accelerations_and_jerks_agree_with_the_forces(
     end: str, exponent: float, linear: bool, strength: float
 ):
     """The columns have five grains in another order, with one more that is not requested."""
     contacts = chain_contacts(exponent, *ENDS[end])
     u, v = strength * RNG.normal(size=(2, 9, 6))
-    u[:2], v[:2] = 0.0, 0.0  # some contacts rest for a while
+    u[:2], v[:2] = 0.0, 0.0  # Some contacts rest for a while.
     columns = np.array([3, 0, 5, 1, 4])
     inverse_mass = RNG.uniform(0.5, 2, 5)
     block = block_of(u, v, [STILL, *columns, STILL], contacts, inverse_mass, exponent, linear, H)
@@ -326,7 +329,7 @@ def test_accelerations_and_jerks_are_those_of_the_forces(
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 2.3])
-def test_a_weak_wave_keeps_its_digits(exponent: float):
+def test_a_weak_wave_is_accurate(exponent: float):
     """The overlap changes by 1e-8, so that a difference of forces would lose 8 digits."""
     contacts = chain_contacts(exponent, [True] * 3, [True] * 3)
     u, v = 1e-8 * RNG.normal(size=(2, 5, 2))
@@ -369,7 +372,7 @@ def test_accelerations_of_unknown_forces_follow_from_three_samples():
         assert doubt[:-1] == pytest.approx(expected, rel=1e-10, abs=1e-12)
 
 
-def test_three_samples_say_nothing_of_an_acceleration():
+def test_three_samples_give_no_acceleration():
     u, v = RNG.normal(size=(2, 3, 1))
     block = block_of(
         u, v, [STILL, 0, STILL], np.ones((3, 2)), np.ones(1), 1.5, False, H, known=False
@@ -385,18 +388,18 @@ def test_samples_body_by_body():
     assert np.array_equal(by_body(field), field.T)
 
 
-# --- with what is imposed
+# --- with a forcing
 
 
 @pytest.mark.parametrize(
     ("kind", "linear", "exponent"),
     thinned(product(["plain", "pushed", "driven", "wall"], [False, True], [1.0, 1.5, 2.3]), 2),
 )
-def test_the_motion_around_an_interval_is_that_of_the_forces(
+def test_the_motion_around_an_interval_agrees_with_the_forces(
     exponent: float, linear: bool, kind: str
 ):
     contacts = chain_contacts(exponent, [True, True, False, True, True], [True] * 5)
-    contacts[:, 4] = 0.0  # nothing below
+    contacts[:, 4] = 0.0  # Without a body below.
     u, v = 1.5 * RNG.normal(size=(2, 6, 4))
     inverse_mass = np.array([1.3, 0.4, 0.8, 0.0])
     wall = RNG.normal(size=(4, 6)) if kind == "wall" else np.zeros((4, 6))

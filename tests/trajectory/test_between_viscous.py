@@ -47,8 +47,8 @@ def test_the_largest_force_of_a_known_motion_is_within_its_error(size: float, ph
     assert closing == pytest.approx(expected[1], rel=0, abs=1e-4 * amplitude * OMEGA)
 
 
-def test_the_approach_of_a_contact_is_that_of_its_two_bodies():
-    """The upper body of contact 0 is the moving wall; the lower wall stands still."""
+def test_the_approach_of_a_contact_is_relative_to_both_bodies():
+    """The upper body of contact 0 is the moving wall; the lower wall is at rest."""
     drive = Drive(grain=0, amplitude=1e-8, frequency=3e4)
     scene = Scene(chain=CHAIN, excitation=drive, duration=2e-5, samples=9)
     rng = np.random.default_rng(3)

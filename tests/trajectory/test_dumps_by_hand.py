@@ -22,7 +22,7 @@ U = 1e-9 * TIMES * np.array([0.5, 2.0, 0.7, 0.2, 0.0])
 V = 2e-3 * np.array(
     [[0, 1, 0, 0, 0], [0.1, 0.9, 0.1, 0, 0], [0.2, 0.7, 0.2, 0.1, 0], [0.3, 0.5, 0.3, 0.1, 0]]
 )
-NUMBERS = np.array([4, 1, 3, 2, 5])  # of the atoms, from the top
+NUMBERS = np.array([4, 1, 3, 2, 5])  # Atom numbers from the top.
 REST = 0.01 - np.append(0, np.cumsum(CHAIN.contact_lengths[1:-1] - CHAIN.equilibrium_overlap))
 
 
@@ -115,7 +115,7 @@ def test_displacements_follow_from_heights(tmp_path: Path, up: int):
     assert other.provenance["displacement"] == "heights less those given"
 
 
-def test_what_the_scene_begins_with_is_added_to_heights(tmp_path: Path):
+def test_initial_displacements_are_added_to_heights(tmp_path: Path):
     scene = Scene(**SCENE.given() | {"excitation": Displacement(displacement=3e-9, grain=3)})
     u = 3e-9 * np.array([0, 0, 1, 0, 0]) + U
     path = dump(tmp_path / "run.dump", u=u, v=V - V[0], columns="id x y z vz")
@@ -125,7 +125,7 @@ def test_what_the_scene_begins_with_is_added_to_heights(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False), (1e-3, False)])
-def test_a_dump_of_a_scene_with_another_strike_is_refused(tmp_path: Path, off: float, good: bool):
+def test_a_dump_of_a_scene_with_another_strike_is_rejected(tmp_path: Path, off: float, good: bool):
     """The initial state must agree to a millionth of the largest value in the dump."""
     scene = Scene(**SCENE.given() | {"excitation": Impulse(velocity=2e-3 * (1 - off), grain=2)})
     path = dump(tmp_path / "run.dump")
@@ -138,7 +138,7 @@ def test_a_dump_of_a_scene_with_another_strike_is_refused(tmp_path: Path, off: f
 
 
 @pytest.mark.parametrize(("off", "good"), [(0.9e-6, True), (1.1e-6, False)])
-def test_a_dump_that_begins_elsewhere_is_refused(tmp_path: Path, off: float, good: bool):
+def test_a_dump_with_another_initial_state_is_rejected(tmp_path: Path, off: float, good: bool):
     u = U.copy()
     u[0, 3] = off * U.max()
     path = dump(tmp_path / "run.dump", u=u, rest=REST)
@@ -150,7 +150,7 @@ def test_a_dump_that_begins_elsewhere_is_refused(tmp_path: Path, off: float, goo
         )
 
 
-def test_frames_are_those_of_the_samples(tmp_path: Path):
+def test_frames_agree_with_the_samples(tmp_path: Path):
     path = dump(tmp_path / "run.dump", steps=(0, 50, 100))
     assert fault(path).startswith(
         "has 3 whole frames, the scene 4 samples over a duration of 0.0003 s: set both in the scene"
@@ -167,7 +167,7 @@ def test_frames_are_those_of_the_samples(tmp_path: Path):
     assert fault(tmp_path) == "is a folder; name the dump in it"
 
 
-def test_numbers_that_are_none(tmp_path: Path):
+def test_invalid_numbers(tmp_path: Path):
     for field in (U, V):
         broken = field.copy()
         broken[2, 1] = np.nan
@@ -185,7 +185,7 @@ def test_numbers_that_are_none(tmp_path: Path):
     )
 
 
-def test_columns_that_are_not_there(tmp_path: Path):
+def test_missing_columns(tmp_path: Path):
     path = tmp_path / "run.dump"
     assert fault(dump(path, columns="id x y z")).startswith(
         "has no column vz: dump custom ... id x y z vz v_phi"
@@ -205,9 +205,7 @@ def test_columns_that_are_not_there(tmp_path: Path):
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.49, True), (0.51, False)])
-def test_the_axis_of_a_column_is_twice_as_long_as_any_other(
-    tmp_path: Path, share: float, good: bool
-):
+def test_the_axis_of_a_column_is_at_least_twice_as_long(tmp_path: Path, share: float, good: bool):
     path = dump(tmp_path / "run.dump", columns="id x y z vx vy vz v_phi")
     span = float(np.ptp(REST))
     lines = path.read_text().splitlines()
@@ -223,7 +221,7 @@ def test_the_axis_of_a_column_is_twice_as_long_as_any_other(
 
 
 @pytest.mark.parametrize(("levels", "good"), [(101, True), (99, False)])
-def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: bool):
+def test_heights_need_enough_digits(tmp_path: Path, levels: int, good: bool):
     """Heights have steps of 1e-10 m, and the motion a number of these."""
     rest = np.round(REST, 10)
     u = np.zeros((SAMPLES, 5))
@@ -247,7 +245,7 @@ def test_heights_need_digits_for_the_motion(tmp_path: Path, levels: int, good: b
     )
 
 
-def test_all_digits_are_known_to_the_last_bit(tmp_path: Path):
+def test_precise_numbers_are_recognised(tmp_path: Path):
     t = Trajectory.from_dump(dump(tmp_path / "run.dump", u=U * math.pi, v=V), SCENE)
     digit = np.spacing(U.max() * math.pi)
     within = t.provenance["precision"].split(";")[0]

@@ -23,15 +23,15 @@ CHAIN = Chain(grains=GRAINS, material="glass", diameter=1e-3, top_load=0.02)
 SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=1e-4), duration=8e-6, samples=41)
 # Columns of a dump without displacements.
 OWN = "id x y z vz radius mass"
-SIDE = 0.04  # of the box, m
+SIDE = 0.04  # Side of the box, m.
 
 
 class Frame:
-    """A frame of a dump, to be changed."""
+    """A frame of a dump that can be changed."""
 
     def __init__(self, text: str):
         lines = text.splitlines()
-        self.above = ""  # lines above the first one
+        self.above = ""  # Lines above the first line.
         self.step = lines[1]
         self.atoms = lines[3]
         self.box = lines[4:8]
@@ -281,7 +281,7 @@ def test_dumps_in_other_units_are_converted(original: Path, style: str, said: bo
             Trajectory.from_dump(path, SCENE, units="si")
 
 
-def test_units_that_are_none(original: Path):
+def test_invalid_units(original: Path):
     for units, fault in (
         ("lj", "lj has no scale: give its units of length, time and mass"),
         ("imperial", "must be lj . si"),
@@ -293,7 +293,7 @@ def test_units_that_are_none(original: Path):
 
 
 @pytest.mark.parametrize("name", CHANGES)
-def test_a_changed_dump_is_read_as_it_was_or_refused(original: Path, name: str, tmp_path: Path):
+def test_a_changed_dump_is_read_unchanged_or_rejected(original: Path, name: str, tmp_path: Path):
     change, says = CHANGES[name]
     truth = Trajectory.from_dump(original, SCENE)
     frames = frames_of(original)
@@ -311,7 +311,7 @@ def test_a_changed_dump_is_read_as_it_was_or_refused(original: Path, name: str, 
     assert np.array_equal(t.velocity, truth.velocity)
 
 
-def test_digits_are_those_in_the_file(decks: dict[str, Path], tmp_path: Path):
+def test_the_precision_is_that_of_the_file(decks: dict[str, Path], tmp_path: Path):
     """Digits that box lengths add to positions are not digits of the dump."""
     frames = frames_of(decks["own"])
     wrapped(flags=True, lowest=0.0844)(frames)
@@ -400,7 +400,7 @@ SCENES: dict[str, tuple[Scene, str]] = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_dump_read_as_another_scene_is_refused(original: Path, name: str):
+def test_a_dump_read_as_another_scene_is_rejected(original: Path, name: str):
     refused(original, *SCENES[name])
 
 
@@ -417,7 +417,7 @@ def test_masses_and_radii_are_those_of_the_chain(decks: dict[str, Path], key: st
     assert np.isfinite(Trajectory.from_dump(write(path, frames), SCENE).velocity).all()
 
 
-# --- decks that were run otherwise
+# --- decks run with other options
 
 
 OTHER_VARIABLES = {
@@ -446,7 +446,7 @@ def test_a_deck_that_is_run_with_other_variables(tmp_path: Path, diameter: str, 
 
 
 @pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])
-def test_a_deck_tells_its_times_where_samples_do_not(tmp_path: Path, integrator: str):
+def test_a_deck_states_times_that_samples_do_not_show(tmp_path: Path, integrator: str):
     """The phase of the fastest motion between two samples is 10 rad."""
     scene = SCENE.replace(duration=2e-5, samples=5)
     write_deck(scene, tmp_path, step=1e-7, integrator=integrator)
@@ -458,7 +458,7 @@ def test_a_deck_tells_its_times_where_samples_do_not(tmp_path: Path, integrator:
 
 
 @pytest.mark.parametrize("load", [0.01, 0.024, 0.04])
-def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: Path, load: float):
+def test_a_deck_with_a_gauge_diameter_has_the_forces_of_the_scene(tmp_path: Path, load: float):
     """Distances between such grains do not show the load, but the motion does."""
     scene = other({"gravity": 0.0}, duration=8e-6)
     write_deck(scene, tmp_path, step=1e-8, diameter="gauge")
@@ -469,7 +469,7 @@ def test_a_deck_with_grains_drawn_smaller_has_the_forces_of_the_scene(tmp_path: 
 
 
 @pytest.mark.parametrize("amplitude", [1e-6, 1e-5])
-def test_grains_that_move_less_than_a_digit_of_their_height(tmp_path: Path, amplitude: float):
+def test_grains_that_move_by_less_than_a_digit_of_their_height(tmp_path: Path, amplitude: float):
     """Such a grain is beside a forced grain in a vacuum, which moves as if alone."""
     chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0)
     push = Force(grain=4, shape="half-sine", amplitude=amplitude, duration=5e-7)
@@ -484,7 +484,7 @@ def test_grains_that_move_less_than_a_digit_of_their_height(tmp_path: Path, ampl
 
 
 @pytest.mark.parametrize("damping", [{"viscoelastic": 3e-7}, {"drag": 1e6}])
-def test_a_dump_of_a_chain_that_loses_energy(tmp_path: Path, damping: dict[str, float]):
+def test_a_dump_of_a_damped_chain(tmp_path: Path, damping: dict[str, float]):
     scene = other({"damping": damping})
     write_deck(scene, tmp_path, step=1e-8)
     lmp(tmp_path)
@@ -495,10 +495,10 @@ def test_a_dump_of_a_chain_that_loses_energy(tmp_path: Path, damping: dict[str, 
     refused(path, scene.replace(duration=8.8e-6), "apart by .* v_time")
 
 
-# --- files that take the memory
+# --- files that exhaust the memory
 
 
-def test_a_long_line_takes_no_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_long_line_needs_no_memory(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "dump.gz"
     path.write_bytes(gzip.compress(b"ITEM: TIMESTEP\n" + b"0" * 2**27, 1))
     tracemalloc.start()

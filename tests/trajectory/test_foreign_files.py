@@ -40,7 +40,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("originals")
     simulate(SCENE, "native", folder=folder / "run").save(folder / "run.nc")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # four samples a block
+        patch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
         with pytest.raises(Stopped):
             simulate(SCENE, "native", folder=folder / "stopped", max_wall=1e-9)
     return folder
@@ -73,7 +73,7 @@ def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 class Trap:
-    """Object that leaves a mark when it is unpickled."""
+    """An object that leaves a mark when it is unpickled."""
 
     def __init__(self, mark: Path):
         self.mark = mark
@@ -181,7 +181,7 @@ CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-def test_a_store_that_is_laid_out_otherwise_is_refused_unopened(
+def test_a_store_with_another_layout_is_rejected_unopened(
     run: Path, change: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ):
     import xarray
@@ -193,12 +193,12 @@ def test_a_store_that_is_laid_out_otherwise_is_refused_unopened(
     refused(run, capsys)
 
 
-def test_a_chunk_that_claims_more_than_it_holds_is_refused(
+def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
     run: Path, capsys: pytest.CaptureFixture[str]
 ):
     path = run / "trajectory.zarr" / "time" / "c" / "0"
     content = bytearray(path.read_bytes())
-    content[4:8] = (2**31 - 17).to_bytes(4, "little")  # bytes that Blosc is to make room for
+    content[4:8] = (2**31 - 17).to_bytes(4, "little")  # Number of bytes that Blosc should allocate.
     path.write_bytes(content)
     assert "more than it" in refused(run, capsys)
 
@@ -207,7 +207,7 @@ def test_a_chunk_that_claims_more_than_it_holds_is_refused(
     "where", ["trajectory.zarr", "trajectory.zarr/velocity", "trajectory.zarr/velocity/c/0/0"]
 )
 @pytest.mark.parametrize("kind", ["link", "pipe"])
-def test_nothing_outside_of_a_run_folder_is_read_or_written(
+def test_nothing_outside_a_run_folder_is_read_or_written(
     run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
     path = run / where
@@ -243,7 +243,7 @@ def test_a_run_is_not_resumed_through_links(
     assert outside.read_bytes() == before
 
 
-def test_a_run_folder_brings_no_commands(stopped: Path):
+def test_a_run_folder_cannot_contain_commands(stopped: Path):
     """Commands of LAMMPS can start programs, so commands in a run folder are not executed."""
     mark = stopped.parent / "mark"
     path = stopped / "run.json"
@@ -266,7 +266,7 @@ def test_a_run_folder_brings_no_commands(stopped: Path):
     assert not mark.exists()
 
 
-# --- checkpoints: their hash stands in them, so that anybody can make one
+# --- checkpoints: they contain their own hash, so that anybody can make one
 
 
 def with_checkpoint(folder: Path, content: bytes) -> None:
@@ -296,7 +296,7 @@ def test_no_pickle_of_a_checkpoint_is_opened(stopped: Path):
 
 
 @pytest.mark.parametrize("what", ["compressed", "huge", "not an archive"])
-def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
+def test_an_invalid_checkpoint_is_not_used(stopped: Path, what: str):
     packed = io.BytesIO()
     arrays = arrays_of(stopped)
     if what == "compressed":
@@ -318,7 +318,7 @@ def test_a_checkpoint_that_is_none_is_not_used(stopped: Path, what: str):
 
 
 @pytest.mark.parametrize("what", ["window", "shape", "sample", "lost", "none", "text"])
-def test_the_state_of_a_checkpoint_fits_its_run(stopped: Path, what: str):
+def test_the_state_of_a_checkpoint_must_match_its_run(stopped: Path, what: str):
     """The compiled loops do not check their array bounds, so a state is checked when it is read."""
     arrays = arrays_of(stopped)
     if what == "window":
@@ -464,7 +464,7 @@ def changed_bytes(content: bytes, seed: int) -> bytes:
 
 @pytest.mark.parametrize("sealed", [True, False])
 @pytest.mark.parametrize("seed", range(30))
-def test_no_changed_file_reaches_the_library_that_may_hang(
+def test_no_changed_file_reaches_the_hdf5_library(
     originals: Path, tmp_path: Path, seed: int, sealed: bool, monkeypatch: pytest.MonkeyPatch
 ):
     """HDF5 hung on two of 756 such files, and only a kill stopped it."""
@@ -488,7 +488,7 @@ def test_no_changed_file_reaches_the_library_that_may_hang(
     assert not reached
 
 
-def test_a_damaged_file_is_refused_in_one_line(originals: Path, tmp_path: Path):
+def test_a_damaged_file_is_rejected_in_one_line(originals: Path, tmp_path: Path):
     """The library h5netcdf used to print a traceback after the message."""
     content = (originals / "run.nc").read_bytes()
     (tmp_path / "run.nc").write_bytes(b"\x89HDF\r\n\x1a\n" + content[8 : len(content) // 2])
@@ -498,7 +498,7 @@ def test_a_damaged_file_is_refused_in_one_line(originals: Path, tmp_path: Path):
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device"])
-def test_what_is_no_file_is_refused(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]):
+def test_special_files_are_rejected(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]):
     path = tmp_path / "run.nc"
     os.mkfifo(path) if kind == "pipe" else path.symlink_to("/dev/zero")
     refused(path, capsys)

@@ -1,4 +1,4 @@
-"""Other tools read our files, and we read theirs."""
+"""Other tools read files of lmpchain, and lmpchain reads their files."""
 
 import gzip
 import re
@@ -55,7 +55,7 @@ def test_universe(trajectory: Trajectory):
     assert np.array_equal(universe.atoms.masses, chain.masses[[4, 0, 1]])
     assert np.array_equal(universe.atoms.radii, chain.diameters[[4, 0, 1]] / 2)
     assert len(universe.trajectory) == 21
-    for _ in range(2):  # it begins anew
+    for _ in range(2):  # The universe starts again.
         times = []
         for sample, ts in enumerate(universe.trajectory):
             times.append(ts.time)
@@ -72,7 +72,7 @@ def test_universe(trajectory: Trajectory):
     assert universe.trajectory.dt == pytest.approx(1e-6, rel=1e-12)
 
 
-def test_what_mdanalysis_does_with_a_universe(trajectory: Trajectory):
+def test_a_universe_supports_mdanalysis(trajectory: Trajectory):
     universe = trajectory.universe()
     assert universe.select_atoms("id 1:2").ids.tolist() == [1, 2]
     seen = [ts.data["velocity"][1] for ts in universe.trajectory[4::5]]
@@ -129,7 +129,7 @@ def test_extxyz(trajectory: Trajectory, tmp_path: Path):
         assert not frame.pbc.any()
 
 
-def test_extxyz_is_whole_or_not_there(trajectory: Trajectory, tmp_path: Path):
+def test_extxyz_is_written_atomically(trajectory: Trajectory, tmp_path: Path):
     with pytest.raises(InputError, match="cannot be written"):
         trajectory.to_extxyz(tmp_path / "none" / "run.extxyz")
     broken = replace(trajectory, velocity=trajectory.velocity[:5])
@@ -138,7 +138,7 @@ def test_extxyz_is_whole_or_not_there(trajectory: Trajectory, tmp_path: Path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_what_a_deck_writes(tmp_path: Path):
+def test_the_output_of_a_deck(tmp_path: Path):
     """ASE reads the dump, and LAMMPS's reader both logs; the dumps of `lmp` and library agree."""
     write_deck(small(), tmp_path / "deck", step=1e-7)
     lmp(tmp_path / "deck")
@@ -230,11 +230,11 @@ def truth(request: pytest.FixtureRequest) -> tuple[Scene, np.ndarray, np.ndarray
         (1, "own.dump", "xs ys zs x y z xu yu zu id vz mass"),
     ],
 )
-def test_dump_of_a_deck_that_is_not_ours(up: int, dump: str, columns: str, truth, tmp_path: Path):
+def test_a_dump_of_a_foreign_deck(up: int, dump: str, columns: str, truth, tmp_path: Path):
     scene, u, v = truth
     path = own_deck(tmp_path / "own", scene, up, dump, columns)
     t = Trajectory.from_dump(path, scene)
-    assert relative_error(t.displacement, t.velocity, u, v) < 3e-4  # velocity Verlet at 10 ns
+    assert relative_error(t.displacement, t.velocity, u, v) < 3e-4  # Velocity Verlet at 10 ns.
     heights = up * (0.05 - np.append(0, np.cumsum(1e-3 - scene.chain.equilibrium_overlap)))
     given = Trajectory.from_dump(path, scene, heights)
     assert given.displacement == pytest.approx(t.displacement, rel=1e-9, abs=2e-17)
@@ -244,7 +244,7 @@ def test_dump_of_a_deck_that_is_not_ours(up: int, dump: str, columns: str, truth
         Trajectory.from_dump(path, scene, heights + 1e-8)
 
 
-def test_a_compressed_dump_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_compressed_dump_of_lmpchain(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     write_deck(small(), tmp_path, step=1e-7)
     small().to_toml(tmp_path / "scene.toml")
     lmp(tmp_path)
@@ -256,7 +256,7 @@ def test_a_compressed_dump_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture
     assert np.array_equal(t.velocity, v)
     assert main(["fit", str(path), "--scene", str(tmp_path / "scene.toml")]) == 0
     text = gzip.decompress(path.read_bytes())
-    killed = gzip.compress(text[:-1])  # as gzip leaves it when LAMMPS is killed
+    killed = gzip.compress(text[:-1])  # Left by gzip when LAMMPS is killed.
     for spoilt, says in (
         (path.read_bytes()[:-200], "cannot be read as a dump"),
         (killed, "cut short within a line"),
@@ -269,14 +269,14 @@ def test_a_compressed_dump_of_ours(tmp_path: Path, capsys: pytest.CaptureFixture
 @pytest.mark.parametrize(
     "heights", [[0.0] * 11, [float("nan")] * 12, 0.0, ["high"] * 12, [[0.0] * 12]]
 )
-def test_heights_that_make_no_sense(heights, tmp_path: Path):
+def test_invalid_heights(heights, tmp_path: Path):
     with pytest.raises(
         InputError, match="equilibrium: must be the heights at rest of the 12 grains"
     ):
         Trajectory.from_dump(tmp_path, OWN, heights)
 
 
-def test_dumps_without_what_is_needed(tmp_path: Path):
+def test_dumps_without_required_columns(tmp_path: Path):
     scaled = own_deck(tmp_path / "scaled", OWN, columns="id xs ys zs vz")
     with pytest.raises(InputError, match="has no column x, y, z: "):
         Trajectory.from_dump(scaled, OWN)
@@ -331,7 +331,7 @@ def test_columns_along_any_axis(upright: Path, axis: str, sign: int, tmp_path: P
     assert main([*words, "x" if axis == "y" else "y"]) == 2
 
 
-def test_a_column_along_a_diagonal_is_refused(
+def test_a_column_along_a_diagonal_is_rejected(
     upright: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     path = tmp_path / "dump"
@@ -345,7 +345,7 @@ def test_a_column_along_a_diagonal_is_refused(
         Trajectory.from_dump(path, OWN, axis="down")
 
 
-def test_dumps_of_runs_that_were_started_again(upright: Path, tmp_path: Path):
+def test_dumps_of_restarted_runs(upright: Path, tmp_path: Path):
     """A repeated frame is read once, and an incomplete frame is skipped."""
     path = tmp_path / "dump"
     truth = Trajectory.from_dump(upright, OWN)

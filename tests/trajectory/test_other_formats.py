@@ -75,7 +75,7 @@ def test_a_file_of_another_program_is_named(
         assert told.count("\n") == 1
 
 
-def test_our_own_files_are_of_no_other_program(tmp_path: Path):
+def test_files_of_lmpchain_are_not_foreign(tmp_path: Path):
     t = simulate(SCENE, "native")
     t.save(tmp_path / "run.nc")
     assert describe_other_format(tmp_path / "run.nc") == ""

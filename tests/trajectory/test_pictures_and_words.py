@@ -1,4 +1,4 @@
-"""Representations of a trajectory: picture, line in a notebook, and accumulated quantities."""
+"""Display of a trajectory: picture, line in a notebook, and accumulated quantities."""
 
 from dataclasses import replace
 
@@ -33,16 +33,16 @@ def made(scene: Scene = SCENE) -> Trajectory:
 
 
 @pytest.mark.parametrize(("field", "unit"), [("velocity", "m/s"), ("displacement", "m")])
-def test_the_picture_is_time_across_and_depth_down(field: str, unit: str):
+def test_the_picture_shows_time_and_depth(field: str, unit: str):
     t = made()
     axes = figure().subplots()
     assert t.plot(axes, field) is axes
     (image,) = [*axes.images, *axes.collections]
-    values = getattr(t, field)[:, [1, 2, 0]].T  # grains 1, 2 and 4
+    values = getattr(t, field)[:, [1, 2, 0]].T  # Grains 1, 2 and 4.
     assert np.array_equal(np.asarray(image.get_array()).reshape(values.shape), values)
     limit = np.median(np.abs(values).max(axis=1))
     assert image.get_clim() == (-limit, limit)
-    assert image.get_cmap().name == "RdBu_r"  # large values red
+    assert image.get_cmap().name == "RdBu_r"  # Large values are red.
     assert axes.get_xlabel() == "time"
     assert axes.get_ylabel() == "grain, from the top"
     assert axes.get_xlim() == (0.0, 4e-6)
@@ -56,14 +56,14 @@ def test_the_picture_is_time_across_and_depth_down(field: str, unit: str):
     assert all(tick == round(tick) for tick in axes.get_yticks())
 
 
-def test_by_default_the_picture_is_of_velocities_in_a_figure_of_its_own():
+def test_by_default_a_new_figure_shows_velocities():
     t = made()
     axes = t.plot()
     image = [*axes.images, *axes.collections][0]
     assert np.asarray(image.get_array()).ravel()[0] == t.velocity[0, 1]
 
 
-def test_of_many_samples_no_more_are_drawn_than_a_picture_has_columns():
+def test_the_number_of_drawn_samples_is_limited():
     for samples, every in ((4000, 1), (4001, 2), (9000, 3)):
         scene = Scene(**SCENE.given() | {"samples": samples})
         t = made(scene)
@@ -75,14 +75,14 @@ def test_of_many_samples_no_more_are_drawn_than_a_picture_has_columns():
         assert axes.get_xlim() == (0.0, t.time[::every][-1])
 
 
-def test_colours_saturate_at_the_median_of_what_moves():
+def test_colours_saturate_at_the_median_of_moving_grains():
     largest = np.array([1.0, 0.5, 0.2, 1.1e-3, 0.9e-3, 0.0])
     motion = np.array([0.3, -1.0])[:, None] * largest
     assert scale(motion) == pytest.approx((0.5 + 0.2) / 2, rel=1e-12)
     assert scale(np.zeros((2, 3))) == 1.0
 
 
-def test_a_trajectory_says_what_it_is():
+def test_a_trajectory_describes_itself():
     t = made()
     assert repr(t) == "Trajectory(native, Eq. (1), 5 samples x 3 grains, error 0.0021)"
     rows = dict(t._summary())
@@ -97,7 +97,7 @@ def test_a_trajectory_says_what_it_is():
     assert t.error_estimate.total == pytest.approx(2.1e-3, rel=1e-15)
 
 
-def test_a_notebook_draws_what_is_not_too_much(monkeypatch: pytest.MonkeyPatch):
+def test_a_notebook_draws_trajectories_of_moderate_size(monkeypatch: pytest.MonkeyPatch):
     t = made()
     for most, drawn in ((15, True), (14, False)):
         monkeypatch.setattr(trajectory, "DRAWN_VALUES", most)
@@ -107,7 +107,7 @@ def test_a_notebook_draws_what_is_not_too_much(monkeypatch: pytest.MonkeyPatch):
 QUANTITIES = ["peak_velocity", "peak_displacement", "arrival_time", "peak_force:3", "force:2"]
 
 
-def test_what_is_gathered_has_labels_units_and_shapes():
+def test_accumulated_quantities_have_labels_units_and_shapes():
     scene = Scene(**SCENE.given() | {"quantities": QUANTITIES})
     fine = scene.fine.samples
     arrays = gathered.arrays(scene)
@@ -150,7 +150,7 @@ def test_what_is_gathered_has_labels_units_and_shapes():
     assert kept is values["force:2_error"]
 
 
-def test_what_is_gathered_in_words():
+def test_accumulated_quantities_as_text():
     scene = Scene(**SCENE.given() | {"quantities": QUANTITIES[:4]})
     values = {
         "peak_velocity": np.array([1.25e-3, 3e-4, 5e-4]),

@@ -30,7 +30,7 @@ SCENE = Scene(
     samples=500,
     grains=list(range(1, 1001)),
 )
-ROWS = 208  # samples of a thousand grains that fill a chunk of 100 KB and more, in sixteens
+ROWS = 208  # Samples of a thousand grains that fill a chunk of about 100 KB, in multiples of 16.
 RNG = np.random.default_rng(5)
 U, V = RNG.normal(size=(2, 1, 500, 1000))
 NAME = "trajectory.zarr"
@@ -50,7 +50,7 @@ def empty(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_store_that_is_empty(empty: Path):
+def test_an_empty_store(empty: Path):
     group = stored(empty)
     assert dict(group.attrs) == {"title": "none", "solver": 3}
     labels = {
@@ -75,11 +75,11 @@ def test_a_store_that_is_empty(empty: Path):
     assert group["velocity"].shards == (ROWS, 1000)
 
 
-def test_samples_are_there_once_their_shard_is_full(empty: Path):
+def test_samples_are_visible_when_their_shard_is_complete(empty: Path):
     writer = Writer(empty, SCENE)
     writer.put(block(0, 100))
     assert np.isnan(stored(empty)["time"][:]).all()
-    writer.put(block(100, 450))  # two shards end in it
+    writer.put(block(100, 450))  # Two shards end within this block.
     for until in (2 * ROWS, 450):
         group = stored(empty)
         assert np.array_equal(group["time"][:until], SCENE.time[:until])
@@ -90,7 +90,7 @@ def test_samples_are_there_once_their_shard_is_full(empty: Path):
         writer.flush()
     writer.note(ErrorEstimate(1e-3, 2e-3))
     assert stored(empty).attrs["error_so_far"] == {"samples": 450, "model": 1e-3, "solver": 2e-3}
-    writer.note(ErrorEstimate(1e-3, math.inf))  # says nothing
+    writer.note(ErrorEstimate(1e-3, math.inf))  # This estimate is not finite and is ignored.
     assert stored(empty).attrs["error_so_far"]["solver"] == 2e-3
     writer.put(block(450, 500))
     writer.flush()
@@ -98,7 +98,7 @@ def test_samples_are_there_once_their_shard_is_full(empty: Path):
     assert np.array_equal(stored(empty)["velocity"][:], V[0])
 
 
-def test_grains_that_a_block_leaves_out_rest(empty: Path):
+def test_omitted_grains_are_at_rest(empty: Path):
     writer = Writer(empty, SCENE)
     writer.put(block(0, 10, slice(3, 8)))
     writer.flush()
@@ -109,7 +109,7 @@ def test_grains_that_a_block_leaves_out_rest(empty: Path):
 
 
 @pytest.mark.parametrize("again", [ROWS, ROWS + 30, ROWS + 90])
-def test_a_run_goes_on_within_a_shard(empty: Path, again: int):
+def test_a_run_continues_within_a_shard(empty: Path, again: int):
     """Stored samples stay until they are replaced, so that no reader sees them vanish."""
     writer = Writer(empty, SCENE)
     writer.put(block(0, ROWS + 90))
@@ -126,7 +126,7 @@ def test_a_run_goes_on_within_a_shard(empty: Path, again: int):
     assert np.array_equal(np.flatnonzero(np.isfinite(times)), np.arange(last))
 
 
-def test_samples_that_can_be_built_upon(empty: Path):
+def test_usable_samples(empty: Path):
     writer = Writer(empty, SCENE)
     writer.put(block(0, ROWS + 10))
     writer.flush()
@@ -147,7 +147,7 @@ def test_samples_that_can_be_built_upon(empty: Path):
     assert not usable(empty, Scene(**SCENE.given() | {"samples": 400}), ROWS)
     (empty / NAME / "velocity" / "c" / "1" / "0").write_bytes(b"none")
     assert not usable(empty, SCENE, ROWS + 10)
-    assert usable(empty, SCENE, ROWS - 1)  # of the shard before
+    assert usable(empty, SCENE, ROWS - 1)  # In the previous shard.
 
 
 def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
@@ -207,14 +207,14 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     ("samples", "grains", "shard", "chunk", "times"),
     [
         (41, 12, (48, 12), (48, 12), 41),
-        (10**6, 10, (20_000, 10), (20_000, 10), 80_000),  # whole shards in a chunk of times
+        (10**6, 10, (20_000, 10), (20_000, 10), 80_000),  # Whole shards in a chunk of times.
         (500, 1000, (208, 1000), (208, 1000), 500),
         (100, 12_500, (16, 12_500), (16, 12_500), 100),
         (100, 12_501, (16, 12_502), (16, 6251), 100),
         (10**6, 30_000, (16, 30_000), (16, 10_000), 65_536),
     ],
 )
-def test_how_a_store_is_laid_out(samples: int, grains: int, shard: Any, chunk: Any, times: int):
+def test_the_layout_of_a_store(samples: int, grains: int, shard: Any, chunk: Any, times: int):
     """The layout equals the layout of earlier stores, which stay readable."""
     expected = {
         "time": (times,),
@@ -234,7 +234,7 @@ RECORD = Record(
 )  # fmt: skip
 
 
-def test_what_a_file_says_of_a_run_is_read_again():
+def test_metadata_of_a_run_are_read_from_the_file():
     about = RECORD.attributes()
     assert read_result(about) == {
         "engine": "native",
@@ -268,14 +268,14 @@ def test_what_a_file_says_of_a_run_is_read_again():
         ({"provenance": json.dumps({"choice": 3})}, "provenance"),
     ],
 )
-def test_metadata_that_make_no_sense_are_refused(change: dict[str, Any], why: str):
+def test_invalid_metadata_are_rejected(change: dict[str, Any], why: str):
     with pytest.raises(ValueError, match=f"its {why}"):
         read_result(RECORD.attributes() | change)
     read_result(RECORD.attributes() | {"model_error": 0.0, "solver_error": math.inf})
     read_result(RECORD.attributes() | {"cost": json.dumps(RECORD.cost._asdict() | {"step_s": 1})})
 
 
-def test_descriptions_are_gathered_as_zarr_does(tmp_path: Path):
+def test_metadata_are_consolidated_like_in_zarr(tmp_path: Path):
     """Zarr's own function warns, and Python's warning filters are shared by all threads."""
     zarr_store.create_zarr(tmp_path, SCENE, {"engine": "native"})
     file = tmp_path / zarr_store.NAME / "zarr.json"

@@ -28,7 +28,7 @@ def trajectory() -> Trajectory:
     return simulate(scene, "native", 1e-9)
 
 
-def test_save_and_load_are_equal(trajectory: Trajectory, tmp_path: Path):
+def test_saved_and_loaded_trajectories_are_equal(trajectory: Trajectory, tmp_path: Path):
     trajectory.save(tmp_path / "run.nc")
     again = Trajectory.load(tmp_path / "run.nc")
     assert again == trajectory
@@ -41,7 +41,7 @@ def test_save_and_load_are_equal(trajectory: Trajectory, tmp_path: Path):
     assert again.provenance == trajectory.provenance
 
 
-def test_a_profile_survives(tmp_path: Path):
+def test_a_profile_is_preserved(tmp_path: Path):
     chain = Chain(grains=8, diameter=1e-3)
     start = Profile(
         displacement=[1e-10 / 3] * 7 + [0],
@@ -52,7 +52,7 @@ def test_a_profile_survives(tmp_path: Path):
     assert Trajectory.load(tmp_path / "run.nc") == run
 
 
-def test_odd_numbers_survive(trajectory: Trajectory, tmp_path: Path):
+def test_unusual_numbers_are_preserved(trajectory: Trajectory, tmp_path: Path):
     odd = replace(
         trajectory,
         displacement=trajectory.displacement.copy(),
@@ -92,7 +92,7 @@ def test_xarray_reads_it(trajectory: Trajectory, tmp_path: Path):
         assert data.attrs["equation"] == 1
         assert data.attrs["solver_error"] == trajectory.error_estimate.solver
         assert 'kind = "impulse"' in data.attrs["scene"]
-    assert data.attrs.pop("history").endswith(command())  # of the file, not of the run
+    assert data.attrs.pop("history").endswith(command())  # Of the file, not of the run.
     assert data.identical(trajectory.to_xarray())
 
 
@@ -110,7 +110,7 @@ def test_h5py_reads_it(trajectory: Trajectory, tmp_path: Path):
             assert file[name].attrs["long_name"]
 
 
-def test_a_full_disk_leaves_what_was_there(trajectory: Trajectory, tmp_path: Path):
+def test_a_full_disk_preserves_the_earlier_file(trajectory: Trajectory, tmp_path: Path):
     before = tmp_path / "before.nc"
     trajectory.save(before)
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -125,7 +125,7 @@ def test_a_full_disk_leaves_what_was_there(trajectory: Trajectory, tmp_path: Pat
     assert Trajectory.load(before) == trajectory
 
 
-def test_an_interrupted_write_leaves_nothing(
+def test_an_interrupted_write_leaves_no_file(
     trajectory: Trajectory, tmp_path: Path, monkeypatch: Any
 ):
     def interrupted(_: Any) -> None:
@@ -138,14 +138,14 @@ def test_an_interrupted_write_leaves_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_where_nothing_can_be_written(trajectory: Trajectory, tmp_path: Path):
+def test_unwritable_places(trajectory: Trajectory, tmp_path: Path):
     for path in (tmp_path, tmp_path / "none" / "run.nc"):
         with pytest.raises(InputError) as caught:
             trajectory.save(path)
         assert [key for key, _ in caught.value.faults] == [str(path)]
 
 
-def test_a_file_cut_short_is_refused(trajectory: Trajectory, tmp_path: Path):
+def test_a_truncated_file_is_rejected(trajectory: Trajectory, tmp_path: Path):
     trajectory.save(tmp_path / "run.nc")
     whole = (tmp_path / "run.nc").read_bytes()
     short = tmp_path / "short.nc"
@@ -155,7 +155,7 @@ def test_a_file_cut_short_is_refused(trajectory: Trajectory, tmp_path: Path):
             Trajectory.load(short)
 
 
-def test_a_file_without_a_part_is_refused(trajectory: Trajectory, tmp_path: Path):
+def test_a_file_without_a_part_is_rejected(trajectory: Trajectory, tmp_path: Path):
     whole = trajectory.to_xarray()
     damaged = [whole.drop_vars("velocity")]
     for name in ("lmpchain_format", "scene", "cost", "engine"):
@@ -175,7 +175,7 @@ def test_a_file_without_a_part_is_refused(trajectory: Trajectory, tmp_path: Path
         assert [key for key, _ in caught.value.faults] == [str(path)]
 
 
-def test_arrays_that_do_not_fit_the_scene_are_refused(trajectory: Trajectory, tmp_path: Path):
+def test_arrays_that_do_not_match_the_scene_are_rejected(trajectory: Trajectory, tmp_path: Path):
     data = trajectory.to_xarray().isel(time=slice(0, 5))
     data.to_netcdf(tmp_path / "part.nc", engine="h5netcdf")
     seal_anew(tmp_path / "part.nc")

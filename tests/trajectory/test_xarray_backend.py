@@ -44,7 +44,7 @@ def test_a_run_folder_is_a_dataset(folder: Path):
     "option", ["decode_times", "mask_and_scale", "decode_timedelta", "decode_coords", "decode_cf"]
 )
 @pytest.mark.parametrize("value", [True, False])
-def test_options_of_xarray_do_what_they_do_to_a_netcdf_file(
+def test_options_of_xarray_act_as_on_netcdf_files(
     option: str, value: bool, folder: Path, tmp_path: Path
 ):
     lmpchain.Trajectory.load(folder).save(tmp_path / "run.nc")
@@ -56,7 +56,7 @@ def test_options_of_xarray_do_what_they_do_to_a_netcdf_file(
         xarray.testing.assert_equal(dataset, same)
 
 
-def test_xarray_knows_the_folders_of_runs(folder: Path, tmp_path: Path):
+def test_xarray_recognises_run_folders(folder: Path, tmp_path: Path):
     backend = RunFolderBackend()
     assert backend.guess_can_open(folder)
     assert backend.guess_can_open(str(folder))

@@ -22,7 +22,7 @@ from lmpchain.util.arrays import (
 )
 
 
-def test_indices_in_a_row_are_a_slice():
+def test_consecutive_indices_are_a_slice():
     for first, count in ((0, 1), (0, 5), (7, 2), (7, 30)):
         assert as_slice(np.arange(first, first + count)) == slice(first, first + count)
     for others in ([], [1, 3], [2, 1], [1, 1], [1, 2, 4], [0, 2, 1]):
@@ -30,7 +30,7 @@ def test_indices_in_a_row_are_a_slice():
         assert as_slice(indices) is indices
 
 
-def test_magnitudes_of_doubles_compare_like_their_bits():
+def test_magnitudes_of_doubles_are_ordered_like_their_bits():
     values = np.array([0.0, -0.0, 1.0, -1.5, 3e-310, -(2.0**900), np.inf, -np.inf])
     bits = values.view(np.int64) & MAGNITUDE
     assert np.array_equal(bits.view(float), np.abs(values))
@@ -46,7 +46,7 @@ def test_only_arrays_are_made_read_only():
     assert read_only(2.5) == 2.5
 
 
-def test_a_value_is_computed_once_and_its_class_tells_of_it():
+def test_a_property_is_computed_once_and_documented():
     calls = []
 
     class Square:
@@ -98,7 +98,7 @@ NO_NUMBERS: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("kind", NO_NUMBERS)
-def test_what_is_no_number_is_refused(kind: str):
+def test_values_other_than_numbers_are_rejected(kind: str):
     with pytest.raises(InputError, match=r"^force: (must be|has a unit|has masked)"):
         numbers(NO_NUMBERS[kind], "force")
 
@@ -124,7 +124,7 @@ def test_numbers_of_every_kind_are_read(value: Any):
     assert array.tolist() == [0.0, 1.0]
 
 
-def test_whole_numbers_and_flags_are_what_they_are_called():
+def test_integers_and_flags_are_checked():
     assert whole_numbers([1.0, 2]).tolist() == [1, 2]
     for wrong in ([1.5], [np.nan], ["1"], [True]):
         with pytest.raises(InputError, match=r"^grain: must be"):

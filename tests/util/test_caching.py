@@ -24,7 +24,7 @@ class Slow:
 
 
 def test_a_fork_reads_a_property_that_another_thread_computes():
-    """The lock of Python 3.11 would be held for ever in the child."""
+    """The lock of Python 3.11 would never be released in the child."""
     slow, other = Slow(), Slow()
     other.may_end.set()
     thread = threading.Thread(target=lambda: slow.value)
@@ -41,7 +41,7 @@ def test_a_fork_reads_a_property_that_another_thread_computes():
     assert (slow.value, slow.times) == (7, 1)
 
 
-def test_no_module_takes_the_property_with_a_lock():
+def test_no_module_uses_the_property_with_a_lock():
     package = Path(lmpchain.__file__).parent
     for path in package.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text())):

@@ -28,7 +28,7 @@ from lmpchain.util.files import (
     write_aside,
 )
 
-NO_PROCESS = 2**22 + 1  # above the largest number of a process, PID_MAX_LIMIT of Linux
+NO_PROCESS = 2**22 + 1  # Above the largest process number, PID_MAX_LIMIT of Linux.
 
 
 def in_a_fork(work: Any) -> None:
@@ -47,7 +47,7 @@ def in_a_fork(work: Any) -> None:
 # --- atomic writing
 
 
-def test_a_file_appears_under_its_name_when_it_is_whole(tmp_path: Path):
+def test_a_file_appears_under_its_name_when_it_is_complete(tmp_path: Path):
     path = tmp_path / "run.nc"
     path.write_text("before")
     with replacing(path) as aside:
@@ -60,7 +60,7 @@ def test_a_file_appears_under_its_name_when_it_is_whole(tmp_path: Path):
     assert names(tmp_path) == ["run.nc"]
 
 
-def test_a_file_that_fails_leaves_the_one_before(tmp_path: Path):
+def test_a_failed_write_preserves_the_earlier_file(tmp_path: Path):
     path = tmp_path / "run.nc"
     path.write_text("before")
 
@@ -74,7 +74,7 @@ def test_a_file_that_fails_leaves_the_one_before(tmp_path: Path):
     assert names(tmp_path) == ["run.nc"]
 
 
-def test_file_and_name_are_on_the_disk_in_this_order(tmp_path: Path, monkeypatch: Any):
+def test_content_is_on_disk_before_the_name(tmp_path: Path, monkeypatch: Any):
     path = tmp_path / "run.nc"
     flushed = []
 
@@ -89,7 +89,7 @@ def test_file_and_name_are_on_the_disk_in_this_order(tmp_path: Path, monkeypatch
     assert len(os.listdir("/proc/self/fd")) == opened
 
 
-def test_a_file_that_another_process_is_writing_is_left_alone(tmp_path: Path):
+def test_a_file_of_another_process_is_not_removed(tmp_path: Path):
     def write() -> None:
         with replacing(tmp_path / "b.nc") as aside:
             aside.write_text("of the other")
@@ -101,7 +101,7 @@ def test_a_file_that_another_process_is_writing_is_left_alone(tmp_path: Path):
     assert names(tmp_path) == ["a.nc", "b.nc"]
 
 
-def test_what_a_killed_process_was_writing_is_removed_by_the_next(tmp_path: Path):
+def test_unfinished_files_of_killed_processes_are_removed(tmp_path: Path):
     here = platform.node()
     dead = f".run.{here}-{NO_PROCESS}-0123abcd.partial.nc"
     kept = [
@@ -117,7 +117,7 @@ def test_what_a_killed_process_was_writing_is_removed_by_the_next(tmp_path: Path
     assert names(tmp_path) == sorted([*kept, "new"])
 
 
-def test_the_partial_file_bears_the_name_of_its_process(tmp_path: Path):
+def test_the_partial_file_contains_the_process_number(tmp_path: Path):
     with replacing(tmp_path / "run.nc") as first, replacing(tmp_path / "run.nc") as second:
         assert first != second
         for aside in (first, second):
@@ -131,14 +131,14 @@ def test_the_partial_file_bears_the_name_of_its_process(tmp_path: Path):
 @pytest.mark.parametrize(
     "failure", [OSError(errno.ENOSPC, "No space left"), RuntimeError("No space left")]
 )
-def test_a_user_reads_why_a_file_cannot_be_written(tmp_path: Path, failure: Exception):
+def test_a_write_error_states_the_reason(tmp_path: Path, failure: Exception):
     path = tmp_path / "run.nc"
     with pytest.raises(InputError) as caught, write_aside(str(path)):
         raise failure
     assert caught.value.faults == [(str(path), "cannot be written: No space left")]
 
 
-def test_only_files_are_written_over(tmp_path: Path):
+def test_only_regular_files_are_overwritten(tmp_path: Path):
     with pytest.raises(InputError) as caught, write_aside(tmp_path):
         pass
     assert caught.value.faults == [(str(tmp_path), "is a folder or a device; name a file")]
@@ -154,7 +154,7 @@ def test_only_files_are_written_over(tmp_path: Path):
         assert (tmp_path / "run.nc").read_text() == text
 
 
-def test_a_folder_is_made_with_those_above_it(tmp_path: Path):
+def test_a_folder_is_made_with_its_parents(tmp_path: Path):
     folder = tmp_path / "a" / "b"
     for _ in range(2):
         assert make_folder(str(folder)) == folder
@@ -166,10 +166,10 @@ def test_a_folder_is_made_with_those_above_it(tmp_path: Path):
     assert caught.value.faults == [(str(folder / "file"), fault)]
 
 
-# --- what may be read
+# --- readable files
 
 
-def test_files_are_read_up_to_the_largest_size(tmp_path: Path):
+def test_files_are_read_up_to_a_size_limit(tmp_path: Path):
     path = tmp_path / "data"
     path.write_bytes(bytes(3 * 2**20))
     check_readable(path, 3 * 2**20)
@@ -183,7 +183,7 @@ def test_files_are_read_up_to_the_largest_size(tmp_path: Path):
         assert caught.value.errno == errno.EINVAL
 
 
-def test_a_tree_of_folders_and_files_holds_no_links(tmp_path: Path, monkeypatch: Any):
+def test_a_tree_of_folders_may_not_contain_links(tmp_path: Path, monkeypatch: Any):
     tree = tmp_path / "tree"
     (tree / "inner").mkdir(parents=True)
     (tree / "inner" / "file").touch()
@@ -237,7 +237,7 @@ ARRAYS = {
 }
 
 
-def test_arrays_come_back_as_they_were(tmp_path: Path):
+def test_arrays_are_preserved(tmp_path: Path):
     packed = BytesIO()
     np.savez(packed, **ARRAYS)
     (tmp_path / "part.npz").write_bytes(packed.getvalue())
@@ -252,7 +252,7 @@ def test_arrays_come_back_as_they_were(tmp_path: Path):
 
 
 @pytest.mark.parametrize("how", ["compressed", "objects", "columns first"])
-def test_arrays_that_are_not_plain_are_refused(tmp_path: Path, how: str):
+def test_arrays_other_than_plain_ones_are_rejected(tmp_path: Path, how: str):
     values = {
         "compressed": np.zeros((2, 3)),
         "objects": np.array([print, None]),
@@ -268,6 +268,6 @@ def test_arrays_that_are_not_plain_are_refused(tmp_path: Path, how: str):
         unpack_one(tmp_path / "part.npz", "values")
 
 
-def test_one_array_is_read_of_a_file_only(tmp_path: Path):
+def test_one_array_of_a_file_is_read(tmp_path: Path):
     with pytest.raises(OSError, match="is no file, but a folder"):
         unpack_one(tmp_path, "values")

@@ -61,7 +61,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_files_are_compiled_anew(suffix: str, damage: str, folder: Path):
+def test_damaged_files_are_recompiled(suffix: str, damage: str, folder: Path):
     assert run(folder) == ("42 0", "")
     assert run(folder) == ("42 1", "")
     (path,) = (folder / "cache").rglob(f"*.{suffix}")
@@ -77,7 +77,7 @@ def test_damaged_files_are_compiled_anew(suffix: str, damage: str, folder: Path)
 
 
 @pytest.mark.slow
-def test_a_full_disk_keeps_nothing_and_says_so(folder: Path):
+def test_a_full_disk_caches_nothing_and_warns(folder: Path):
     said, complaints = run(folder, "ulimit -f 0")
     assert said == "42 0"
     assert f"{folder}/cache" in complaints
@@ -85,7 +85,7 @@ def test_a_full_disk_keeps_nothing_and_says_so(folder: Path):
     assert run(folder) == ("42 0", "")
 
 
-def test_kernels_run_compiled_only(folder: Path):
+def test_kernels_run_only_compiled(folder: Path):
     said, complaints = run(folder, NUMBA_DISABLE_JIT="1")
     assert said == "42 0"
     assert "NUMBA_DISABLE_JIT is ignored" in complaints

@@ -12,7 +12,7 @@ def threads() -> set[int]:
     }
 
 
-def test_one_thread_within_and_as_many_as_before_after_it():
+def test_one_thread_is_used_and_the_number_restored():
     with threadpool_limits(2, "blas"):
         assert threads() == {2}
         assert in_one_thread(threads)() == {1}

@@ -26,7 +26,7 @@ def taken_by_another_process(folder: Path) -> bool:
 
 
 @pytest.mark.usefixtures("without_flock")
-def test_a_file_is_the_lock_where_there_is_no_flock(tmp_path: Path):
+def test_a_file_is_the_lock_without_flock(tmp_path: Path):
     lock = take_lock(tmp_path)
     assert lock is not None
     assert not taken_by_another_process(tmp_path)
@@ -37,7 +37,7 @@ def test_a_file_is_the_lock_where_there_is_no_flock(tmp_path: Path):
     assert taken_by_another_process(tmp_path)
 
 
-def test_a_lock_of_the_system_names_nobody(tmp_path: Path):
+def test_a_lock_of_the_system_names_no_process(tmp_path: Path):
     lock = take_lock(tmp_path)
     assert lock is not None
     assert not taken_by_another_process(tmp_path)

@@ -24,7 +24,7 @@ def test_a_limit_ends_with_its_block():
     assert free_memory() > 2**26
 
 
-def test_a_command_says_in_one_line_that_memory_ran_out(monkeypatch, capsys):
+def test_a_command_reports_exhausted_memory_in_one_line(monkeypatch, capsys):
     def run_out(_: object) -> None:
         raise MemoryError
 

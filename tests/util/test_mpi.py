@@ -40,7 +40,7 @@ def _without_mpirun(monkeypatch: pytest.MonkeyPatch):
         ({"SLURM_PROCID": "0", "SLURM_STEP_ID": "0"}, 1),
     ],
 )
-def test_how_many_processes_mpirun_has_started(
+def test_the_number_of_processes_of_mpirun(
     environment: dict[str, str], count: int, monkeypatch: Any
 ):
     for key, value in environment.items():
@@ -104,7 +104,7 @@ def test_ranks_end_with_their_launcher(monkeypatch: Any):
         mpi.library()
 
 
-def test_mpiexec_is_that_beside_python_or_the_first_in_the_path(tmp_path: Path, monkeypatch: Any):
+def test_mpiexec_is_beside_python_or_first_in_the_path(tmp_path: Path, monkeypatch: Any):
     monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
     (tmp_path / "bin").mkdir()
     monkeypatch.setenv("PATH", str(tmp_path / "bin"))
@@ -116,7 +116,9 @@ def test_mpiexec_is_that_beside_python_or_the_first_in_the_path(tmp_path: Path, 
         assert mpi.launcher() == str(folder / "mpiexec")
 
 
-def test_an_abort_says_why_and_ends_all_ranks(monkeypatch: Any, capsys: pytest.CaptureFixture[str]):
+def test_an_abort_prints_a_message_and_ends_all_ranks(
+    monkeypatch: Any, capsys: pytest.CaptureFixture[str]
+):
     done: list[Any] = []
     world = SimpleNamespace(Abort=lambda code: done.append(code))
     monkeypatch.setattr(mpi, "time", SimpleNamespace(sleep=lambda s: done.append("waits")))
@@ -127,7 +129,7 @@ def test_an_abort_says_why_and_ends_all_ranks(monkeypatch: Any, capsys: pytest.C
     assert capsys.readouterr().err == "error: it broke down\n"
 
 
-# --- what a kill would leave behind
+# --- leftovers of a kill
 
 
 @pytest.fixture
@@ -146,21 +148,21 @@ def mapped(path: Path) -> mmap.mmap:
         return mmap.mmap(opened.fileno(), 4096)
 
 
-def test_shared_memory_of_mpi_loses_its_name_and_lives_on(shared: Path):
+def test_shared_memory_of_mpi_loses_its_name_and_remains_usable(shared: Path):
     ours = mapped(shared / "shm" / "mpich_shm_1")
     other = mapped(shared / "shm" / "other")
     theirs = shared / "shm" / "mpich_shm_2"
     theirs.touch()
     mpi.unname_shared_memory()
     assert sorted(os.listdir(shared / "shm")) == ["mpich_shm_2", "other"]
-    mpi.unname_shared_memory()  # of what has no name any more
+    mpi.unname_shared_memory()  # The memory has no name any more.
     ours[:3] = b"yes"
     assert ours[:3] == b"yes"
     ours.close()
     other.close()
 
 
-def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypatch: Any):
+def test_leftovers_of_killed_runs_are_removed_after_a_minute(shared: Path, monkeypatch: Any):
     monkeypatch.setattr(mpi, "time", SimpleNamespace(time=lambda: 1000.0))
     ages = {
         "shm/mpich_shm_old": 61,
@@ -191,11 +193,12 @@ def test_what_killed_runs_left_is_removed_a_minute_later(shared: Path, monkeypat
     used.close()
 
 
-def test_a_rank_is_killed_as_soon_as_its_parent_is_gone():
+def test_a_rank_is_killed_when_its_parent_ends():
     def child() -> None:
         mpi.end_with_parent()
         asked = ctypes.c_int(0)
-        ctypes.CDLL(None).prctl(ctypes.c_int(2), ctypes.byref(asked))  # PR_GET_PDEATHSIG
+        # The number of PR_GET_PDEATHSIG.
+        ctypes.CDLL(None).prctl(ctypes.c_int(2), ctypes.byref(asked))
         os._exit(asked.value)
 
     process = get_context("fork").Process(target=child)

@@ -1,4 +1,4 @@
-"""Display in prompts, notebooks and `help`; sizes of pictures; public names of modules."""
+"""Display at prompts, in notebooks and in `help`; sizes of pictures; public names of modules."""
 
 import contextlib
 import importlib
@@ -92,7 +92,7 @@ def test_a_notebook_shows_a_table_and_a_picture(run: Trajectory, name: str, said
     assert "\n" not in repr(value)
 
 
-def test_averages_and_fits_of_a_parameter_are_a_line_of_a_hundred_letters():
+def test_averages_and_fitted_parameters_are_a_line_of_a_hundred_letters():
     """The line has the values, errors and units."""
     walls = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
     beads = SCENE.replace(chain=Chain(grains=4, diameter=1e-3, **walls))
@@ -116,14 +116,14 @@ def test_averages_and_fits_of_a_parameter_are_a_line_of_a_hundred_letters():
     assert max(len(repr(average)), len(repr(fitted))) < 110
 
 
-def test_a_chain_of_millions_is_shown_at_once():
+def test_a_chain_of_millions_is_displayed_at_once():
     chain = Chain(grains=10**7, diameter=1e-7)
     assert repr(chain) == "Chain(grains=10000000, diameter=1e-07)"
     assert Seen(chain._repr_html_()).pictures == 0
     assert "masses" not in vars(chain)
 
 
-def test_what_a_value_holds_is_shown_and_not_obeyed():
+def test_markup_in_values_is_escaped():
     odd = lmpchain.Material(
         density=1.0, youngs_modulus=1e9, poissons_ratio=0.3, name="<script>alert(1)</script>"
     )
@@ -132,12 +132,12 @@ def test_what_a_value_holds_is_shown_and_not_obeyed():
     assert any("<script>alert(1)</script>" in text for text in Seen(html).texts)
 
 
-def test_a_table_says_what_the_docstring_says(run: Trajectory):
+def test_a_table_contains_the_docstring_texts(run: Trajectory):
     texts = Seen(energy.ledger(run)._repr_html_()).texts
-    assert texts[texts.index("time") + 2] == "s"
+    assert texts[texts.index("time") + 2] == "Times, s"
 
 
-def test_values_in_few_letters():
+def test_short_forms_of_values():
     assert brief(np.array([np.nan, np.inf])) == "[nan inf]"
     assert brief(np.full((9, 9), np.nan)) == "(9, 9)"
     assert brief("x" * 200).endswith("x ...")
@@ -181,7 +181,7 @@ def test_pictures_are_known_to_pyplot_and_given_axes_are_not_replaced(run: Traje
     assert len(pyplot.get_fignums()) == 1
 
 
-def test_the_palette_is_kept_and_a_second_line_has_the_next_colour():
+def test_the_palette_is_preserved_and_a_second_line_has_the_next_colour():
     ax = SCENE.plot()
     SCENE.replace(excitation=Impulse(velocity=2e-5)).plot(ax=ax)
     assert [line.get_color() for line in ax.lines] == list(COLOURS.values())[:2]
@@ -243,7 +243,7 @@ def test_four_pictures_fit_a_page_of_7_by_5_inches(run: Trajectory, tmp_path: Pa
         picture = pyplot.figure(figsize=(7, 5), layout="constrained")
         axes = picture.subplots(2, 2).ravel()[: len(here)]
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a layout that does not fit warns
+            warnings.simplefilter("error")  # A layout that does not fit causes a warning.
             for name, ax in zip(here, axes, strict=True):
                 assert every[name](ax=ax) is ax, name
             picture.savefig(tmp_path / f"{first}.png")
@@ -286,7 +286,7 @@ MODULES += [
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_a_module_lists_what_it_offers_and_nothing_else(name: str):
+def test_a_module_lists_only_its_public_names(name: str):
     module = importlib.import_module(f"lmpchain.{name}".rstrip("."))
     names = dir(module)
     assert names
@@ -310,7 +310,7 @@ def test_a_module_lists_what_it_offers_and_nothing_else(name: str):
 
 
 @pytest.mark.parametrize("kind", [Chain, Scene, Impulse, Drive])
-def test_help_begins_with_what_a_user_needs(kind: type):
+def test_help_begins_with_the_arguments(kind: type):
     text = io.StringIO()
     with contextlib.redirect_stdout(text):
         help(kind)
@@ -340,7 +340,7 @@ def test_a_plot_shows_once_in_a_notebook(monkeypatch: pytest.MonkeyPatch):
     nbclient = pytest.importorskip("nbclient", reason="nbclient comes with lmpchain[docs]")
     from nbformat.v4 import new_code_cell, new_notebook
 
-    monkeypatch.delenv("MPLBACKEND", raising=False)  # what the kernel chooses
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # The kernel chooses the backend.
     column = (
         "Scene(chain=Chain(grains=9, diameter=1e-3), excitation=Impulse(velocity=1e-5), "
         "duration=2e-5)"

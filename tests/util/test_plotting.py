@@ -27,7 +27,7 @@ from lmpchain.util.plotting import (
     window,
 )
 
-NARROW, PANEL, WIDE = 3.2, 4.7, 6.4  # inches: half a page, a picture of a report, a window
+NARROW, PANEL, WIDE = 3.2, 4.7, 6.4  # Inches: half a page, a picture of a report, a window.
 
 
 def axes(width: float, height: float = 3.0):
@@ -40,7 +40,7 @@ def axes(width: float, height: float = 3.0):
 @pytest.mark.parametrize(
     ("rows", "most"), [(6, 2), (7, 3), (100, 7), (9, 9), (8, 9), (1, 1), (5, 4)]
 )
-def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: int):
+def test_a_map_with_fewer_rows_keeps_the_largest_deviations(rows: int, most: int):
     rng = np.random.default_rng(rows)
     values = rng.normal(size=(rows, 4))
     numbers = np.arange(1.0, rows + 1)
@@ -54,13 +54,13 @@ def test_a_map_with_fewer_rows_keeps_the_loudest_of_each_few(rows: int, most: in
         assert np.array_equal(row, group[np.argmax(change)])
 
 
-def test_a_map_has_2000_rows_at_most_unless_asked():
+def test_a_map_has_2000_rows_at_most_by_default():
     for rows in (2000, 2001, 3999):
         kept, drawn = thin_rows(np.arange(float(rows)), np.zeros((rows, 2)))
         assert len(kept) == len(drawn) == (2000 if rows == 2000 else (rows + 1) // 2)
 
 
-def test_edges_lie_half_way_between_centres():
+def test_edges_are_halfway_between_centres():
     assert edges(np.array([3.0])).tolist() == [2.5, 3.5]
     centres = np.array([1.0, 2.0, 5.0, 5.5])
     inner = [(a + b) / 2 for a, b in pairwise(centres)]
@@ -77,7 +77,7 @@ def test_numbers_with_their_prefix():
 # --- figures
 
 
-def test_figures_have_the_size_asked_for():
+def test_figures_have_the_requested_size():
     assert figure().get_size_inches().tolist() == [8.0, 7.0]
     assert figure(3.0, 2.0).get_size_inches().tolist() == [3.0, 2.0]
     assert pyplot.get_fignums() == []
@@ -90,7 +90,7 @@ def test_figures_have_the_size_asked_for():
     assert ax.figure.number in pyplot.get_fignums()
 
 
-def test_a_picture_is_saved_with_so_many_dots_an_inch(tmp_path: Path):
+def test_a_picture_is_saved_with_the_requested_resolution(tmp_path: Path):
     picture = figure(4.0, 2.0)
     for what, dpi in ((picture, 150), (picture.subplots(), 150), (picture, 50)):
         path = tmp_path / "picture.png"
@@ -103,7 +103,7 @@ def test_a_picture_is_saved_with_so_many_dots_an_inch(tmp_path: Path):
 # --- axes
 
 
-def test_ticks_bear_units_with_prefixes():
+def test_ticks_have_units_with_prefixes():
     ax = axes_in_units(figure(WIDE, 3.0).subplots(), "s", "m/s")
     assert ax.xaxis.get_major_formatter()(2.5e-5) == "25 µs"
     assert ax.yaxis.get_major_formatter()(1e-3) == "1 mm/s"
@@ -121,7 +121,7 @@ def test_ticks_bear_units_with_prefixes():
         ((0.0, 2.0), ["0", "1", "2"], "energy (J)"),
     ],
 )
-def test_units_stand_in_the_label_and_plain_numbers_at_the_ticks(
+def test_units_are_in_the_label_and_plain_numbers_at_the_ticks(
     span: tuple[float, float], ticks: list[str], label: str
 ):
     ax = axes_in_units(figure(WIDE, 3.0).subplots(), "", "J")
@@ -134,7 +134,7 @@ def test_units_stand_in_the_label_and_plain_numbers_at_the_ticks(
     assert ax.get_yticklabels()[-1].get_text().endswith("J")
 
 
-def test_a_logarithmic_axis_takes_the_unit_of_its_middle():
+def test_a_logarithmic_axis_uses_the_unit_of_its_middle():
     ax = figure(WIDE, 3.0).subplots()
     ax.set(xscale="log", xlabel="cost", xlim=(0.9e-4, 1.1), xticks=[1e-4, 1e-2, 1.0])
     axes_in_units(ax, "s", "")
@@ -143,7 +143,7 @@ def test_a_logarithmic_axis_takes_the_unit_of_its_middle():
 
 
 @pytest.mark.parametrize("width", [NARROW, WIDE])
-def test_an_axis_keeps_its_unit_where_it_is_logarithmic(width: float):
+def test_a_logarithmic_axis_keeps_its_unit(width: float):
     ax = axes_in_units(figure(width, 3.0).subplots(), "s", "m/s", "y")
     ax.plot([0.0, 1e-3], [2e-6, 3e-2])
     ax.set(ylabel="velocity", ylim=(1e-6, 1e-1), yticks=[1e-5, 1e-3])
@@ -189,7 +189,7 @@ def letters(ax) -> set[float]:
     return {*ticks, ax.xaxis.label.get_fontsize(), ax.yaxis.label.get_fontsize()}
 
 
-def test_letters_are_smaller_on_narrow_axes_and_all_alike():
+def test_letters_are_smaller_on_narrow_axes_and_equal():
     size = rcParams["font.size"]
     assert letters(axes(WIDE)) == letters(axes(PANEL)) == {size}
     (small,) = letters(axes(NARROW))
@@ -206,7 +206,7 @@ def test_letters_are_smaller_on_narrow_axes_and_all_alike():
         assert bar.get_yticks().tolist() == [0.0, 1.0]
 
 
-def test_lines_take_our_colours_in_turn_unless_there_are_lines_already():
+def test_lines_use_the_palette_unless_lines_exist():
     ax = axes(WIDE)
     for _ in COLOURS:
         ax.plot([0, 1], [0, 1])
@@ -221,7 +221,7 @@ def test_lines_take_our_colours_in_turn_unless_there_are_lines_already():
     assert second.get_color() not in COLOURS.values()
 
 
-def test_engines_and_integrators_are_told_apart_by_colour_and_marker():
+def test_engines_and_integrators_differ_in_colour_and_marker():
     looks = [engines.class_of(name).style for name in engines.names()]
     colours, markers = zip(*looks, strict=True)
     assert set(colours) == set(COLOURS.values())
@@ -233,13 +233,13 @@ def test_engines_and_integrators_are_told_apart_by_colour_and_marker():
             assert np.linalg.norm(distance) > 0.15
 
 
-def test_axes_are_taken_one_or_several():
+def test_one_or_several_axes_are_accepted():
     both = figure(8.0, 3.0).subplots(1, 2)
     assert panels(both) == panels(list(both)) == list(both)
     assert panels(both[0]) == [both[0]]
 
 
-# --- words
+# --- text
 
 
 WORDS = "energy of the grains and of the contacts between them relative to that at rest " * 2
@@ -270,7 +270,7 @@ def test_titles_are_as_wide_as_their_axes(width: float):
     assert drawn_width(title) < 1.05 * inches
 
 
-def test_the_narrowest_axes_hold_a_word():
+def test_the_narrowest_axes_fit_a_word():
     ax = axes(0.8)
     set_title(ax, "displacement downward")
     assert ax.get_title("left") == "displacement\ndownward"
@@ -314,8 +314,8 @@ def test_a_legend_of_given_handles():
     assert shown._loc == 3
     (first, _) = shown.get_lines()
     size = shown.get_texts()[0].get_fontsize()
-    assert np.ptp(first.get_xdata()) == pytest.approx(1.5 * size)  # shorter than matplotlib's
+    assert np.ptp(first.get_xdata()) == pytest.approx(1.5 * size)  # Shorter than in matplotlib.
 
 
-def test_what_is_nothing_is_drawn_below_all_round_off():
+def test_zero_is_drawn_below_all_rounding_errors():
     assert 0 < plotting.LEAST_ERROR < 1e-16

@@ -1,4 +1,4 @@
-"""Progress bars, values in few letters, and the announcements and clock of compilation."""
+"""Progress bars, short forms of values, and announcements and timing of compilation."""
 
 import base64
 import importlib.util
@@ -50,7 +50,7 @@ class Tqdm:
         self.calls.append((text, refresh))
 
 
-def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
+def test_a_bar_counts_finished_work(monkeypatch: pytest.MonkeyPatch):
     bars: list[Tqdm] = []
     monkeypatch.setattr(
         "tqdm.auto.tqdm", lambda **options: bars.append(Tqdm(**options)) or bars[-1]
@@ -91,11 +91,11 @@ def test_a_bar_counts_what_is_done(monkeypatch: pytest.MonkeyPatch):
     assert len(bars) == 2
 
 
-# --- values in few letters
+# --- short forms of values
 
 
 class Few(Shown):
-    """What is seen.
+    """A value with fields of many types.
 
     Attributes
     ----------
@@ -136,11 +136,11 @@ class Few(Shown):
         ("x" * 59, "'" + "x" * 55 + " ..."),
     ],
 )
-def test_a_value_in_few_letters(value: Any, text: str):
+def test_the_short_form_of_a_value(value: Any, text: str):
     assert brief(value) == text
 
 
-def test_a_value_shows_eight_of_its_fields_in_a_line():
+def test_a_value_shows_eight_fields_in_a_line():
     text = repr(Few(20))
     assert text.startswith("Few(size=0.333333, name='nnn")
     assert text.count("=") == 8
@@ -199,7 +199,7 @@ def twice(x):
 """
 
 
-def test_a_compilation_is_announced_once_and_its_time_is_counted(
+def test_a_compilation_is_announced_once_and_timed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
     toy = module(tmp_path, "toy_announced", TOY.format(name="one"))
@@ -234,7 +234,7 @@ def test_a_long_compilation_has_a_bar_on_a_terminal(
     del sys.modules["toy_with_bar"]
 
 
-def test_what_cannot_be_kept_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
+def test_uncached_code_is_compiled_in_every_process(capsys: pytest.CaptureFixture[str]):
     names: dict[str, Any] = {}
     exec(compile("def third(x):\n    return x / 3", "<no file>", "exec"), names)
     third = compilation.compiled_once("what has no file", 3)(names["third"])
@@ -274,7 +274,7 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
     assert elsewhere == [0.0]
 
 
-def test_what_is_kept_follows_from_a_module_and_those_it_imports_beside_it(tmp_path: Path):
+def test_the_cache_key_depends_on_imported_neighbours(tmp_path: Path):
     texts = {
         "toy": "from .beside import called\nfrom .none import nothing",
         "beside": "from .deep import called",
@@ -301,13 +301,13 @@ def test_what_is_kept_follows_from_a_module_and_those_it_imports_beside_it(tmp_p
 
 
 @pytest.mark.parametrize("gone", ["clmpchain.errors\nGone\n.", "clmpchain.gone\nGone\n."])
-def test_what_an_older_version_kept_is_compiled_anew(gone: str, tmp_path: Path):
+def test_code_cached_by_an_older_version_is_recompiled(gone: str, tmp_path: Path):
     """Its argument types may no longer exist, and numba unpickles them before the check."""
     toy = module(tmp_path, "toy_outdated", TOY.format(name="three"))
     file = toy.twice._cache._cache_file
     path = Path(file._index_path)
     path.parent.mkdir(exist_ok=True)
-    older = file._version[:-1]  # the sources were others
+    older = file._version[:-1]  # The sources of that version were different.
     path.write_bytes(pickle.dumps(older, protocol=-1) + gone.encode())
     assert file._load_index() == {}
     assert toy.twice(3.0) == 6.0

@@ -57,7 +57,7 @@ def test_runs_in_folders_in_threads_leave_the_filters_of_python(tmp_path: Path):
         simulate(STRONG, "chebyshev")
 
 
-def test_what_one_thread_puts_aside_another_still_says():
+def test_warnings_suppressed_in_one_thread_are_shown_in_another():
     put_aside = threading.Barrier(2)
     said = threading.Barrier(2)
     texts = []

@@ -15,7 +15,7 @@ def test_wide_cells_are_wrapped():
     lines = tables.align(ROWS)
     assert max(map(len, lines)) <= 80
     assert sum("3.1e-06 s" in line for line in lines) == 1
-    # Every word is there, whole, in the order of its cell.
+    # Every word is present, unbroken and in the order of its cell.
     words = " ".join(lines).split()
     for row in ROWS:
         for cell in row:
@@ -33,12 +33,12 @@ def test_a_wide_terminal_shows_a_row_in_a_line(monkeypatch: pytest.MonkeyPatch):
     assert tables.line_width() == 80
 
 
-def test_a_path_stays_whole():
+def test_a_path_is_not_broken():
     path = "/scratch" + "/a_folder" * 12
     lines = tables.align([("file", f"written: {path}"), ("scene", "a chain of " + "grains " * 20)])
     assert any(path in line for line in lines)
 
 
-def test_letters_of_markup_are_letters():
+def test_markup_letters_are_printed_unchanged():
     rows = [("[bold]a[/]", "x" * 90), ("b", "y")]
     assert "[bold]a[/]" in "\n".join(tables.align(rows))

@@ -1,4 +1,4 @@
-"""Results as tables: units in the header, every digit, and files that the trace reader reads."""
+"""Results as tables: units in the header, all digits, and files that the trace reader accepts."""
 
 import ast
 from pathlib import Path
@@ -35,7 +35,7 @@ def columns(result: Tabular) -> list[str]:
     return list(result.to_dataframe().columns)
 
 
-def test_a_trajectory_is_a_table_to_the_last_digit(run, tmp_path: Path):
+def test_a_trajectory_is_a_table_with_all_digits(run, tmp_path: Path):
     run.to_csv(tmp_path / "run.csv")
     frame = run.to_dataframe()
     assert frame.shape == (161, 25)
@@ -46,7 +46,7 @@ def test_a_trajectory_is_a_table_to_the_last_digit(run, tmp_path: Path):
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
 
-def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
+def test_written_tables_are_read_unchanged(run, tmp_path: Path):
     path = tmp_path / "trace.csv"
     table = traces.gather(run, force=[5, "wall"], velocity=[3, 5], above_rest=True)
     table.to_csv(path)
@@ -58,7 +58,7 @@ def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
     wall = Force(grain=1, file=path, columns=["time", "change_force_wall"])
     np.testing.assert_array_equal(wall.times, run.time)
     np.testing.assert_array_equal(wall.force, contact.contacts(run, [12]).change[:, 0])
-    # The reader of traces reads the file, too.
+    # The reader of traces also reads this file.
     speeds.to_csv(path)
     np.testing.assert_array_equal(Traces.from_csv(path, [3, 5]).values, speeds.values)
     contact.contacts(run, [4]).to_csv(path)
@@ -67,7 +67,7 @@ def test_what_is_written_is_read_unchanged(run, tmp_path: Path):
 
 
 @pytest.mark.parametrize("named", [{}, {"columns": ["time", "change_force_4"]}])
-def test_a_force_on_a_grain_is_not_read_as_one_of_a_contact(run, tmp_path: Path, named):
+def test_a_force_on_a_grain_is_not_read_as_a_contact_force(run, tmp_path: Path, named):
     """A fit must not compare the force on a grain with a contact force."""
     path = tmp_path / "trace.csv"
     traces.gather(run, force=[4], above_rest=True).to_csv(path)
@@ -86,7 +86,7 @@ def test_a_force_on_a_grain_is_not_read_as_one_of_a_contact(run, tmp_path: Path,
     np.testing.assert_array_equal(change.values, contact.contacts(run, [12]).change)
 
 
-def test_traces_are_those_of_the_measurements(run):
+def test_traces_agree_with_the_measurements(run):
     frame = traces.gather(
         run, force=[5, "wall", "top"], displacement=[1], energy=True
     ).to_dataframe()
@@ -99,10 +99,10 @@ def test_traces_are_those_of_the_measurements(run):
     np.testing.assert_array_equal(frame["energy_total [J]"], ledger.total)
 
 
-def test_places_that_are_not_there(run):
+def test_missing_places(run):
     with pytest.raises(InputError, match="velocity: grain 13 was not recorded"):
         traces.gather(run, velocity=[13])
-    with pytest.raises(InputError, match="force: grain 0 has no contacts"):
+    with pytest.raises(InputError, match="force: grain 0 does not exist"):
         traces.gather(run, force=[0])
     with pytest.raises(InputError, match="force: must be grains or wall, top, bottom"):
         traces.gather(run, force=["side"])  # type: ignore[list-item]
@@ -137,7 +137,7 @@ def test_every_result_is_a_table(run, tmp_path: Path):
         assert len(text.splitlines()) == len(result.to_dataframe()) + 1
 
 
-def test_what_can_be_drawn_is_a_table():
+def test_results_with_a_picture_are_tables():
     """Every class with a picture is a table, except scenes, chains and functions of place."""
     others = {"ChainPicture", "Scene", "Soliton", "ExponentFit"}
     drawn = set()
@@ -182,14 +182,14 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
         assert capsys.readouterr().err.startswith(said)
 
 
-def test_a_folder_of_a_run_is_exported(tmp_path: Path):
+def test_a_run_folder_is_exported(tmp_path: Path):
     simulate(SCENE, engine="native", folder=tmp_path / "run")
     path = tmp_path / "trace.csv"
     assert main(["export", str(tmp_path / "run"), "-o", str(path), "--contact-force", "wall"]) == 0
     assert len(path.read_text().splitlines()) == 162
 
 
-def test_a_file_that_cannot_be_written_is_left_as_it_was(run, tmp_path: Path):
+def test_an_unwritable_file_is_preserved(run, tmp_path: Path):
     with pytest.raises(InputError, match="is a folder"):
         run.to_csv(tmp_path)
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""Templates: filling in, rejected templates with reasons; tables; names and modules."""
+"""Templates: rendering, rejected templates, tables, names and modules."""
 
 import hashlib
 import os
@@ -31,21 +31,21 @@ def fault(text: str, **values: Any) -> str:
     return message
 
 
-def test_values_are_filled_in_with_every_digit():
+def test_values_are_rendered_with_all_digits():
     third = np.float64(1 / 3)
     assert render_text("{{ x|exact }} {{ n }}\n", "template", x=third, n=2) == f"{1 / 3!r} 2\n"
     assert render_text("{{ version }}", "template") == version("lmpchain")
     assert render_text("<{{ x }}>", "template", x="<&") == "<<&>"
 
 
-def test_tags_leave_no_lines_behind():
+def test_tags_leave_no_empty_lines():
     text = "a\n  {% for n in range(2) %}\n  {{ n }}\n  {% endfor %}\nb\n\n"
     assert render_text(text, "template") == "a\n  0\n  1\nb\n\n"
     macro = "{% macro twice(x) %}{{ 2 * x }}{% endmacro %}{{ twice(3) }}"
     assert render_text(macro, "template") == "6"
 
 
-def test_a_template_names_what_there_is():
+def test_errors_of_a_template_name_its_values():
     message = fault("{{ b }} {{ c }}", b=1, a=2)
     assert message == "there is no placeholder 'c'; there are a, b, version"
     with pytest.raises(InputError) as caught:
@@ -72,11 +72,11 @@ def test_a_template_names_what_there_is():
         '{% for i in range(100000) %}{{ "b" * 100000 }}{% endfor %}',
     ],
 )
-def test_a_template_takes_a_part_of_the_memory(text):
+def test_a_template_has_a_memory_limit(text):
     assert fault(text) == "needs more than 256 MB of memory: make its texts and lists shorter"
 
 
-def test_a_power_in_a_template_is_a_number_of_few_digits():
+def test_a_power_in_a_template_is_a_float():
     assert render_text("{{ 2**10 }} {{ 2**-1 }} {{ 10**99 }}", "template") == "1024 0.5 1e+99"
     assert fault("{{ 10**999 }}").startswith("cannot be filled in: ")
 
@@ -85,7 +85,7 @@ class Secret:
     word = "swordfish"
 
 
-def test_a_template_reads_its_values_and_nothing_else():
+def test_a_template_can_only_read_its_values():
     closed = "asks for something that is closed to it"
     named = SimpleNamespace(word="open")
     assert render_text("{{ value.word }}", "template", value=named) == "open"
@@ -158,7 +158,7 @@ def test_misspelt_names():
     assert not_among("glas", iter(known)).endswith("(got 'glas') (did you mean 'glass'?)")
 
 
-def test_names_of_a_package_are_imported_when_they_are_used(monkeypatch: pytest.MonkeyPatch):
+def test_names_of_a_package_are_imported_on_use(monkeypatch: pytest.MonkeyPatch):
     package = ModuleType("lmpchain.made_up")
     monkeypatch.setitem(sys.modules, package.__name__, package)
     find = attributes(
@@ -194,7 +194,7 @@ def test_a_module_lists_its_own_functions_and_classes(monkeypatch: pytest.Monkey
 # --- provenance
 
 
-def test_checksums_are_those_of_sha256sum(tmp_path: Path):
+def test_checksums_agree_with_sha256sum(tmp_path: Path):
     (tmp_path / "inner").mkdir()
     for name, content in {
         "b": b"2",
@@ -211,7 +211,7 @@ def test_checksums_are_those_of_sha256sum(tmp_path: Path):
     assert done.returncode == 0
 
 
-def test_a_command_is_kept_up_to_2000_letters(monkeypatch: pytest.MonkeyPatch):
+def test_a_command_is_stored_up_to_2000_letters(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(sys, "argv", ["lmpchain", "run", "a scene.toml"])
     assert provenance.command() == "lmpchain run 'a scene.toml'"
     for letters, whole in ((2000, True), (2001, False)):
@@ -219,7 +219,7 @@ def test_a_command_is_kept_up_to_2000_letters(monkeypatch: pytest.MonkeyPatch):
         assert provenance.command() == ("x" * letters if whole else "x" * 2000 + " ...")
 
 
-def test_a_session_says_where_and_with_what():
+def test_a_session_describes_host_and_command():
     before = datetime.now(UTC).replace(microsecond=0)
     session = provenance.describe_session()
     assert before <= datetime.fromisoformat(session["began"]) <= datetime.now(UTC)

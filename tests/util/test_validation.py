@@ -1,4 +1,4 @@
-"""Checked values: all faults at once, in words, on both sides of each limit; checked copies."""
+"""Checked values: all faults at once in plain text, limits, and checked copies."""
 
 import copy
 import pickle
@@ -92,7 +92,7 @@ INT = 2**63
     ],
 )
 @pytest.mark.filterwarnings("ignore:a share of 1")
-def test_values_that_are_accepted(field: str, values: list[Any]):
+def test_accepted_values(field: str, values: list[Any]):
     for value in values:
         kept = getattr(Sample(**{field: value}), field)
         assert np.array_equal(kept, value)
@@ -155,11 +155,11 @@ ONE_OR_MANY = "must be a number or a list of numbers"
         ("note", Sample, "input should be a valid string (got a ModelMetaclass)"),
     ],
 )
-def test_each_fault_is_told_in_words(field: str, value: Any, message: str):
+def test_each_fault_is_described_in_plain_text(field: str, value: Any, message: str):
     assert faults(**{field: value}) == [(field, message)]
 
 
-def test_all_faults_come_at_once():
+def test_all_faults_are_reported_at_once():
     told = dict(faults(positive=0, counts=3, end="open", share=2))
     assert list(told) == ["counts", "positive", "share", "end"]
     keys = ", ".join(Sample.model_fields)
@@ -169,7 +169,7 @@ def test_all_faults_come_at_once():
     assert [key for key, _ in faults(real=2.5, colour=1)] == ["colour", "real"]
 
 
-def test_faults_of_a_value_inside_another_bear_its_key():
+def test_faults_of_a_nested_value_have_its_key():
     assert faults(inner={"size": 0}) == [("inner.size", "must be above 0 (got 0)")]
     assert faults(inner={}) == [("inner.size", "is missing; add it")]
     with pytest.raises(InputError) as caught:
@@ -178,7 +178,7 @@ def test_faults_of_a_value_inside_another_bear_its_key():
     assert caught.value.faults == [("first", missing), ("second", missing)]
 
 
-def test_fields_by_their_places():
+def test_fields_by_position():
     assert Given(1.0, 2.0) == Given(first=1.0, second=2.0)
     assert Given(1.0, 2.0, 4.0).third == 4.0
     with pytest.raises(InputError) as caught:
@@ -186,7 +186,7 @@ def test_fields_by_their_places():
     assert caught.value.faults == [("", "takes first, second, third: 4 values are too many")]
 
 
-def test_what_is_hardly_meant_is_warned_of():
+def test_unlikely_values_cause_warnings():
     with pytest.warns(UserWarning, match="a share of 1 is all"):
         Sample(share=1)
     with warnings.catch_warnings():
@@ -194,7 +194,7 @@ def test_what_is_hardly_meant_is_warned_of():
         Sample(share=0.9)
 
 
-def test_copies_are_checked_or_the_value_itself():
+def test_copies_are_checked_or_are_the_value_itself():
     sample = Sample(real=0.25, vector=[1.0, 2.0], inner={"size": 2.0})
     changed = sample.replace(count=5)
     assert (changed.real, changed.count, changed.vector.tolist()) == (0.25, 5, [1.0, 2.0])
@@ -218,7 +218,7 @@ def test_copies_are_checked_or_the_value_itself():
     assert sample.real == 0.25
 
 
-def test_values_are_equal_by_what_they_hold():
+def test_values_with_equal_contents_are_equal():
     sample = Sample(vector=[1.0, 2.0])
     assert sample == Sample(vector=(1, 2))
     assert sample != Sample(vector=[1.0, 2.5])
@@ -228,7 +228,7 @@ def test_values_are_equal_by_what_they_hold():
     assert hash(sample) == hash(Sample(vector=(1, 2)))
 
 
-def test_a_pickled_value_is_the_same_and_as_fixed():
+def test_a_pickled_value_is_equal_and_immutable():
     sample = Sample(real=0.25, vector=[1.0, 2.0])
     assert sample.double == 0.5
     loaded = pickle.loads(pickle.dumps(sample))
@@ -239,7 +239,7 @@ def test_a_pickled_value_is_the_same_and_as_fixed():
     assert "double" not in vars(loaded)
 
 
-def test_a_value_of_known_fields_is_that_with_checked_ones():
+def test_an_unchecked_value_equals_a_checked_one():
     chain = Chain(grains=3, diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-6)
     quick = make_unchecked(Scene, **scene.given())

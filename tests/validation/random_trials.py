@@ -1,4 +1,4 @@
-"""Random scenes by every engine against an independent integrator, each reproducible from its seed.
+"""Random scenes for every engine, compared with an independent integrator, each from a seed.
 
     PYTHONPATH=tests python -m validation.random_trials native 0:5000 --output native.jsonl
     PYTHONPATH=tests python -m validation.random_trials native 17
@@ -57,12 +57,12 @@ ENDINGS = ("right", "above", "missed", "refused", "failed", "slow", "unresolved"
 
 
 class TooLong(BaseException):
-    """A minute is over: no exception that a handler may take for a failure of a run."""
+    """Raised after a minute; not an exception that a handler may take for a failed run."""
 
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TooLong` after so much time of this process, whatever else the machine does.
+    """Raise `TooLong` after this CPU time of the process, however busy the machine is.
 
     0 is no limit.
     """
@@ -79,7 +79,7 @@ def within(seconds: float) -> Iterator[None]:
 
 
 def compile_all() -> None:
-    """Have all loops compiled, which is no part of the time of a trial."""
+    """Compile all loops, because compilation is not part of the time of a trial."""
     scene = trial_scene(np.random.default_rng(1), (1.5,), 100.0)
     for integrator in Native.integrators:
         simulate(scene, "native", 0.01, on_miss="warn", integrator=integrator)
@@ -157,7 +157,7 @@ def draw(family: str, seed: int) -> tuple[Scene, str, float, dict[str, Any]]:
 
 
 def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
-    """Return the outcome of a trial as a row of the table.
+    """Return the result of a trial as a row of the table.
 
     It is given up after `longest` s of this process.
     """
@@ -203,7 +203,7 @@ def trial(family: str, seed: int, longest: float = 0.0) -> dict[str, Any]:
 
 
 def solver_of(scene: Scene) -> Any:
-    """Return the module with the independent integrator of the law of this scene."""
+    """Return the module with the independent integrator for the law of this scene."""
     by_formula = scene.chain.given_law in extrapolated_midpoint.TERMS
     return extrapolated_midpoint if by_formula else taylor_series
 
@@ -216,7 +216,7 @@ def judge(
     missed: bool = False,
     fixed: bool = False,
 ) -> dict[str, Any]:
-    """Hold an answer to references of rising accuracy until the verdict is clear.
+    """Compare a run with references of increasing accuracy until the verdict is clear.
 
     One against it takes two of them.
     """
@@ -261,7 +261,7 @@ def judge(
 
 
 def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bool:
-    """Whether a third of the tolerance can be met.
+    """Return whether a third of the tolerance can be met.
 
     By the independent integrator in plain double precision.
 
@@ -285,7 +285,7 @@ def possible(scene: Scene, true: Reference, tolerance: float, engine: str) -> bo
 
 
 def table(rows: Iterable[dict[str, Any]]) -> str:
-    """Return counts of what came of the trials, and the seeds that failed."""
+    """Return the counts of the outcomes of trials, and the seeds that failed."""
     rows = list(rows)
     lines = [
         "family   trials   "
@@ -311,7 +311,7 @@ def table(rows: Iterable[dict[str, Any]]) -> str:
 
 
 def summary(row: dict[str, Any], faults: Iterable[str] = ()) -> str:
-    """Return one line for a trial."""
+    """Return a one-line summary of a trial."""
     numbers = "  ".join(
         f"{key} {row[key]:.2g}" for key in ("tolerance", "true", "estimate", "doubt") if key in row
     )
@@ -329,7 +329,7 @@ def summary(row: dict[str, Any], faults: Iterable[str] = ()) -> str:
 
 
 def main() -> None:
-    """Run trials, or print the table of those that were run."""
+    """Run trials, or print the table of finished trials."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("family", nargs="?", choices=FAMILIES)
     parser.add_argument("seeds", nargs="?", help="FIRST:END, or one")

@@ -1,4 +1,4 @@
-"""A force law that the package does not know, K o^1.5 (1 + c o), written as one object.
+"""A force law that the package does not have, K o^1.5 (1 + c o), written as one object.
 
 Its answers are compared with SciPy's DOP853 on the equations of motion themselves.
 """
@@ -26,11 +26,11 @@ def stiffness(o: Any, k: Any, p: Any) -> Any:
     return k * np.sqrt(x) * (1.5 + 2.5 * p[0] * x)
 
 
-C = 2e6  # the second term is as large as the first at an overlap of 0.5 um
+C = 2e6  # The second term is as large as the first at an overlap of 0.5 um.
 LAW = Law("k*max(o, 0)**1.5*(1 + c*o)", c=C)
 COLUMN = Chain(grains=8, diameter=1e-3, law=LAW, bottom="wall", top_load=0.02)
 SCENES = {
-    # all contacts stay closed, are opened by a strong strike, or only touch at rest
+    # Contacts stay closed, are opened by a strong strike, or only touch at rest.
     "weak": (COLUMN, Impulse(velocity=2e-5)),
     "strong": (COLUMN, Impulse(velocity=0.5)),
     "vacuum": (COLUMN.replace(top_load=0.0, gravity=0.0, top="wall"), Impulse(velocity=0.2)),
@@ -57,7 +57,7 @@ def at_rest(constant: float, carried: float) -> float:
 
 
 def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements and velocities, (T, N) each, by SciPy, anew from each opening on."""
+    """Return displacements and velocities, (T, N) each, by SciPy, restarted at every opening."""
     chain = scene.chain
     top, bottom = chain.wall_constants
     constant = np.concatenate(([top], chain.contact_constants, [bottom]))
@@ -97,9 +97,10 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
     events = [crossing(n) for n in np.flatnonzero(constant)]
     state = np.concatenate(scene.initial())
-    # of the largest speed, and of how far it goes in the time of the fastest motion
+    # Scales of the tolerances: the largest speed, and the displacement in one period of the fastest
+    # motion.
     speed = max(np.abs(state[chain.grains :]).max(), omega * (drive.amplitude if drive else 0.0))
-    # a loaded chain loses the digits of weak waves to the force at rest
+    # In a loaded chain, weak waves lose digits to the force at rest.
     least = 1e-13 if chain.compressed else 1e-16
     atol = np.repeat(speed * np.array([1e-6 * least, least]), chain.grains)
     options: dict[str, Any] = {"method": "DOP853", "rtol": 1e-13, "atol": atol}
@@ -107,7 +108,7 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     now = 0.0
     for sample in scene.time[1:]:
         while now < sample:
-            # what has just opened or closed must not do so again within the first step
+            # A contact that has just opened or closed must not do so again within the first step.
             for end, watched in ((min(now + 1e-11, sample), None), (sample, events)):
                 if now < end:
                     run = solve_ivp(rates, (now, end), state, events=watched, **options)
@@ -136,7 +137,7 @@ CASES += [(name, kind, 1e-4) for name in ("weak", "strong") for kind in ("verlet
 
 
 @pytest.mark.parametrize(("name", "integrator", "tolerance"), CASES)
-def test_a_new_law_keeps_its_tolerance(
+def test_a_new_law_meets_its_tolerance(
     name: str, integrator: str, tolerance: float, truths: dict[str, Any]
 ) -> None:
     run = lmpchain.simulate(scene_of(name), Native(integrator=integrator), tolerance=tolerance)
@@ -145,7 +146,7 @@ def test_a_new_law_keeps_its_tolerance(
     assert run.error_estimate.total < tolerance
 
 
-def test_measures_and_linear_engines_ask_the_law(truths: dict[str, Any]) -> None:
+def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None:
     scene = scene_of("strong")
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     ledger = energy.ledger(run)
@@ -165,7 +166,7 @@ def test_measures_and_linear_engines_ask_the_law(truths: dict[str, Any]) -> None
         ),
     ],
 )
-def test_what_knows_powers_only_refuses_the_law_by_name(refused: Any, message: str) -> None:
+def test_functions_for_powers_only_reject_the_law_by_name(refused: Any, message: str) -> None:
     scene = Scene(
         chain=Chain(grains=8, diameter=1e-3, law=LAW),
         excitation=Impulse(velocity=1e-4),

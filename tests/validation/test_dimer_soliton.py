@@ -36,7 +36,7 @@ def test_antiresonances(near: float, ratio: float, published: float | None):
     ("least", "count"),
     [pytest.param(0.085, 3, marks=pytest.mark.slow), pytest.param(0.06, 4, marks=pytest.mark.soak)],
 )
-def test_a_scan_finds_the_published_mass_ratios_by_itself(least: float, count: int):
+def test_a_scan_finds_the_published_mass_ratios(least: float, count: int):
     """The mass ratios of Jayaprakash et al. from 1 down to 0.06, in order, without a guess."""
     assert antiresonances(least) == pytest.approx(
         (0.3428, 0.1548, 0.0901, 0.0615)[:count], abs=5.1e-5
@@ -71,6 +71,6 @@ def test_refusals(keys: dict[str, float], said: str):
         solve(**keys)
 
 
-def test_a_chain_that_is_no_such_dimer():
+def test_a_chain_that_is_not_such_a_dimer():
     with pytest.raises(lmpchain.InputError, match="masses: "):
         wave_near(0.36).on(lmpchain.Chain(grains=60, diameter=1e-3, gravity=0.0), 30)

@@ -9,7 +9,7 @@ import lmpchain
 from lmpchain import Chain, Impulse, Law, Profile, Scene, laws
 from lmpchain.engines import Native
 
-B, K = 1e5, 1e3  # 1/m and N/m
+B, K = 1e5, 1e3  # In 1/m and N/m.
 ROW = {"diameter": 1e-2, "gravity": 0.0}
 WALLS = {**ROW, "top": "wall", "bottom": "wall"}
 Long = np.longdouble
@@ -41,7 +41,7 @@ def test_flaschkas_integrals_are_conserved_for_100_periods() -> None:
     grains = 8
     chain = Chain(grains=grains, **WALLS, law=laws.toda(B, k=K))
     unit = sqrt(chain.masses[0] / K)
-    slowest = pi / np.sin(pi / 2 / (grains + 1)) * unit  # s, the longest period of weak waves
+    slowest = pi / np.sin(pi / 2 / (grains + 1)) * unit  # Longest period of weak waves, s.
     # The strike is as fast as a wave: bonds are stretched by more than 1 / b.
     strike = Impulse(velocity=1 / (B * unit), grain=3)
     scene = Scene(chain=chain, excitation=strike, duration=100 * slowest, samples=51)
@@ -62,7 +62,7 @@ KAPPA = 2.0, 0.8
 
 
 def solitons(n: np.ndarray, t: float, starts: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return b u and its rate of Toda's two solitons, up to a constant (Toda, 1967)."""
+    """Return b u and its rate for Toda's two solitons, up to a constant (Toda, 1967)."""
     rates = [sinh(kappa) for kappa in KAPPA]
     meeting = (sinh((KAPPA[0] - KAPPA[1]) / 2) / sinh((KAPPA[0] + KAPPA[1]) / 2)) ** 2
 
@@ -81,14 +81,14 @@ def solitons(n: np.ndarray, t: float, starts: tuple[float, float]) -> tuple[np.n
 
 
 def phase(strain: np.ndarray, kappa: float) -> float:
-    """Return kappa times the place of a soliton whose bonds have b times these overlaps."""
+    """Return kappa times the position of a soliton, given overlaps of its bonds times b."""
     peak = int(strain.argmax()) + 2
-    # A bond before the peak: exp(b o) - 1 = (sinh kappa / cosh theta)^2.
+    # For a bond before the peak, exp(b o) - 1 = (sinh kappa / cosh theta)^2.
     root = sinh(kappa) / sqrt(np.expm1(strain[peak]))
     return kappa * peak - asinh(sqrt(root**2 - 1))
 
 
-def test_two_solitons_of_toda_meet() -> None:
+def test_a_collision_of_two_toda_solitons() -> None:
     grains, starts, later = 180, (40.0, 62.0), 60.0
     chain = Chain(grains=grains, **ROW, law=laws.toda(B, k=K))
     unit = sqrt(chain.masses[0] / K)
@@ -117,12 +117,12 @@ SINE = np.sin(pi * np.arange(1, 32) / 32)
 
 
 def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and mode energies of Fermi, Pasta, Ulam and Tsingou, in their units.
+    """Return time and mode energies of the Fermi-Pasta-Ulam-Tsingou chain in their units.
 
     31 grains between walls, alpha = 1/4, a sine of amplitude 1: Fig. 1 of report LA-1940 (1955).
     The figure has 4000 times the energies, and the step of the report is sqrt(1/8).
     """
-    size = 1e-6  # m, their unit of length
+    size = 1e-6  # Their unit of length, m.
     chain = Chain(grains=31, **WALLS, law=laws.fput(0.25 * K / size, k=K))
     unit = sqrt(chain.masses[0] / K)
     engine = Native("verlet", step=step * unit * (1 + 1e-9)) if step else Native()
@@ -142,7 +142,7 @@ def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.nda
 
 
 def test_the_recurrence_of_fermi_pasta_ulam_and_tsingou() -> None:
-    """Their step of sqrt(1/8) returns 97.8 % of the energy to mode 1 after 157 periods.
+    """With their step of sqrt(1/8), 97.8 % of the energy returns to mode 1 after 157 periods.
 
     Such is the published result (Weissert, The Genesis of Simulation in Dynamics, 1997, and
     others). In exact time the energy returns after 146.4 periods, because a long step weakens the
@@ -196,7 +196,7 @@ def test_a_bilinear_oscillator(ratio: float) -> None:
     ],
 )
 def test_newtons_cradle(grains: int, speeds: list[float]) -> None:
-    """Grains that touch leave with the speeds of Hinch and Saint-Jean (1999)."""
+    """Grains that touch separate with the speeds of Hinch and Saint-Jean (1999)."""
     law = Law("k*max(o, 0)**1.5", k=1e9)
     chain = Chain(grains=grains, **ROW, bottom="free", law=law)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=5e-3, samples=3)

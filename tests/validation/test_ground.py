@@ -25,14 +25,14 @@ from lmpchain.theory import bands, modes, steady
 
 
 def free_chain(ground: Law) -> Chain:
-    """Return a chain whose contacts carry nothing while its grains move alike."""
+    """Return a chain whose contacts carry no force while its grains move in unison."""
     return Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free", ground=ground)
 
 
 def moved_alike(
     chain: Chain, displacement: float, duration: float, tolerance: float = 1e-12
 ) -> np.ndarray:
-    """Return the displacement of one grain, (33,) m, after all are displaced by the same."""
+    """Return the displacement of one grain, (33,) m, after equal displacements of all grains."""
     start = Profile(displacement=[displacement] * chain.grains, velocity=[0.0] * chain.grains)
     scene = Scene(chain=chain, excitation=start, duration=duration, samples=33)
     answer = simulate(scene, "native", tolerance=tolerance)
@@ -42,7 +42,7 @@ def moved_alike(
 
 @pytest.mark.parametrize(("amplitude", "tolerance"), [(0.1, 1e-12), (1.0, 1e-12), (2.9, 1e-10)])
 def test_a_pendulum(amplitude, tolerance):
-    """Grains that move alike on a periodic ground are pendulums.
+    """Grains that move in unison on a periodic ground are pendulums.
 
     One that starts near its top amplifies rounding.
     """
@@ -126,11 +126,11 @@ def test_springs_to_the_ground_open_a_gap_below_the_band(share):
     )
     waves = bands.waves(bands.Cell([m], [k], ground=g), frequency(q))
     np.testing.assert_allclose(waves.wavenumber, q, rtol=1e-10)
-    # A free top and a held grain 31 leave odd quarter waves.
+    # A free top and a fixed grain 31 give odd quarter waves.
     of_modes = (2 * np.arange(1, 31) - 1) * np.pi / 61
     np.testing.assert_allclose(modes.eigenmodes(chain).frequency, frequency(of_modes), rtol=1e-12)
     assert chain.band_edge == pytest.approx(frequency(of_modes[-1]), rel=1e-12)
-    # Below the band a drive is followed by exp(-kappa n), whatever the far end does.
+    # Below the band the response to a drive is exp(-kappa n), whatever the far end is.
     long = Chain(grains=3001, **host, ground=Law("g*u", g=g))
     low = 0.9 * np.sqrt(g / m)
     answer = steady.displacements(long, Drive(amplitude=1.0, frequency=low / (2 * np.pi)))
@@ -202,7 +202,7 @@ def draw(rng: np.random.Generator) -> tuple[Scene, float]:
 
 
 def excess(seed: int) -> float:
-    """Return the error of a random scene over its estimate, or over its tolerance if larger.
+    """Return the error of a random scene over its estimate or tolerance, whichever is larger.
 
     The error is what the reference leaves no doubt about; 0 for scenes that are refused.
     """
@@ -225,5 +225,5 @@ def excess(seed: int) -> float:
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seeds", [range(0, 1), pytest.param(range(1, 40), marks=pytest.mark.slow)])
 def test_random_scenes_on_a_ground(seeds):
-    """No error is above the tolerance and above what the run says."""
+    """No error exceeds both the tolerance and the estimate of the run."""
     assert {seed: ratio for seed in seeds if (ratio := excess(seed)) > 1} == {}

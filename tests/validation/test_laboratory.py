@@ -1,4 +1,4 @@
-"""Numbers that others published, or that are exact, for the chains of the laboratory.
+"""Published or exact numbers for the chains of laboratory experiments.
 
 Walls, pistons and shakers, precompressed chains, tapers and dimers. Unless said otherwise chains
 have unit masses and unit contact constants, so they are in the units of the literature; the
@@ -28,8 +28,8 @@ long_in_lammps = pytest.mark.parametrize(
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow)]
 )
 
-# speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice
-# soliton
+# Speed of the soliton of a sonic vacuum, V = C v_m^((delta-1)/(delta+1)), from the exact lattice
+# soliton.
 SOLITON_SPEED = {1.5: 0.9074700784, 2.0: 0.855251932, 3.0: 0.804760116}
 
 
@@ -71,8 +71,8 @@ def _steel_beads() -> lmpchain.Chain:
 
 
 @long_in_lammps
-def test_trajectory_of_another_code(engine: str) -> None:
-    """Velocities in a chain between walls 1 and 2 ms after its first bead was struck.
+def test_the_trajectory_of_another_code(engine: str) -> None:
+    """Velocities in a chain between walls, 1 and 2 ms after its first bead was struck.
 
     Source: the output of TaperChain (A. Sokolow) that comes with it: velocity Verlet at steps of
     1e-11 s, six digits. Tolerance 6e-6 of the strike, which is what its own step and digits leave
@@ -84,7 +84,7 @@ def test_trajectory_of_another_code(engine: str) -> None:
     assert chain.contact_constants == pytest.approx(1.244735e10, rel=1e-6)
     assert chain.wall_constants / chain.contact_constants[0] == pytest.approx(np.sqrt(2), rel=1e-14)
     t = _run(chain, lmpchain.Impulse(velocity=strike), 2e-3, 3, 1e-6, engine)
-    # grains 40 to 45
+    # Grains 40 to 45.
     early = [
         1.34237e-4,
         1.09549e-2,
@@ -93,14 +93,14 @@ def test_trajectory_of_another_code(engine: str) -> None:
         2.05410e-3,
         5.46741e-6,
     ]
-    late = [2.15842e-4, 0.0138095, 0.0650834, 0.0323546, 0.00143986]  # grains 82 to 86
+    late = [2.15842e-4, 0.0138095, 0.0650834, 0.0323546, 0.00143986]  # Grains 82 to 86.
     assert t.velocity[1, 39:45] == pytest.approx(np.array(early), abs=6e-6 * strike)
     assert t.velocity[2, 81:86] == pytest.approx(np.array(late), abs=6e-6 * strike)
 
 
 @pytest.mark.soak
-def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
-    """Both engines to 4 ms, when the pulse is back from the wall, within 2e-5 of the strike."""
+def test_engines_agree_on_steel_beads_after_a_reflection() -> None:
+    """Both engines agree within 2e-5 of the strike at 4 ms, when the pulse has been reflected."""
     one, other = (
         _run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name)
         for name in ("native", "lammps")
@@ -111,7 +111,7 @@ def test_engines_agree_on_the_steel_beads_after_they_were_reflected() -> None:
 @long_in_lammps
 @pytest.mark.parametrize(("wall", "ratio"), [("same", 1.94390), ("rigid", 2.23837)])
 def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
-    """Peak force on the wall that ends a chain, over that within the chain.
+    """The peak force on the end wall, relative to the peak force within the chain.
 
     Source: 1.94 for a wall of the same material (Job, Melo, Sokolow and Sen, Phys. Rev. Lett. 94,
     178002, 2005); the digits, and those of a wall that does not yield, from direct integration.
@@ -132,7 +132,7 @@ def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
 def _release(
     exponent: float, grains: int, tolerance: float, engine: str = "native"
 ) -> lmpchain.Trajectory:
-    """Let go a chain whose contacts are compressed by 1, until the wave nearly reaches its end."""
+    """Release a chain whose contacts are compressed by 1, until the wave nearly reaches its end."""
     compressed = lmpchain.Profile(displacement=np.arange(grains - 1, -1, -1.0))
     end = 0.95 * grains / np.sqrt(exponent)
     return _run(
@@ -149,8 +149,10 @@ def _release(
         (3.0, 0.867856, "native"),
     ],
 )
-def test_speed_of_the_end_of_a_released_chain(exponent: float, speed: float, engine: str) -> None:
-    """Speed at which the end grain leaves a precompressed chain, over c0 r0 / sqrt(delta).
+def test_speed_of_the_free_end_of_a_released_chain(
+    exponent: float, speed: float, engine: str
+) -> None:
+    """The speed at which the end grain leaves a precompressed chain, over c0 r0 / sqrt(delta).
 
     Source: direct integration; a continuum would leave at 2 sqrt(delta) / (delta + 1). Tolerance
     2e-6.
@@ -191,8 +193,8 @@ def test_rarefaction(exponent: float, grains: int) -> None:
 @pytest.mark.parametrize(
     ("exponent", "grain", "ratio"), [(1.5, 600, 2.0095), (2.0, 500, 2.0011), (3.0, 400, 1.9878)]
 )
-def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> None:
-    """Leading peak of the velocity over the piston's, and the speed of the front, in a vacuum.
+def test_a_shock_ahead_of_a_piston(exponent: float, grain: int, ratio: float) -> None:
+    """The leading velocity peak over the piston velocity, and the front speed, in a vacuum.
 
     Source: direct integration; the front is a soliton of its height (Molinari and Daraio, Phys.
     Rev. E 80, 056602, 2009, on shocks in granular chains). Tolerances 1e-4 and 2e-5.
@@ -212,7 +214,7 @@ def test_shock_before_a_piston(exponent: float, grain: int, ratio: float) -> Non
 
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-10), ("lammps", 1e-7)])
-def test_piston_at_springs(engine: str, tolerance: float) -> None:
+def test_a_piston_on_springs(engine: str, tolerance: float) -> None:
     """Velocities behind a piston of speed 1, for delta = 1, as sums of Bessel functions.
 
     v_n = J_2j(2t) + 2 [J_(2j+2)(2t) + J_(2j+4)(2t) + ...], j = n - 1, behind a piston of speed 1,
@@ -224,12 +226,12 @@ def test_piston_at_springs(engine: str, tolerance: float) -> None:
     piston = lmpchain.Drive(times=[0.0, 25.0], displacement=[0.0, 25.0])
     t = _run(_chain(60, exponent=1.0), piston, 25.0, 51, tolerance, engine)
     even = jv(np.arange(0, 320, 2), 2 * t.time[:, None])
-    above = np.cumsum(even[:, ::-1], axis=1)[:, ::-1]  # column j holds J_2j + J_(2j+2) + ...
+    above = np.cumsum(even[:, ::-1], axis=1)[:, ::-1]  # Column j contains J_2j + J_(2j+2) + ...
     assert np.abs(t.velocity - above[:, :60] - above[:, 1:61]).max() < max(tolerance, 1e-9)
     assert t.velocity.max() == pytest.approx(1.25, abs=0.02)
 
 
-def test_overshoot_before_a_piston_at_springs() -> None:
+def test_the_overshoot_ahead_of_a_piston_on_springs() -> None:
     """The peak velocity relative to the piston velocity.
 
     1.2714 at grain 600, 1.2744 at infinity, for delta = 1.
@@ -256,7 +258,7 @@ def test_overshoot_before_a_piston_at_springs() -> None:
     ],
 )
 def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> None:
-    """Growth of the peak velocity from grain to grain where each is smaller by the same share.
+    """Growth of the peak velocity per grain, if each grain is smaller by the same factor.
 
     Source: direct integration (DOP853 at 1e-11): the mean from grain 11 to 31, tolerance 1e-4, and
     the limit of a pulse that only changes its scale, tolerance 1e-6. The binary collision
@@ -270,7 +272,7 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
     peaks = {n: find_peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
     assert (peaks[31] / peaks[11]) ** (1 / 20) == pytest.approx(mean, rel=1e-4)
     before, growth, after = (peaks[n + 2] / peaks[n] for n in (27, 28, 29))
-    # Aitken's: differences shrink alike
+    # Aitken's extrapolation, because differences decrease by a constant factor.
     final = np.sqrt(after - (after - growth) ** 2 / (after - 2 * growth + before))
     assert final == pytest.approx(limit, rel=1e-6)
     if abs(taper) <= 0.05:
@@ -278,7 +280,7 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
 
 
 def _loss(light: float) -> float:
-    """Return the loss of force of a pulse in a cell of a dimer, masses 1 and `light`."""
+    """Return the loss of force of a pulse per cell of a dimer with masses 1 and `light`."""
     cells = 60
     first = 42
     second = 52
@@ -290,7 +292,7 @@ def _loss(light: float) -> float:
         duration=120.0,
         samples=1201,
     )
-    # light grains rattle behind: chaos
+    # Light grains oscillate behind the pulse, chaotically.
     t = lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=0.05))
     early, late = (
         find_peak(
@@ -305,8 +307,8 @@ def _loss(light: float) -> float:
     ("light", "published", "lossy"),
     [(0.3428457812, 0.3428, 0.240), (0.1547515139, 0.1548, 0.122), (0.0901277700, 0.0901, 0.0759)],
 )
-def test_dimers_that_do_not_radiate(light: float, published: float, lossy: float) -> None:
-    """Mass ratios at which a pulse in a dimer chain without precompression leaves nothing behind.
+def test_dimers_without_radiation(light: float, published: float, lossy: float) -> None:
+    """Mass ratios at which a pulse in an unloaded dimer chain leaves no motion behind.
 
     Source: Jayaprakash, Starosvetsky and Vakakis, Phys. Rev. E 83, 036606 (2011), with four digits;
     ten by Newton's method in another code. Less than 1e-8 of the force lost a cell there and at
@@ -324,19 +326,19 @@ def test_dimers_that_do_not_radiate(light: float, published: float, lossy: float
 
 
 def _dimer(masses: Array, **keys: Any) -> tuple[lmpchain.Chain, float]:
-    """Return a precompressed chain whose contacts have the stiffness 1.5, and that stiffness."""
+    """Return a precompressed chain with contact stiffness 1.5, and the stiffness."""
     return _chain(masses.size, bottom="fixed", top_load=1.0, masses=masses, **keys), 1.5
 
 
 def _frequencies(chain: lmpchain.Chain) -> Array:
-    """Squares of the eigenfrequencies, ascending."""
+    """Return the squared eigenfrequencies in ascending order."""
     diagonal, coupling = chain.dynamical_matrix()
     return np.linalg.eigvalsh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
 
 
 @pytest.mark.parametrize("heavy_first", [True, False])
 def test_bands_of_a_precompressed_dimer(heavy_first: bool) -> None:
-    """Bands of a diatomic chain, with edges 2K/M, 2K/m and 2K (1/m + 1/M) of w^2.
+    """The edges of the bands of a diatomic chain are 2K/M, 2K/m and 2K (1/m + 1/M) of w^2.
 
     w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(q/2) / (m M)]^(1/2), with edges 2K/M, 2K/m, 2K
     (1/m + 1/M).
@@ -368,7 +370,7 @@ def test_bands_of_a_precompressed_dimer(heavy_first: bool) -> None:
 
 
 def test_surface_mode_of_a_dimer() -> None:
-    """w^2 = K (1/m + 1/M), in the gap, if the free end is a light grain; none if it is a heavy one.
+    """w^2 = K (1/m + 1/M) in the gap if the free end is a light grain; none if it is heavy.
 
     Source: Theocharis, Boechler et al., Phys. Rev. E 82, 056604 (2010). Tolerance 1e-9; the mode
     decays by m / M = 1/3 a cell.
@@ -386,7 +388,7 @@ def test_surface_mode_of_a_dimer() -> None:
     ("engine", "place"), thinned(product(["native", "lammps"], ["band", "gap"]), 3)
 )
 def test_shaking_a_dimer(engine: str, place: str) -> None:
-    """A weak drive in a band passes undiminished; one in the gap loses a factor e^kappa a cell.
+    """A weak drive in a band is not attenuated; in the gap the factor is e^kappa per cell.
 
     Source: the dispersion relation above, sin^2(q/2) = m M w^2 [2K (1/m + 1/M) - w^2] / (4 K^2),
     with q = pi + i kappa in the gap. Tolerance 1e-4 in the first two cells; 20 cells on there is
@@ -417,7 +419,7 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
 
 
 def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
-    """Return displacement and velocity (N,) of a loaded Hertzian chain that holds one soliton.
+    """Return displacement and velocity (N,) of a loaded Hertzian chain with one soliton.
 
     Its contacts are compressed by w beyond rest: ``c^2 w'' = F(x-1) - 2 F(x) + F(x+1)``, F = (1 +
     w)^1.5 - 1, in units of r0 and F0, by Petviashvili's iteration in Fourier space. It moves at
@@ -439,7 +441,7 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
         if np.abs(w - old).max() < 1e-12 * w.max():
             break
     force = np.fft.rfft((1 + w) ** 1.5 - 1)
-    # v(x) c is the mean of F over x-1 ... x
+    # The product v(x) c is the mean of F over x-1 ... x.
     v = np.fft.irfft(force * spread * np.exp(-0.5j * q), x.size) / c
     return np.cumsum(w[::fine][::-1])[::-1], v[::fine]
 
@@ -458,7 +460,7 @@ def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
 def test_soliton_of_a_precompressed_chain(
     speed: float, force: float | None, compression: float, engine: str
 ) -> None:
-    """Largest force over F0 and compression beyond r0, over r0, of a pulse at `speed` times sound.
+    """Largest force over F0 and additional compression over r0, for a pulse at `speed` times sound.
 
     Source: the exact soliton of the lattice, tolerance 1e-6. The long-wave formula of Coste, Falcon
     and Fauve, Phys. Rev. E 56, 6104 (1997), is slower, by 0.003, 0.051 and 0.15 % at 1.01, 1.05 and
@@ -467,7 +469,7 @@ def test_soliton_of_a_precompressed_chain(
     """
     grains = {1.001: 480, 1.01: 240}.get(speed, 120)
     u, v = _soliton(speed, grains)
-    u, v[-1] = u - u[-1], 0.0  # the last grain is held
+    u, v[-1] = u - u[-1], 0.0  # The last grain is fixed.
     sound = np.sqrt(1.5)
     width = max(1 / np.sqrt(speed - 1), 3.0)
     first = round(grains / 2 + width)
@@ -500,7 +502,7 @@ def test_soliton_of_a_precompressed_chain(
 
 
 @pytest.mark.parametrize("seed", thinned(range(1, 21), 4))
-def test_engines_agree_on_chains_with_everything_in_them(seed: int) -> None:
+def test_engines_agree_on_general_chains(seed: int) -> None:
     """Walls, loads, gravity, impurities, strikes and drives: at 1e-6 the engines agree within 2e-6.
 
     LAMMPS may refuse instead, but only beforehand and with its reason.

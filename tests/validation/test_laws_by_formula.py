@@ -1,4 +1,4 @@
-"""Laws that pull, bend anywhere or soften, against SciPy's DOP853 and closed forms."""
+"""Laws that pull, have kinks or soften, against SciPy's DOP853 and closed forms."""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,7 +18,7 @@ EXPONENTS = np.linspace(1.3, 1.7, N - 1)
 PLACES = np.linspace(0.5e-6, 1.5e-6, N - 1)
 K = 1e3
 
-# Chains and strikes, and the force of all contacts as SciPy is told it.
+# Chains and strikes, and the force of all contacts for SciPy.
 CASES: dict[str, tuple[dict[str, Any], float, float, Callable[[Any], Any]]] = {
     "toda": ({"law": laws.toda(B, k=K)}, 0.2, 4e-4, lambda o: K * np.expm1(B * o) / B),
     "toda under gravity": (
@@ -85,7 +85,7 @@ def reference(scene: Scene, force: Callable[[Any], Any]) -> tuple[np.ndarray, np
         f = force(rest + state[: N - 1] - state[1:N]) - carried
         slopes = np.zeros(2 * N)
         slopes[:N] = state[N:]
-        # The last grain is held.
+        # The last grain is fixed.
         slopes[N:-1] -= f
         slopes[N + 1 : -1] += f[:-1]
         slopes[N:] /= chain.masses
@@ -107,7 +107,7 @@ def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) ->
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_estimate_holds_the_error_for_any_law(case: str) -> None:
+def test_the_estimate_covers_the_error_for_any_law(case: str) -> None:
     scene = scene_of(case)
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     off = true_error(run, reference(scene, CASES[case][3]))
@@ -115,10 +115,10 @@ def test_the_estimate_holds_the_error_for_any_law(case: str) -> None:
     assert run.error_estimate.total < 1e-8
 
 
-def test_a_toda_soliton_keeps_its_form() -> None:
+def test_a_toda_soliton_keeps_its_shape() -> None:
     """Toda's soliton exp(b o) - 1 = sinh(kappa)^2 / cosh(kappa n - sinh(kappa) t')^2 (1967)."""
     grains, kappa, middle, later = 80, 0.8, 25.0, 20.0
-    # Bonds of a far end are at rest to the last digit.
+    # Bonds of the far end are at rest to the last digit.
     law = laws.toda(B, k=K)
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, law=law)
     m = chain.masses[0]
@@ -152,11 +152,11 @@ def test_a_toda_soliton_keeps_its_form() -> None:
         (Law("k*u", k=K), "law.force: depends on u or t"),
     ],
 )
-def test_laws_without_a_rest_are_refused(law: Law, message: str) -> None:
+def test_laws_without_an_equilibrium_are_rejected(law: Law, message: str) -> None:
     with pytest.raises(InputError, match=message):
         Chain(**ROW | {"top_load": 1.1e-4 if "2" in message else 1e-2, "law": law})
 
 
-def test_an_infinite_stiffness_is_refused() -> None:
+def test_an_infinite_stiffness_is_rejected() -> None:
     with pytest.raises(InputError, match="law: is infinitely stiff where contacts only touch"):
         Chain(**ROW, law=laws.power(0.6, k=1e4))

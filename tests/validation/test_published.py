@@ -1,4 +1,4 @@
-"""Numbers that others published or that follow from exact solutions, by the native engine.
+"""Published numbers, or numbers from exact solutions, reproduced by the native engine.
 
 Vacuum chains have unit masses and unit contact constants, so they are in the units of the
 literature; a diameter of 100 only keeps overlaps small beside it.
@@ -120,7 +120,7 @@ def test_speed_of_a_soliton(
         pytest.param(1.5, 0.68163155, 0.99366104, 1.13830511, *LAMMPS, marks=pytest.mark.slow),
     ],
 )
-def test_what_a_strike_gives_to_its_first_soliton(
+def test_the_share_of_a_strike_in_its_first_soliton(
     exponent: float,
     peak: float | None,
     energy: float,
@@ -186,7 +186,8 @@ def test_column_of_linear_springs() -> None:
     velocity = (2 * n - 1) * jv(2 * n - 1, 2 * tau) / tau
     assert np.abs(t.velocity[1:] / strike - velocity).max() < 1e-9 * velocity.max()
     odd = jv(np.arange(1, 260, 2), 2 * tau)
-    above = np.cumsum(odd[:, ::-1], axis=1)[:, ::-1]  # column n-1 holds J_(2n-1) + J_(2n+1) + ...
+    # Column n-1 contains J_(2n-1) + J_(2n+1) + ...
+    above = np.cumsum(odd[:, ::-1], axis=1)[:, ::-1]
     displacement = above[:, :60] + above[:, 1:61]
     amplitude = strike * chain.time_scale
     assert np.abs(t.displacement[1:] / amplitude - displacement).max() < 1e-9 * displacement.max()
@@ -202,8 +203,8 @@ def test_column_of_linear_springs() -> None:
         (3.0, 2.6220575543),
     ],
 )
-def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
-    """Time of contact of two balls that collide, t_c v / x_max, for any exponent.
+def test_contact_time_of_two_balls(exponent: float, contact_time: float) -> None:
+    """Contact time of two colliding balls, t_c v / x_max, for any exponent.
 
     t_c v / x_max = 2 sqrt(pi) Gamma(1+q) / Gamma(1/2+q), q = 1/(delta+1), for two balls that
     collide.
@@ -225,8 +226,8 @@ def test_two_balls_touch_for(exponent: float, contact_time: float) -> None:
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0, 3.0])
-def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
-    """One motion of a vacuum chain turns into another by v -> s v, with powers of s for t and x.
+def test_a_sonic_vacuum_is_scale_invariant(exponent: float) -> None:
+    """A motion of a vacuum chain is mapped to another by v -> s v, with powers of s for t and x.
 
     v -> s v, t -> s^(-(d-1)/(d+1)) t and x -> s^(2/(d+1)) x turn one motion of a vacuum chain into
     another.
@@ -243,7 +244,8 @@ def test_a_sonic_vacuum_has_no_scale_of_its_own(exponent: float) -> None:
         scene = lmpchain.Scene(
             chain=chain, excitation=lmpchain.Impulse(velocity=strike), duration=duration, samples=41
         )
-        step = duration / 40 / 499.5  # rounds to 500 steps a sample whatever the last digit
+        # This rounds to 500 steps per sample, independent of the last digit.
+        step = duration / 40 / 499.5
         return lmpchain.simulate(scene, engine=lmpchain.engines.Native(step=step))
 
     one = motion(1.0, 40.0)

@@ -1,4 +1,4 @@
-"""Random chains.
+"""Random chains against exact and published results.
 
 Dyson's exact spectrum, weak localisation, and how the energy of a strike spreads.
 """
@@ -49,7 +49,7 @@ def test_dysons_spectrum_to_three_in_ten_thousand():
     ],
 )
 def test_weak_localisation_by_random_springs(m, omega, chains):
-    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1): Eq.
+    """gamma = omega^2 Var(1/k) / (8 <1/k>), here with <1/k> = 1 and Var(1/k) = 1/(m-1).
 
     (23) as printed.
 
@@ -114,7 +114,7 @@ def test_energy_of_a_strike_spreads_superdiffusively(of, grains, realisations):
 
 @pytest.mark.slow
 def test_energy_of_a_displacement_spreads_subdiffusively():
-    """In the last octave m2 ~ t^(1/2) within 0.03 where localisation is strong (Lepri et al.)."""
+    """In the last octave m2 ~ t^(1/2) within 0.03 for strong localisation (Lepri et al.)."""
     found = spread("diameter", 14, True, 900, 400)
     power, error = found.growth(found.time[30])
     assert power == pytest.approx(0.5, abs=0.03)
@@ -122,8 +122,8 @@ def test_energy_of_a_displacement_spreads_subdiffusively():
 
 
 @pytest.mark.slow
-def test_where_localisation_is_weak_a_constant_remains():
-    """m2 = A t^(1/2) - B.
+def test_weak_localisation_leaves_a_constant():
+    """The second moment is m2 = A t^(1/2) - B.
 
     The second half of the time follows from the first, within 3 % (t^0.7 would be 6 % off).
     """
@@ -137,7 +137,7 @@ def test_where_localisation_is_weak_a_constant_remains():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("moved", [False, True])
-def test_participation_stays_while_the_moment_grows(moved):
+def test_participation_is_constant_while_the_moment_grows(moved):
     """Means over the second and the last third of the time are within 5 % (Lepri et al.)."""
     found = spread("stiffness", 3, moved, 900, 200)
     early = found.participation[20:40]
@@ -149,7 +149,7 @@ def test_participation_stays_while_the_moment_grows(moved):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("moved", "power"), [(False, -1.5), (True, -2.5)])
-def test_energy_that_stays_falls_off_as_a_power_of_the_distance(moved, power):
+def test_the_localised_energy_decays_as_a_power_of_distance(moved, power):
     """Mean profile from 30 to 100 grains away, within 0.05.
 
     |n|^(-3/2) of a strike, |n|^(-5/2) of a displacement.

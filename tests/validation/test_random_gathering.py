@@ -1,4 +1,4 @@
-"""What is gathered along a run, or read between samples, on random scenes.
+"""Quantities accumulated during a run or computed between samples, on random scenes.
 
 Against Taylor series at close times.
 """
@@ -14,20 +14,20 @@ from helpers.trial_scenes import acted_trial_scene, trial_scene
 from lmpchain import RunFailed, Scene, ToleranceNotMet, simulate
 from lmpchain.measure.motion import motion_of
 
-BETWEEN = 8  # times of the reference in an interval of the fine times
-LEAST = 3  # times its estimate is what the error of a trajectory may be
-NEAR_HALF = 2e-3  # maxima so near half of the largest may be the front, or not
-SPARSE = 4.5  # fine times in the longest interval between samples: omega h is 2 there
-SAME = 1e-10  # of the largest value: by which the reference scatters in free flight
-# arrivals of grains in free flight, or nearly so, that were off by more than their error; 1080 to
-# 2691 while that was mended; 2691 to 9572 fronts between samples, beside an opening or hardly
-# turning; 11183 a frequency that was missed; 5214 a grain that slows down by less than the error of
-# the trajectory, flies on, and is pushed again: the front is later
+BETWEEN = 8  # Number of reference times in an interval of the fine times.
+LEAST = 3  # Factor on its estimate that the error of a trajectory may reach.
+# Relative distance from half of the largest value within which a maximum may be the front.
+NEAR_HALF = 2e-3
+SPARSE = 4.5  # Number of fine times in the longest interval between samples, where omega h is 2.
+SAME = 1e-10  # Scatter of the reference in free flight, relative to the largest value.
+# Seeds of former faults: arrivals of grains in nearly free flight (to 1080), fronts between samples
+# beside an opening or with a flat maximum (2691 to 9572), a missed frequency (11183), and a grain
+# that flies on and is pushed again (5214).
 FOUND = [211, 343, 444, 566, 961, 1811, 1080, 30, 2691, 7395, 9572, 11183, 5214]
 
 
 def draw(seed: int) -> tuple[Scene, int, float, str]:
-    """Return a scene, a contact whose force is asked for, a tolerance and an engine."""
+    """Return a scene, a contact whose force is requested, a tolerance and an engine."""
     rng = np.random.default_rng([77, seed])
     scene = (acted_trial_scene if rng.random() < 0.3 else trial_scene)(
         rng, work=10 ** rng.uniform(2.5, 4)
@@ -47,7 +47,7 @@ def draw(seed: int) -> tuple[Scene, int, float, str]:
 
 
 def fall_after(level: np.ndarray, top: int) -> float:
-    """Return by how much sizes fall after one of them, until a larger one follows."""
+    """Return the decrease of sizes after one of them, until a larger one follows."""
     larger = np.flatnonzero(level[top:] > level[top])
     end = top + larger[0] if larger.size else level.size
     return float(level[top] - level[top:end].min())
@@ -115,7 +115,7 @@ def wrong_fronts(
 
 
 def faults(seed: int) -> list[Any] | None:
-    """Return in what more than the claimed error is missing.
+    """Return the quantities whose error exceeds the stated one.
 
     None where there is nothing to compare.
     """
@@ -188,7 +188,7 @@ def faults(seed: int) -> list[Any] | None:
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("seed", FOUND)
-def test_found(seed: int):
+def test_seeds_of_former_faults(seed: int):
     assert faults(seed) == []
 
 

@@ -31,7 +31,7 @@ TRIALS = {
 
 
 @slow
-def test_the_reference_finds_a_harmonic_oscillator():
+def test_the_reference_solves_a_harmonic_oscillator():
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
     omega = sqrt(chain.linear_stiffness[0] / chain.masses[0])
     scene = Scene(
@@ -47,8 +47,8 @@ def test_the_reference_finds_a_harmonic_oscillator():
 
 @slow
 @pytest.mark.parametrize("delta", [1.0, 1.25, 1.5, 2.0, 3.0])
-def test_the_reference_finds_a_collision(delta):
-    """Two equal grains exchange their velocities, in the time that the energy integral gives."""
+def test_the_reference_solves_a_collision(delta):
+    """Two equal grains exchange their velocities in the time given by the energy integral."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, exponent=delta, bottom="free")
     mass = chain.masses[0] / 2
     constant = chain.contact_constants[0]
@@ -63,15 +63,15 @@ def test_the_reference_finds_a_collision(delta):
         found.velocity[[0, -1]] / speed, [[1, 0], [0, 1]], rtol=0, atol=3e-15
     )
     assert found.displacement[1] @ [1, -1] == pytest.approx(deepest, rel=1e-14)
-    for change in (1e-3, -1e-3):  # shortly before and after the contact opens
+    for change in (1e-3, -1e-3):  # Shortly before and after the opening of the contact.
         found, _ = reference(ends.replace(duration=lasts * (1 - change)), 1e-19)
         force = found.velocity[-1, 0] / speed
         assert (force > 1e-12) if change > 0 and delta < 3 else abs(force) < 1e-7
 
 
 @slow
-def test_the_reference_finds_a_push_by_a_wall():
-    """A wall that moves as A sin(W t) throws a grain that touches it, for good.
+def test_the_reference_solves_a_push_by_a_wall():
+    """A wall that moves as A sin(W t) throws a touching grain away permanently.
 
     Springs, so the motion is known.
     """
@@ -90,7 +90,7 @@ def test_the_reference_finds_a_push_by_a_wall():
     parts = brentq(
         lambda t: size * np.sin(rate * t) - u(t), 2 / own, 4 / own, xtol=1e-25, rtol=1e-15
     )
-    assert v(parts) > size * rate  # the wall never comes after it
+    assert v(parts) > size * rate  # The wall never catches up.
     sine = Drive(amplitude=size, frequency=rate / (2 * pi), grain=0)
     found, error = reference(
         Scene(chain=chain, excitation=sine, duration=30 / rate, samples=2), 1e-15
@@ -138,7 +138,7 @@ FOUND = [
     ("native", 2000441),
     # Runs at h and 2h agree to 1e-4 by chance; both have an error of 0.014.
     ("auto", 2001443),
-    # 58 openings in a motion that is given by points: errors scatter.
+    # 58 openings in a motion given by points: errors scatter.
     ("acted", 2000404),
     # A moving wall drives all grains, the first grain included.
     ("acted", 2000790),
@@ -184,7 +184,7 @@ FOUND = [
         pytest.param("native", 3000080, marks=pytest.mark.soak),
     ],
 )
-def test_errors_once_underestimated_are_estimated(family, seed):
+def test_formerly_underestimated_errors_are_estimated(family, seed):
     row = trial(family, seed)
     assert row["ending"] in ("right", "missed"), table([row])
     assert not row.get("low"), table([row])

@@ -60,7 +60,7 @@ def test_one_impurity(alpha: float, published: list[float]):
 
 
 @pytest.mark.parametrize("mass", [0.2, 3.0])
-def test_a_defect_of_mass_alone(mass: float):
+def test_a_defect_of_mass_only(mass: float):
     """T = 1 / (1 + ((M/m - 1) tan(k/2))^2)."""
     k = np.linspace(0.05, 3.1, 40)
     plain = lmpchain.Chain(grains=9, **HOST)
@@ -74,7 +74,7 @@ def test_a_defect_of_mass_alone(mass: float):
 
 
 def test_a_defect_of_one_spring():
-    """T = 1 / (1 + ((K/K' - 1) tan(k/2))^2): mass and compliance are dual to one another."""
+    """T = 1 / (1 + ((K/K' - 1) tan(k/2))^2), because mass and compliance are dual."""
     k = np.linspace(0.05, 3.1, 40)
     constants = np.ones(8)
     constants[4] = 2.0
@@ -111,14 +111,14 @@ def test_ramsauer_townsend_pairs(alpha: float, k: float, share: float):
     assert across.transmitted == pytest.approx(closed, rel=1e-11)
     plain = lmpchain.Chain(grains=15, **HOST)
     assert transparent(plain, _edge(plain) * share, [7, 8]) == pytest.approx([alpha], abs=1e-9)
-    mass = 1 / (2 * share**2)  # w^2 = 2 K / M where only the masses differ
+    mass = 1 / (2 * share**2)  # Here w^2 = 2 K / M if only the masses differ.
     assert transparent(plain, _edge(plain) * share, [7, 8], "mass") == pytest.approx(
         [mass], rel=1e-11
     )
 
 
 def test_small_pairs_are_never_transparent():
-    """None for alpha <= 0.75: transparency leaves the band above it."""
+    """No pair with alpha <= 0.75 is transparent, because the frequency would be above the band."""
     plain = lmpchain.Chain(grains=15, **HOST)
     for share in (0.3, 0.9, 0.999):
         assert all(factor > 0.75 for factor in transparent(plain, _edge(plain) * share, [7, 8]))
@@ -133,7 +133,7 @@ def _shares(
     tolerance: float,
     size: int = 1,
 ) -> tuple[float, float, float, float]:
-    """Return passed and returned energy of a packet, and the means of T and R over its spectrum."""
+    """Return the passed and returned energies of a packet, and the spectral means of T and R."""
     total = 600 * size
     start = 150 * size
     width = 16.0 * size
@@ -160,7 +160,7 @@ def _shares(
     q = 2 * np.pi * np.fft.fftfreq(total)
     frequency = w * np.abs(np.sin(q / 2))
     inside = (frequency > 0) & (frequency < 0.999999 * w)
-    # every component moves downward
+    # Every component moves downward.
     weight = (np.abs(np.fft.fft(packet.initial(chain)[1])) ** 2)[inside]
     theory = transmission(chain, frequency[inside])
     return (
@@ -197,8 +197,8 @@ def test_packets(
 
 
 @pytest.mark.slow
-def test_strong_packets_pass_otherwise():
-    """Some 5e-4 at 0.05 of the overlap, and a quarter of it at half of that.
+def test_strong_packets_are_transmitted_differently():
+    """The difference is some 5e-4 at 0.05 of the overlap, and a quarter of it at half of that.
 
     The first order has no part in it.
     """

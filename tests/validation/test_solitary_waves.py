@@ -12,7 +12,7 @@ from lmpchain.theory.soliton import Soliton, solve
     ("delta", "speed"), [(1.5, 0.9074700784), (2.0, 0.855251932), (3.0, 0.804760116)]
 )
 def test_speed_in_the_sonic_vacuum(delta: float, speed: float):
-    """V = C v^((delta-1)/(delta+1)).
+    """V = C v^((delta-1)/(delta+1)) for the exact lattice wave.
 
     Source: an independent Petviashvili iteration on Fourier series, and direct impacts. The long
     wave of Nesterenko is 0.78 % faster for Hertz.
@@ -46,7 +46,7 @@ def test_width_and_shape_in_the_sonic_vacuum():
 
 @pytest.mark.parametrize("delta", [1.5, 2.0, 3.0])
 def test_virial_share_of_kinetic_energy(delta: float):
-    """The time mean of K / E is (delta + 1) / (delta + 3), 5/9 for Hertz.
+    """The time mean of K / E is (delta + 1) / (delta + 3), 5/9 for Hertz's law.
 
     Source: Slepyan, arXiv:1410.8301.
     """
@@ -58,7 +58,7 @@ def test_virial_share_of_kinetic_energy(delta: float):
 
 
 def test_effective_mass():
-    """P^2 / 2E = 1.304005 m for the lattice.
+    """P^2 / 2E is 1.304005 m for the lattice.
 
     Source: direct integration; 1.4 m in the literature is the continuum's.
     """
@@ -76,7 +76,7 @@ def test_effective_mass():
     ],
 )
 def test_under_a_load(speed: float, force: float, overlap: float, coste: float | None):
-    """Largest force and overlap over those at rest. Source: an independent solver, residual 1e-14.
+    """Largest force and overlap relative to rest, from an independent solver with residual 1e-14.
 
     The lattice is faster than Coste, Falcon and Fauve, Phys. Rev. E 56, 6104 (1997), by the share
     `coste`, a quoted number of thousandths of a percent.
@@ -89,7 +89,7 @@ def test_under_a_load(speed: float, force: float, overlap: float, coste: float |
         assert speed / soliton.coste_speed(force) - 1 == pytest.approx(coste, abs=0.6e-5)
 
 
-def test_long_waves_and_their_lattice():
+def test_long_waves_compared_with_the_lattice():
     """Speed of the solitary wave from its velocity and its force, for any exponent.
 
     V = [2/(delta+1)]^(1/(delta+1)) v^((delta-1)/(delta+1)) and [2/(delta+1)]^(1/2) F^((delta-1)/(2
@@ -116,7 +116,7 @@ def test_long_waves_and_their_lattice():
     assert np.ptp(x[r > r.max() / 2]) == pytest.approx(1.8084, abs=1e-4)
     momentum = (speed * r).sum() * 1e-5
     kinetic = ((speed * r) ** 2 / 2).sum() * 1e-5
-    # 5/9 of the energy is kinetic
+    # 5/9 of the energy is kinetic.
     assert momentum**2 / (2 * 9 / 5 * kinetic) == pytest.approx(1.419, abs=5e-4)
 
 
@@ -125,7 +125,7 @@ def test_long_waves_and_their_lattice():
     [(1.2, 3.6e-3, 5e-5), (1.5, 8.01e-3, 5e-6), (100.0, 0.9055157764 / 0.8**0.5 - 1, 1e-9)],
 )
 def test_coste_formula_is_slower_than_the_lattice(speed: float, off: float, digit: float):
-    """By these shares, to half of their last digit.
+    """The relative differences agree to half of their last digit.
 
     The last is that of the strongest waves, from the speed V = 0.9055157764 F^(1/6) in the sonic
     vacuum by an independent solver, where Coste's is sqrt(4/5) F^(1/6). That solver quoted 0.81 %
@@ -150,7 +150,7 @@ def test_limit_of_korteweg_and_de_vries():
 
 
 def changed(wave: Soliton, engine: str, tolerance: float) -> float:
-    """Return by how much a wave changes over a hundred grains, over its largest values."""
+    """Return the change of a wave over a hundred grains, relative to its largest values."""
     far = int(wave.reach) + 2
     load = 1.0 if wave.loaded else 0.0
     steel = {"diameter": 1e-3, "material": "steel", "gravity": 0.0, "exponent": wave.delta}
@@ -190,7 +190,7 @@ def test_travels_unchanged_for_other_exponents(delta: float):
 
 @pytest.mark.slow
 def test_travels_in_lammps():
-    """Heights, in which LAMMPS integrates, leave 1e-11.
+    """The rounding of heights in LAMMPS leaves an error of 1e-11.
 
     With grains drawn no larger than overlaps need.
     """

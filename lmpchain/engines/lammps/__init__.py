@@ -1,1 +1,1 @@
-"""Eq. (1) in LAMMPS: `pair_style granular` without damping, on heights."""
+"""Eq. (1) in LAMMPS by heights of grains, with `pair_style granular`."""

@@ -1,4 +1,4 @@
-"""A scene in the terms of LAMMPS: grain types, pair coefficients, heights, box and drives.
+"""A scene in LAMMPS terms: grain types, pair coefficients, heights, box and drives.
 
 A driven grain follows its path by `fix move variable`, a driven wall is a region that moves, and a
 force is that of `fix addforce`. LAMMPS evaluates their formulas in double precision at its own
@@ -28,7 +28,7 @@ from ...util.arrays import Array
 from ...util.lazy import cached_property
 from .ground import LammpsGround
 
-# Coefficients of the current cubic piece, in powers of the time since its begin.
+# Coefficients of the current cubic piece in powers of the time since its start.
 PIECE = ("begin", "c0", "c1", "c2", "c3")
 SINCE = "(v_now-v_begin)"
 SINE = "v_amplitude*sin(v_omega*v_now)"
@@ -37,7 +37,7 @@ BEFORE = "*(v_now<v_end)"
 
 
 def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
-    """Return the values of the templates for an excitation that acts during the run."""
+    """Return the template values for an excitation that acts during the run."""
     wave = excitation.waveform
     force = excitation.wall is None and not excitation.driven
     return {
@@ -54,14 +54,14 @@ def placeholders(excitation: Excitation, duration: float) -> dict[str, Any]:
 
 
 def value(wave: Waveform) -> str:
-    """Return a waveform, upward, in variables of LAMMPS."""
+    """Return the LAMMPS variable formula of a waveform, upward."""
     if wave.spline is not None:
         return f"-(v_c0+{SINCE}*(v_c1+{SINCE}*(v_c2+{SINCE}*v_c3)))"
     return f"-{SINE}" + (f"*{INSIDE}" if wave.envelope else "") + (BEFORE if wave.corners else "")
 
 
 def slope(wave: Waveform) -> str:
-    """Return the time derivative of a waveform, upward, in variables of LAMMPS."""
+    """Return the LAMMPS variable formula of the time derivative of a waveform, upward."""
     if wave.spline is not None:
         return f"-(v_c1+{SINCE}*(2.0*v_c2+3.0*{SINCE}*v_c3))"
     plain = "-v_amplitude*v_omega*cos(v_omega*v_now)"
@@ -71,7 +71,7 @@ def slope(wave: Waveform) -> str:
 
 
 def pieces(excitation: Excitation, duration: float) -> list[tuple[float, list[str]]]:
-    """Return the end of each cubic piece of a spline, s, and the commands that apply it."""
+    """Return the end time of each cubic piece of a spline, s, and the commands that apply it."""
     wave = excitation.waveform
     if wave is None or wave.spline is None:
         return []
@@ -90,7 +90,7 @@ NO_TANGENTIAL = "tangential linear_nohistory 0.0 0.0"
 
 
 class Contact(NamedTuple):
-    """Constants of a contact in LAMMPS's terms: k_n of its force, and eta of its damping.
+    """Constants of a contact in LAMMPS: k_n of its force, and eta of its damping.
 
     The force is k_n sqrt(R o) o + eta m sqrt(R o) o', with reduced radius R and mass m, in the
     model hertz with damping viscoelastic, and k_n o + eta o' in hooke with damping velocity.
@@ -100,14 +100,14 @@ class Contact(NamedTuple):
     damping: float
 
     def same(self, other: Contact) -> bool:
-        """Return whether both contacts agree up to rounding errors."""
+        """Return whether both contacts are equal up to rounding errors."""
         pairs = zip(self, other, strict=True)
         return all(abs(one - another) <= 1e-14 * one for one, another in pairs)
 
 
 @dataclass(frozen=True)
 class Wall:
-    """A plane above or below a grain, with the arguments of `fix wall/gran`."""
+    """A plane above or below a grain with the arguments of `fix wall/gran`."""
 
     name: str
     grain: int
@@ -118,7 +118,7 @@ class Wall:
 
 @dataclass(frozen=True)
 class LammpsColumn:
-    """A scene in the terms of LAMMPS.
+    """A scene in LAMMPS terms.
 
     Parameters
     ----------
@@ -152,12 +152,12 @@ class LammpsColumn:
 
     @property
     def predicts(self) -> bool:
-        """Whether forces see velocities that are predicted for the end of a step."""
+        """Whether forces use velocities that are predicted for the end of a step."""
         return self.chain.damped and not self.lagged
 
     @property
     def formula(self) -> Law | None:
-        """The law of the contacts if it is a formula: each contact is then a bond of LEPTON."""
+        """The contact law if it is a formula; each contact is then a LEPTON bond."""
         law = self.chain.law
         return law if isinstance(law, Law) else None
 
@@ -179,23 +179,23 @@ class LammpsColumn:
 
     @property
     def model(self) -> str:
-        """Contact model of LAMMPS: hertz, with the root of the effective radius, or hooke."""
+        """Contact model of LAMMPS: hertz, which contains the effective radius, or hooke."""
         return "hooke" if self.chain.law.power == 1 else "hertz"
 
     @property
     def mobile(self) -> tuple[int, int]:
-        """First and last grain that move by the equation of motion: not driven, not held."""
+        """First and last grain that move by the equation of motion: neither driven nor held."""
         return 1 + self.scene.excitation.driven, self.chain.movable
 
     @property
     def load(self) -> float:
-        """Constant force on the grain with the load, N; 0 if it is driven, or a wall presses."""
+        """Constant force on the loaded grain, N; 0 if it is driven or a wall exerts the load."""
         imposed = self.chain.load_grain <= self.scene.excitation.driven
         return 0.0 if imposed else self.chain.constant_load
 
     @property
     def strike(self) -> Impulse | None:
-        """Impulse of the scene, which a deck keeps as a variable."""
+        """Impulse of the scene, which a deck stores as a variable."""
         return self.scene.excitation if isinstance(self.scene.excitation, Impulse) else None
 
     @property
@@ -216,7 +216,7 @@ class LammpsColumn:
 
     @property
     def drag_on_all(self) -> float | None:
-        """Drag m gamma of every grain that moves, kg/s; None if their masses differ."""
+        """Drag m gamma of every moving grain, kg/s; None if their masses differ."""
         first, last = self.mobile
         masses = self.chain.masses[first - 1 : last]
         alike = np.ptp(masses) <= 1e-14 * masses.max()
@@ -224,18 +224,18 @@ class LammpsColumn:
 
     @cached_property
     def diameters(self) -> Array:
-        """(N,) m."""
+        """Diameters, (N,) m."""
         return np.full(self.chain.grains, self.gauge) if self.gauge else self.chain.diameters
 
     @cached_property
     def densities(self) -> Array:
-        """(N,) kg/m3, such that every grain has its mass."""
+        """Densities, (N,) kg/m3, chosen so that every grain has its mass."""
         return self.chain.masses / (np.pi / 6 * self.diameters**3)
 
     @cached_property
     def heights(self) -> Array:
-        """Heights at rest, (N,) m: the running sum in extended precision, rounded once."""
-        # sums of many diameters in double precision would lose digits of the overlaps
+        """Heights at rest, (N,) m: cumulative sums in extended precision, rounded once."""
+        # Sums of many diameters in double precision would lose digits of the overlaps.
         d = self.diameters.astype(np.longdouble)
         distances = (d[:-1] + d[1:]) / 2 - self.chain.equilibrium_overlap
         return np.append(0.0, -np.cumsum(distances)).astype(float)
@@ -248,7 +248,7 @@ class LammpsColumn:
 
     @cached_property
     def walls(self) -> list[Wall]:
-        """The walls, as planes that stand still."""
+        """The walls as planes at rest."""
         radius = self.diameters[[0, -1]] / 2
         gaps = radius - self.chain.contacts.overlap[[0, -1]]
         above, below = (self.heights[[0, -1]] + [1, -1] * gaps).tolist()
@@ -271,7 +271,7 @@ class LammpsColumn:
             ends = self._contacts(constants, radius, self.chain.masses[[0, -1]], [0, -1])
             return [self._arguments(Contact(*row)) for row in np.column_stack(ends).tolist()]
         height = self.box[3] - self.box[2]
-        # A wall has the parameters of the contact next to it.
+        # A wall has the law parameters of the contact next to it.
         numbers = (0, max(self.chain.grains - 2, 0))
         rows = zip(constants.tolist(), radius.tolist(), numbers, strict=True)
         return [
@@ -281,7 +281,7 @@ class LammpsColumn:
 
     @cached_property
     def bonds(self) -> tuple[list[int], list[str]]:
-        """Bond type of each contact of a law by formula, and the `bond_coeff` of each type.
+        """Bond type of each contact for a law by formula, and the `bond_coeff` of each type.
 
         The energy is a function of r, the distance of two grains less that at which they touch, so
         that the overlap is -r.
@@ -302,7 +302,7 @@ class LammpsColumn:
     def _contacts(
         self, constants: Array, radius: Array, mass: Array, numbers: Sequence[int] | slice
     ) -> tuple[Array, Array]:
-        """Return stiffness and damping of contacts in LAMMPS's terms, see `Contact`, (C,) each.
+        """Return stiffness and damping of contacts as in `Contact`, (C,) each.
 
         Parameters
         ----------
@@ -319,13 +319,13 @@ class LammpsColumn:
 
     def _arguments(self, contact: Contact) -> str:
         """Return the arguments of the contact model of `pair_coeff` and `fix wall/gran`."""
-        # A contact without damping gets 0 times a velocity.
+        # A contact without damping gets a damping force of 0.
         model = "viscoelastic" if self.model == "hertz" and contact.damping else "velocity"
         return f"{contact.stiffness!r} {contact.damping!r} {NO_TANGENTIAL} damping {model}"
 
     @cached_property
     def skin(self) -> float:
-        """Neighbour skin, m, within which each gap of the start lies."""
+        """Neighbour skin, m, which exceeds each initial gap."""
         z, _ = self.start
         gap = z[:-1] - z[1:] - (self.diameters[:-1] + self.diameters[1:]) / 2
         return float(0.3 * self.diameters.max() + gap.max(initial=0.0))
@@ -339,10 +339,10 @@ class LammpsColumn:
     def box(self) -> tuple[float, float, float, float]:
         """Lower and upper bound in x and y, and in z, m."""
         z, _ = self.start
-        # the box holds a grain and its skin; nothing moves sideways
+        # The box is as wide as a grain and its skin, because nothing moves sideways.
         side = float(self.diameters.max() + self.skin)
-        # The box is as high as the column, so that ranks share it evenly. Grains may leave it,
-        # because neighbour lists are never renewed.
+        # The box is as high as the column, so that the ranks share the column evenly. Grains may
+        # leave the box, because neighbour lists are never rebuilt.
         return -side, side, float(z.min() - side), float(z.max() + side)
 
     @cached_property
@@ -359,7 +359,7 @@ class LammpsColumn:
 
     @property
     def bare(self) -> bool:
-        """Whether the deck contains no commands of the user."""
+        """Whether the deck contains no user commands."""
         return not (self.template or self.include)
 
     @cached_property
@@ -368,7 +368,7 @@ class LammpsColumn:
         unused = f"{self.type_count + 1} {self.type_count + 1} dpd 0.0 0.0"
         if self.formula:
             return ["* * none", unused]
-        # Among several pair styles, a coefficient names its own.
+        # With several pair styles, a coefficient names its style.
         style = f" {self.pair_style}" if self.predicts else ""
         pairs = self._types_and_contacts[1]
         contacts = {"* *": next(iter(pairs.values()), Contact(1.0, 0.0))}
@@ -396,7 +396,7 @@ class LammpsColumn:
 
     @cached_property
     def _types_and_contacts(self) -> tuple[list[int], dict[tuple[int, int], Contact]]:
-        """Types of the grains, and the contact of each pair of types that touches.
+        """Types of the grains, and the contact of each touching pair of types.
 
         A grain takes a type whose pair with the grain above has the right contact already; or else
         the type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2
@@ -431,7 +431,7 @@ class LammpsColumn:
         return types, pairs
 
     def _check_type(self, grain_type: int, number: int) -> None:
-        """Raise `InputError` if contact `number` needs more types than LAMMPS knows."""
+        """Raise `InputError` if contact `number` needs more types than LAMMPS supports."""
         granular = self.pair_style == "granular"
         limit = MOST_TYPES if granular else 1
         if grain_type > limit:
@@ -444,7 +444,7 @@ class LammpsColumn:
 
 
 def _type_below(partners: dict[int, dict[int, Contact]], above: int, contact: Contact) -> int:
-    """Return the type of a grain that has this contact with one above it of the type `above`."""
+    """Return the type of a grain with this contact below a grain of type `above`."""
     for grain_type, value in partners[above].items():
         if value.same(contact):
             return grain_type

@@ -1,4 +1,4 @@
-"""Communicators of a LAMMPS run: this process alone, or the ranks of an MPI world.
+"""Communicators of a LAMMPS run: a single process, or the ranks of an MPI world.
 
 One process leads: it asks for something by name, every rank does it, and the answers of all come
 back. The others only follow, so nothing outside this module knows of ranks.
@@ -15,13 +15,13 @@ from ...util import mpi
 from .library import SIGNALS, signals_blocked
 from .worker import Worker
 
-# A follower polls at full speed for the first time, s, and then pauses for the second, s.
+# A follower polls at full speed for the first time, s, and then at intervals of the second, s.
 POLLING_S = 2e-3
 PAUSE_S = 5e-4
 
 
 class Serial:
-    """This process."""
+    """Communicator of a single process."""
 
     ranks = 1
 
@@ -52,8 +52,8 @@ class MpiRanks:
         self.ask("open", log)
 
     def ask(self, name: str, *values: Any) -> list[Any]:
-        """Call a method of all workers; no signal comes between them."""
-        # A signal between two messages would leave some ranks waiting for ever.
+        """Call a method of all workers without interruption by signals."""
+        # A signal between two messages would leave some ranks waiting forever.
         with signals_blocked():
             for rank in range(1, self.ranks):
                 self._world.send((name, values), rank)
@@ -71,7 +71,7 @@ class MpiRanks:
 
 
 def worker_loop(world: Any) -> None:
-    """Obey rank 0 until it shuts the workers down."""
+    """Execute the calls of rank 0 until it shuts the workers down."""
     for number in SIGNALS:
         # Rank 0 handles signals and ends the other ranks.
         signal.signal(number, signal.SIG_IGN)
@@ -94,7 +94,7 @@ def shutdown_workers(world: Any) -> None:
 
 
 def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...]) -> Any:
-    """Call a method on this rank; an error that not all ranks share aborts them all."""
+    """Call a method on this rank; an error that does not occur on all ranks aborts them all."""
     try:
         if name == "open":
             workers[:] = [Worker(world, *values)]
@@ -107,10 +107,10 @@ def _obey(world: Any, workers: list[Worker], name: str, values: tuple[Any, ...])
         shared = type(error) is Exception and _by_lammps(error)
         if shared or isinstance(error, EngineUnavailable | RunFailed):
             return error
-        # The other ranks wait inside LAMMPS for this one.
+        # The other ranks are waiting inside LAMMPS for this rank.
         mpi.abort(world, f"rank {world.rank}: {error or type(error).__name__}")
 
 
 def _by_lammps(error: Exception) -> bool:
-    """Return whether LAMMPS raised an error, by its text: handlers of signals raise any class."""
+    """Return whether LAMMPS raised an error, by its text, as signal handlers raise any class."""
     return str(*error.args[:1]).startswith("ERROR")

@@ -23,15 +23,14 @@ from .column import LammpsColumn, placeholders
 from .worker import deck_steps
 
 RUN_COMMAND = re.compile(r"""(?:^|["'])\s*(run|rerun|minimize|clear|quit)(?=["'\s]|$)""")
-# the names of materials are the only free text of a scene: what came with a scene file stays out of
-# decks
+# Names of materials are the only free text of a scene. Text of a scene file must not enter decks.
 CLOSED = (Material,)
-STEPS_OF_A_RUN = 2**31 - 1  # at most, in LAMMPS
-LINES = 2**14  # of a data file that are made at a time
+STEPS_OF_A_RUN = 2**31 - 1  # Largest number of steps of a LAMMPS run.
+LINES = 2**14  # Number of lines of a data file that are formatted at once.
 
 
 def read_user_text(key: str, path: str | PathLike[str]) -> str:
-    """Return the text of a file of the user's; raises `InputError` under `key`."""
+    """Return the text of a user's file; raises `InputError` under `key`."""
     path = expanded(path)
     if not path.is_file():
         raise InputError.at(key, f"there is no file {path}")
@@ -47,7 +46,7 @@ def read_user_text(key: str, path: str | PathLike[str]) -> str:
 
 
 def read_include(include: str | PathLike[str]) -> str:
-    """Return the commands of a file, or a text of commands with a line break itself."""
+    """Return the commands in a file; a text with a line break is itself a text of commands."""
     text = os.fspath(include)
     if "\n" not in text:
         text = read_user_text("include", include)
@@ -55,7 +54,7 @@ def read_include(include: str | PathLike[str]) -> str:
 
 
 def refuse_run(key: str, text: str, cure: str) -> None:
-    """Raise `InputError` if commands of the user run the column or end LAMMPS."""
+    """Raise `InputError` if user commands run the column or end LAMMPS."""
     for number, line in enumerate(text.splitlines(), 1):
         if match := RUN_COMMAND.search(line):
             raise InputError.at(
@@ -74,17 +73,17 @@ def setup(column: LammpsColumn, data: str, step: float, splitting: Splitting, do
 
 
 def check_template(column: LammpsColumn, splitting: Splitting) -> None:
-    """Raise `InputError` if the template of the user cannot be filled in."""
+    """Raise `InputError` if the user's template cannot be filled in."""
     _fill(column, column.scene.duration, splitting, data="column.data", alone=True)
 
 
 def script(column: LammpsColumn, step: float, splitting: Splitting) -> str:
-    """Return the input script that runs by itself."""
+    """Return the complete input script."""
     return _fill(column, step, splitting, data="column.data", alone=True)
 
 
 def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitting) -> Path:
-    """Write the input script, which runs by itself."""
+    """Write the complete input script."""
     if splitting.order > 2 and (column.scene.excitation.does_work or column.chain.ground_in_time):
         acting = "a ground in time" if column.chain.ground_in_time else "a drive or a force"
         raise InputError.at("integrator", f"a deck can carry {acting} with verlet only; use that")
@@ -95,7 +94,7 @@ def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitti
 
 
 def check_folder(folder: Path) -> None:
-    """Raise `InputError` if a folder holds a deck, or files of a deck, that lmpchain did not write.
+    """Raise `InputError` if a folder contains a deck or deck files that lmpchain did not write.
 
     Files beside a deck that lmpchain wrote belong to that deck.
     """
@@ -116,7 +115,7 @@ def _seal(text: str) -> str:
 
 
 def dump(path: str, every: int) -> str:
-    """Return the commands that dump every `every`-th step, as in a deck that runs by itself."""
+    """Return the commands of a complete deck that dump every `every`-th step."""
     # Jinja2 is imported only where text is filled in, because "auto" loads this module.
     from ...util.templates import render
 
@@ -124,19 +123,19 @@ def dump(path: str, every: int) -> str:
 
 
 def carries(splitting: Splitting) -> bool:
-    """Return whether a deck can express this splitting, with kicks by LAMMPS itself."""
+    """Return whether a deck can express this splitting with kicks by LAMMPS alone."""
     return splitting.order == 2 or bool(splitting.substeps)
 
 
 def kicks_by_force(scene: Scene, splitting: Splitting) -> bool:
-    """Return whether a force acts with a method of several drifts, at the times of the method."""
+    """Return whether an external force is applied at the drift times of a splitting method."""
     excitation = scene.excitation
     force = excitation.does_work and not excitation.driven and excitation.wall is None
     return splitting.order > 2 and force
 
 
 def check_carried(splitting: Splitting, key: str) -> None:
-    """Raise `InputError` under this key if a deck cannot carry the splitting."""
+    """Raise `InputError` under this key if a deck cannot express the splitting."""
     if not carries(splitting):
         raise InputError.at(
             key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6"
@@ -151,7 +150,7 @@ def write_data(column: LammpsColumn, path: str | PathLike[str]) -> None:
 
 @contextmanager
 def data_file(column: LammpsColumn, folder: Path | None) -> Iterator[Path]:
-    """Yield the path of a data file: in a folder, or in memory, where a kill leaves none behind."""
+    """Yield the path of a data file, in a folder or in memory; after a kill no file remains."""
     if folder is not None:
         write_data(column, path := folder / "column.data")
         yield path
@@ -163,7 +162,7 @@ def data_file(column: LammpsColumn, folder: Path | None) -> Iterator[Path]:
 
 
 def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
-    """Return whether the data file has velocities and heights at rest: somebody may read them.
+    """Return whether the data file contains velocities and heights at rest, for users.
 
     Else LAMMPS gets the velocities in memory, in a fraction of the time.
     """
@@ -171,18 +170,18 @@ def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
 
 
 def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
-    """Write the data file, without velocities and heights at rest unless it is `whole`."""
+    """Write the data file; only a `whole` file contains velocities and heights at rest."""
     from ...util.templates import render_pieces
 
     z, speeds = column.start
     if column.strike:
-        # the deck strikes, so that the speed can be set on the command line
+        # The deck applies the strike, so that its speed can be set on the command line.
         speeds = 0.0 * speeds
     types = np.array(column.types)
     atoms = "%d %d %s %s 0 0 %r\n"
     columns: tuple[Array, ...] = types, column.diameters, column.densities, z
     if column.predicts or column.formula:
-        # Positions come first, the molecule of atom_style bond and what sph adds come last.
+        # Positions come first. The molecule of atom_style bond and the columns of sph come last.
         last = " 0" * bool(column.formula) + " 0 0 0" * column.predicts
         atoms = f"%d %d 0 0 %r %s %s{last}\n"
         columns = types, z, column.diameters, column.densities
@@ -201,7 +200,7 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
 
 
 def _lines(line: str, *columns: Array) -> Iterator[str]:
-    """Yield lines of a data file, of many grains at a time: its number, and these values.
+    """Yield lines of a data file, many grains at a time: the number and these values.
 
     Values with %s are equal for many grains, and those are converted once.
     """
@@ -217,7 +216,7 @@ def _lines(line: str, *columns: Array) -> Iterator[str]:
 
 
 def _bond_lines(types: list[int]) -> Iterator[str]:
-    """Yield the lines of the bonds: number, type, and the two grains."""
+    """Yield the lines of the bonds: number, type and the two grains."""
     for number, bond_type in enumerate(types, 1):
         yield f"{number} {bond_type} {number} {number + 1}\n"
 
@@ -229,7 +228,7 @@ def _own_lines(column: LammpsColumn) -> Iterator[str]:
 
 
 def _as_text(values: Array) -> list[str]:
-    """Return numbers with all their digits."""
+    """Return numbers as text with all digits."""
     distinct, places = np.unique(values, return_inverse=True)
     texts: list[str] = np.array(list(map(repr, distinct.tolist())), object)[places].tolist()
     return texts
@@ -238,11 +237,12 @@ def _as_text(values: Array) -> list[str]:
 def _fill(
     column: LammpsColumn, step: float, splitting: Splitting, done: int = 0, **values: Any
 ) -> str:
-    """Return the commands of the deck, or of the user's template in its place."""
+    """Return the commands of the built-in deck or of the user's template."""
     from ...util.templates import render, render_text
 
     scene = column.scene
-    # velocity Verlet and its compositions kick in LAMMPS; else the kicks come from outside
+    # LAMMPS applies the kicks of velocity Verlet and its compositions; other kicks come from
+    # outside.
     kicks = carries(splitting) and not kicks_by_force(scene, splitting)
     every = round(scene.sampling_interval / step)
     count = every * scene.intervals * deck_steps(splitting)
@@ -263,7 +263,7 @@ def _fill(
         "steps_a_step": deck_steps(splitting),
         "first_step": done * deck_steps(splitting),
         "start_time": done * step,
-        # fix move wants steps of one length; else the speeds come from outside
+        # The command fix move requires equal steps; otherwise the velocities are set from outside.
         "moves": splitting.order == 2,
         "include": column.include,
         **placeholders(scene.excitation, scene.duration),
@@ -271,7 +271,7 @@ def _fill(
     if not column.template:
         return render("in.column", CLOSED, **values)
     text = render_text(column.template, "template", CLOSED, **values)
-    # Otherwise the commands of the user would be lost without a message.
+    # Without this check, the user's commands could be missing from the deck without a message.
     if column.include not in text:
         raise InputError.at(
             "include", "the template has no place for it: put {{ include }} where it belongs"

@@ -1,4 +1,4 @@
-"""Decks of lmpchain read back, edited or not, without running them."""
+"""Reads decks of lmpchain, edited or not, without running them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from . import deck
 from .column import LammpsColumn
 
 EXPONENTS = {"hertz": 1.5, "hooke": 1.0}
-HEAVIEST = 1e5  # kg/m3: denser grains are drawn with a gauge diameter
-SAME_NUMBER = 1e-6  # relative difference of numbers that were written and read
-GAPS = 1e-4  # of an overlap, by which heights at rest may differ
-# Arguments of these commands may differ, and they may be repeated: the last one counts, runs
-# add up.
+HEAVIEST = 1e5  # Grains above this density have a gauge diameter, kg/m3.
+SAME_NUMBER = 1e-6  # Relative difference of a number after writing and reading.
+GAPS = 1e-4  # Largest difference of heights at rest, as a fraction of an overlap.
+# Commands whose arguments may differ and that may be repeated: the last one is valid, and runs add
+# up.
 FREE = {
     "verlet": {"timestep", "run", "thermo", "dump_modify"},
     "kahan-li6": {"thermo", "dump_modify"},
@@ -45,14 +45,14 @@ VARIABLE = re.compile(r"\$\{(\w+)\}", re.ASCII)
 USED = re.compile(r"(?:\$\{|v_)(\w+)", re.ASCII)
 LAMMPS_NUMBER = re.compile(
     r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII
-)  # as LAMMPS reads one
+)  # A number as LAMMPS reads it.
 PLAIN_PATH = re.compile(r"[\w./+-]+", re.ASCII)
-# Columns of a row: their number, the count of leading integers, and columns that must be 0. A
+# Layout of a row: number of columns, count of leading integers, and columns that must be 0. A
 # hybrid style has a column more for bonds, three for sph, or both.
 ATOMS = {("Atoms # sphere", 7): (7, 2, [4, 5])} | {
     ("Atoms # hybrid", length): (length, 2, [2, 3, *range(7, length)]) for length in (8, 10, 11)
 }
-# Type, diameter, density and height in such a row.
+# Columns of type, diameter, density and height in a row.
 COLUMNS = {"Atoms # sphere": [1, 2, 3, 6], "Atoms # hybrid": [1, 5, 6, 4]}
 DATA_ROWS = {
     "Velocities": (7, 1, [1, 2, 4, 5, 6]),
@@ -63,19 +63,19 @@ BONDS = "Bonds"
 
 
 class Deck(NamedTuple):
-    """The content of a deck: the scene that it runs, and its method.
+    """The content of a deck: its scene and its method.
 
     Attributes
     ----------
     scene : Scene
     integrator : str
-        As the native engine has it: "lagged-verlet" of a damped chain with fix nve.
+        Method as in the native engine: "lagged-verlet" for a damped chain with fix nve.
     step : float
-        s.
+        Time step, s.
     gauge : float
-        Diameter with which all grains are drawn, m; 0 for their own.
+        Gauge diameter of all grains, m; 0 for their own diameters.
     digits : int
-        Of the numbers in its dump.
+        Digits of the numbers in the dump.
     """
 
     scene: Scene
@@ -86,14 +86,14 @@ class Deck(NamedTuple):
 
 
 class _DeckLine(NamedTuple):
-    """A command with its number in the file."""
+    """A command with its line number."""
 
     number: int
     words: list[str]
 
 
 class _Grains(NamedTuple):
-    """The data file: types, (N,) m, kg/m3, m, m/s, m, from the top; z points up.
+    """Grains of a data file from the top, z upward: types and properties in SI units.
 
     `own` has a column for each parameter of the ground that differs from grain to grain, and
     `bonds` a row for each contact by a formula: number, type and grains.
@@ -113,12 +113,12 @@ class _Grains(NamedTuple):
 
     @property
     def masses(self) -> Array:
-        """(N,) kg."""
+        """Masses, (N,) kg."""
         return np.pi / 6 * self.diameters**3 * self.densities
 
 
 class _Script:
-    """The commands of a deck."""
+    """The parsed commands of a deck."""
 
     def __init__(self, path: Path):
         self.path = path
@@ -136,12 +136,12 @@ class _Script:
                     raise self.refuse(line, f"uses the variable {name} before it is set")
 
     def refuse(self, line: _DeckLine | None, why: str) -> InputError:
-        """Return the fault of a line, or of the file."""
+        """Return the error for a line, or for the file."""
         where = f"line {line.number} ({short(' '.join(line.words))}) " if line else ""
         return InputError.at(str(self.path), f"{where}{why}")
 
     def find(self, *words: str) -> _DeckLine | None:
-        """Return the first command that begins with these words."""
+        """Return the first command that begins with these words, or None."""
         found = (line for line in self.lines if line.words[: len(words)] == list(words))
         return next(found, None)
 
@@ -154,7 +154,7 @@ class _Script:
         return line
 
     def value(self, text: str, line: _DeckLine) -> float:
-        """Return a number, a variable or a product of two; raises `InputError`."""
+        """Return the value of a number, a variable or a product of two; raises `InputError`."""
         if match := PRODUCT.fullmatch(text):
             first, factor, second = match.groups()
             product = [factor or f"${{{first}}}", f"${{{second}}}"]
@@ -165,13 +165,13 @@ class _Script:
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
         if not LAMMPS_NUMBER.fullmatch(text):
-            raise self.refuse(line, "holds no number that can be read without LAMMPS")
+            raise self.refuse(line, "contains no number that can be read without LAMMPS")
         if not math.isfinite(number := float(text)):
-            raise self.refuse(line, "must hold a finite number")
+            raise self.refuse(line, "must contain a finite number")
         return number
 
     def argument(self, line: _DeckLine, place: int) -> str:
-        """Return a word of a command; raises `InputError`."""
+        """Return one word of a command; raises `InputError` if it is missing."""
         if place >= len(line.words):
             raise self.refuse(line, "is too short")
         return line.words[place]
@@ -183,7 +183,7 @@ class _Script:
         return self.value(f"${{{name}}}", self.variables[name])
 
     def count(self, text: str, line: _DeckLine, least: int = 1) -> int:
-        """Return a whole number from `least`; raises `InputError`."""
+        """Return an integer of at least `least`; raises `InputError` for other words."""
         number = self.value(text, line)
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
@@ -236,7 +236,7 @@ class _Script:
 
 
 def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
-    """Read what a deck is to run from `in.column` and `column.data`, and execute nothing.
+    """Read the scene of a deck from `in.column` and `column.data` without executing anything.
 
     Chain and excitation follow from the numbers in both files. The commands must be those that
     lmpchain writes for them; variables, the time step and the length of the run may differ.
@@ -312,7 +312,7 @@ def _commands(text: str) -> list[_DeckLine]:
     """Return the commands of a text without comments."""
     lines = []
     for number, line in enumerate(text.split("\n"), 1):
-        # LAMMPS joins continued lines before it removes comments.
+        # LAMMPS joins continuation lines before it removes comments.
         command, _, comment = line.partition("#")
         words = command.split() + (["&"] if comment.rstrip().endswith("&") else [])
         if words:
@@ -321,7 +321,7 @@ def _commands(text: str) -> list[_DeckLine]:
 
 
 def _is_index(words: Sequence[str]) -> bool:
-    """Return whether a command sets a variable that `-var` replaces."""
+    """Return whether a command defines a variable that `-var` can replace."""
     return len(words) == 4 and words[0] == "variable" and words[2] == "index"
 
 
@@ -376,7 +376,7 @@ def _forms(title: str, length: int) -> dict[str, tuple[int, int, list[int]]]:
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
-    """Return the rows of a section by their number; raises `ValueError`."""
+    """Return the rows of a section by number; raises `ValueError` for other formats."""
     length, whole, _ = form
     for row in rows:
         if len(row) != length or not all(map(LAMMPS_NUMBER.fullmatch, row)):
@@ -390,7 +390,7 @@ def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
 
 
 def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
-    """Return the chain of a deck."""
+    """Return the chain that a deck describes."""
     if formula := script.find("bond_style") or script.find("fix", "ground"):
         cure = "give its scene, --scene"
         raise script.refuse(formula, f"has a formula with its numbers filled in: {cure}")
@@ -403,8 +403,8 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     if hertz:
         constants = stiffness * np.sqrt(d[:-1] * d[1:] / (d[:-1] + d[1:]) / 2)
         share = pair_value(masses) / 1.5
-    # Only overlaps and masses enter the motion. Grains of the gauge diameter would be compressed
-    # too much for a scene.
+    # Only overlaps and masses affect the motion. Grains of gauge diameter would be compressed too
+    # much for a scene.
     diameters = np.cbrt(6 * masses / (np.pi * 2500.0)) if gauge else d
     return Chain(
         grains=masses.size,
@@ -421,7 +421,7 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
 
 
 def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
-    """Return the ends of the chain of a deck, and the constants of its walls."""
+    """Return the ends of a deck's chain and the constants of its walls."""
     count = diameters.size
     mobile = script.need("group", "mobile", "id")
     first, _, last = script.argument(mobile, 3).partition(":")
@@ -439,7 +439,7 @@ def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
 
 
 def _load(script: _Script, grains: _Grains, constant: float, exponent: float) -> float:
-    """Return the load on the top of the chain of a deck, N.
+    """Return the load on the top of a deck's chain, N.
 
     On a grain that is driven, or below a wall, it is none of the commands, but in the overlap of
     the first contact at rest.
@@ -460,7 +460,7 @@ def _load_grain(script: _Script) -> int:
 
 
 def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]:
-    """Return the model, and stiffness and damping of each contact between grains, (N-1,)."""
+    """Return the contact model, and stiffness and damping of each contact, (N-1,)."""
     style, words = _pair_style(script)
     if words[:1] == ["gran/hertz/history"] and len(words) == 7:
         alike = np.ones(len(types) - 1)
@@ -471,17 +471,17 @@ def _contacts(script: _Script, types: Sequence[int]) -> tuple[str, Array, Array]
     for line in script.lines:
         if line.words[0] != "pair_coeff" or line.words[3:4] == ["dpd"]:
             continue
-        # Among several pair styles, a coefficient names its own.
+        # With several pair styles, a coefficient names its style.
         arguments = [word for word in line.words[1:] if word != "granular"]
         if len(arguments) < 5 or arguments[2] not in EXPONENTS:
-            raise script.refuse(line, "is no contact that lmpchain writes")
+            raise script.refuse(line, "is not a contact that lmpchain writes")
         first, second, model = arguments[:3]
         key = None
         if first != "*":
             key = script.count(first, line), script.count(second, line)
         table[key] = (script.value(arguments[3], line), script.value(arguments[4], line))
     if words != ["granular"] or not table:
-        raise script.refuse(style, "is no force that lmpchain writes")
+        raise script.refuse(style, "is not a force that lmpchain writes")
     rows = [
         table.get((min(pair), max(pair)), table.get(None, (math.nan, 0.0)))
         for pair in pairwise(types)
@@ -495,7 +495,7 @@ def _pair_style(script: _Script) -> tuple[_DeckLine, list[str]]:
     style = script.need("pair_style")
     words = style.words[1:]
     if words[:1] == ["hybrid/overlay"] and "dpd" in words:
-        # Style dpd acts between no grains: fix mvv/dpd asks for it.
+        # Style dpd acts between no grains, but fix mvv/dpd requires it.
         words = words[1 : words.index("dpd")]
     if not words:
         raise script.refuse(style, "is too short")
@@ -509,7 +509,7 @@ def _wall_constant(script: _Script, line: _DeckLine, diameter: float, hertz: boo
 
 
 def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
-    """Return the damping of a deck."""
+    """Return the damping that a deck describes."""
     drag = 0.0
     if line := script.find("fix", "drag", "mobile", "viscous"):
         drag = script.value(script.argument(line, 4), line) / float(masses[0])
@@ -521,12 +521,12 @@ def _damping(script: _Script, viscous: Array, masses: Array) -> Damping:
 
 
 def _excitation(script: _Script, grains: _Grains) -> Excitation:
-    """Return the excitation of the column of a deck."""
+    """Return the excitation that a deck describes."""
     if struck := script.find("group", "struck", "id"):
         grain = script.count(script.argument(struck, 3), struck)
         return Impulse(velocity=script.variable("v0"), grain=grain)
     if line := script.find("variable", "c0"):
-        fault = "acts through points, which the deck does not hold: give its scene, --scene"
+        fault = "acts through points, which the deck does not contain: give its scene, --scene"
         raise script.refuse(line, fault)
     if "amplitude" not in script.variables:
         displacement = grains.rest - grains.heights
@@ -546,7 +546,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
 
 
 def _check_heights(scene: Scene, grains: _Grains) -> None:
-    """Raise `InputError` unless grains rest and start where the scene has them."""
+    """Raise `InputError` unless the grains rest and start at the heights of the scene."""
     if scene.chain.grains != grains.rest.size:
         fault = f"has {grains.rest.size} grains, the scene {scene.chain.grains}"
         raise InputError.at(str(grains.path), fault)
@@ -565,7 +565,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
         )
     u, v = scene.initial()
     if isinstance(scene.excitation, Impulse):
-        # A deck sets the velocity of the strike itself.
+        # A deck applies the strike velocity itself.
         v = np.zeros_like(v)
     rounding = 4 * np.spacing(np.abs(grains.rest).max())
     starts = [(grains.rest - grains.heights, u, rounding), (0.0 - grains.speeds, v, 0.0)]
@@ -580,7 +580,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
 
 
 def _check_data(column: LammpsColumn, grains: _Grains) -> None:
-    """Raise `InputError` unless the rest of a data file is what lmpchain would write."""
+    """Raise `InputError` unless the rest of a data file is as lmpchain writes it."""
     low, high, bottom, top = map(repr, column.box)
     header = [
         [str(grains.rest.size), "atoms"],
@@ -594,15 +594,13 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
         header += [[str(len(kinds)), "bonds"], [str(len(coefficients)), "bond", "types"]]
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
-        fault = f"has another header than a column of {grains.rest.size} grains"
+        fault = f"does not have the header of a column of {grains.rest.size} grains"
         raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
     for key in ("types", "diameters"):
         values, ours = (np.asarray(getattr(part, key)) for part in (grains, column))
         if not np.allclose(values, ours, rtol=SAME_NUMBER, atol=0.0):
             worst = int(np.abs(values - ours).argmax()) + 1
-            fault = (
-                f"grain {worst} has another of the {key} than lmpchain writes, {ours[worst - 1]:g}"
-            )
+            fault = f"grain {worst} differs in the {key} from lmpchain's deck, {ours[worst - 1]:g}"
             raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
 
 
@@ -622,9 +620,9 @@ def _check_formulas(column: LammpsColumn, grains: _Grains) -> None:
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:
-    """Raise `InputError` at the first command that lmpchain would not write for a column."""
+    """Raise `InputError` at the first command that lmpchain would not write for this column."""
     expected = _commands(deck.script(column, step, SPLITTINGS[integrator]))
-    cure = "a deck that does more than lmpchain deck writes cannot be foreseen"
+    cure = "only a deck as lmpchain deck writes it can be predicted"
     ours = {line.words[1]: line for line in expected if _is_index(line.words)}
     _check_variables(script, ours, cure)
     rest = [line.words for line in expected if not _is_index(line.words)]
@@ -633,8 +631,8 @@ def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step
 
 
 def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: str) -> None:
-    """Raise `InputError` at the first command that is not the next one of `rest`, or free."""
-    # A spline is applied piece by piece, so each run ends where the next piece begins.
+    """Raise `InputError` at the first command that is neither the next one of `rest` nor free."""
+    # A spline is applied piece by piece, so that each run ends where the next piece begins.
     pieces = sum(words[0] == "run" for words in rest) > 1
     free = free - ({"run"} if pieces else set())
     repeated = set()
@@ -653,7 +651,7 @@ def _check_order(script: _Script, rest: list[list[str]], free: set[str], cure: s
 
 
 def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> None:
-    """Raise `InputError` at the first variable that lmpchain would not set."""
+    """Raise `InputError` at the first variable that lmpchain would not define."""
     for name, line in script.variables.items():
         known = name in ours and (name in FREE_VARIABLES or _alike(line.words, ours[name].words))
         if not known:
@@ -661,7 +659,7 @@ def _check_variables(script: _Script, ours: dict[str, _DeckLine], cure: str) -> 
 
 
 def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
-    """Return whether a command only sets the length of the run or the output."""
+    """Return whether a command only affects the length of the run or its output."""
     words = line.words
     if words[0] == "dump_modify":
         return words[1:-1] in (["out", "sort", "id", "format", "float"], ["out", "format", "float"])
@@ -671,7 +669,7 @@ def _is_free(script: _Script, line: _DeckLine, free: set[str]) -> bool:
 
 
 def _alike(words: Sequence[str], others: Sequence[str]) -> bool:
-    """Return whether two commands agree within rounding."""
+    """Return whether two commands are equal within rounding."""
     if len(words) != len(others):
         return False
     return all(one == other or _near(one, other) for one, other in zip(words, others, strict=True))

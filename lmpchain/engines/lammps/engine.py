@@ -40,18 +40,18 @@ from .column import PAIR_STYLES, LammpsColumn
 from .stepper import LammpsStepper, word
 from .subprocess_ranks import gather
 
-# Names in a run folder.
+# Name of the log in a run folder.
 LOG = "log.lammps"
 DECK = "deck"
-UNKEPT = ("keep", "template")  # options with which a run cannot go on in another process
-# Each drift of a splitting is a run of its own, with commands and kicks from outside: the time of a
-# step of so many grains, some 17 us.
+UNKEPT = ("keep", "template")  # Options that prevent a run from continuing in another process.
+# Each drift of a splitting is a separate LAMMPS run with commands and kicks from outside. It costs
+# as much as a step of this number of grains, some 17 us.
 RUN_OVERHEAD = 250
 DIAMETERS = ("auto", "physical", "gauge")
 
 
 class HeightRoundOff(NamedTuple):
-    """Law of the round-off of heights, measured by analysis/calibration/roundoff.py.
+    """Model of the rounding error of heights, measured by analysis/calibration/roundoff.py.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ HEIGHTS = HeightRoundOff()
 
 
 class Lammps(TimeSteppingEngine):
-    """Integrate Eq. (1) in LAMMPS: `pair_style granular`, Hertz, no damping.
+    """Integrate Eq. (1) in LAMMPS, by default with `pair_style granular`.
 
     LAMMPS holds heights, not displacements, and so loses what is below the last digit of a height.
     How much that is gets estimated beforehand, and measured during the run against a native twin.
@@ -125,9 +125,9 @@ class Lammps(TimeSteppingEngine):
     ranks_of_mpi: ClassVar[bool] = True
     start_up_s: ClassVar[float] = 7e-2
     seconds_per_grain_step: ClassVar[float] = 7e-8
-    # file for the messages of LAMMPS; of splittings the set-up only, as each drift is a run
+    # File for the messages of LAMMPS; for splittings it contains the set-up only.
     log: Path | None = None
-    # run folder for the files of the commands of the user
+    # Run folder for files that user commands write.
     run_folder: Path | None = None
 
     def __init__(
@@ -153,12 +153,12 @@ class Lammps(TimeSteppingEngine):
         self.ranks = ranks
         self.template = "" if template is None else deck.read_user_text("template", template)
         self.include = "" if include is None else deck.read_include(include)
-        cure = "it holds fixes, computes and dumps, and the run comes after it"
+        cure = "it may only contain fixes, computes and dumps"
         deck.refuse_run("include", self.include, cure)
         self.keep = None if keep is None else expanded(keep)
         if own := [key for key in ("template", "include") if getattr(self, key)]:
             commands = f"the commands of your {' and '.join(own)} may move the grains"
-            self.suspect = f"{commands} as the scene does not say: run without, to see"
+            self.suspect = f"{commands} beyond the scene: run without them to compare"
         self.whole = keep is not None or bool(self.template or self.include)
 
     def splitting(self, scene: Scene) -> Splitting:
@@ -168,16 +168,16 @@ class Lammps(TimeSteppingEngine):
         return SPLITTINGS[self.integrator]
 
     def methods(self, scene: Scene) -> list[Method]:
-        """Return the method that it takes."""
+        """Return the single method of this engine for a scene."""
         name = self.splitting(scene).name
         return [methods_of(scene.chain)[name]]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why LAMMPS cannot do this scene."""
+        """Return the reasons why LAMMPS cannot solve this scene."""
         if scene.excitation.from_below:
             return [("end", "decks drive no base from below; use the engine native")]
         if scene.chain.damped and self.splitting(scene) != VERLET:
-            fault = "kicks from outside know no velocities: use verlet, or leave it out"
+            fault = "damping requires verlet in LAMMPS: use it, or leave the integrator out"
             return [("integrator", fault)]
         exponents = {"granular": (1.5, 1.0), "gran/hertz/history": (1.5,)}[self.pair_style]
         law = scene.chain.law
@@ -187,11 +187,11 @@ class Lammps(TimeSteppingEngine):
         elif law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
             got = law if law.power is None else f"{law.power:g}"
-            fault = f"knows {allowed} only (got {got}); use the engine native"
+            fault = f"supports only {allowed} (got {got}); use the engine native"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
-            return [("ranks", f"must be at most one a grain, {grains} (got {self.ranks})")]
+            return [("ranks", f"must be at most one per grain, {grains} (got {self.ranks})")]
         small = float(scene.chain.diameters.min())
         try:
             for gauge in {"physical": (0.0,), "gauge": (small,), "auto": (0.0, small)}[
@@ -210,19 +210,21 @@ class Lammps(TimeSteppingEngine):
         return []
 
     def _refuses_formula(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why LAMMPS cannot do a scene with a law by formula."""
+        """Return the reasons why LAMMPS cannot solve a scene with a law by formula."""
         if self.pair_style != "granular":
-            return [("pair_style", f"{self.pair_style} has no law by formula: leave it out")]
+            return [
+                ("pair_style", f"{self.pair_style} does not support a law by formula: leave it out")
+            ]
         native = "use the engine native"
         if scene.chain.contact_viscosity.any():
-            fault = "LAMMPS has no viscous contacts with a law by formula, only a drag"
+            fault = "LAMMPS supports no viscous contacts with a law by formula, only drag"
             return [("chain.damping.viscoelastic", f"{fault}; {native}")]
         if scene.excitation.wall is not None:
-            return [("excitation", f"LAMMPS moves no wall with a law by formula; {native}")]
+            return [("excitation", f"LAMMPS cannot move a wall with a law by formula; {native}")]
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
-        """Return the expected time of the native trial that finds the step, s; infinite if none is.
+        """Return the expected time of the native trial for the step, s; infinite if impossible.
 
         Only its first attempt is foreseen.
         """
@@ -232,17 +234,17 @@ class Lammps(TimeSteppingEngine):
             return math.inf
 
     def _trial(self, scene: Scene) -> CompiledSteps:
-        """Return the engine of the native trial: the same map."""
+        """Return the native engine of the trial, which computes the same steps."""
         return CompiledSteps(self.splitting(scene).name, self.step)
 
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
     ) -> Proposal:
-        """Find the step with native trials of the same map, and the diameter from the round-off."""
+        """Find the step by native trials, and the diameter by the expected rounding error."""
         if steps.per_landing > deck.STEPS_OF_A_RUN:
-            # refuses years of work, which more samples would not shorten
+            # This call rejects years of work, which more samples would not shorten.
             super().propose_steps(scene, tolerance, method, steps)
-            most = f"{steps.per_landing} steps from one to the next are more than LAMMPS counts"
+            most = f"{steps.per_landing} steps per sample exceed the largest number in LAMMPS"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
         bounded = self.diameter == "gauge" and _bounds_overlaps(scene)
@@ -251,7 +253,7 @@ class Lammps(TimeSteppingEngine):
             gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
             return proposal._replace(choices=_choices(gauge, "as asked"))
         native = self._trial(scene)
-        # half of the tolerance is for the step, half for round-off
+        # Half of the tolerance is for the truncation error, half for rounding.
         try:
             trial = _try_steps(native, scene, tolerance / 2)
         except ToleranceNotMet as limit:
@@ -262,7 +264,7 @@ class Lammps(TimeSteppingEngine):
         errors = tuple(
             min(self.round_off(scene, drawn, taken, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
         )
-        # a given step has no tolerance: its own error says which round-off is too much
+        # A given step has no tolerance, so its truncation error limits the allowed rounding error.
         asked_for = f"the given step leaves {trial.error.truncation:.1g}"
         if not fixed:
             asked_for = f"{tolerance:.1g} is asked for"
@@ -286,7 +288,7 @@ class Lammps(TimeSteppingEngine):
     def _takes_gauge(
         self, scene: Scene, errors: tuple[float, ...], tolerance: float, fixed: bool
     ) -> bool:
-        """Return whether to take the gauge diameter, by the round-off with the physical one and it.
+        """Return whether to use the gauge diameter, from both rounding errors and the allowed one.
 
         Raises
         ------
@@ -309,11 +311,11 @@ class Lammps(TimeSteppingEngine):
         return small
 
     def overhead(self, method: Method) -> int:
-        """Return the overhead of a force evaluation, in grains."""
+        """Return the overhead of a force evaluation, in units of grains."""
         return super().overhead(method) if method.order <= 2 else RUN_OVERHEAD
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
-        """Return a bound on the relative round-off of a run, from the last digit of a height.
+        """Return a bound on the relative rounding error of a run, from one ulp of a height.
 
         Each force evaluation moves every grain and rounds its height: a random walk. In the
         velocity the same error counts times the highest frequency. In 60 random scenes the measured
@@ -327,7 +329,7 @@ class Lammps(TimeSteppingEngine):
         return float(max(walk / u, walk * scene.highest_frequency / v))
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
-        """Predict round-off: a random walk of 0.16 ulp of the largest height a force evaluation.
+        """Predict rounding: a random walk of 0.16 ulp of the largest height per force evaluation.
 
         In the velocities it counts times the highest frequency.
         """
@@ -337,7 +339,7 @@ class Lammps(TimeSteppingEngine):
     def refine(
         self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
     ) -> Proposal | None:
-        """Shorten the step; or, if round-off was the limit, take the gauge diameter."""
+        """Shorten the step; if rounding was the limit, use the gauge diameter instead."""
         gauge = gauge_of(proposal, "gauge_m")
         free = self.diameter == "auto" and gauge and not gauge_of(proposal)
         if free and error and error.roundoff > 0.5 * tolerance:
@@ -352,8 +354,8 @@ class Lammps(TimeSteppingEngine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> LammpsStepper:
-        """Make the stepper of the answer."""
-        # one instance, one chain: auxiliary runs are native
+        """Create the stepper of the run."""
+        # An instance solves one chain; auxiliary runs are native.
         (scene,) = scenes
         column = self.column(scene, proposal)
         if self.run_folder and self.include:
@@ -375,7 +377,7 @@ class Lammps(TimeSteppingEngine):
         return stepper
 
     def column(self, scene: Scene, proposal: Proposal, remark: str = "") -> LammpsColumn:
-        """Return the column of a proposal, with the choices as remarks for the head of a deck."""
+        """Return the column of a proposal, with the choices as comments for the head of a deck."""
         error = proposal.solver_error
         expected = "not estimated beforehand" if math.isnan(error) else f"{error:.1g}"
         remarks = (
@@ -388,7 +390,7 @@ class Lammps(TimeSteppingEngine):
         )
 
     def options(self) -> dict[str, Any]:
-        """Return the constructor arguments that make an equal engine in another process.
+        """Return the constructor arguments of an equal engine for another process.
 
         Raises
         ------
@@ -432,7 +434,7 @@ class Lammps(TimeSteppingEngine):
         if (timed and splitting.order > 2) or not deck.carries(splitting):
             integrator = "verlet"
             step /= splitting.evaluations
-        # Without a bound, the gauge diameter would need another trial.
+        # Without a bound on overlaps, the gauge diameter would need another trial.
         diameter = "gauge" if gauge_of(proposal) and _bounds_overlaps(scene) else "physical"
         try:
             engine = Lammps(integrator, step, diameter, self.pair_style)
@@ -441,7 +443,7 @@ class Lammps(TimeSteppingEngine):
             warn(f"{folder}: there is no deck: {error}", stacklevel=2)
 
     def write_deck(self, scene: Scene, tolerance: float, folder: Path, overwrite: bool) -> Path:
-        """Write a deck that runs by itself, and its data file; return the deck.
+        """Write a complete deck and its data file; return the path of the deck.
 
         Where round-off in heights keeps the tolerance out of reach, it is written for the error
         that can be had.
@@ -470,7 +472,7 @@ class Lammps(TimeSteppingEngine):
 
 
 def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
-    """Raise `InputError` unless these options are right."""
+    """Raise `InputError` unless these options are valid."""
     for key, value, names in (
         ("diameter", diameter, DIAMETERS),
         ("pair_style", pair_style, PAIR_STYLES),
@@ -485,7 +487,7 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
 def _try_steps(
     native: CompiledSteps, scene: Scene, tolerance: float
 ) -> Outcome[tuple[Array, float]]:
-    """Return the native trial at the longest steps that meet the tolerance, if any do.
+    """Return the native trial with the longest steps that meet the tolerance, or None.
 
     Where nothing bounds the strain beforehand, its first steps may be much too short.
     """
@@ -510,12 +512,12 @@ def _try_steps(
 
 
 def _without_heights(reason: str, known_until: float) -> ToleranceNotMet:
-    """Return the refusal of what a native trial misses: why, and from when on, s."""
+    """Return the reason and time, s, from which a native trial misses the tolerance."""
     return ToleranceNotMet(f"even without round-off in heights, {reason}", known_until=known_until)
 
 
 def _largest_motion(run: Run) -> tuple[Array, float]:
-    """Run; return the largest displacement and velocity, m, m/s, and the closest approach, m."""
+    """Run, and return the largest displacement, m, velocity, m/s, and closest approach, m."""
     assert isinstance(run, SteppingRun)
     for _ in run.blocks():
         check_time()
@@ -523,7 +525,7 @@ def _largest_motion(run: Run) -> tuple[Array, float]:
 
 
 def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
-    """Return the gauge diameter, m, or 0 where the grains are no larger than that.
+    """Return the gauge diameter, m; 0 if the grains are not larger.
 
     The gauge diameter is a few times the largest overlap: a rigorous bound or, if there is none,
     the overlap at rest and the `closest` approach of a trial, m.
@@ -535,7 +537,7 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
 
 
 def _bounds_overlaps(scene: Scene) -> bool:
-    """Return whether a bound on the overlaps is known without a trial.
+    """Return whether a bound on the overlaps is available without a trial.
 
     There is none if the excitation does work, or if the force of a contact falls somewhere.
     """
@@ -543,12 +545,12 @@ def _bounds_overlaps(scene: Scene) -> bool:
 
 
 def _choices(gauge: float, reason: str) -> dict[str, str | float]:
-    """Return the choice of a diameter, m, 0 for the physical one, and the reason."""
+    """Return the choice and reason of a diameter, m; 0 for the physical diameter."""
     return {"diameter": "gauge" if gauge else "physical", "drawn_m": gauge, "why": reason}
 
 
 def gauge_of(proposal: Proposal, key: str = "drawn_m") -> float:
-    """Return the gauge diameter that is drawn, or may be, m; 0 for the physical one."""
+    """Return the gauge diameter that a proposal uses or may use, m; 0 for the physical one."""
     gauge = proposal.choices.get(key, 0.0)
     assert not isinstance(gauge, str)
     return gauge

@@ -1,4 +1,4 @@
-"""Decks that run by themselves in LAMMPS."""
+"""Complete decks for LAMMPS."""
 
 from __future__ import annotations
 

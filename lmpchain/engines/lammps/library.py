@@ -1,4 +1,4 @@
-"""LAMMPS as a library: how it is loaded, and the packages that it must have."""
+"""LAMMPS as a library: loading, and required packages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ...util import mpi
 from ...util.remarks import warn
 
 SIGNALS = {signal.SIGINT, signal.SIGTERM}
-TESTED = 20250722  # 22 Jul 2025, updates 4 and later
+TESTED = 20250722  # Version of 22 Jul 2025, updates 4 and later.
 
 
 def open_lammps(log: str = "none", world: Any = None) -> Any:
@@ -65,15 +65,15 @@ def check_packages(instance: Any, *names: str) -> None:
 
 
 class _ClosedInstance:
-    """An instance of LAMMPS that has ended, and has no destructor."""
+    """An instance of LAMMPS that has ended; it has no destructor."""
 
 
 def close_lammps(instance: Any) -> None:
-    """End an instance; Ctrl-C comes before or after, and is not lost."""
+    """Close an instance; Ctrl-C is handled before or after, and not lost."""
     with signals_blocked():
         instance.close()
-        # The destructor of LAMMPS runs whenever Python collects garbage, and Python drops a Ctrl-C
-        # that arrives in a destructor.
+        # The destructor of LAMMPS runs whenever Python collects garbage, and Python ignores a
+        # Ctrl-C that arrives in a destructor.
         instance.__class__ = _ClosedInstance
 
 
@@ -83,7 +83,7 @@ def signals_blocked() -> Iterator[None]:
 
     A mask of signals holds for one thread, and another, of a library, would take them in its place.
     """
-    # Python handles signals in the main thread only.
+    # Python handles signals only in the main thread.
     if threading.current_thread() is not threading.main_thread():
         yield
         return

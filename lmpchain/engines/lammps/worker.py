@@ -1,4 +1,4 @@
-"""One MPI rank of LAMMPS with its own grains; all ranks obey the same calls in one order."""
+"""One MPI rank of LAMMPS with its own grains; all ranks execute the same calls in order."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ class StepPlan:
         Grains first ... last - 1, counted from 0, move by the equation of motion.
     splitting : Splitting
     step : float
-        s.
+        Time step, s.
     done : int
-        Steps done before.
+        Number of earlier steps.
     pieces : tuple of (end, commands)
-        Of a spline.
+        Pieces of a spline: end time, s, and LAMMPS commands.
     rest : float
         Height at which grain 1 rests, m.
     wave : Waveform or None
-        What is imposed: a force if it is `pushed`, or the motion of grain 1 if that is `driven`,
+        Forcing: a force on the grain `pushed`, or the motion of grain 1 if `driven`,
         else of the top wall.
     driven : bool
     pushed : int or None
-        The grain, counted from 0, that a force kicks from outside.
+        Index of the grain, from 0, on which an external force acts.
     timed : bool
         Whether the force from the ground depends on the time.
     """
@@ -65,12 +65,12 @@ class StepPlan:
 
     @property
     def walled(self) -> bool:
-        """Whether the top wall is moved from outside."""
+        """Whether the top wall is moved from outside LAMMPS."""
         imposed = bool(self.wave) and self.splitting.order > 2
         return imposed and not self.driven and self.pushed is None
 
     def intervals(self, index: int) -> list[tuple[float, Array]]:
-        """Return length and drift times of a step, in two parts if the waveform ends within it."""
+        """Return length and drift times of a step, split in two if the waveform ends within it."""
         # Imposed values are needed at the ends of the drifts.
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step
@@ -84,7 +84,7 @@ class StepPlan:
 
 
 class LocalState(NamedTuple):
-    """Heights, velocities and forces of grains from `start`, and whether they lie on the axis."""
+    """Heights, velocities and forces of grains from `start`, and whether they are on the axis."""
 
     start: int
     z: Array
@@ -112,11 +112,11 @@ class Worker:
         check_packages(self._lammps, *packages)
 
     def commands(self, text: str) -> None:
-        """Execute commands."""
+        """Execute LAMMPS commands."""
         self._lammps.commands_string(text)
 
     def begin(self, plan: StepPlan, state: tuple[Array, ...], include: str = "") -> None:
-        """Compute the first forces, set the state, and keep views of the arrays.
+        """Compute the first forces, set the state, and create views of the arrays.
 
         The state consists of heights, velocities and, if the run is resumed, forces; it is empty if
         LAMMPS has read it. Stored forces replace the first ones: with damping, they depend on the
@@ -133,13 +133,12 @@ class Worker:
         if plan.walled:
             self._move_wall(plan.done * plan.step)
         elif plan.done and plan.pieces and plan.splitting.order == 2:
-            # The first forces are those at the end of the last step, within its piece of the
-            # spline.
+            # The first forces belong to the end of the last step, within its piece of the spline.
             ends = [int(end / plan.step) for end, _ in plan.pieces]
             later = (k for k, end in enumerate(ends) if end >= plan.done)
             self._use_piece(next(later, len(ends) - 1))
-        # This command assigns the grains to ranks and lists their neighbours. It sees the heights
-        # of the data file, those at t = 0, even if the run is resumed: a grain may have crossed the
+        # This command assigns the grains to ranks and lists their neighbours. It uses the heights
+        # of the data file at t = 0 even if the run is resumed, because a grain may have crossed the
         # border between two ranks, left the box, or moved away from its neighbour.
         self._set_up(state)
         if include:
@@ -147,7 +146,7 @@ class Worker:
             self._set_up(state)
 
     def _set_up(self, state: tuple[Array, ...]) -> None:
-        """Let LAMMPS prepare a run, keep views of its arrays, and set the state."""
+        """Let LAMMPS prepare a run, create views of its arrays, and set the state."""
         self._lammps.command("run 0 post no")
         self._view_arrays()
         for name, values in zip("xvf", state, strict=False):
@@ -161,7 +160,7 @@ class Worker:
             arrays.extract_atom(name)[:count, 2] = values[ids - 1]
 
     def _view_arrays(self) -> None:
-        """Keep views of the arrays of LAMMPS; a rank without grains has none."""
+        """Create views of the LAMMPS arrays; a rank without grains has none."""
         plan = self._plan
         total = self._lammps.get_natoms()
         if total != plan.grains:
@@ -187,7 +186,7 @@ class Worker:
         self._pushed = row if 0 <= row < self._vz.size else None
 
     def _check_order(self) -> None:
-        """Raise `EngineUnavailable` unless this rank has its grains, in their order."""
+        """Raise `EngineUnavailable` unless this rank has its grains in order."""
         count = self._lammps.extract_setting("nlocal")
         if count != self._ids.size or (self._ids != self._order).any():
             raise EngineUnavailable(
@@ -197,10 +196,10 @@ class Worker:
             )
 
     def advance(self, steps: int) -> None:
-        """Move forward by `steps` steps."""
+        """Advance by `steps` steps."""
         splitting = self._plan.splitting
         if splitting.order == 2:
-            # Velocity Verlet is the integrator of LAMMPS itself.
+            # Velocity Verlet is the built-in integrator of LAMMPS.
             self._run(steps)
         else:
             outside = not splitting.substeps or self._plan.pushed is not None
@@ -208,11 +207,11 @@ class Worker:
         self._done += steps
 
     def _run(self, steps: int) -> None:
-        """Run velocity Verlet, stopped only where a drive goes on with its next cubic piece."""
+        """Run velocity Verlet, with stops only at the ends of cubic pieces of a drive."""
         done = self._done
         last = self._done + steps
         pieces = self._plan.pieces
-        # A trace of an instrument may have a million pieces.
+        # A measured trace may have a million pieces.
         first = bisect_right(pieces, done * self._plan.step, key=itemgetter(0))
         for index in range(first, len(pieces)):
             if done == last:
@@ -227,7 +226,7 @@ class Worker:
             self._lammps.command(f"run {last - done} pre no post no")
 
     def _split(self, kicks: tuple[float, ...], steps: int) -> None:
-        """Run steps of several drifts, with the kicks of LAMMPS or with these, on its arrays."""
+        """Run steps of several drifts, with kicks by LAMMPS or by this function on its arrays."""
         command = self._lammps.command
         plan = self._plan
         drives = plan.driven and self._start == 0 and self._x.size
@@ -255,7 +254,7 @@ class Worker:
             self._v[0, 2] = -plan.wave.at((self._done + steps) * plan.step, 1)
 
     def _kick_grains(self, length: float, force: float) -> None:
-        """Kick all grains by the forces of LAMMPS, and one by this force, N, for a time, s."""
+        """Kick all grains by the LAMMPS forces, and one grain by a force, N, for a time, s."""
         # The array is reused because this function runs once per stage.
         self._vz += np.multiply(self._fz, self._inverse_mass * length, out=self._kick)
         if self._pushed is not None:
@@ -272,9 +271,9 @@ class Worker:
             self._piece = index
 
     def share(self) -> LocalState:
-        """Return the motion of the grains of this rank."""
+        """Return the motion of this rank's grains."""
         self._check_order()
-        # A column that buckles leaves its axis, so x or y is no longer exactly 0.
+        # A column that buckles leaves the axis, so that x or y is no longer exactly 0.
         straight = not self._x[:, :2].any()
         return LocalState(self._start, self._x[:, 2], self._v[:, 2], self._f[:, 2], straight)
 
@@ -284,5 +283,5 @@ class Worker:
 
 
 def deck_steps(splitting: Splitting) -> int:
-    """Return the number of steps of LAMMPS in one step of the splitting."""
+    """Return the number of LAMMPS steps in one step of the splitting."""
     return 1 if splitting.order == 2 else len(splitting.drifts)

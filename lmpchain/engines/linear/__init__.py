@@ -1,1 +1,1 @@
-"""Engines for the linearised chain, Eq. (3), and for the homogeneous and continuous ones."""
+"""Engines for linearised chains, Eq. (3), and for homogeneous and continuous limits."""

@@ -1,4 +1,4 @@
-"""Closed forms as engines: rows to compare with, for uniform columns that are struck at the top."""
+"""Closed-form solutions as engines, for comparison: uniform columns struck at the top."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .solutions import LinearSolution
 
 
 class ClosedForm(LinearEngine):
-    """A formula for the linear wave in a uniform column, compared with the exact linear solution.
+    """A formula for the linear wave in a uniform column, compared with the exact solution.
 
     The model error is the sum of the difference from Eq. (3), which is solved, too, and of the
     model error of Eq. (3).
@@ -33,7 +33,7 @@ class ClosedForm(LinearEngine):
     _beside = Chebyshev()
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why the formula does not hold for this scene."""
+        """Return the reasons why the formula does not hold for this scene."""
         reached = scene.reached
         chain = reached.chain
         cases = [
@@ -51,7 +51,7 @@ class ClosedForm(LinearEngine):
         return super().refuses(reached) + reasons
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose the formula, whose error is known before the run only if it is exact."""
+        """Propose the formula; its error is known before the run only if the formula is exact."""
         proposal = super().propose(scene.reached, tolerance)
         proposal = proposal._replace(active_grains=scene.chain.grains)
         return proposal if self.exact(scene) else proposal._replace(model_error=math.nan)
@@ -61,7 +61,7 @@ class ClosedForm(LinearEngine):
         return False
 
     def work(self, scene: Scene) -> float:
-        """Return the time of the exact solution and of the formula, s."""
+        """Return the expected time of the exact solution and of the formula, s."""
         return self._beside.work(scene) + 1e-6 * scene.samples * scene.recorded.size
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
@@ -74,7 +74,7 @@ class ClosedForm(LinearEngine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> ClosedFormRun:
-        """Start a run of one scene, or of a batch of scenes recorded alike."""
+        """Start a run of one scene, or of a batch of scenes with the same recording."""
         return ClosedFormRun(self, scenes, self._beside.start(scenes, proposal, state), state or {})
 
     @abstractmethod
@@ -83,7 +83,7 @@ class ClosedForm(LinearEngine):
 
 
 class Bessel(ClosedForm):
-    """The homogeneous chain without a bottom, Eqs. (4) and (13), with equally stiff contacts."""
+    """The homogeneous chain of equally stiff contacts without a bottom, Eqs. (4) and (13)."""
 
     name: ClassVar[str] = "bessel"
     auto = "cheapest"
@@ -107,7 +107,7 @@ class Bessel(ClosedForm):
 
 
 class Continuum(ClosedForm):
-    """The column as a continuum, Eq. (27): its impulse response, Eq. (35), averaged over grains."""
+    """The continuum limit, Eq. (27): its impulse response, Eq. (35), averaged over grains."""
 
     name: ClassVar[str] = "continuum"
     auto = "cheapest"
@@ -115,7 +115,7 @@ class Continuum(ClosedForm):
     equation: ClassVar[int] = 27
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why the formula does not hold for this scene."""
+        """Return the reasons why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.law.power is None:
             reasons.append(("law", "continuum needs a power of the overlap; use modes"))
@@ -147,14 +147,14 @@ class ClosedFormRun(Run):
         self._scenes = scenes
         self._exact = exact
         self._times = scenes[0].time
-        # Largest differences of displacement and velocity.
+        # Largest differences between formula and exact solution in displacement and velocity.
         self._apart = np.array(state.get("apart", np.zeros((2, len(scenes)))))
-        # Import now, so that the time of the first block is that of the formula.
+        # Imports happen now, so that the time of the first block is spent on the formula alone.
         engine.wave(scenes[0], self._times[:1])
         self._formula_s = 0.0
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer."""
+        """Yield the solution in blocks."""
         for block in self._exact.blocks():
             began = clock()
             times = self._times[block.samples]
@@ -166,7 +166,7 @@ class ClosedFormRun(Run):
 
     @property
     def progress(self) -> float:
-        """Part of the samples done."""
+        """Fraction of the samples that are done."""
         return self._exact.progress
 
     def errors(self) -> list[ErrorBudget]:

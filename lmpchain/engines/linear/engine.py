@@ -25,13 +25,13 @@ from .model_error import PhaseError, dense, evaluation_times, evaluations, expec
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution, sum_energies
 
 FROM_BELOW = ("end", "linear engines drive no base from below; use the engine native")
-BLOCK = 16  # Samples of a block, if they fit into the memory.
-# Largest number of values in memory, and number of values that takes nearly no time.
+BLOCK = 16  # Number of samples of a block, if they fit into memory.
+# Largest number of values in memory, and number of values of negligible cost.
 BLOCK_VALUES = 2**22
 SMALL_BLOCK = 2**14
-MOST_MODES = 12_000  # 1.2 GB of eigenvectors
-# Rounding error of a burst in modes at the lowest of its frequencies, in ulps;
-# analysis/calibration/roundoff.py
+MOST_MODES = 12_000  # The eigenvectors of this number of modes take 1.2 GB.
+# Rounding error of the modes of a burst at the lowest of its frequencies, in ulps; see
+# analysis/calibration/roundoff.py.
 CANCELS = 40.0
 
 
@@ -43,7 +43,7 @@ class LinearEngine(Engine):
     batches: ClassVar[bool] = True
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why there is no linear theory of this scene."""
+        """Return the reasons why linear theory does not apply to this scene."""
         contacts = scene.chain.contacts
         reasons = [FROM_BELOW] if scene.excitation.from_below else []
         if not scene.chain.compressed:
@@ -72,13 +72,13 @@ class LinearEngine(Engine):
         )
 
     def look(self, scene: Scene) -> PhaseError:
-        """Compute the linear solution and its model error; end if a contact opens."""
+        """Compute the linear solution and its model error; stop if a contact opens."""
         times = np.append(evaluation_times(scene), scene.duration)
         error = PhaseError(scene)
         recorded = np.ones(times.size, bool)
         size = max(1, BLOCK_VALUES // scene.chain.grains)
         for _ in _follow(self.solve(scene, {}), error, times, recorded, size):
-            # Linear theory ends where a contact opens.
+            # Linear theory becomes invalid when a contact opens.
             if error.remark:
                 break
         return error
@@ -93,7 +93,7 @@ class LinearEngine(Engine):
         The quadrature must not make a short run much longer. A forced run is allowed more, because
         the balance of energy then yields neither the dissipated energy nor the work.
         """
-        # So many evaluations times grains take 40 or 10 ms.
+        # This number of evaluations times grains takes 40 or 10 ms.
         values = 2**16 if scene.excitation.does_work else 2**14
         return max(values // scene.chain.grains, _evaluations(scene))
 
@@ -103,7 +103,7 @@ class LinearEngine(Engine):
 
     @abstractmethod
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, from t = 0 or from a stored state."""
+        """Return the solution from t = 0 or from a stored state."""
 
     def start(
         self,
@@ -111,7 +111,7 @@ class LinearEngine(Engine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> Run:
-        """Start a run of one scene, or of a batch of scenes recorded alike."""
+        """Start a run of one scene, or of a batch of scenes with the same recording."""
         return LinearRun(self, scenes, state or {})
 
     def refine(self, proposal: Proposal, error: ErrorBudget | None, tolerance: float) -> None:
@@ -128,10 +128,10 @@ class Chebyshev(LinearEngine):
     start_up_s: ClassVar[float] = 2e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why linear theory, or the series of one propagator, does not hold here."""
+        """Return reasons why linear theory or the series of a single propagator does not apply."""
         reasons = super().refuses(scene)
         excitation = scene.excitation
-        # Only for a sine is the propagator of the chain and its drive a constant matrix.
+        # The propagator of the chain and its drive is a constant matrix only for a sine.
         if (
             excitation.linear
             and excitation.does_work
@@ -147,16 +147,16 @@ class Chebyshev(LinearEngine):
         count = _evaluations(scene)
         series = min(count, max(1.0, radians / SPAN))
         polynomials = series * terms(radians / series)
-        reached = min(scene.chain.grains, 30 + radians / 4)  # on average, as the light cone grows
+        reached = min(scene.chain.grains, 30 + radians / 4)  # Mean width of the light cone.
         return 7e-10 * polynomials * (reached + 100) + 1.3e-8 * count * scene.chain.grains
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, from t = 0 or from a stored state."""
+        """Return the solution from t = 0 or from a stored state."""
         return ChebyshevSolution(scene, state)
 
 
 class Modes(LinearEngine):
-    """Sum the eigenmodes, Eqs. (14)-(16); one diagonalisation, whatever the number of samples."""
+    """Eigenmode sums, Eqs. (14)-(16), by one diagonalisation for any number of samples."""
 
     name: ClassVar[str] = "modes"
     auto = "cheapest"
@@ -166,7 +166,7 @@ class Modes(LinearEngine):
     start_up_s: ClassVar[float] = 2.4e-4
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why there is no linear theory of this scene, or no room for its modes."""
+        """Return the reasons why linear theory does not apply or its modes exceed the memory."""
         reasons = super().refuses(scene)
         if scene.chain.grains > MOST_MODES:
             why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
@@ -183,7 +183,7 @@ class Modes(LinearEngine):
         return reasons
 
     def round_off(self, scene: Scene) -> float:
-        """Return the relative rounding error; it includes the eigenvectors' error.
+        """Return the relative rounding error, including the error of the eigenvectors.
 
         A burst is the sum of three sines, whose transients nearly cancel shortly after its start.
         """
@@ -206,12 +206,12 @@ class Modes(LinearEngine):
         return 5.5e-11 * grains**3 + 6e-8 * grains * _evaluations(scene)
 
     def solve(self, scene: Scene, state: Mapping[str, Array]) -> LinearSolution:
-        """Return the solution, which needs no stored state."""
+        """Return the solution; it needs no stored state."""
         return ModalSolution(scene)
 
 
 def _smallest_motion(scene: Scene, largest: Array) -> float:
-    """Return the smaller one of the largest displacement and velocity, in m or m/s, or 1."""
+    """Return the smaller of the largest displacement and velocity, m or m/s; 1 if both are 0."""
     sizes = np.array([*largest, *(np.abs(x).max() for x in scene.initial())])
     return float(sizes[sizes > 0].min(initial=1.0))
 
@@ -270,7 +270,7 @@ class LinearRun(Run):
         self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer."""
+        """Yield the solution in blocks."""
         grains = self._scene.chain.grains
         size = max(1, min(max(BLOCK, SMALL_BLOCK // grains), BLOCK_VALUES // grains))
         while self._sample < self._scene.samples:
@@ -283,7 +283,7 @@ class LinearRun(Run):
             evaluated = sum(self._fill(block, real) for real in range(realisations))
             self._sample = samples.stop
             took = clock() - began
-            # Evaluations between the samples serve only the model error.
+            # Evaluations between the samples are only for the model error.
             integration_s = took * count * realisations / evaluated
             self._integration_s += integration_s
             self._estimate_s += took - integration_s
@@ -311,7 +311,7 @@ class LinearRun(Run):
 
     @property
     def progress(self) -> float:
-        """Part of the samples done."""
+        """Fraction of the samples that are done."""
         return self._sample / self._scene.samples
 
     def errors(self) -> list[ErrorBudget]:
@@ -330,7 +330,7 @@ class LinearRun(Run):
         ]
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
-        """Return the dissipated energy and the work, with their errors, of every realisation."""
+        """Return the dissipated energy, the work and their errors for every realisation."""
         engine = self._engine
         return [
             sum_energies(

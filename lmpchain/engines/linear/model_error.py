@@ -36,7 +36,7 @@ from .resonance import FEW, Resonance
 
 @dataclass(frozen=True)
 class Factors:
-    """Factors of the model error; analysis/calibration/linear_model_error.py measures them.
+    """Factors of the model error, measured by analysis/calibration/linear_model_error.py.
 
     Attributes
     ----------
@@ -111,7 +111,7 @@ class PhaseError:
         chain = scene.chain
         contacts = chain.contacts
         inverse_mass = 1 / chain.masses
-        # Held and driven grains do not respond to forces.
+        # Held and driven grains do not react to forces.
         inverse_mass[chain.movable :] = 0.0
         inverse_mass[: scene.excitation.driven] = 0.0
         length = np.where(contacts.pressed, contacts.length, np.inf)
@@ -148,12 +148,12 @@ class PhaseError:
 
     @property
     def state(self) -> Array:
-        """Copy of the sums, from which another object continues."""
+        """Copy of the sums, from which another object can continue."""
         return self._state.view(np.float64).copy()
 
     @property
     def error(self) -> float:
-        """Estimated relative error, as defined for a trajectory; 1 stands for any large error.
+        """Estimated relative error, as defined for a trajectory; 1 represents any larger error.
 
         Below `Factors.small` the upper bound is taken for forced scenes and packets. The effects of
         their few frequencies may add up in phase, and in random trials estimates were up to 8 times
@@ -164,7 +164,7 @@ class PhaseError:
 
     @property
     def estimate(self) -> float:
-        """Largest of the parts of the error, plus the pull of open contacts."""
+        """The largest part of the error, plus the contribution of open contacts."""
         if not self._decidable:
             return 1.0
         pulled = _over(self.sums.pulled, self.sums.velocity)
@@ -172,7 +172,7 @@ class PhaseError:
 
     @property
     def at_most(self) -> float:
-        """Upper bound on the error; reflections or a drive may shift the phase either way."""
+        """Upper bound on the error; reflections or a drive may shift phases in either direction."""
         if self.remark:
             return 1.0
         bound = max(FACTORS.doubt * self.scattered, self.steepens)
@@ -180,7 +180,7 @@ class PhaseError:
 
     @property
     def scattered(self) -> float:
-        """Error of waves that are no long train, the largest of three parts.
+        """Error of waves that do not form a long train: the largest of three parts.
 
         It saturates below 1, because unrelated waves differ by about their size.
         """
@@ -196,21 +196,21 @@ class PhaseError:
 
     @property
     def resonant(self) -> float:
-        """Error by modes of few grains in resonance."""
+        """Error by resonance of modes of a few grains."""
         sums = self.sums
         displacement, velocity = self._resonance.motion(sums.time)
         return float(max(_over(displacement, sums.displacement), _over(velocity, sums.velocity)))
 
     @property
     def strayed(self) -> float:
-        """Error by strains that add up as a random walk."""
+        """Error by strains that accumulate as a random walk."""
         sums = self.sums
         walk = sums.largest_strain + math.sqrt(self._frequency * sums.squared_strain)
         return FACTORS.strays * self._excess * walk * self._begun
 
     @property
     def steepens(self) -> float:
-        """Error by steepening of a train of waves, whose crests are faster than its troughs.
+        """Error by steepening of a wave train, whose crests are faster than its troughs.
 
         It grows as long as the train travels; for a packet, until it separates from its second
         harmonic and its mean strain.
@@ -235,7 +235,7 @@ class PhaseError:
 
     @property
     def _begun(self) -> float:
-        """Part of an oscillation that the run contains, at most 1."""
+        """Fraction of an oscillation that the run contains, at most 1."""
         return min(1.0, self._frequency * self.sums.time)
 
     @property
@@ -246,12 +246,12 @@ class PhaseError:
 
     @property
     def sums(self) -> PhaseSums:
-        """Sums along the solution so far."""
+        """Sums along the solution up to now."""
         return PhaseSums(*self._state[0].item())
 
     @property
     def remark(self) -> str:
-        """Why the linear solution does not hold, or is not known to hold; empty if it does."""
+        """The reason why the linear solution is invalid or may be invalid; empty if it is valid."""
         opened = self.sums.opened
         if not math.isnan(opened):
             return f"not linear here: contact {opened:.0f} opens"
@@ -261,7 +261,7 @@ class PhaseError:
 
 
 def _over(error: float, size: float) -> float:
-    """Return an error relative to a size, 0 if nothing moves."""
+    """Return an error relative to a size; 0 if nothing moves."""
     return error / size if size > 0 else 0.0
 
 
@@ -274,14 +274,14 @@ def expected_error(scene: Scene) -> float:
     if may_open(scene):
         return 1.0
     radians = scene.linear_frequency * scene.duration
-    # Strains in phase add up in proportion to omega t, others to its square root.
+    # Strains in phase accumulate in proportion to omega t, others to its square root.
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
     strains = excess(scene) * scene.linear_strain * walk
     return min(1.0, FACTORS.doubt * FACTORS.strays * strains)
 
 
 def excess(scene: Scene) -> float:
-    """Return the curvature of the contact force, delta - 1 for a power; see `ContactLaw.bend`.
+    """Return k'(eps) l / k(eps) of the contacts, delta - 1 for a power; see `ContactLaw.bend`.
 
     With viscosity the force (1 + A d/dt) s^2 is larger than s^2 by the modulus of 1 + i A omega.
     """
@@ -290,7 +290,7 @@ def excess(scene: Scene) -> float:
 
 
 def in_phase(scene: Scene) -> bool:
-    """Return whether the wave has few frequencies, which stay in phase: forced, or a packet."""
+    """Return whether the wave has few frequencies that stay in phase: forced, or a packet."""
     return scene.excitation.does_work or isinstance(scene.excitation, Packet)
 
 
@@ -306,7 +306,7 @@ def passage(scene: Scene) -> Array:
 
 
 def first_moved(scene: Scene) -> int:
-    """Return the number of the forced grain, or of the first grain that moves at t = 0."""
+    """Return the number of the forced grain or, without forcing, of the first moving grain."""
     return scene.excitation.acts_on or scene.excitation.reach(scene.chain)[0]
 
 
@@ -331,7 +331,7 @@ def travel(scene: Scene) -> float:
 
 
 def unlike(chain: Chain) -> dict[str, float]:
-    """Return the relative spreads of masses and contact constants, by name."""
+    """Return the relative scatter of masses and contact constants, by name."""
     arrays = {"masses": chain.masses, "contact_constants": chain.contact_constants}
     return {name: float(np.ptp(x) / x.max()) for name, x in arrays.items() if x.size}
 
@@ -360,18 +360,18 @@ def evaluations(scene: Scene) -> int:
 
 
 def decidable(scene: Scene) -> bool:
-    """Return whether the run shows if contacts open, or the energy excludes it."""
+    """Return whether the run resolves openings of contacts, or the energy excludes them."""
     return not may_open(scene) or dense(scene) or bool(_close(scene))
 
 
 def dense(scene: Scene) -> bool:
-    """Return whether the samples resolve every oscillation, so that they are enough."""
+    """Return whether the samples resolve every oscillation, so that no other times are needed."""
     in_a_radian = LOOKS.resolved if may_open(scene) else 1.0
     return bool(in_a_radian * scene.duration * scene.linear_frequency <= scene.intervals)
 
 
 def _early(scene: Scene) -> int:
-    """Return the number of evaluations after the start at growing distances."""
+    """Return the number of evaluations after the start at increasing distances."""
     radians = scene.duration * scene.linear_frequency
     return max(0, int(math.log(radians / LOOKS.earliest) / math.log(LOOKS.growth)) + 1)
 
@@ -383,7 +383,7 @@ def _spread(scene: Scene) -> int:
 
 
 def _close(scene: Scene) -> int:
-    """Return the number of evaluations that resolve openings of contacts, or 0 if none may open."""
+    """Return the number of evaluations that resolve contact openings; 0 if no contact may open."""
     needed = LOOKS.resolved * scene.duration * scene.linear_frequency + 1
     if may_open(scene) and needed * scene.chain.grains <= LOOKS.most_values:
         return max(LOOKS.evenly, math.ceil(needed))

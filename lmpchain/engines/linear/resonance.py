@@ -1,4 +1,4 @@
-"""Resonance: the motion that pairs of waves drive in a third one by the curvature of the force law.
+"""Resonance: the motion of a third wave that a pair of waves drives by the curved force law.
 
 Beside its stiffness k times the change s of its overlap D, a contact has the force k c s^2 / (2 D),
 c = delta - 1 for a power (`ContactLaw.bend`). Therefore two waves of frequencies a and b force
@@ -20,8 +20,8 @@ from ...util.lazy import cached_property
 if TYPE_CHECKING:
     from ...theory.modes import Eigenmodes
 
-# Largest number of grains for which all pairs of waves are computed;
-# analysis/calibration/linear_openings.py
+# Largest number of grains for which all pairs of waves are computed; see
+# analysis/calibration/linear_openings.py.
 FEW = 12
 
 
@@ -47,7 +47,7 @@ class PairForces(NamedTuple):
 
 
 class Resonance:
-    """Motion that pairs of waves drive in a chain of few grains, to leading order in their strain.
+    """Motion driven by pairs of waves in a chain of few grains, to leading order in the strain.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class Resonance:
         self._scene = scene
 
     def motion(self, time: float) -> Array:
-        """Return the largest displacement and velocity up to a time, s, as an array (2,) m and m/s.
+        """Return the largest displacement, m, and velocity, m/s, up to a time, s, (2,).
 
         They are 0 in a chain of more than `FEW` grains.
         """
@@ -68,7 +68,7 @@ class Resonance:
         if not free or not chain.contacts.bend.any() or time <= 0:
             return np.zeros(2)
         pairs = self._pairs
-        # A response grows as long as beat and mode are in phase.
+        # A response grows while the beat and the mode are in phase.
         lasting = np.minimum(time, 2 / np.maximum(pairs.detuning, 1 / time))
         squared = (pairs.force * lasting / (2 * pairs.frequency)) ** 2
         powers = (1.0, pairs.frequency**2)
@@ -93,7 +93,8 @@ class Resonance:
         length = np.where(contacts.pressed, contacts.length, np.inf)[free]
         curvature = contacts.bend[free] * contacts.stiffness[free] / length
         products = (waves[:, :, None] * waves[:, None]).reshape(len(waves), -1).T
-        # Each pair occurs twice, as (a, b) and (b, a), with twice the force: hence the root of 2.
+        # Each pair occurs twice, as (a, b) and (b, a), with twice the force, which explains the
+        # root of 2.
         factor = np.sqrt(2) / 4
         forces = factor * np.abs(products @ (curvature[:, None] * squeezed))
         beats = [np.abs(np.add.outer(frequencies, sign * frequencies)).ravel() for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""Solutions of the linearised chain, Eq. (3), by Chebyshev polynomials or modes; their energies."""
+"""Solutions of the linearised chain, Eq. (3), by Chebyshev polynomials or modes, with energies."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LinearSolution(Protocol):
 
     @property
     def work(self) -> int:
-        """Number of polynomials or modes so far, for the cost."""
+        """Number of polynomials or modes up to now, for the cost."""
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return displacement and velocity, (T, N) m and m/s, and reach, (T, 2), at these times.
@@ -36,7 +36,7 @@ class LinearSolution(Protocol):
 
 
 class ChebyshevSolution:
-    """The solution by the propagator from each time to the next one."""
+    """Solution by the propagator from each time to the next."""
 
     def __init__(self, scene: Scene, state: Mapping[str, Array]):
         chain = scene.chain
@@ -59,7 +59,7 @@ class ChebyshevSolution:
 
     @property
     def work(self) -> int:
-        """Number of polynomials so far, which are applications of the matrix of the chain."""
+        """Number of polynomials up to now, each of them an application of the chain's matrix."""
         return self._chain.terms
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
@@ -75,7 +75,7 @@ class ChebyshevSolution:
 
 
 class ModalSolution:
-    """The sum over eigenmodes, with their responses to a motion or force that consists of sines."""
+    """Sum over eigenmodes, with the response to a motion or force that is a sum of sines."""
 
     def __init__(self, scene: Scene):
         from ...theory.modes import between, damped
@@ -93,7 +93,7 @@ class ModalSolution:
         self._wave = excitation.waveform
         self._drive = scene.drive if first else None
         if scene.drive:
-            # A driven grain acts through the contact below it, a force acts directly.
+            # A driven grain acts through the contact below it; a force acts directly.
             self._pull = stiffness[first] * self._modes.shape[0]
             self._viscosity = float(chain.contact_viscosity[first])
         else:
@@ -122,7 +122,7 @@ class ModalSolution:
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _force(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): sines, and free motion after them."""
+        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): response to sines, then free motion."""
         assert self._wave
         end = self._wave.end
         q, p = np.sum(
@@ -145,7 +145,8 @@ class ModalSolution:
         m = (w + drive) / 2 * t
         h = (w - drive) / 2 * t
         f = self._pull * np.copysign(amplitude, amplitude * omega) / (w + drive)
-        # sin(m) cos(h) - m cos(m) sin(h) / h cancels for short t; spherical Bessel functions do not
+        # The expression sin(m) cos(h) - m cos(m) sin(h) / h cancels for short t; spherical Bessel
+        # functions do not.
         q = f / w * m * (m * spherical_jn(1, m) * np.cos(h) - h * spherical_jn(1, h) * np.cos(m))
         return q, f * drive * np.sin(m) * t * np.sinc(h / np.pi)
 
@@ -164,8 +165,8 @@ class ModalSolution:
         apart = slow - fast
         q = ((by_slow - by_fast) / apart).imag
         p = ((slow * by_slow - fast * by_fast) / apart).imag
-        # Both terms cancel near critical damping. The steady motion and a free one, which brings it
-        # to rest at t = 0, do not, because such a mode has no resonance.
+        # Both terms cancel near critical damping. The steady motion plus the free motion that makes
+        # it start from rest does not, because such a mode has no resonance.
         near = np.abs(apart) < self._modes.frequency
         if not near.any():
             return self._pull * q, self._pull * p
@@ -177,14 +178,14 @@ class ModalSolution:
         return self._pull * q, self._pull * p
 
     def state(self) -> dict[str, Array]:
-        """Return nothing, because the modes give the solution at any time."""
+        """Return an empty state, because the modes give the solution at any time."""
         return {}
 
 
 GAUSS_NODES, _WEIGHTS = legendre.leggauss(32)
-# Coefficients of the Legendre series (32,) from the values at the nodes.
+# Matrix from values at the nodes to coefficients of the Legendre series (32,).
 PROJECT = (np.arange(32) + 0.5)[:, None] * _WEIGHTS * legendre.legvander(GAUSS_NODES, 31).T
-# A panel is halved at most so often: an overdamped mode decays within a small part of a panel.
+# Largest number of halvings of a panel; an overdamped mode decays within a small part of a panel.
 HALVINGS = 12
 
 
@@ -217,7 +218,7 @@ def sum_energies(
     """
     excitation = scene.excitation
     left = most // GAUSS_NODES.size
-    # A product of two oscillations over a panel of 10 rad is a Legendre series of 32 terms to
+    # A product of two oscillations over a panel of 10 rad is a Legendre series of 32 terms up to
     # rounding.
     count = math.ceil(scene.linear_frequency * scene.duration / 10.0)
     if not scene.chain.damped or count > left:
@@ -259,7 +260,7 @@ def sum_energies(
         energies[name] = before[panel] + within
         energies[f"{name}_error"] = np.array(errors[column])
     if excitation.driven and excitation.waveform:
-        # The force on a driven grain accelerates the grain itself, too.
+        # The force on a driven grain includes the force that accelerates the grain itself.
         speed = excitation.waveform.at(scene.time, 1)
         energies["drive"] += scene.chain.masses[0] / 2 * (speed**2 - speed[0] ** 2)
     return energies

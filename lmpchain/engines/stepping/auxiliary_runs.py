@@ -1,4 +1,4 @@
-"""Auxiliary runs: native runs with other steps, whose distances show the error of an answer.
+"""Auxiliary runs: native runs with other steps, whose differences estimate the error of a run.
 
 Auxiliary runs have steps 2h and 4h, because the rate at which differences shrink gives the error.
 If 4h is too long, there is one run with 2h; if 2h is too long, there is one with h/2. If contacts
@@ -108,7 +108,7 @@ class OpeningOrder:
     nearby_kinked: float = 1.75
 
     def kinks(self, onset: float) -> bool:
-        """Return whether a force with this onset power has a kink at an opening."""
+        """Return whether a force with this onset exponent has a kink where a contact opens."""
         return onset < self.kinked_below
 
     def trusted_order(self, steps: Steps) -> float:
@@ -123,11 +123,11 @@ STRIKES = (Impulse, Displacement)  # Strikes of a single grain.
 LONGER = (2.0, 4.0)  # Ratios of the steps of auxiliary runs to those of the answer.
 # Auxiliary runs land on every sample if the motion decays between samples by this exponent.
 DIES = 0.25
-FEWEST_STEPS = 8  # With fewer steps, longer steps of two auxiliary runs may be the same.
+FEWEST_STEPS = 8  # With fewer steps, the longer steps of two auxiliary runs may be equal.
 
 
 class AuxiliarySteps:
-    """The steps of the auxiliary runs for R like scenes, their comparison, and truncation errors.
+    """Steps of the auxiliary runs for R similar scenes, their comparison, and truncation errors.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ class AuxiliarySteps:
         return float(steps.min(initial=self.ratios[0]))
 
     def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
-        """Return the orders of the error and of its slowest part, by which differences are divided.
+        """Return the orders of the error and of its slowest part, used for the extrapolation.
 
         A method of order 2 keeps its order at openings.
         """
@@ -254,7 +254,7 @@ class AuxiliarySteps:
         return order, min(order, OPENINGS.equal_order) if self._far[real] else order
 
 
-@lru_cache(maxsize=256)  # Like scenes have like auxiliary runs.
+@lru_cache(maxsize=256)  # Similar scenes have equal auxiliary runs.
 def _arrange(
     answer: Steps, longer: tuple[float, ...], nearby: bool, twins: int, final: int
 ) -> tuple[tuple[Steps, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
@@ -296,7 +296,7 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
 
 
 def recurs(scene: Scene) -> bool:
-    """Return whether contacts may open so often that errors scatter, by reflections or a forcing.
+    """Return whether contacts may open so often, by reflections or forcing, that errors scatter.
 
     If the force has a kink at openings, one opening is enough. Contacts that only touch at rest
     open and close from the beginning.
@@ -310,7 +310,7 @@ def recurs(scene: Scene) -> bool:
         crossed = min(above, below) or scene.chain.grains
     returns = scene.total_phase > OPENINGS.returning * crossed
     chain = scene.chain
-    # The bounds on strains take arrays of all contacts: they are asked for last.
+    # The bounds on strains need arrays of all contacts, so they are evaluated last.
     recurs = returns or OPENINGS.kinks(chain.law.onset) or not chain.linearisable
     recurs = recurs or chain.ground is not None
     return recurs and min(scene.largest_strain, scene.linear_strain) > -OPENINGS.near
@@ -349,7 +349,7 @@ def estimate_truncation(
     slow_order: float = math.inf,
     least_ratio: float = 0.0,
 ) -> float:
-    """Return the truncation error of an answer by Richardson's extrapolation at the observed rate.
+    """Return the truncation error of a run by Richardson extrapolation at the observed rate.
 
     Parameters
     ----------

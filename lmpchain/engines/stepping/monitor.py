@@ -1,4 +1,4 @@
-"""A monitor of a run: it estimates the error of an answer from auxiliary runs with other steps.
+"""Monitor of a run: estimates its error from auxiliary runs with other steps.
 
 An engine that rounds differently from the native one also has a native twin, a native run with the
 same steps. In exact arithmetic twin and answer are equal, so that their distance is the rounding
@@ -48,7 +48,7 @@ from .rounding import (
 
 @dataclass(frozen=True)
 class JudgingTimes:
-    """When a run is judged on the way; analysis/lost_attempts.py.
+    """Times at which a run is judged before its end; see analysis/lost_attempts.py.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ WRONG = {
     NOT_A_NUMBER: "positions or velocities are no longer numbers",
 }
 
-# Moves a stepper on to a sample by at most so many steps; returns the number of steps.
+# Advances a stepper to a sample by at most this number of steps; returns the number of steps.
 Fill = Callable[[int, int], int]
 
 
@@ -107,7 +107,7 @@ class Monitor:
         Time spent, s.
     """
 
-    # Number of runs beside the answer that have its steps.
+    # Number of additional runs with the steps of the main run.
     twins = 0
 
     def __init__(
@@ -129,7 +129,7 @@ class Monitor:
         self._scene = scenes[0]
         self._proposal = proposal
         self._chains = native.chains
-        # Rounded evaluations of the force in a step, by their weight.
+        # Rounding steps in a time step: force evaluations, weighted by their effect.
         self._rounded_in_step = max(method.evaluations, method.spread**2)
         # Amplified rounding error beyond which no steps can meet the tolerance.
         self._hopeless = GROWTH.pessimism * min(proposal.tolerance, LARGEST_ERROR)
@@ -144,17 +144,17 @@ class Monitor:
         samples = self._scene.samples
         self._differences = np.zeros((self.runs, samples, size, 2))
         self._peaks = np.zeros((size, 2))
-        # A ground in time does work that is not balanced.
+        # A ground of time does work that is not included in the balance.
         if self._chains.arrays.damped and not self._scene.chain.ground_in_time:
             native.balance = np.zeros((1 + len(auxiliary.schedules), size, samples, 2))
 
     def make_room(self, samples: int) -> None:
-        """Allocate the samples of a block for the runs beside the answer."""
+        """Allocate the samples of a block for the auxiliary runs."""
         grains = self._scene.chain.grains
         self._fields = room_for(self.runs, len(self._scenes), samples, grains)
 
     def _allow_energy(self) -> Array:
-        """Return an upper bound of twice the kinetic energy, (R,) J."""
+        """Return an upper bound on twice the kinetic energy, (R,) J."""
         return self._chains.arrays.allowed
 
     def _bound_sure_approach(self) -> float:
@@ -176,7 +176,7 @@ class Monitor:
         return self._chains.contacts.overlap_bound(energy[:, None]).max(1)
 
     def choose_looks(self, work_s: float, together: int) -> frozenset[int]:
-        """Return the samples at which a run of this time, s, is judged; multiples of `together`.
+        """Return the samples for judging a run of this expected time, s: multiples of `together`.
 
         The first one is early if the scene may be unpredictable.
         """
@@ -189,7 +189,7 @@ class Monitor:
         return looks | {together} if chaotic and together < intervals else looks
 
     def fills(self, answer: Stepper, u: Array, v: Array, first: int) -> list[Fill]:
-        """Return functions that move each stepper on and fill u and v, which begin at a sample."""
+        """Return functions that advance each stepper and fill u and v from a given sample on."""
         return [partial(self.native.fill, u, v, first, beside=self._fields)]
 
     def leave_broken(self, first: int, until: int) -> None:
@@ -254,7 +254,7 @@ class Monitor:
         """Return the estimate of every realisation; see `auxiliary_runs` for the formula."""
         scale = self._scale()
         # A copy with the samples last is reduced three times as fast.
-        largest = np.maximum.reduce(self._differences.swapaxes(1, 3).copy(), 3)  # (S, 2, R)
+        largest = np.maximum.reduce(self._differences.swapaxes(1, 3).copy(), 3)  # Shape (S, 2, R).
         distances = (largest / scale.T).transpose(2, 0, 1).tolist()
         evaluations = self.native.steps * self._rounded_in_step
         rows = zip(
@@ -364,7 +364,7 @@ class Monitor:
         return decides and touching < tolerance / 2
 
     def _amplify(self, real: int, evaluations: float) -> Array:
-        """Return the amplified rounding error at each sample, (T,), until it is hopeless."""
+        """Return the amplified rounding error per sample, (T,), until it exceeds any tolerance."""
         if real not in self._growth:
             self._growth[real] = grow_digit(self._scenes[real], self._hopeless)
         return count_digits(evaluations) * self._growth[real]
@@ -445,7 +445,7 @@ class Monitor:
         return error._replace(roundoff=max(error.roundoff, largest), amplified=amplified)
 
     def _may_grow(self, real: int, evaluations: float, size: float) -> bool:
-        """Return whether rounding could be amplified beyond a size, relative to the motion.
+        """Return whether rounding could be amplified beyond a size relative to the motion.
 
         Waves must return to contacts that may open, and the run must be long enough.
         """
@@ -497,13 +497,13 @@ class TwinMonitor(Monitor):
     twins = 1
 
     def _allow_energy(self) -> Array:
-        """Return an upper bound of twice the kinetic energy with rounded heights, (R,) J."""
+        """Return an upper bound on twice the kinetic energy with rounded heights, (R,) J."""
         steps = self._proposal.steps.total(self._scene.intervals)
         rounded = rounded_energy(self._scene, steps * self._method.evaluations)
         return super()._allow_energy() + 3 * rounded
 
     def choose_looks(self, work_s: float, together: int) -> frozenset[int]:
-        """Return no samples: the run is not judged before its end.
+        """Return no samples, because the run is judged only at its end.
 
         Heights round by the same amount however small the motion, and the motion may still grow, so
         that an early estimate is of no use. Also, a native trial was judged before.
@@ -511,7 +511,7 @@ class TwinMonitor(Monitor):
         return frozenset()
 
     def fills(self, answer: Stepper, u: Array, v: Array, first: int) -> list[Fill]:
-        """Return functions that move each stepper on and fill u and v, which begin at a sample."""
+        """Return functions that advance each stepper and fill u and v from a given sample on."""
         displacement, velocity = self._fields
         beside = displacement[1:], velocity[1:]
         return [
@@ -550,7 +550,7 @@ def _finite(distances: list[list[float]]) -> list[list[float]]:
 
 
 def place_looks(work_s: float, final: int, together: int) -> frozenset[int]:
-    """Return the samples at which a run of this time, s, is judged; `final` is the last one."""
+    """Return the samples up to `final` at which a run of this expected time, s, is judged."""
     fraction = 1 / JUDGING.apart
     looks = []
     while fraction * work_s > JUDGING.begin_s:

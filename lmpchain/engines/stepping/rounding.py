@@ -89,7 +89,7 @@ def flown(scene: Scene, displacement: float, velocity: float) -> float:
 
 
 def free_flights(scene: Scene, displacement: float, velocity: float) -> float:
-    """Return the ratio `flights` of `accumulate`; grains turn as often as the fastest motion."""
+    """Return the ratio `flights` of `accumulate`, if grains turn as often as the fastest motion."""
     return max(min(flown(scene, displacement, velocity), scene.total_phase), 1.0)
 
 

@@ -1,4 +1,4 @@
-"""A run in time steps: it moves an answer and its auxiliary runs forward, block by block."""
+"""A run in time steps: advances the main run and its auxiliary runs block by block."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ BLOCK_S = 0.5
 
 
 class SteppingRun(Run):
-    """An answer in time steps, whose error a monitor estimates from auxiliary runs.
+    """A run in time steps, whose error a monitor estimates from auxiliary runs.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class SteppingRun(Run):
         self._setup_s = clock() - began
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the answer, without the samples that precede a restored state."""
+        """Yield the solution in blocks, without the samples before a restored state."""
         final = self.scene.intervals
         while self._sample < final:
             if self._sample in self._looks:
@@ -122,7 +122,7 @@ class SteppingRun(Run):
                 self._sample_s = (self._spent_s - spent_s) / (until + 1 - first)
 
     def _move(self, number: int, fill: Fill, until: int) -> bool:
-        """Move a stepper on for about a tenth of a second; return whether it has arrived."""
+        """Advance a stepper by about a tenth of a second; return whether it reached its sample."""
         max_steps = max(1, int(self._rates[number] * PIECE_S))
         began = clock()
         steps = fill(until, max_steps)
@@ -138,7 +138,8 @@ class SteppingRun(Run):
         """
         begin = max(self._sample, 0)
         fit = min(self._longest_block, int(BLOCK_S / self._sample_s))
-        # The run is judged at samples that do not depend on its speed, so that bits do not either.
+        # The run is judged at samples that do not depend on its speed, so that the bits do not
+        # either.
         end = min((look for look in self._looks if look > begin), default=final)
         if begin + fit >= end:
             return end
@@ -166,7 +167,7 @@ class SteppingRun(Run):
         return self.monitor.errors()
 
     def outlook(self) -> list[ErrorBudget]:
-        """Return the estimate for every realisation that is expected at the end."""
+        """Return the estimate for every realisation, extrapolated to the end."""
         return self.monitor.outlook()
 
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:

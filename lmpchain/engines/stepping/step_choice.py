@@ -27,7 +27,7 @@ from .rounding import interpolation_loss
 
 @dataclass(frozen=True)
 class FirstStep:
-    """Parameters of the first step; analysis/calibration/opening_error_factor.py.
+    """Parameters of the first step, see analysis/calibration/opening_error_factor.py.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class FirstStep:
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Interpolation of samples between steps; analysis/calibration/long_steps.py.
+    """Parameters of interpolation between steps, see analysis/calibration/long_steps.py.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Interpolation:
 
 @dataclass(frozen=True)
 class StepControl:
-    """Parameters of the next step; analysis/calibration/step_refinement.py.
+    """Parameters of the next step, see analysis/calibration/step_refinement.py.
 
     Attributes
     ----------
@@ -158,7 +158,8 @@ def work(method: Method, steps: Steps) -> float:
     return evaluations * (1.0 if steps.adaptive else 2.0) + INTERPOLATION.evaluations
 
 
-MOST_STEPS = 2**53  # from one sample to the next; larger doubles do not count single steps
+# Largest number of steps between samples; larger doubles do not count single steps.
+MOST_STEPS = 2**53
 
 
 def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
@@ -284,7 +285,7 @@ def _pass_samples(
     Return None if interpolated samples would be inaccurate, or too many for the memory.
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
-    rate = phase / min(reach, smooth)  # steps a sample
+    rate = phase / min(reach, smooth)  # Number of steps per sample.
     if interpolation_loss(rate * scene.intervals) > tolerance / TRUST.safety:
         return None
     steps, stride = land(scene, rate)

@@ -28,10 +28,10 @@ from .rounding import native_floor, plain_loss
 from .run import SteppingRun, restrict
 from .step_choice import FIRST_STEP, STEP_CONTROL, choose_steps
 
-AUTOMATIC = ("rkn4", "rkn6")  # Integrator "auto" is the cheaper one of these.
-AUTOMATIC_DAMPED = ("dop853",)  # the cheapest method for damped chains, at every tolerance
-LONGEST_RUN_S = 3e8  # ten years
-# Overhead of a force evaluation, in grains; analysis/calibration/cost_model.py
+AUTOMATIC = ("rkn4", "rkn6")  # Integrators of "auto", which chooses the cheaper one.
+AUTOMATIC_DAMPED = ("dop853",)  # The cheapest method for damped chains at every tolerance.
+LONGEST_RUN_S = 3e8  # Ten years.
+# Overhead of a force evaluation in units of grains; see analysis/calibration/cost_model.py.
 EVALUATION_OVERHEAD = 40
 
 
@@ -67,14 +67,14 @@ class TimeSteppingEngine(Engine):
         self.step = step
 
     def methods(self, scene: Scene) -> list[Method]:
-        """Return the methods among which the engine chooses for a scene."""
+        """Return the methods from which the engine chooses for a scene."""
         methods = methods_of(scene.chain)
         automatic = AUTOMATIC_DAMPED if scene.chain.damped else AUTOMATIC
         names = automatic if self.integrator == "auto" else [self.integrator]
         return [methods[name] for name in names]
 
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
-        """Return why the chosen method does not apply: to damped chains, or without damping."""
+        """Return the reasons why the method does not apply to this chain, damped or not."""
         names = methods_of(scene.chain)
         if self.integrator in ("auto", *names):
             return []
@@ -92,7 +92,7 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> Stepper:
-        """Return the stepper of the answer, at t = 0 or at a stored state.
+        """Return the stepper of the main run at t = 0 or at a stored state.
 
         A native stepper also moves the auxiliary runs.
         """
@@ -104,7 +104,7 @@ class TimeSteppingEngine(Engine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array] | None,
     ) -> dict[str, Stepper]:
-        """Return the steppers of a run by the name of their state; the main stepper is first.
+        """Return the steppers of a run by the names of their states; the main stepper is first.
 
         The stepper "native" moves the auxiliary runs and here also the native twin.
         """
@@ -116,7 +116,7 @@ class TimeSteppingEngine(Engine):
         return {"answer": answer, "native": native}
 
     def propose(self, scene: Scene, tolerance: float) -> Proposal:
-        """Propose the given step, or the longest that should meet the tolerance."""
+        """Propose the given step, or the longest step that should meet the tolerance."""
         scene = scene.driven_from_above
         methods = self.methods(scene)
         way = choose_steps(scene, methods, tolerance, self.adaptive, self.step)
@@ -125,7 +125,7 @@ class TimeSteppingEngine(Engine):
     def propose_steps(
         self, scene: Scene, tolerance: float, method: Method, steps: Steps
     ) -> Proposal:
-        """Propose these steps of a method."""
+        """Propose this number of steps of a method."""
         fixed = self.step is not None
         cost_s = self.cost(scene, method, steps.total(scene.intervals))
         # Years of work come from a wrong unit, such as seconds in place of microseconds.
@@ -163,7 +163,7 @@ class TimeSteppingEngine(Engine):
         """Return the expected rounding error of this number of steps at this largest speed, m/s."""
 
     def overhead(self, method: Method) -> int:
-        """Return the overhead of a force evaluation, in grains."""
+        """Return the overhead of a force evaluation in units of grains."""
         return EVALUATION_OVERHEAD
 
     def count_active(self, scene: Scene) -> float:
@@ -173,7 +173,7 @@ class TimeSteppingEngine(Engine):
     def refine(
         self, proposal: Proposal, error: ErrorBudget | None, tolerance: float
     ) -> Proposal | None:
-        """Propose a shorter step; let steps adapt near openings if contacts opened."""
+        """Propose a shorter step, adaptive near openings if contacts have opened."""
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
         ratio = STEP_CONTROL.ratio(error, tolerance)
@@ -212,7 +212,7 @@ class TimeSteppingEngine(Engine):
         return proposal.with_steps(steps.shorten(fewer)) if gains and not proposal.fixed else None
 
     def batch_key(self, scene: Scene, proposal: Proposal) -> tuple:
-        """Return a key; scenes of one key are alike and have the same steps."""
+        """Return a key; scenes with equal keys are similar and have the same steps."""
         steps = proposal.steps
         longer = longer_steps(BY_NAME[proposal.integrator], scene, steps)
         return *kind(scene), steps, proposal.integrator, *longer, *proposal.choices.items()
@@ -223,7 +223,7 @@ class TimeSteppingEngine(Engine):
         proposal: Proposal,
         state: Mapping[str, Array] | None = None,
     ) -> SteppingRun:
-        """Start a run of one scene, or of a batch of scenes that differ in numbers only."""
+        """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
             raise ValueError("a batch needs chains of one kind and length, recorded alike")
         began = clock()
@@ -231,7 +231,8 @@ class TimeSteppingEngine(Engine):
         asked = scenes[0]
         scenes = [scene.driven_from_above for scene in scenes]
         scene = scenes[0]
-        # The time on the reference machine: bits must not depend on when a run is judged.
+        # This is the time on the reference machine, because bits must not depend on when a run is
+        # judged.
         evaluations = method.evaluations * proposal.steps.total(scene.intervals)
         work_s = self.seconds_per_grain_step * evaluations * scene.chain.grains * len(scenes)
         auxiliary = AuxiliarySteps(method, scenes, proposal.steps, self.monitor.twins)
@@ -244,7 +245,7 @@ class TimeSteppingEngine(Engine):
             run = steppers, monitor, method, scenes, asked, proposal, state, work_s, began
             return SteppingRun(*run)
         except (LookupError, TypeError, ValueError) as error:
-            # Only a stored state can be at fault.
+            # Only a stored state can be the cause.
             if state is None or isinstance(error, InputError):
                 raise
             why = "does not fit its run, or was changed: run the scene anew"
@@ -252,7 +253,7 @@ class TimeSteppingEngine(Engine):
 
 
 class CompiledSteps(TimeSteppingEngine):
-    """Integrate Eq. (1) in displacements with compiled loops; the base of the native engine."""
+    """Integrate Eq. (1) in displacements with compiled loops; base class of the native engine."""
 
     name: ClassVar[str] = "native"
     equation: ClassVar[int] = 1
@@ -287,7 +288,7 @@ class CompiledSteps(TimeSteppingEngine):
         return proposal
 
     def choices(self, scene: Scene) -> dict[str, str]:
-        """Return the form of the force."""
+        """Return the form of the force as a choice of the engine."""
         return {"force": name_of(force_form(scene, self.force))}
 
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
@@ -314,7 +315,7 @@ class CompiledSteps(TimeSteppingEngine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array],
     ) -> NativeStepper:
-        """Return the stepper of the answer and of its auxiliary runs."""
+        """Return the stepper of the main run and of its auxiliary runs."""
         answer, *beside = schedules
         chains = ChainBatch(scenes, self.force)
         method = BY_NAME[proposal.integrator]
@@ -327,12 +328,12 @@ class CompiledSteps(TimeSteppingEngine):
         schedules: Sequence[Steps],
         state: Mapping[str, Array] | None,
     ) -> dict[str, Stepper]:
-        """Return the only stepper of a run, by the name of its state."""
+        """Return the only stepper of a run by the name of its state."""
         return {"native": self.stepper(scenes, proposal, schedules, restrict("native", state))}
 
 
 def kind(scene: Scene) -> tuple:
-    """Return a key of scenes that fit into one batch: chain, ends and recording."""
+    """Return a key of scenes that fit into one batch: equal chain type, ends and recording."""
     chain = scene.chain
     excitation = scene.excitation
     ends = chain.top, chain.bottom, chain.loose_grains

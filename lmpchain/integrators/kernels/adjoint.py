@@ -206,7 +206,7 @@ def forward(chains, steps, room, path, pieces, numbers, looks):
 
 @loop
 def _keep_top(law, memory, kick, index):
-    """Kick grain 1 by a contact with the top wall that only touches, and store its p and f."""
+    """Kick grain 1 by a top wall that only touches, and store the p and f of this contact."""
     x, v, inverse_mass = memory.bodies
     p, f = touch(x[PAD] - x[PAD + 1], law.touching, law.less)
     memory.tops[0, index] = p

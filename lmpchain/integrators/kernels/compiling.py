@@ -1,4 +1,4 @@
-"""What the kernels are compiled with: options, instructions that numba lacks, calls by address."""
+"""Compilation of the kernels: options, instructions that numba lacks, calls by address."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from numba.extending import intrinsic
 
 from ...util.compilation import Ingredient, compiled_once
 
-# Neither reordering nor contraction except the explicit fma, so that every blocking of the loops
-# gives the same bits.
+# Neither reordering nor contraction is allowed except for the explicit fma, so that every blocking
+# of the loops gives the same bits.
 STRICT = {"nnan", "ninf", "nsz"}
-# functions that are called from Python, and kept for later processes
+# Functions called from Python that are cached for later processes.
 compiled_engine = partial(compiled_once, "the native engine", 10, error_model="numpy")
-# these make no arrays, either: Python does
+# These functions create no arrays either; Python creates them.
 compiled_filler = partial(compiled_engine, _nrt=False)
 compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
-llvm: Any = intrinsic  # to a type checker it takes the arguments of the compiled function
+llvm: Any = intrinsic  # For a type checker, it takes the arguments of the compiled function.
 
-# These functions work without numba's runtime: they make no arrays and count no references, which
+# These functions work without numba's runtime: they create no arrays and count no references, which
 # would take half of the time. Python cannot call them.
 _OPTIONS: dict[str, Any] = {
     "error_model": "numpy",
@@ -36,21 +36,22 @@ _OPTIONS: dict[str, Any] = {
     "pipeline_class": Ingredient,
 }
 compiled = numba.njit(**_OPTIONS)
-# formulas of users: they may divide by 0 or overflow where a branch is not taken
+# Formulas of users may divide by 0 or overflow in a branch that is not taken.
 compiled_formula = numba.njit(**_OPTIONS | {"fastmath": False})
-# inlined functions take records of arrays for nothing, of which a call would copy every field; LLVM
-# puts them in place, in a tenth of the time that numba takes for it
+# Inlined functions receive records of arrays at no cost, whereas a call would copy every field.
+# LLVM inlines them in a tenth of the time that numba needs.
 inlined = numba.njit(**_OPTIONS, forceinline=True)
-# sums of many numbers in any order, that is several at a time: their bits depend on the count alone
+# Sums of many numbers may be evaluated in any order, several at a time; their bits depend only on
+# the count.
 summed = numba.njit(**_OPTIONS | {"fastmath": {*STRICT, "reassoc"}})
-# numba does so for what returns arrays, which a call would have to count, or a record, which none
-# can, and for steps, which are long and called in one place, so that they are compiled once
+# Numba itself inlines functions that return arrays or records, which a call without the runtime
+# cannot, and steps, which are long and called in one place, so that they are compiled once.
 pasted = numba.njit(**_OPTIONS, inline="always")
 
 
 @llvm
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """Return a b + c, rounded once, whatever the loop around is compiled to."""
+    """Return a b + c, rounded once, independent of the compiler options of the surrounding loop."""
     return types.float64(
         types.float64, types.float64, types.float64
     ), lambda _c, builder, _s, args: builder.fma(*args)
@@ -58,7 +59,7 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 @llvm
 def bits(typing: Any, x: Any) -> Any:
-    """Return the bits of a number as a whole number."""
+    """Return the bits of a number as an integer."""
     return types.int64(types.float64), lambda _c, builder, _s, args: builder.bitcast(
         args[0], ir.IntType(64)
     )
@@ -66,7 +67,7 @@ def bits(typing: Any, x: Any) -> Any:
 
 @llvm
 def number(typing: Any, n: Any) -> Any:
-    """Return the number with these bits."""
+    """Return the number that has these bits."""
     return types.float64(types.int64), lambda _c, builder, _s, args: builder.bitcast(
         args[0], ir.DoubleType()
     )
@@ -74,7 +75,7 @@ def number(typing: Any, n: Any) -> Any:
 
 @llvm
 def apart(typing: Any) -> Any:
-    """Tell the compiler that no two arrays that a function takes overlap."""
+    """Declare to the compiler that the array arguments of a function do not overlap."""
 
     def mark(context: Any, builder: Any, _signature: Any, _args: Any) -> Any:
         for arg in builder.function.args[2:]:
@@ -87,7 +88,7 @@ def apart(typing: Any) -> Any:
 
 @llvm
 def select(typing: Any, condition: Any, a: Any, b: Any) -> Any:
-    """Return a where the condition holds, else b, without a branch in any version of Python.
+    """Return a if the condition is true, else b, without a branch in any version of Python.
 
     What 3.13 makes of ``a if condition else b`` keeps loops from vector instructions: powers take
     six times as long.
@@ -129,11 +130,11 @@ BITS = Bits()
 
 @compiled
 def logarithm(y, rest):
-    """Return log(y + rest) of y > 0 and a tiny rest, by the series of artanh, without a branch."""
+    """Return log(y + rest) for y > 0 and a tiny rest, by the series of artanh, without a branch."""
     pattern = bits(y)
     power = number(BITS.power_bits | (pattern >> 52)) - BITS.power_zero
     m = number((pattern & BITS.mantissa) | BITS.one)
-    # the mantissa around 1, from sqrt(1/2) to sqrt(2), where the series is shortest
+    # The mantissa is between sqrt(1/2) and sqrt(2), where the series is shortest.
     high = m > 1.4142135623730951
     m = 0.5 * m if high else m
     power = power + 1.0 if high else power
@@ -147,7 +148,7 @@ def logarithm(y, rest):
 @compiled
 def exponential(t, less):
     """Return exp(t) - less, less = 0 or 1, |t| < 700, by powers of two and a Taylor series."""
-    # t = power ln 2 + r, |r| < ln 2 / 2, by 1 / ln 2
+    # Here t = power ln 2 + r with |r| < ln 2 / 2.
     power = fma(t, 1.4426950408889634, BITS.shift)
     scale = number((bits(power) - BITS.shift_bits + 1023) << 52)
     power -= BITS.shift
@@ -167,14 +168,14 @@ def exponential(t, less):
 
 
 def address_of(function: Any, signature: Any) -> int:
-    """Return where a function lies in memory, once it is compiled for this signature."""
+    """Return the memory address of a function, compiled for this signature."""
     function.compile(signature)
     code = function.overloads[signature.args]
     return code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
 
 
 def caller(signature: Any) -> Any:
-    """Make the function that calls a compiled one of this signature at an address."""
+    """Create a function that calls a compiled function of this signature at an address."""
 
     @llvm
     def call(typing: Any, address: Any, arguments: Any) -> Any:
@@ -198,7 +199,7 @@ def caller(signature: Any) -> Any:
 
 
 def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
-    """Make the function of a form, and of what its loop takes, that runs the loop of that form.
+    """Create a function of a force form and arguments that runs the loop of this form.
 
     A dictionary of functions cannot be compiled: the choice is made of comparisons, one in another.
     """
@@ -221,7 +222,7 @@ def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
 def _choose_form(
     number: int, loop: Callable[..., Any], choose: Callable[..., Any]
 ) -> Callable[..., Any]:
-    """Make the function that runs a loop if the form is its own, and else looks further."""
+    """Create a function that runs a loop if the form matches, and else tries the next loop."""
 
     @pasted
     def choose_form(form, arguments):

@@ -1,4 +1,4 @@
-"""The force of a contact, compiled: its forms, and the loops that are made of each.
+"""Compiled contact force: its forms, and the loops for each form.
 
 Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
 ``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the
@@ -35,25 +35,25 @@ from .compiling import (
 )
 from .layout import Links, Rows
 
-# An index without a sign: others are looked at whether they count from the end, which keeps the
-# compiler from making vector instructions.
+# Indices are unsigned, because signed indices are checked for counting from the end, which prevents
+# vectorisation.
 unsigned = np.uint64
 
 
 @compiled
 def _corrected(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """delta = 3/2 without cancellation: relative accuracy at any amplitude for one square root."""
+    """Force for delta = 3/2 without cancellation: accurate at any amplitude, one square root."""
     s = r * inverse_length
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
-    # one step of Newton's method gives back the digits that 1 + s lost
+    # One step of Newton's method restores the digits that 1 + s has lost.
     u = fma(0.5, fma(-u, u, fma(-2.0, u, s)), u)
     return (strength * u) * fma(u, 3.0 + u, 3.0)
 
 
 @compiled
 def _polynomial(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Any delta while |s| is small enough for seven binomial terms; no contact may open."""
+    """Force for any delta and |s| small enough for seven binomial terms; no contact may open."""
     s = r * inverse_length
     p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
     return (strength * s) * fma(
@@ -63,16 +63,16 @@ def _polynomial(r, inverse_length, strength, precompressed, coefficients, given,
 
 @compiled
 def _spring(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """delta = 1: linear until the contact opens."""
+    """Force for delta = 1: linear until the contact opens."""
     s = r * inverse_length
     return strength * (s if s > -precompressed else -precompressed)
 
 
 @compiled
 def _growth(s, exponent):
-    """Return (1 + s)^exponent - 1, -1 for s < -1, without cancellation."""
-    # An open contact is computed as one at rest, and the result is discarded. A branch would keep
-    # the compiler from making vector instructions.
+    """Return (1 + s)^exponent - 1 without cancellation; -1 for s < -1."""
+    # An open contact is computed as one at rest, and the result is discarded, because a branch
+    # would prevent vectorisation.
     inside = select(s > -1.0, s, 0.0)
     y = 1.0 + inside
     change = exponential(exponent * logarithm(y, inside - (y - 1.0)), 1.0)
@@ -81,21 +81,21 @@ def _growth(s, exponent):
 
 @compiled
 def _power(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Any delta without cancellation."""
+    """Force for any delta without cancellation."""
     return strength * _growth(r * inverse_length, coefficients[7])
 
 
 @compiled
 def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Any delta where nothing is pressed."""
-    # the logarithm of 0 is none, and so small an overlap gives no force that matters
+    """Force for any delta in a chain without forces at rest."""
+    # The logarithm of 0 must be avoided, and the force of such a small overlap is negligible.
     y = select(r > 1e-90, r, 1.0)
     power = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
     return select(r > 1e-90, strength * power, 0.0)
 
 
 def _roots(quarters: int) -> Callable[..., Any]:
-    """Return the force for delta = quarters / 4, y^delta - precompressed, by square roots alone."""
+    """Return the force for delta = quarters / 4, y^delta - precompressed, by square roots only."""
     factors = quarters // 4
     half = quarters % 4 // 2
     quarter = quarters % 2
@@ -118,22 +118,22 @@ def _roots(quarters: int) -> Callable[..., Any]:
 
 @compiled
 def _power_stiffness(r, change, inverse_length, strength, precompressed, coefficients, given, n):
-    """Any delta, from the change of the force."""
+    """Stiffness for any delta, computed from the change of the force."""
     y = r * inverse_length + precompressed
-    # the force is K y^delta
+    # The force is K y^delta.
     secant = (change + strength * precompressed) / (y if y > 0.0 else 1.0)
     return coefficients[7] * secant * inverse_length if y > 0.0 else 0.0
 
 
 @compiled
 def touching(r, uncompressed, coefficients):
-    """Return the force of a first contact that only touches, in a chain that is pressed."""
+    """Return the force of a first contact that only touches in a compressed chain."""
     return uncompressed * r ** coefficients[7] if r > 0.0 else 0.0
 
 
 @compiled
 def touching_stiffness(r, force, coefficients):
-    """Return the derivative of this force."""
+    """Return the derivative of `touching`."""
     return coefficients[7] * force / r if r > 0.0 else 0.0
 
 
@@ -157,7 +157,7 @@ SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, 
 
 
 def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) -> tuple[Any, ...]:
-    """Make the loops over contacts that are all of Eq. (1), for one form of the force.
+    """Create the loops over contacts that Eq. (1) needs, for one form of the force.
 
     They are compiled when a scene needs the form, apart from the marches, which call them where
     `addresses` says.
@@ -185,7 +185,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
 
     @kept
     def stiffnesses(out, change, x, links):
-        """Fill out (C,) with the stiffness of every contact, N/m, whose force is this change."""
+        """Fill out (C,) with the stiffness of every contact, N/m, given the change of its force."""
         il = links.inverse_length
         st = links.strength
         pressed = links.precompressed
@@ -199,7 +199,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
 
     @kept
     def sweep_rows(x, v, inverse_mass, links, rows, top, body, forced):
-        """Kick and drift all grains once a row, in one pass: each contact's force is found once.
+        """Kick and drift all grains once per row in a single pass that computes each force once.
 
         x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n]
         and x[n+1]. The force on the first grain from above is that of contact 0 if it is the `top`,
@@ -216,7 +216,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
         for row in range(rows.kick.size):
             kick = rows.kick[row]
             drift = rows.drift[row]
-            # the one that is pushed may lie in another tile
+            # The pushed body may be in a different tile.
             if rows.path.size > 0:
                 if forced:
                     if 1 <= body <= v.size:
@@ -233,7 +233,8 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
                     )
                 if links.uncompressed > 0.0:
                     above += touching(x[0] - x[1], links.uncompressed, coefficients)
-            # a kick takes the forces at one time: a grain moves when both of its contacts are known
+            # A kick uses the forces at one time: a grain moves after both of its contacts are
+            # computed.
             for n in range(v.size):
                 closer = x[n + 1] - x[n + 2]
                 contact = unsigned(first + n + 1)
@@ -259,8 +260,8 @@ class Form(IntEnum):
     FORMULAS = 9
 
 
-ROOTS = range(5, 9)  # forms of delta = quarters / 4
-# these subtract two forces, and lose what is below the last digit of that at rest
+ROOTS = range(5, 9)  # Forms of delta = quarters / 4.
+# These forms subtract two forces, and lose digits below an ulp of the force at rest.
 PLAIN = tuple(ROOTS)
 FORMS: dict[int, tuple[str, Callable[..., Any]]] = {
     Form.CORRECTED: ("corrected square root", _corrected),
@@ -274,7 +275,7 @@ LOOPS = {
 }
 
 
-# What the formulas of a law call.
+# Functions that formulas of laws may call.
 FUNCTIONS = {
     "maximum": compiled_formula(lambda a, b: select(a > b, a, b)),
     "minimum": compiled_formula(lambda a, b: select(a < b, a, b)),
@@ -295,7 +296,7 @@ def _identity(*functions: Callable[..., Any]) -> str:
 
 @cache
 def _loops_of(kernel: Any) -> tuple[Any, ...]:
-    """Make the loops of a law given by a formula, and that over samples, see `change_in_time`."""
+    """Create the loops of a law by formula, and its loop over samples, see `change_in_time`."""
     arguments = "r, given, n", FUNCTIONS, kernel.codes
     change_of = kernel.force_change.function(*arguments)
     stiffness_of = kernel.stiffness.function(*arguments)
@@ -322,7 +323,7 @@ def _loops_of(kernel: Any) -> tuple[Any, ...]:
 
 @cache
 def addresses(form: int, law: Any = None) -> tuple[int, ...]:
-    """Return where the loops of a form lie in memory, once they are compiled.
+    """Return the memory addresses of the compiled loops of a form.
 
     Those of formulas depend on the `Law`, and have a loop over samples besides.
     """
@@ -333,7 +334,7 @@ def addresses(form: int, law: Any = None) -> tuple[int, ...]:
 
 @cache
 def _ground_loop_of(kernel: Any) -> Any:
-    """Make the loop of a force from the ground over bodies."""
+    """Create the loop over bodies for the force of a ground law."""
     force_of = kernel.force.function("u, t, given, n", FUNCTIONS, kernel.codes)
     force_at = compiled_formula(force_of)
 
@@ -346,7 +347,7 @@ def _ground_loop_of(kernel: Any) -> Any:
 
 
 def address_of_ground(kernel: Any) -> int:
-    """Return where the loop of a force from the ground lies in memory, once it is compiled."""
+    """Return the memory address of the compiled loop of a ground force."""
     return address_of(_ground_loop_of(kernel), GROUND)
 
 
@@ -365,13 +366,13 @@ def contact_forces(links, out, x):
 
 @inlined
 def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
-    """Kick and drift all grains once a row, as `sweep_rows` says."""
+    """Kick and drift all grains once per row, see `sweep_rows`."""
     _call_sweep(links.loops[1], (x, v, inverse_mass, links, rows, top, body, forced))
 
 
 @inlined
 def pull_to_rest(address, pull, x, inverse_mass, given, first, t, length):
-    """Subtract from accelerations (B,) those by the ground at time t, of bodies x (B,).
+    """Subtract the ground's accelerations at time t, for bodies x (B,), from accelerations (B,).
 
     A kick subtracts them from velocities, times its `length` in s; it is 1 for accelerations.
     `first` is the column of the first body in `given`, see `BatchArrays.ground_parameters`.

@@ -95,7 +95,7 @@ def _fill_slopes(body, x, w, response, force, pushed, slopes, stage):
     viscosity = body.viscosity
     for n in range(body.drag.size):
         mobility = body.inverse_mass[PAD + n]
-        # A held or driven grain keeps its place.
+        # A held or driven grain does not react to forces.
         if mobility == 0.0:
             slopes.x[stage, n] = 0.0
             slopes.w[stage, n] = 0.0

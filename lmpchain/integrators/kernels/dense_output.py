@@ -103,7 +103,7 @@ def fill_samples(chain, clock, first, last, rates, out):
         s3 = s * s * s
         q3 = q * q * q
         # Weights of u, v, a and j at the begin (0) and the end (1) of the step, for u. The weight
-        # of u at the end is 1 - `along`, so that grains at rest keep their place exactly.
+        # of u at the end is 1 - `along`, so that grains at rest stay exactly in place.
         along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))
         v1 = -h * q * s3 * s * (1.0 + q * (4.0 + 10.0 * q))

@@ -1,4 +1,4 @@
-"""How chains lie in memory, and the tuples of arrays that the compiled loops hand on.
+"""Memory layout of chains, and the tuples of arrays that the compiled loops exchange.
 
 A row of bodies is a wall (or nothing), N grains and a wall (or nothing), grain 1 at the index
 `PAD`, where a cache line begins; behind them come bodies that do not exist, up to a whole number of
@@ -14,60 +14,61 @@ from numpy.typing import NDArray
 
 from ...util.arrays import Array
 
-PAD = 8  # doubles in a cache line
+PAD = 8  # Number of doubles in a cache line.
 
-# Fraction of a step: a corner of the forcing that is closer to an end counts as at that end.
+# Fraction of a step; a corner of the forcing closer to an end of the step counts as at the end.
 RESOLUTION = 1e-9
 
-# What is imposed on a chain after t = 0: a sine, also one with an envelope, or a cubic spline.
+# Imposed on a chain after t = 0: a sine, possibly with an envelope, or a cubic spline.
 WAVE = np.dtype(
     [
-        ("amplitude", "f8"),  # m of a displacement, N of a force
-        ("omega", "f8"),  # rad/s
-        ("envelope", "f8"),  # rad/s: the sine is multiplied by that of this frequency, squared
-        ("end", "f8"),  # s
-        ("knots", "i8"),  # number of knots of a spline, 0 for a sine
-        ("body", "i8"),  # index of the body that is driven; less than 0: of the one pushed
+        ("amplitude", "f8"),  # Amplitude of a displacement, m, or of a force, N.
+        ("omega", "f8"),  # Frequency, rad/s.
+        ("envelope", "f8"),  # Frequency of the squared sine that multiplies the wave, rad/s.
+        ("end", "f8"),  # End of the forcing, s.
+        ("knots", "i8"),  # Number of knots of a spline; 0 for a sine.
+        ("body", "i8"),  # Index of the driven body; negative for a pushed body.
     ],
     align=True,
 )
 
-# State of a chain between two calls, from which a run goes on with the same bits:
+# State of a chain between two calls, from which a run continues bit for bit.
 STATE = np.dtype(
     [
-        ("sample", "i8"),  # last sample on which a step has landed
-        ("done", "f8"),  # since then: steps if all have one length, else s
-        ("pending", "f8"),  # s: the part of a kick that is still due
-        ("first", "i8"),  # first body of the active window,
-        ("last", "i8"),  # and the one behind its last body
-        ("least_strain", "f8"),  # smallest r / length of any contact; -1 is an opening
-        ("largest_approach", "f8"),  # m, of two grains beyond that at rest
-        ("largest_displacement", "f8"),  # m, of any grain
-        ("largest_speed", "f8"),  # m/s, of any grain
-        ("next_look", "i8"),  # steps after which these two are looked for again
-        ("steps", "i8"),  # steps made since t = 0
-        ("step_size", "f8"),  # s: of the last step, with which Gear scales its history
-        ("step_begin", "f8"),  # s after the last sample: where the last adaptive step began
-        ("lost", "f8"),  # J: what viscous contacts and drag have taken since t = 0
-        ("work", "f8"),  # J: work of a force, or of the contacts of what is driven, since t = 0
-        ("loss_rate", "f8"),  # W: how fast these two grow, where equal steps sum them up
+        ("sample", "i8"),  # Last sample on which a step has landed.
+        ("done", "f8"),  # Steps since that sample if all steps are equal, otherwise time, s.
+        ("pending", "f8"),  # Remaining part of a kick, s.
+        ("first", "i8"),  # First body of the active window.
+        ("last", "i8"),  # Body after the last body of the window.
+        ("least_strain", "f8"),  # Smallest r / length of any contact; -1 is an opening.
+        ("largest_approach", "f8"),  # Largest approach of two grains from rest, m.
+        ("largest_displacement", "f8"),  # Largest displacement of any grain, m.
+        ("largest_speed", "f8"),  # Largest speed of any grain, m/s.
+        ("next_look", "i8"),  # Number of steps at which these two are updated next.
+        ("steps", "i8"),  # Number of steps since t = 0.
+        ("step_size", "f8"),  # Length of the last step, s, with which Gear scales its history.
+        ("step_begin", "f8"),  # Begin of the last adaptive step, s after the last sample.
+        ("lost", "f8"),  # Energy dissipated by viscous contacts and drag since t = 0, J.
+        ("work", "f8"),  # Work of the force or on the driven body since t = 0, J.
+        ("loss_rate", "f8"),  # Rate of both, W, where equal steps sum them up.
         ("work_rate", "f8"),
     ],
-    # compiled loops read aligned numbers faster
+    # Compiled loops read aligned numbers faster.
     align=True,
 )
 
-EDGES = 128  # more than there are rows in a `sweep`
-# Place in a gate, on a cache line of its own.
+EDGES = 128  # Upper bound on the number of rows in a `sweep`.
+# Index in a gate, on a separate cache line.
 GIVEN_UP = PAD
-# grains of a thread; of this many, what it waits for others is a tenth of the time
+# Smallest number of grains per thread; for it, waiting for other threads takes a tenth of the time.
 LEAST_SHARE = 4096
-# grains, a page: of no more, samples are written whole; of more, only as far as the wave has come
+# Up to this number of grains (one page), samples are written whole; beyond, only as far as the
+# wave.
 WHOLE_ROWS = 512
 
 
 class Team(NamedTuple):
-    """One of the threads that share a chain, and the memory in which they meet.
+    """One of the threads that share a chain, with their shared memory.
 
     Attributes
     ----------
@@ -99,7 +100,7 @@ ALONE = team(1)[0]
 
 
 class BatchArrays(NamedTuple):
-    """What the compiled loops read of a batch of R chains, in rows of W bodies.
+    """Arrays of a batch of R chains that the compiled loops read, in rows of W bodies.
 
     They take tuples of arrays and numbers alone, so that these stand apart from `ChainBatch`.
 
@@ -201,7 +202,7 @@ class BatchArrays(NamedTuple):
 
 
 class Chains(NamedTuple):
-    """A batch of R chains in motion, once for each of F schedules, one batch after the other.
+    """A batch of R moving chains, repeated for each of F schedules.
 
     Attributes
     ----------
@@ -224,7 +225,7 @@ class Chains(NamedTuple):
 
 
 class Links(NamedTuple):
-    """The contacts of one chain, or some of them: fields as in `BatchArrays`.
+    """The contacts of one chain, or a part of them; fields as in `BatchArrays`.
 
     Attributes
     ----------
@@ -246,7 +247,7 @@ class Links(NamedTuple):
 
 
 class Imposed(NamedTuple):
-    """A motion or force imposed on one chain after t = 0: fields as in `BatchArrays`."""
+    """A motion or force imposed on one chain after t = 0; fields as in `BatchArrays`."""
 
     acts: bool
     reach: NDArray[np.int64]
@@ -257,7 +258,7 @@ class Imposed(NamedTuple):
 
 
 class BatchMember(NamedTuple):
-    """One chain of `Chains`, with its numbers in the batch and among the schedules."""
+    """One chain of `Chains` with its indices in the batch and among the schedules."""
 
     x: Array
     v: Array
@@ -286,7 +287,7 @@ class BatchMember(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of a sweep, (Q,) arrays: in each, all grains are kicked and then drift.
+    """Rows of a sweep, (Q,) arrays; in each row, all grains are kicked and then drift.
 
     Attributes
     ----------
@@ -308,7 +309,7 @@ class Rows(NamedTuple):
 
 
 def make_rows(count: int, acts: bool) -> Rows:
-    """Return this number of rows, and whether a forcing is imposed."""
+    """Return this number of rows, including whether a forcing is imposed."""
     kick, drift, carried, path, time = np.zeros((5, count))
     return Rows(kick, drift, carried, path[: count if acts else 0], time)
 
@@ -322,7 +323,7 @@ class SplittingStages(NamedTuple):
 
 
 class Shortening(NamedTuple):
-    """Steps of a splitting around contacts that open or close, by F schedules in R chains.
+    """Shortening of steps around contact openings, for F schedules and R chains.
 
     Attributes
     ----------
@@ -341,7 +342,7 @@ class Shortening(NamedTuple):
 
 
 class Noted(NamedTuple):
-    """What a march by steps notes of Q steps of a chain.
+    """Record of Q steps of a chain in a march by steps.
 
     Attributes
     ----------
@@ -362,7 +363,7 @@ class Noted(NamedTuple):
 
 
 class Fields(NamedTuple):
-    """Where samples go, from the one with the number `first` on: displacements and velocities.
+    """Output arrays of displacements and velocities, from the sample number `first` on.
 
     (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger
     than `WHOLE_ROWS`. `balance` takes what was lost and the work at all T samples, see `STATE`:
@@ -378,7 +379,7 @@ class Fields(NamedTuple):
 
 
 class SampleRow(NamedTuple):
-    """Where samples of one chain go: (B, N) arrays, from the sample `first` on; see `Fields`."""
+    """Output arrays (B, N) of one chain, from the sample number `first` on; see `Fields`."""
 
     u: Array
     v: Array

@@ -156,7 +156,7 @@ def accelerate(chain, y, first, last, force, pull):
 
 @inlined
 def add_ground(chain, y, t, first, last, pull):
-    """Add the accelerations by the ground at time t to those of bodies first ... last-1 of y."""
+    """Add the ground's accelerations at time t to the bodies first to last - 1 of y."""
     _pull_bodies(chain.ground, chain, y, t, first, last, pull, 1.0)
 
 

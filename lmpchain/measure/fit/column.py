@@ -23,7 +23,7 @@ from ..front import FEWEST, Exponents, Front, PowerLaw, asymptotic, exponent, fi
 from ..recorded import Field
 from .table import Fitted, FittedNumber
 
-# Least drop behind a front, relative to the largest motion, if the trajectory error is unknown.
+# Smallest decrease behind a front, relative to the largest motion, if the error is unknown.
 QUIET = 1e-6
 
 
@@ -111,12 +111,12 @@ class FrontLaw(Fitted, Tabular):
     depth : (P,) array
         h = n - 1/2, in grains.
     time, shift : (P,) arrays
-        Of the largest velocity, and by how much the front of a row of grains lags (0.908 w for
+        Times of the largest velocity, and lags of the front of a row of grains (0.908 w for
         Hertz), units of tau.
     order, exponent, factor, correction : float
         The order is 1/delta + 1/3, the next one after that of the lag.
     error : (3,) array
-        Of exponent, factor and correction: half the 95 % confidence interval, and twice the shift
+        Errors of exponent, factor and correction: half the 95 % interval, plus twice the shift
         when one more order, higher by 1/delta - 1/3, is fitted too, which is most of the effect of
         higher orders.
     expected : (2,) array
@@ -182,7 +182,7 @@ class ContinuumFit(Fitted, Tabular):
     power : float
         xi / (2 eta).
     grain, cone, values, model : (P,) arrays
-        What was fitted: grains, tau^2 - chi^2, phi in units of v0, and the fit.
+        Fitted data: grains, tau^2 - chi^2, phi in units of v0, and the fit.
     residual : float
         Root mean square of values - model over that of values.
     front : FrontLaw or None
@@ -339,14 +339,14 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     # The peak of a discrete chain lags behind the front of the continuum.
     shift = theory.peak_time(n, delta) - chi(h, delta)
     if not (time > shift).all():
-        # Noise.
+        # The time is only noise.
         return None
     order = 1 / 3 + 1 / delta
     step = 1 / delta - 1 / 3
     try:
         fit = fit_power(h, time - shift, order, order + step)
     except InputError:
-        # The law does not describe such a strong strike.
+        # The law does not apply to such a strong strike.
         return None
     power, scale, correction = fit.values.tolist()
     factor = float(np.exp(scale))
@@ -364,10 +364,10 @@ def _front_law(trajectory: Trajectory, first: int) -> FrontLaw | None:
     )
 
 
-# Exponents of a solitary wave without gravity, which a strike number above some 10^3 makes.
+# Exponents of a solitary wave without gravity, which is reached at strike numbers above some 10^3.
 STRONG = {"velocity": 0.0, "displacement": 0.0, "time": 1.0, "speed": 0.0, "width": 0.0}
-WINDOW = 11  # grains of a local exponent
-# Wave strength above which the fitted law of weak waves says nothing of great depth.
+WINDOW = 11  # Number of grains in a fit of a local exponent.
+# Wave strength above which the law of weak waves cannot be extrapolated to great depth.
 STILL_STRONG = 0.3
 
 
@@ -400,7 +400,7 @@ class ExponentFit(Fitted):
     strength: Array = field(default_factory=lambda: np.zeros(0))
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield the local exponents at the deepest grains, and the exponents at great depth."""
+        """Yield the local exponents at the deepest grains, and the extrapolated exponents."""
         if self.strength.size:
             yield FittedNumber(
                 "exponents", f"strength at grain {self.grain[-1]}", float(self.strength[-1])
@@ -439,7 +439,7 @@ class ExponentFit(Fitted):
             )
 
     def approach(self, name: str) -> str:
-        """Return in words which law the local exponents of a quantity approach with depth.
+        """Return in words which law the local exponents of a quantity approach at depth.
 
         "on" a law is what agrees with it within the error at the deepest grains, "towards" one what
         comes nearer to it from the first grains to the deepest by more than both errors.
@@ -486,7 +486,7 @@ class ExponentFit(Fitted):
                 error = shown[name].error[0]
                 ax.errorbar(beyond, height, error, fmt="o", ms=4, capsize=3, color=colour)
         mark_decades(ax)
-        # The legend is below the axes, since curves may lie anywhere within.
+        # The legend is below the axes, because curves may be anywhere within.
         return finish(ax, below=0.3, ncols=3, columnspacing=1.0)
 
 

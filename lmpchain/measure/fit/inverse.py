@@ -83,7 +83,7 @@ class Trace(Shown):
     def of(
         cls, trajectory: Trajectory, grains: Sequence[int] | None = None, field: Field = "velocity"
     ) -> Trace:
-        """Return the trace of grains of a trajectory, by default of all recorded moving grains."""
+        """Return the trace of grains of a trajectory; by default of all recorded moving grains."""
         if grains is None:
             grains = [int(n) for n in trajectory.grains if n <= trajectory.scene.chain.movable]
         return cls(trajectory.time, grains, _select(trajectory, np.array(grains), field), field)
@@ -118,13 +118,13 @@ class ParameterFit(Fitted, Tabular):
         m/s, N or Pa; one standard error, which assumes independent residuals, as of noise.
     trace : Trace
     model : (T, G) array
-        What the scene with this value gives, in the units of the trace.
+        Values in the scene with this parameter, in the units of the trace.
     residual : float
         Root mean square of trace - model over that of the trace.
     scene : Scene
-        With this value.
+        Scene with this value.
     runs : int
-        Of the engine.
+        Number of runs of the engine.
     """
 
     parameter: Parameter
@@ -243,7 +243,7 @@ def fit_parameter(
         residuals,
         [start],
         jac="3-point",
-        diff_step=1e-3,  # far above the noise that a tolerance leaves
+        diff_step=1e-3,  # This step is far above the noise that a tolerance leaves.
         bounds=bounds,
         x_scale=[start],
         xtol=1e-12,
@@ -293,7 +293,7 @@ def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
 def _parameter(
     scene: Scene, parameter: Parameter, trace: Trace, span: float
 ) -> tuple[float, Callable[[float], Scene]]:
-    """Return the value of the parameter in the scene, and a function that replaces it."""
+    """Return the parameter's value in the scene, and a function that replaces the value."""
     chain = scene.chain
     if parameter not in get_args(Parameter):
         names = ", ".join(get_args(Parameter))
@@ -318,7 +318,7 @@ def _parameter(
         )
     if faults:
         raise InputError(faults)
-    # The force on a grain needs its neighbours, too.
+    # The force on a grain also needs the motion of its neighbours.
     near = np.unique(np.clip([trace.grain - 1, trace.grain, trace.grain + 1], 1, chain.grains))
     time = _times(scene, trace.time)
     recording = {"duration": float(time[-1]), "samples": time.size, "grains": near.tolist()}
@@ -349,7 +349,7 @@ def _change(scene: Scene, parameter: Parameter, value: float) -> dict[str, Any]:
 
 
 def _times(scene: Scene, times: Array) -> Array:
-    """Return evenly spaced times from 0: the given ones, or fine enough to interpolate between."""
+    """Return evenly spaced times from 0: the given ones, or times fine enough to interpolate."""
     even = np.arange(times.size) * times[-1] / (times.size - 1)
     if np.abs(even - times).max() <= 1e-9 * times[-1]:
         return even

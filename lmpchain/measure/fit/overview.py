@@ -18,8 +18,8 @@ from .table import TITLES, Fitted, FittedNumber
 from .waves import ModeFit, fit_bessel, fit_modes
 
 # Strike number up to which linear theory has errors of about 1 % in peak velocities.
-WEAK_STRIKE = 0.3  # analysis/calibration/fit_thresholds.py
-MOST_MODES = 3000  # grains up to which all eigenmodes take seconds only
+WEAK_STRIKE = 0.3  # See analysis/calibration/fit_thresholds.py.
+MOST_MODES = 3000  # Largest number of grains for which computing all eigenmodes takes only seconds.
 
 
 @dataclass(frozen=True, repr=False)
@@ -31,9 +31,9 @@ class Summary(Shown):
     strike_number : float
     rows : tuple of Row
     left_out : tuple of (fit, reason)
-        What does not apply, and why.
+        Fits that do not apply, with the reasons.
     notes : tuple of str
-        What the fits say besides: grains left out, laws approached.
+        Remarks of the fits: excluded grains, asymptotic laws.
     """
 
     strike_number: float

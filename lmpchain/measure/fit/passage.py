@@ -1,4 +1,4 @@
-"""What a wave does to a chain of any kind: arrival and speed of the front, velocity and force."""
+"""The front of a wave in any chain: arrival, speed, and largest velocity and force."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from ..front import Front, track
 from ..motion import Peaks, peaks
 from .table import Fitted, FittedNumber
 
-CONTACTS_AT_ONCE = 500  # whose forces are in memory together
+CONTACTS_AT_ONCE = 500  # Number of contacts whose forces are in memory together.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FrontPassage(Fitted):
-    """The front of a wave, and the largest velocity and force, without a theory.
+    """The front of a wave with the largest velocity and force, without a theory.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class FrontPassage(Fitted):
 
 
 def fit_passage(trajectory: Trajectory) -> FrontPassage:
-    """Return how the front of a wave passes, and the largest velocity and force.
+    """Return arrival and speed of the front, and the largest velocity and force.
 
     Parameters
     ----------

@@ -20,14 +20,14 @@ from ..front import FEWEST, track
 from .column import is_uniform
 from .table import Fitted, FittedNumber
 
-END_GRAINS = 5  # at an end a wave meets its own reflection
+END_GRAINS = 5  # Number of grains at an end where a wave meets its own reflection.
 # Largest relative scatter of the height, and errors of speed and width, of a solitary wave.
-SOLITARY = 0.02  # analysis/calibration/fit_thresholds.py
+SOLITARY = 0.02  # See analysis/calibration/fit_thresholds.py.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SolitonFit(Fitted, Tabular):
-    """A wave that keeps its height, beside the exact solitary wave of that height.
+    """A wave of constant height, compared with the exact solitary wave of that height.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class SolitonFit(Fitted, Tabular):
         Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in
         grains.
     error : (3,) array
-        Of amplitude, speed and width: half the 95 % confidence interval, and what sampling may
+        Errors of amplitude, speed and width: half the 95 % interval, plus what sampling may
         cost.
     wave : Soliton
         The exact one of this amplitude.

@@ -1,4 +1,4 @@
-"""Fitted numbers as a table: quantity, value, error, theory, unit."""
+"""Fitted numbers as a table: quantity, value, error, theory and unit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class FittedNumber:
     value, error : float
         The error as the fit defines it; NaN where there is none.
     expected : float
-        By the scene and the theory; NaN where they say nothing.
+        Value from the scene or theory; NaN if there is no prediction.
     """
 
     fit: str
@@ -51,11 +51,11 @@ class Fitted(Shown):
         raise NotImplementedError
 
     def notes(self) -> Iterator[str]:
-        """Yield further remarks, such as left-out grains and the law that is approached."""
+        """Yield further remarks, such as excluded grains and the asymptotic law."""
         yield from ()
 
     def _summary(self) -> Iterator[Sequence[str]]:
-        # Notebooks show this table, too.
+        # Notebooks display this table as well.
         yield from table_of(self.rows())
 
     def table(self) -> str:

@@ -35,7 +35,7 @@ class BesselRegion(NamedTuple):
     forerunner : float
         Echoes have not arrived where 2 s = m - 7.4 m^(1/3): there J_m(2 s) is below 1e-10.
     fewest : int
-        Least number of values for three parameters and their errors.
+        Smallest number of values for three parameters and their errors.
     most : int
         Largest number of values; of more, those of some of the grains are fitted.
     arrival : float
@@ -59,9 +59,9 @@ class ModeFit(Fitted, Tabular):
     Attributes
     ----------
     frequency : (M,) array
-        rad/s, ascending.
+        Frequencies, rad/s, ascending.
     time : (T,) array
-        s.
+        Times, s.
     amplitude, rate : (T, M) arrays
         ``a_p = sum_n m_n X_pn phi_n`` with modes orthonormal in mass, m kg^(1/2), and its rate, m
         kg^(1/2)/s.
@@ -71,7 +71,7 @@ class ModeFit(Fitted, Tabular):
     given : float
         Energy of the motion at t = 0 by the scene, with its nonlinear part, J; NaN if unknown.
     residual : (T,) array
-        How far the linear motion from the state at t = 0, Eqs. (15) and (16), is from the
+        Distance of the linear motion from the state at t = 0, Eqs. (15) and (16), from the
         trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
         larger of displacement and velocity.
     """
@@ -101,7 +101,7 @@ class ModeFit(Fitted, Tabular):
 
     @property
     def share(self) -> Array:
-        """Fraction of the energy in each mode at t = 0, (M,); they sum to 1 (0 at rest)."""
+        """Fraction of the energy in each mode at t = 0, (M,); the sum is 1, or 0 at rest."""
         total = self.energy.sum()
         return self.energy / total if total else self.energy
 
@@ -181,7 +181,7 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
         energy=energy[0],
         energy_error=energy.std(0),
         residual=np.maximum(*residuals),
-        # The energy in the ground is not counted.
+        # The energy of the ground is not included.
         given=math.nan if chain.ground is not None else float(scene.energy),
     )
 
@@ -197,7 +197,7 @@ class BesselFit(Fitted, Tabular):
     Attributes
     ----------
     field : "velocity" or "displacement"
-        What was given to grain p, and is fitted.
+        Quantity that was given to grain p, and is fitted.
     struck : int
         p.
     amplitude, rate, delay : float
@@ -208,11 +208,11 @@ class BesselFit(Fitted, Tabular):
     error : (4,) array
         One standard error of amplitude, rate, delay and kappa.
     covariance : (3, 3) array
-        Of amplitude, rate and delay.
+        Covariance of amplitude, rate and delay.
     expected : (4,) array
         The values that scene and theory give.
     grain, time, values, model : (P,) arrays
-        What was fitted: grains, s, m/s or m, and the fit there.
+        Fitted data: grains, times, s, values, m/s or m, and the fit.
     residual : float
         Root mean square of values - model over that of values.
     """
@@ -430,7 +430,7 @@ def _window(
 
 
 def _thin(inside: np.ndarray, trajectory: Trajectory, p: int, rate: float) -> np.ndarray:
-    """Leave out grains at rest if there are too many values, and then some of the others."""
+    """Remove grains at rest if there are too many values, and then a part of the others."""
     if np.count_nonzero(inside) <= REGION.most:
         return inside
     reach = 2 * rate * float(trajectory.time[-1])

@@ -19,11 +19,12 @@ from ...util.lazy import listed
 
 __dir__ = listed(__name__)
 
-# Columns of bodies at rest and of unrecorded bodies; any negative numbers would do.
+# Indices for bodies at rest and for unrecorded bodies; any negative numbers are possible.
 STILL = -1
 UNKNOWN = -2
-# Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation. Nothing
-# compiled makes arrays, so that counting references, half of the compilation, is left out.
+# Division by 0 gives infinity, as in numpy, without branches that prevent vectorisation. The
+# compiled functions create no arrays, so that reference counting, half of the compilation, is
+# omitted.
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
 INGREDIENT = _OPTIONS | {"pipeline_class": Ingredient}
 compiled = numba.njit(**INGREDIENT)
@@ -70,7 +71,7 @@ class ChainForces(NamedTuple):
     parameters : (P, N+1) array
         See `BatchArrays.parameters`, for a law given by formulas.
     formulas : int
-        Where the loop of that law lies in memory, see `change_in_time`; 0 for powers.
+        Memory address of the law's loop, see `change_in_time`; 0 for powers.
     """
 
     contacts: Array
@@ -150,13 +151,13 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     law = chain.law
     contacts = chain.contacts
     inverse_mass = 1 / chain.masses
-    # A held grain is never accelerated.
+    # A fixed grain is never accelerated.
     inverse_mass[chain.movable :] = 0.0
     pressed = contacts.pressed
     length = np.where(pressed, contacts.length, 1.0)
     strength = np.where(pressed, contacts.force, contacts.constant)
     if linear:
-        # The force of a spring of this length.
+        # Force of a spring of this length.
         strength = contacts.stiffness * length
     rows = np.array([1 / length, strength, pressed])
     exponent = 1.0 if linear else law.onset
@@ -195,7 +196,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
     grain = 0
     driven = False
     wall_body = 0
-    # The excitation imposes a displacement, of which the second derivative is the acceleration.
+    # The excitation imposes a displacement; its second derivative is the acceleration.
     order, share = 2, 1.0
     moves_base = excitation.from_below and scene.chain.bottom == "wall"
     if excitation.wall or moves_base:
@@ -228,8 +229,8 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
 
 
 def by_body(field: Array) -> Array:
-    """Return a (T, C) field as (C, T), so that the samples of a body lie side by side."""
-    # A single column is copied, too, because the kernels are compiled for writable arrays.
+    """Return a (T, C) field as (C, T), so that the samples of a body are contiguous."""
+    # A single column is copied as well, because the kernels are compiled for writable arrays.
     return np.array(np.transpose(field), float, order="C")
 
 
@@ -281,11 +282,11 @@ def _push(r, closing, contact, law, n, force, rate):
             force[i] = strength * exponent * s
             rate[i] = strength * exponent * inverse_length * closing[i]
         elif y == 0.0:
-            # The contact is open: the force at rest is gone, and 0 to a power below 1 has no rate.
+            # The contact is open: the force at rest is lost, and 0 to a power below 1 has no rate.
             force[i] = -strength * pressed
             rate[i] = 0.0
         else:
-            # The formula (1 + s)^delta - 1 in this form keeps the digits of a weak wave.
+            # This form of (1 + s)^delta - 1 preserves the digits of a weak wave.
             change = math.expm1(exponent * math.log1p(s)) if pressed > 0.0 else y**exponent
             force[i] = strength * change
             rate[i] = strength * exponent * y ** (exponent - 1.0) * inverse_length * closing[i]
@@ -310,7 +311,7 @@ def _nearly_opens(r, closing, contact, h):
 
 @compiled
 def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
-    """Raise the error of an acceleration if the contact opens or closes behind a sample.
+    """Increase the error of an acceleration if the contact opens or closes after a sample.
 
     There the jerk jumps, so that the acceleration has a kink; see `OpeningErrors`.
     """
@@ -325,7 +326,7 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
             continue
         off = OPENINGS.kink * h * abs(rate[i + 1] - rate[i])
         # In a collision shorter than an interval, the bodies were closer in between: they still
-        # approach as the contact opens, or already recede as the contact closes.
+        # approach when the contact opens, or already recede when it closes.
         nearer = (after > 0.0 and climb < 0.0) or (before > 0.0 and rise > 0.0)
         if nearer if changed else after <= 0.0:
             off = max(off, OPENINGS.collision * mass * abs(closing[i + 1] - closing[i]) / h)
@@ -334,7 +335,7 @@ def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
 
 @joined
 def _inverse_mass(law, n):
-    """Return the inverse mass of a body, 0 of a wall."""
+    """Return the inverse mass of a body; 0 for a wall."""
     return law.inverse_mass[n - 1] if 0 < n <= law.inverse_mass.size else 0.0
 
 
@@ -458,7 +459,7 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
 
 @compiled_measure()
 def _fill_sampled(u, v, column, lawful, h, derived):
-    """Fill in the results of `derive` that follow from the samples: those of damped chains."""
+    """Compute the results of `derive` from the samples alone, as needed for damped chains."""
     for g in range(lawful.size):
         if not lawful[g]:
             _differentiate(u[column[g]], v[column[g]], h, derived[g])
@@ -466,7 +467,7 @@ def _fill_sampled(u, v, column, lawful, h, derived):
 
 @compiled_measure()
 def _fill_derived(block, grains, row, derived, work):
-    """Fill in the results of `derive` by the law, and the row in them of each body, or -1."""
+    """Compute the results of `derive` by the law, and each body's row in them, or -1."""
     law = block.law
     imposed = block.imposed
     for g in range(grains.size):

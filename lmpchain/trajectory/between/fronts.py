@@ -13,7 +13,7 @@ from .derivatives import SampledBlock, compiled, compiled_measure
 from .hermite import ERROR, FLAT, PLACES, C, bound, fill_polynomial, roots, scratch, value
 from .maxima import EVENT, HIDDEN, HIGH, LOW, MAXIMUM, NONE, SHOULDER, VALUE, fill_path
 
-SMALLEST = sys.float_info.min  # maximum that has all of its digits
+SMALLEST = sys.float_info.min  # Smallest maximum with full precision.
 
 
 class Rules(NamedTuple):
@@ -102,7 +102,7 @@ def _earlier(events, when, lowest, late, rules):
         event = events[k]
         if event.kind != SHOULDER or event.when >= when or abs(event.height) < lowest:
             continue
-        # Error of the slope, which grows from its minimum with the square of the time.
+        # Error of the slope, which increases from its minimum with the square of the time.
         slack = event.tilt + swift
         if slack >= 0.0:
             start = max(event.when - math.sqrt(2.0 * slack / event.bend), 0.0)
@@ -142,7 +142,7 @@ def _doubt_choice(events, at, late, largest, rules):
     lower = rules.fraction * (largest[LOW] - rules.error) - off
     upper = rules.fraction * (largest[HIGH] + rules.error) + off
     apart = 0.0
-    # The rise may have turned before.
+    # The rise may have turned earlier.
     begin, height = _earlier(events, when, lower, late, rules)
     if begin < when:
         late = when - begin
@@ -154,7 +154,7 @@ def _doubt_choice(events, at, late, largest, rules):
         apart = max(apart, abs(abs(events[other].height) - top))
     end = rules.duration - when
     fall = rules.fall + 2.0 * rules.error
-    # This maximum may be too low, or may not decrease enough: then a later one is the front.
+    # This maximum may be too low, or may not decrease enough; then a later one is the front.
     if top < upper or top - front.since <= fall + 2.0 * front.off:
         other = _first(events, upper, fall, 2.0)
         late = max(late, abs(events[other].when - when) if other >= 0 else end)
@@ -169,7 +169,7 @@ def _doubt_choice(events, at, late, largest, rules):
 
 @compiled
 def _events_of_grain(events, begin, latest, few):
-    """Fill in the events of a grain, from `begin` on, and the latest one; return their number."""
+    """Fill in the events of a grain, from `begin`, and the latest one; return their number."""
     count = 0
     while begin + count < events.size and events[begin + count].grain == latest.grain:
         few[count] = events[begin + count]
@@ -219,7 +219,7 @@ def arrivals(
 
 @compiled
 def _crossings(p, front, level, rules, work):
-    """Return the times when a size crosses a level before and after a front, and the largest error.
+    """Return the level crossings of a size before and after a front, and the largest error.
 
     Times without a crossing are NaN. The error is that of the polynomials on the way.
     """
@@ -245,7 +245,7 @@ def _crossings(p, front, level, rules, work):
                 if step * (place - here) > 0.0 and math.isnan(crossed):
                     crossed = (i + place) * h
             i += step
-            # In the intervals that follow, every place is on the way.
+            # In the intervals that follow, every position counts.
             here = -1.0 if step > 0 else 2.0
         if step < 0:
             begin = crossed

@@ -22,9 +22,9 @@ import numpy as np
 from ...util.arrays import Array
 from .derivatives import INGREDIENT, compiled, joined
 
-# Values of interest: |u|, |v|, or u with its sign.
+# Values to follow: |u|, |v|, or u with its sign.
 DISPLACEMENT, VELOCITY, RAISED = range(3)
-HALVINGS = 40  # of an interval: roots so close are one or none
+HALVINGS = 40  # Number of halvings of an interval; closer roots count as one or none.
 # Smallest curvature, relative to the value, above the rounding errors of free flight.
 FLAT = 1e-9
 BINOMIALS = np.array([[math.comb(degree, k) for k in range(8)] for degree in range(8)], float)
@@ -36,7 +36,7 @@ class PathRows(NamedTuple):
     Attributes
     ----------
     displacement, velocity, acceleration, jerk : int
-        At the R samples.
+        Rows of values at the R samples.
     doubt : int
         Error of the acceleration in the interval behind each sample.
     middle, error, reach : int
@@ -55,7 +55,7 @@ class PathRows(NamedTuple):
 
 
 class ScratchRows(NamedTuple):
-    """Rows and columns of the array that polynomials are worked out in; see `scratch`.
+    """Rows and columns of the work array for polynomials; see `scratch`.
 
     Attributes
     ----------
@@ -212,7 +212,7 @@ def differentiate(c, count, out):
 
 @compiled
 def fill_polynomial(p, kind, h, i, work):
-    """Fill in a polynomial behind sample i and its derivative; return its coefficient count."""
+    """Fill in a polynomial after sample i and its derivative; return its coefficient count."""
     c = work[C]
     c1, c2, c4, c5 = _velocity(p, i, h)
     c[0] = p[V, i]

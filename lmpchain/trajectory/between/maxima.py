@@ -44,22 +44,22 @@ from .hermite import (
     value,
 )
 
-# Kinds of events. Before the first event there may be a level: maxima above it are sought.
+# Kinds of events. A level may precede the first event; only maxima above it are searched.
 MAXIMUM, SHOULDER, HIDDEN, LEVEL = range(4)
-NO_FALL = 1e-12  # of a largest value: a fall by less is rounding
-ROOM = 32  # events by which a log grows, at least, and more than an interval has
+NO_FALL = 1e-12  # Fraction of the largest value; a smaller decrease is rounding.
+ROOM = 32  # Least growth of a log of events, larger than the number of events in an interval.
 # An event of a grain that may be its front, because its size exceeds all earlier sizes: a maximum
 # of the size, a shoulder of its rise, or intervals that may hide a larger maximum.
 EVENT = np.dtype([
-    ("grain", int),  # number in the reduction
+    ("grain", int),  # Number in the reduction.
     ("kind", int),
-    ("when", float),  # s
-    ("height", float),  # with its sign; a bound on the size if hidden
-    ("off", float),  # error of the height
-    ("tilt", float),  # error of the slope there, 1/s, less the slope of a shoulder
-    ("bend", float),  # least curvature, 0 if unsure, 1/s^2; of the slope of a shoulder, 1/s^3
-    ("since", float),  # least size until a larger one follows
-    ("until", float),  # s, until when the size is the same within its error
+    ("when", float),  # Time, s.
+    ("height", float),  # Height with its sign; for a hidden event, a bound on the size.
+    ("off", float),  # Error of the height.
+    ("tilt", float),  # Error of the slope, 1/s, minus the slope of a shoulder.
+    ("bend", float),  # Lower bound of the curvature, 1/s^2; of a shoulder's slope, 1/s^3.
+    ("since", float),  # Smallest size until a larger one follows.
+    ("until", float),  # Time until which the size is equal within its error, s.
 ])  # fmt: skip
 
 
@@ -75,7 +75,7 @@ VALUE, LOW, HIGH = LargestRows()
 
 
 class Missing(NamedTuple):
-    """Rows in `derivatives.derive` of bodies that are not there: one at rest, and none at all."""
+    """Rows in `derivatives.derive` for missing bodies: bodies at rest, and no body."""
 
     at_rest: int = -1
     none: int = -2
@@ -92,7 +92,7 @@ class Window(NamedTuple):
     first : int
         Number of the first sample of the block.
     begin, end : int
-        Of the intervals, counted from that sample.
+        Range of intervals, counted from this sample.
     """
 
     first: int
@@ -125,7 +125,7 @@ def levels_of(values: Array) -> np.ndarray:
 
 @joined
 def hidden(p, kind, h, ceiling, i):
-    """Return a bound on the sizes behind sample i; -1 if the polynomial shows all of them."""
+    """Return a bound on the sizes after sample i; -1 if the polynomial shows all of them."""
     if ceiling.size == 0 or ceiling[i] < 0.0:
         return -1.0
     if kind == VELOCITY:
@@ -135,7 +135,7 @@ def hidden(p, kind, h, ceiling, i):
 
 @compiled
 def _log_hidden(events, used, last, limit, begin, end):
-    """Log that a size up to a limit may be hidden from one time to another."""
+    """Log that a size up to a limit may be hidden between two times."""
     if limit < abs(last.height):
         return used
     # Consecutive intervals are one event.
@@ -170,7 +170,7 @@ def sure_bend(slopes, count, s, top, error, work):
 
 @compiled
 def _log_shoulders(p, i, h, t, count, stretch, last, events, used, work):
-    """Log local minima of the slope in a rise beyond all earlier sizes, within a stretch."""
+    """Log local minima of the slope in a rise above all earlier sizes, within an interval."""
     slopes = work[D]
     bends = work[BEND]
     sign = 1.0 if slopes[0] + slopes[count - 2] > 0.0 else -1.0
@@ -218,7 +218,7 @@ def _exceed(last, begin, error, h, t, s, height, bend):
         # Possibly free flight: the maximum is at the start of the flight.
         flat = begin <= (1.0 + NO_FALL) * abs(last.height) and top <= begin + error
         if flat and not _has_fallen(last):
-            # The size may be larger by an error that the interval before does not have.
+            # The size may have an error that the previous interval does not have.
             last.off = larger(last.off, error)
             last.tilt = larger(last.tilt, SHAPE.slope * error / h)
             return
@@ -234,7 +234,7 @@ def _exceed(last, begin, error, h, t, s, height, bend):
 
 @compiled
 def _turns_or_slows(p, kind, i, count, slopes):
-    """Return whether a polynomial may turn behind sample i, or slow down and speed up again."""
+    """Return whether a polynomial may turn after sample i, or slow down and speed up again."""
     top = slopes[0]
     low = slopes[0]
     for k in range(1, count - 1):
@@ -243,7 +243,7 @@ def _turns_or_slows(p, kind, i, count, slopes):
     row = J if kind == VELOCITY else A
     before = p[row, i]
     after = p[row, i + 1]
-    # A derivative of one sign has no turn; its own slope shows whether it slows and speeds up.
+    # A derivative of constant sign has no turn; its own slope shows changes of speed.
     if top >= -low:
         return low < 0.0 or before < 0.0 < after
     return top > 0.0 or before > 0.0 > after
@@ -300,7 +300,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
 
 @compiled
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
-    """Process some intervals of a body, as long as the log of events has room.
+    """Process intervals of a body until the log of events is full.
 
     Return the first interval that is left, or the end of the window, and the number of events.
 
@@ -331,7 +331,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     d = work[D]
     turning = work[TURNS]
     bound(p, kind, h)
-    # Samples first: intervals below their largest size need no search.
+    # Intervals below the largest sample need no search.
     top = highest(y, window.begin, window.end + 1, kind)
     for k in range(3):
         largest[k, n] = larger(largest[k, n], top)
@@ -374,7 +374,7 @@ def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
         if latest.size and (rises or not seen or latest[n].kind != LEVEL):
             t = (window.first + i) * h
             if latest[n].kind == LEVEL:
-                # Maxima are sought from here on.
+                # Maxima are searched from here.
                 _begin(latest[n], t, before)
             if not seen:
                 used = _log_hidden(events, used, latest[n], limit, t, t + h)
@@ -419,7 +419,7 @@ def fill_path(p, block, derived, body, row, lower):
     for k in range(5):
         for i in range(p.shape[1]):
             p[k, i] = 0.0
-    # In a loop, the compiler puts the code for a body in place once.
+    # A loop makes the compiler emit the code for a body only once.
     for side in range(2 if lower >= AT_REST else 1):
         _add_body(p, 1.0 - 2.0 * side, block, derived, lower if side else row, body + side)
     moves = False
@@ -496,7 +496,7 @@ def reduce(
 
 @compiled_measure()
 def _reduce(block, table, derived, ceiling, rest, window, sizes, tracked, latest, log, work):
-    """Do the work of `reduce` as long as the log has room; of the first row, do only `rest`.
+    """Do the work of `reduce` until the log is full; for the first row, do only `rest`.
 
     Return the number of rows that are done, the first interval of the next row that is left, and
     the number of events.

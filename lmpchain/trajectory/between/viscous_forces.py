@@ -24,7 +24,7 @@ ZOOMS = 4
 # Safety factor on the difference of two polynomials, because either may span an opening of the
 # contact.
 SAFETY = 4.0
-# Fraction of the largest force at the samples. Intervals with less at both ends stay below it.
+# Fraction of the largest force at the samples; intervals that are lower at both ends stay below it.
 HIGH = 0.8
 
 
@@ -35,7 +35,7 @@ class ViscousContact(NamedTuple):
     viscosity: float
 
     def force(self, closer: Array, closing: Array) -> Array:
-        """Return forces, N, for approaches beyond that at rest, m, and their rates, m/s."""
+        """Return forces, N, for approaches from rest, m, and their rates, m/s."""
         overlap = self.law.overlap + closer
         viscous = viscous_force(self.law, np.array([self.viscosity]), overlap, closing)
         return self.law.force_at(overlap) + viscous
@@ -60,7 +60,8 @@ class Polynomials(NamedTuple):
         """Return approaches and rates, (I, P) m and m/s, at (I, P) times from 0 to 1."""
         value = np.zeros(when.shape)
         slope = np.zeros(when.shape)
-        # Sum term by term, because the bits of a matrix product depend on the number of intervals.
+        # The sum is evaluated term by term, because the bits of a matrix product depend on the
+        # number of intervals.
         for coefficient in self.coefficients.T[::-1]:
             slope = slope * when + value
             value = value * when + coefficient[:, None]
@@ -68,7 +69,7 @@ class Polynomials(NamedTuple):
 
 
 def _between(motion: Array, h: float, first: Array, nodes: range) -> Polynomials:
-    """Return polynomials through the samples from these numbers on, at these nodes."""
+    """Return polynomials through the samples from these numbers, at these nodes."""
     near = motion[:, first[:, None] + np.arange(len(nodes))]
     # Slopes are in units of the interval.
     data = np.concatenate((near[0], h * near[1]), axis=1)

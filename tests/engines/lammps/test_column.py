@@ -1,4 +1,4 @@
-"""What LAMMPS is told: heights, walls, constants, formulas of what acts.
+"""A scene in LAMMPS terms: heights, walls, constants and formulas of the forcing.
 
 And what the engine chooses and refuses.
 """
@@ -55,7 +55,7 @@ def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain
 
 
 def test_grains_stand_on_each_other():
-    """From the centre of grain 1 downward: radii less overlaps.
+    """Distances from the centre of grain 1 downward are sums of radii minus overlaps.
 
     With every grain its mass, however it is drawn.
     """
@@ -76,7 +76,7 @@ def test_grains_stand_on_each_other():
 
 
 def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
-    """A wall of constant K presses with K overlap^1.5.
+    """A wall of constant K exerts the force K overlap^1.5.
 
     LAMMPS multiplies by the root of the radius itself.
     """
@@ -98,11 +98,11 @@ def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
     assert column(top="free", bottom="fixed").walls == []
 
 
-def test_what_moves_and_what_presses_on_grain_1():
+def test_moving_grains_and_the_load_on_grain_1():
     assert column().mobile == (1, 5)
     assert column(bottom="fixed").mobile == (1, 4)
     assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").mobile == (2, 5)
-    assert column().load == 0.0  # the wall presses
+    assert column().load == 0.0  # The wall exerts the load.
     assert column(top="free").load == 0.3
     assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").load == 0.0
     assert column().strike.velocity == 1e-3
@@ -110,7 +110,7 @@ def test_what_moves_and_what_presses_on_grain_1():
     assert (column().model, column(exponent=1.0).model) == ("hertz", "hooke")
 
 
-def test_every_gap_lies_within_the_skin_and_every_grain_within_the_box():
+def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
     for excitation in (None, Displacement(displacement=-1e-3), Displacement(displacement=2e-6)):
         made = column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
         z, _ = made.start
@@ -125,7 +125,7 @@ def test_every_gap_lies_within_the_skin_and_every_grain_within_the_box():
 
 
 @pytest.mark.parametrize("gauge", [0.0, 1e-5])
-def test_the_constants_of_pairs_of_types_are_those_of_contacts(gauge):
+def test_constants_of_type_pairs_are_those_of_contacts(gauge):
     made = column(gauge=gauge)
     constants = {}
     first = float(made.coefficients[0].split()[3])
@@ -157,7 +157,7 @@ def test_a_uniform_chain_has_one_type():
 
 
 def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
-    """A column of a million grains has a few kinds; to compare each contact took 7 s."""
+    """A column of a million grains has few kinds; comparing each contact would take 7 s."""
     compared = []
     same = Contact.same
     monkeypatch.setattr(Contact, "same", lambda *pair: compared.append(pair) or same(*pair))
@@ -187,7 +187,7 @@ ACTS = {
 
 @pytest.mark.parametrize("name", ACTS)
 def test_formulas_of_lammps_give_the_motion_and_the_force(name):
-    """Evaluated in Python with the variables of the deck; upward, where ours are downward."""
+    """The formulas are evaluated in Python with the deck's variables, and are positive upward."""
     act = ACTS[name]
     wave = act.waveform
     said = columns.placeholders(act, 2e-5)
@@ -225,7 +225,7 @@ def test_formulas_of_lammps_give_the_motion_and_the_force(name):
         assert said["frequency"] == pytest.approx(1e5, rel=1e-12)
 
 
-def test_only_pieces_that_begin_in_the_run_are_told():
+def test_only_pieces_that_begin_during_the_run_are_written():
     points = ACTS["points"]
     assert [end for end, _ in columns.pieces(points, 2e-5)] == pytest.approx(
         points.times[1:], rel=1e-11
@@ -251,7 +251,7 @@ def plan(wave, **more) -> StepPlan:
 
 
 def test_a_step_is_cut_where_what_acts_ends():
-    """At 7 us, in the eighth step of 1 us and a half; not at one of its ends."""
+    """The forcing ends at 7 us, inside a step of 1 us and a half; a step is not cut at its ends."""
     wave = ACTS["half-sine"].waveform
     reach = np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
     made = plan(wave, step=1.5e-6, pushed=1)
@@ -277,7 +277,7 @@ def test_a_step_is_cut_where_what_acts_ends():
     assert not plan(None).walled
 
 
-def test_which_splittings_a_deck_carries():
+def test_splittings_that_a_deck_can_express():
     kahan, rkn, verlet = (SPLITTINGS[name] for name in ("kahan-li6", "rkn6", "verlet"))
     assert (deck_steps(verlet), deck_steps(kahan)) == (1, len(kahan.drifts))
     assert deck.carries(verlet)
@@ -291,7 +291,7 @@ def test_which_splittings_a_deck_carries():
     assert not deck.kicks_by_force(small(), kahan)
 
 
-def test_shares_of_ranks_are_put_together_from_the_top():
+def test_parts_of_ranks_are_joined_from_the_top():
     shares = [
         LocalState(3, np.array([-3.0, -4.0]), np.array([3.0, 4.0]), np.array([8.0, 9.0]), True),
         LocalState(0, np.empty(0), np.empty(0), np.empty(0), True),
@@ -312,7 +312,7 @@ def test_shares_of_ranks_are_put_together_from_the_top():
 # --- choices
 
 
-def test_the_gauge_diameter_holds_three_of_the_largest_overlap():
+def test_the_gauge_diameter_is_three_times_the_largest_overlap_or_more():
     scene = paper("fig5 g", 3)
     contacts = scene.chain.contacts
     deepest = contacts.overlap_bound(scene.energy).max()
@@ -327,7 +327,7 @@ def test_the_gauge_diameter_holds_three_of_the_largest_overlap():
 
 
 def test_round_off_in_heights_is_predicted_from_their_last_digit():
-    """It walks with the evaluations; in the velocity it counts times the highest frequency."""
+    """The error is a random walk in the evaluations, and larger in velocities by the frequency."""
     scene = paper("fig5 g", 3)
     engine = Lammps("verlet")
     height = np.abs(LammpsColumn(scene, 0.0).heights).max()
@@ -352,7 +352,7 @@ def test_round_off_in_heights_is_predicted_from_their_last_digit():
     assert gauge < typical / 10
 
 
-def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
+def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
     scene = paper("weak", 3)
     loose, tight = (Lammps().propose(scene, tolerance) for tolerance in (1e-2, 1e-6))
     assert loose.choices["diameter"] == "physical"
@@ -372,7 +372,7 @@ def test_the_gauge_diameter_is_taken_where_the_physical_one_is_too_coarse():
         Lammps("verlet").propose(scene.replace(duration=1e-5), 1e-10)
 
 
-def test_a_run_whose_heights_were_too_coarse_is_drawn_with_the_gauge():
+def test_a_run_with_too_coarse_heights_is_repeated_with_the_gauge():
     engine = Lammps()
     scene = paper("weak", 3)
     candidate = engine.propose(scene, 1e-2)
@@ -405,10 +405,10 @@ def test_remarks_at_the_head_of_a_deck():
     )
 
 
-def test_options_that_are_refused():
+def test_invalid_options():
     with pytest.raises(InputError, match="diameter: must be auto"):
         Lammps(diameter="small")
-    with pytest.raises(InputError, match="ranks: must be at most one a grain, 25 "):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain, 25 "):
         simulate(small(), "lammps", ranks=26)
     for options in ({"keep": "x"}, {"keep": "x", "include": __file__}):
         kept = Lammps("verlet", **options)
@@ -426,17 +426,17 @@ def test_options_that_are_refused():
     }  # fmt: skip
 
 
-def test_words_of_commands(tmp_path):
+def test_escaping_of_command_words(tmp_path):
     assert word(tmp_path) == str(tmp_path)
     for character in "\"'$&#{}*%\n\té":
-        with pytest.raises(InputError, match="plainer folder name"):
+        with pytest.raises(InputError, match="rename the folder"):
             word(tmp_path / f"a{character}b")
 
 
 # --- ranks and the library
 
 
-def test_who_runs_a_column(monkeypatch):
+def test_choice_of_communicator(monkeypatch):
     monkeypatch.setattr(subprocess_ranks, "Serial", lambda log: ("serial", log))
     monkeypatch.setattr(
         subprocess_ranks, "SubprocessRanks", lambda ranks, log: ("started", ranks, log)
@@ -475,7 +475,7 @@ def test_who_runs_a_column(monkeypatch):
         ("one\nValueError: two\nOSError: three", "ValueError: two"),
     ],
 )
-def test_the_last_words_of_ranks(tmp_path, lines, reason):
+def test_last_messages_of_ranks(tmp_path, lines, reason):
     ranks = SubprocessRanks.__new__(SubprocessRanks)
     with open(tmp_path / "said", "w+b") as said:
         ranks._output = said
@@ -483,7 +483,7 @@ def test_the_last_words_of_ranks(tmp_path, lines, reason):
         assert ranks._last_words() == reason
 
 
-def test_errors_of_lammps_are_told_from_others(monkeypatch):
+def test_errors_of_lammps_are_distinguished_from_others(monkeypatch):
     class Failing:
         def __init__(self, *_):
             self.closed = False
@@ -506,7 +506,7 @@ def test_errors_of_lammps_are_told_from_others(monkeypatch):
     assert serial._rank.closed
 
 
-def test_what_the_library_must_be(monkeypatch):
+def test_requirements_on_the_library(monkeypatch):
     class Old:
         version_ = library.TESTED
         packages = True

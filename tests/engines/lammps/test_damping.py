@@ -41,7 +41,7 @@ def scene_of(chain: Chain, excitation=ACTS["strike"], samples: int = 7) -> Scene
 
 @pytest.mark.parametrize("diameter", ["physical", "gauge"])
 @pytest.mark.parametrize("name", CHAINS)
-def test_lammps_makes_the_steps_of_the_native_engine(name, diameter):
+def test_lammps_makes_the_same_steps_as_the_native_engine(name, diameter):
     scene = scene_of(CHAINS[name])
     step = 0.05 / scene.highest_frequency
     answer = simulate(scene, engine=Lammps("verlet", step=step, diameter=diameter))
@@ -66,7 +66,7 @@ def test_lammps_makes_the_steps_of_the_native_engine(name, diameter):
     ],
 )
 def test_the_order_of_velocity_verlet(engine, name, act, order):
-    """Under a load that keeps contacts closed; the reference is a Taylor series."""
+    """Contacts stay closed under a load; the reference is a Taylor series."""
     chain = CHAINS[name].replace(top_load=1.0)
     scene = scene_of(chain if act == "strike" else chain.replace(top="free"), ACTS[act])
     true, doubt = reference(scene, 1e-12)
@@ -95,7 +95,7 @@ def test_the_error_is_estimated(name, act):
 
 
 @pytest.mark.parametrize("name", ["viscous", "unlike", "held"])
-def test_a_deck_runs_by_itself(name, tmp_path):
+def test_a_deck_runs_on_its_own(name, tmp_path):
     scene = scene_of(CHAINS[name])
     step = scene.duration / 6 / 200
     write_deck(scene, tmp_path, step=step, diameter="physical")
@@ -112,7 +112,7 @@ def test_a_deck_runs_by_itself(name, tmp_path):
 
 
 @pytest.mark.slow
-def test_ranks_give_the_bytes_of_one():
+def test_ranks_give_the_bytes_of_a_single_process():
     scene = scene_of(CHAINS["held"])
     options = {"step": 3e-8, "diameter": "physical"}
     one = simulate(scene, engine=Lammps("verlet", **options))
@@ -120,7 +120,7 @@ def test_ranks_give_the_bytes_of_one():
     assert one.velocity.tobytes() == two.velocity.tobytes()
 
 
-def test_a_run_goes_on_with_the_same_bits():
+def test_a_resumed_run_has_the_same_bits():
     scene = scene_of(CHAINS["held"])
     engine = Lammps("verlet", step=3e-8, diameter="physical")
     candidate = engine.propose(scene, 1e-3)
@@ -131,14 +131,14 @@ def test_a_run_goes_on_with_the_same_bits():
         stepper.fill(u, v, 0, sample, 10**6)
         state = stepper.state()
         stepper.close()
-        # another LAMMPS, which knows no velocities of half a step before
+        # A new LAMMPS instance does not have the velocities of half a step before.
         stepper = engine.stepper([scene], candidate, [candidate.steps], state)
     stepper.close()
     assert v[0, 1:].tobytes() == whole.velocity[1:].tobytes()
 
 
 @pytest.mark.parametrize("viscosity", [1e-7, 5e-7])
-def test_two_spheres_rebound_as_they_must(viscosity):
+def test_two_spheres_have_the_exact_restitution(viscosity):
     chain = Chain(
         grains=2, diameter=1e-2, material="steel", gravity=0.0, bottom="free",
         damping={"viscoelastic": viscosity},
@@ -151,11 +151,11 @@ def test_two_spheres_rebound_as_they_must(viscosity):
         assert (v[1] - v[0]) / 0.1 == pytest.approx(exact, abs=3 * error)
 
 
-def test_what_lammps_cannot_do():
+def test_unsupported_damping_is_rejected():
     scene = scene_of(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}))
     with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS has one number"):
         simulate(scene, engine="lammps")
-    with pytest.raises(InputError, match="use verlet, or leave it out"):
+    with pytest.raises(InputError, match="damping requires verlet"):
         simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))
     with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
         simulate(scene_of(Chain(**UNIFORM)), engine=Native("lagged-verlet"))

@@ -1,4 +1,4 @@
-"""Edited decks: what `check --deck` reads is what `lmp` does, or it is refused in a line."""
+"""Edited decks: `check --deck` reads them as `lmp` does, or rejects them in one line."""
 
 import random
 import re
@@ -19,7 +19,7 @@ from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
 
 STEP = 1e-7
-ROUNDED = 1e-7  # of the largest motion: heights of LAMMPS round
+ROUNDED = 1e-7  # Rounding of heights in LAMMPS, relative to the largest motion.
 SCENES: dict[str, tuple[Scene, dict[str, Any]]] = {
     "struck": (small(), {}),
     "gauge": (small(), {"diameter": "gauge"}),
@@ -28,7 +28,7 @@ SCENES: dict[str, tuple[Scene, dict[str, Any]]] = {
     "dimer": (small(material=["glass", "steel"] * 4, grains=8), {}),
 }
 TIMESTEP, RUN, DUMP = r"\ntimestep .*", r"\nrun  .*", r"\ndump_modify .*"
-# a deck, pattern, text, and whether it is read; the rest is refused
+# Each edit: deck, pattern, text, and whether the edited deck is accepted.
 EDITS: list[tuple[str, str, str, bool]] = [
     ("struck", TIMESTEP, r"\g<0>\ntimestep 5e-8", True),
     ("struck", TIMESTEP, r"\ntimestep 5e-8\g<0>", True),
@@ -109,7 +109,7 @@ def spoil(folder: Path, turn: random.Random) -> None:
 
 
 def agree(folder: Path) -> None:
-    """Check that `lmp` does what the reader of decks says."""
+    """Check that `lmp` gives the motion that the reader of decks predicts."""
     deck = read_deck(folder)
     (folder / "column.lammpstrj").unlink(missing_ok=True)
     program = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
@@ -125,7 +125,7 @@ def agree(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(("name", "pattern", "text", "is_read"), thinned(EDITS, 5))
-def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
+def test_an_edited_deck_is_read_like_lammps_or_rejected(
     name: str, pattern: str, text: str, is_read: bool, tmp_path: Path
 ):
     scene, options = SCENES[name]
@@ -146,7 +146,7 @@ def test_an_edited_deck_is_read_as_lammps_reads_it_or_refused(
 )
 @pytest.mark.slow
 def test_decks_spoilt_at_random_are_read_right_or_refused(count: int, is_run: bool, tmp_path: Path):
-    """In a soak of its own, `lmp` runs every deck that is read."""
+    """In a separate soak test, `lmp` runs every deck that is accepted."""
     turn = random.Random(count)
     for case in range(count):
         scene, options = SCENES[turn.choice(list(SCENES))]

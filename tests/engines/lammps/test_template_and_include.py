@@ -1,4 +1,4 @@
-"""Decks of the user's own, and what may not come into a deck."""
+"""Decks with user templates and includes, and text that must not enter a deck."""
 
 import filecmp
 import os
@@ -48,7 +48,7 @@ fix             axis all setforce 0.0 0.0 NULL    # changes nothing
 
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Work in a folder of its own: LAMMPS writes the files of an include to where it runs."""
+    """Change to a new folder, because LAMMPS writes the files of an include to the current one."""
     monkeypatch.chdir(tmp_path)
     Path("scene.toml").write_text(SCENE)
     Path("my.include").write_text(INCLUDE)
@@ -65,7 +65,7 @@ def test_an_include_works_in_the_library(ranks: int):
     t = simulate(small(), engine=Lammps(**VERLET, include="my.include", ranks=ranks))
     assert np.array_equal(t.displacement, plain.displacement)
     assert t.provenance["include"] == INCLUDE
-    # The file has every 10th step, so it has every sample.
+    # The file contains every 10th step, so that it contains every sample.
     energy = np.loadtxt("energy.txt")[:: t.cost.steps // 50, 1]
     assert energy == pytest.approx(0.5 * (t.velocity**2) @ t.scene.chain.masses, rel=1e-5)
     scene = Scene(**small().given() | {"samples": t.cost.steps // 10 + 1})
@@ -84,9 +84,9 @@ RENEWED = "neigh_modify once no every 1 delay 0 check no\n"
         pytest.param("balance 1.0 shift z 10 1.0001\n", 2, marks=pytest.mark.slow),
     ],
 )
-def test_an_include_that_changes_the_order_of_the_grains_is_refused(commands: str, ranks: int):
+def test_an_include_that_reorders_the_grains_is_rejected(commands: str, ranks: int):
     Path("order.include").write_text(commands)
-    scene = Scene(  # the middle grain moves up, to the other rank
+    scene = Scene(  # The middle grain moves up to the other rank.
         chain=Chain(grains=31, top_load=10.0, material="steel", diameter=5e-3),
         excitation=Impulse(velocity=-0.1, grain=16),
         duration=5e-5,
@@ -97,8 +97,8 @@ def test_an_include_that_changes_the_order_of_the_grains_is_refused(commands: st
 
 
 @pytest.mark.parametrize("integrator", ["verlet", "kahan-li6"])
-def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
-    """A force of the user's own that depends on time is the same in chunks of any size."""
+def test_the_clock_of_lammps_continues_after_a_stop(integrator: str):
+    """A user's force that depends on time is equal for chunks of any size."""
     Path("clock.include").write_text("print           $(time:%.17g) append clock.txt screen no\n")
     engine = Lammps(integrator=integrator, step=1e-7, include="clock.include")
     candidate = engine.propose(small(), 1.0)
@@ -114,7 +114,7 @@ def test_the_clock_of_lammps_goes_on_after_a_stop(integrator: str):
     assert np.loadtxt("clock.txt") == pytest.approx([0.0, 7 * candidate.step], rel=1e-12)
 
 
-def test_an_include_stands_in_the_deck_as_it_is():
+def test_an_include_is_copied_to_the_deck_unchanged():
     write_deck(small(), "deck", step=1e-7, include="my.include")
     text = Path("deck/in.column").read_text()
     assert INCLUDE in text
@@ -128,7 +128,7 @@ def test_an_include_stands_in_the_deck_as_it_is():
     assert filecmp.cmp("deck/mine.dump", "mine.dump", shallow=False)
 
 
-def test_what_an_include_does_to_the_motion_is_an_error():
+def test_an_include_that_changes_the_motion_causes_an_error():
     Path("my.include").write_text("fix drag all viscous 1e-3\n")
     t = simulate(small(), engine=Lammps(**VERLET | {"step": 1e-8}, include="my.include"))
     native = simulate(small(), "native", 1e-9)
@@ -137,9 +137,9 @@ def test_what_an_include_does_to_the_motion_is_an_error():
     assert error > 1e-3
 
 
-def test_an_include_is_the_suspect_where_an_estimate_fails():
+def test_an_include_is_suspected_if_an_estimate_fails():
     Path("my.include").write_text("fix drag all viscous 1e-3\n")
-    suspect = "^the commands of your include may move the grains .*: run without, to see; the error"
+    suspect = "^the commands of your include may move .*: run without them to compare; the error"
     with pytest.raises(ToleranceNotMet, match=suspect):
         simulate(small(), engine=Lammps(include="my.include"))
     Path("my.include").write_text("compute ke all ke\n")
@@ -149,7 +149,7 @@ def test_an_include_is_the_suspect_where_an_estimate_fails():
 # --- templates
 
 
-def test_the_template_of_the_package_is_one():
+def test_the_template_of_the_package_is_a_valid_user_template():
     shutil.copy(TEMPLATES / "in.column", "my.template")
     write_deck(small(), "own", step=1e-7, template="my.template")
     write_deck(small(), "ours", step=1e-7)
@@ -171,7 +171,7 @@ def test_one_template_for_a_deck_and_the_library():
     assert t.provenance["template"] == Path("my.template").read_text()
 
 
-def test_a_deck_may_run_as_it_likes_and_the_library_may_not():
+def test_a_deck_template_may_run_but_a_library_template_may_not():
     own = "run             {{ every * samples }}\n"
     dump = (
         "dump            out all custom {{ every }} own.dump id x y z vz\ndump_modify out format "
@@ -242,7 +242,7 @@ def test_an_include_may_not_run(commands: str, capsys: pytest.CaptureFixture[str
         ("{{ colour }}\0", "not text in UTF-8"),
     ],
 )
-def test_templates_that_cannot_be_filled_in(
+def test_templates_that_cannot_be_rendered(
     text: str, says: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
     Path("my.template").write_text(text)
@@ -261,14 +261,15 @@ def test_every_unknown_placeholder_is_named(capsys: pytest.CaptureFixture[str]):
     assert keys(capsys.readouterr()) == ["template", "template"]
 
 
-def test_options_that_do_not_go_together(capsys: pytest.CaptureFixture[str]):
+def test_incompatible_options(capsys: pytest.CaptureFixture[str]):
     Path("bare").write_text("units si\n")
     Path("binary").write_bytes(b"\xff\xfe")
     for options, key in (
         (["--include", "none"], "include"),
         (["--include", "."], "include"),
         (["--template", "binary"], "template"),
-        (["--template", "bare", "--include", "my.include"], "include"),  # no place for it
+        # The template has no place for it.
+        (["--template", "bare", "--include", "my.include"], "include"),
         (["--template", "my.template", "--integrator", "rkn6"], "template"),
         (["--template", "my.template", "--engine", "native"], "template"),
         (["--include", "my.include", "--engine", "native"], "include"),
@@ -291,7 +292,7 @@ def test_on_the_command_line(capsys: pytest.CaptureFixture[str]):
     assert np.array_equal(dumped.velocity, Trajectory.load("run.nc").velocity)
 
 
-# --- nothing in a scene becomes a command
+# --- no text of a scene becomes a command
 
 HOSTILE = [
     '"; shell touch spoilt; "', "x\nshell touch spoilt\n", "$(touch spoilt)", "`touch spoilt`",
@@ -325,14 +326,14 @@ OTHERS = {
 
 
 def toml(text: str) -> str:
-    """Return a TOML string."""
+    """Return a text as a TOML string."""
     import tomli_w
 
     return tomli_w.dumps({"a": text}).removeprefix("a = ").strip()
 
 
 def scenes(text: str) -> dict[str, str]:
-    """Return scene files with this text in every place that holds text."""
+    """Return scene files that contain this text wherever text is allowed."""
     tame = 'grains = 20\nmaterial = "glass"\ndiameter = 1.0e-3'
     found = {field: SCENE.replace(tame, form.format(toml(text))) for field, form in FIELDS.items()}
     return found | {
@@ -341,7 +342,7 @@ def scenes(text: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("text", thinned(HOSTILE, 8))
-def test_text_in_a_scene_stays_out_of_decks(
+def test_text_of_a_scene_does_not_enter_decks(
     text: str, here: Path, capsys: pytest.CaptureFixture[str]
 ):
     reference = {}
@@ -371,7 +372,7 @@ def test_text_in_a_scene_stays_out_of_decks(
 
 @pytest.mark.parametrize("name", thinned(HOSTILE, 6))
 def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.CaptureFixture[str]):
-    """What is written to a shell is quoted, and what LAMMPS could take for a command is refused."""
+    """Text for a shell is quoted, and text that LAMMPS could take for a command is rejected."""
     name = name.replace("/", "_")
     Path(name).write_text("displacement,velocity\n" + "0,1e-4\n" + 19 * "0,0\n")
     Path("scene.toml").write_text(scenes(name)["excitation.file"])
@@ -387,7 +388,7 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
     scene = Scene.from_toml("scene.toml")
     kept = f"kept {name}"
     if set(name) & set("\"'$&#{}*%\n\t\x1b") or not name.isascii():
-        with pytest.raises(InputError, match="plainer folder name"):
+        with pytest.raises(InputError, match="rename the folder"):
             simulate(scene, engine=Lammps(**VERLET, keep=kept))
         assert names(here) == before
     else:
@@ -401,7 +402,7 @@ def test_names_of_files_and_folders(name: str, here: Path, capsys: pytest.Captur
 
 @pytest.fixture
 def cluster(here: Path) -> dict[str, str]:
-    """Return an environment as of a SLURM job, with an `srun` that writes its orders down."""
+    """Return the environment of a SLURM job, with an `srun` that records its arguments."""
     (here / "bin").mkdir()
     srun = here / "bin" / "srun"
     srun.write_text('#!/bin/sh\nprintf "%s\\n" "$@" >> "$0.log"\n')

@@ -1,4 +1,4 @@
-"""Commands of the user in a run folder: they go on after every stop, or are refused by name."""
+"""User commands in a run folder: they continue after every stop, or are rejected by name."""
 
 import itertools
 from pathlib import Path
@@ -30,7 +30,7 @@ thermo    10
 
 
 def frames(path: Path) -> dict[str, str]:
-    """Return frames of a dump, or lines of a table, by their step."""
+    """Return frames of a dump, or lines of a table, by step."""
     text = path.read_text()
     if path.suffix == ".dump":
         found = text.split("ITEM: TIMESTEP\n")[1:]
@@ -41,9 +41,7 @@ def frames(path: Path) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=pytest.mark.slow)])
-def test_what_is_watched_goes_on_after_a_stop(
-    ranks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
+def test_outputs_continue_after_a_stop(ranks: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     (tmp_path / "my.include").write_text(INCLUDE)
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
@@ -108,7 +106,7 @@ def test_what_is_watched_goes_on_after_a_stop(
         ("thermo_modify lost ignore", "lost grains"),
     ],
 )
-def test_commands_that_may_move_grains_are_refused_by_name(
+def test_commands_that_may_move_grains_are_rejected_by_name(
     command: str, named: str, tmp_path: Path
 ):
     engine = Lammps("verlet", 1e-7, include=f"compute e all ke\n{command}\n")
@@ -119,7 +117,7 @@ def test_commands_that_may_move_grains_are_refused_by_name(
 
 
 def test_the_first_piece_of_work_is_sized_for_lammps(monkeypatch: pytest.MonkeyPatch):
-    """LAMMPS moves some 1e6 grains by a step in a second, and a stop waits for a piece."""
+    """LAMMPS advances some 1e6 grains by a step per second, and a stop waits for a chunk."""
     asked = []
     fill = LammpsStepper.fill
 
