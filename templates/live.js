@@ -311,6 +311,8 @@
   // --- a page within another: it takes its colours, and tells its height
   const restyle = () => { if (run) { paint(); draw(); } };
   dark.addEventListener("change", restyle);
+  addEventListener("beforeprint", () => { document.documentElement.dataset.printing = ""; restyle(); });
+  addEventListener("afterprint", () => { delete document.documentElement.dataset.printing; restyle(); });
   addEventListener("message", (event) => {
     if (!event.data || !("lmpchainTheme" in event.data)) return;
     const theme = event.data.lmpchainTheme;

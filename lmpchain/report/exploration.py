@@ -304,17 +304,28 @@ def _render(
     if some is None:
         raise InputError.at("scene", f"no run of it succeeds: {views[0]}")
     scene = grid.scenes[0]
-    keys = " and ".join(f"{axis.key}" for axis in axes)
+    names = [_label(axis.key, scene.excitation.kind) for axis in axes]
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}"
     return render_live(
         "explore.html",
         numbers,
-        title=f"{title}: {keys}" if keys else title,
-        axes=[{"name": axis.key, "count": len(axis.values), "unit": axis.unit} for axis in axes],
+        title=f"{title}: {' and '.join(names)}" if names else title,
+        axes=[
+            {"name": name, "count": len(axis.values), "unit": axis.unit}
+            for name, axis in zip(names, axes, strict=True)
+        ],
         caption=_caption(some, len(views), plan),
         scene=scene.to_text(),
         command=command(),
     )
+
+
+def _label(key: str, kind: str) -> str:
+    """Return a key of the scene in words; keys of nested tables are added, because names repeat."""
+    if key == "excitation.velocity" and kind == "impulse":
+        return "strike velocity"
+    words = key.rpartition(".")[2].replace("_", " ")
+    return words if key.count(".") == 1 else f"{words} ({key})"
 
 
 def _caption(view: View, runs: int, plan: Sweep) -> str:

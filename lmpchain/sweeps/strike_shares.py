@@ -78,7 +78,7 @@ class StrikeShares(Shown, Tabular):
 def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
     """Strike a uniform chain without load, and measure its solitary waves.
 
-    The share depends on the exponent alone; W. Deng, G. Biondini, S. Sen and P. G. Kevrekidis,
+    The share depends on the exponent alone; G. Deng, G. Biondini, S. Sen and P. G. Kevrekidis,
     arXiv:2002.08499. The length of the chain and the duration follow from the speed of the exact
     solitary wave; the chain is made longer until the share is accurate.
 

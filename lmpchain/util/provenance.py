@@ -38,8 +38,12 @@ def now() -> str:
 
 
 def command() -> str:
-    """Return the command line of this process, truncated if it is long, in plain UTF-8."""
-    text = shlex.join(sys.argv).encode(errors="replace").decode()
+    """Return the command line of this process in plain UTF-8.
+
+    The program is named without its folder, and a long line is truncated.
+    """
+    program = Path(sys.argv[0]).name
+    text = shlex.join([program, *sys.argv[1:]]).encode(errors="replace").decode()
     return text if len(text) <= COMMAND_LETTERS else f"{text[:COMMAND_LETTERS]} ..."
 
 

@@ -233,7 +233,7 @@ def test_averages_of_springs_on_springs():
 
 @pytest.mark.parametrize("name", ["periodic", "two wells", "in time"])
 def test_averages_take_springs_alone(name):
-    with pytest.raises(InputError, match="averages take springs to the ground alone"):
+    with pytest.raises(InputError, match="averages support only springs to the ground"):
         lmpchain.averages(struck(on(GROUNDS[name])), ["kinetic_energy"])
 
 
