@@ -247,7 +247,7 @@ MOVING = {
 @pytest.mark.parametrize("name", MOVING)
 def test_a_ground_in_time_has_no_balance_of_energy(name):
     run = simulate(struck(on(GROUNDS["in time"])), "native")
-    with pytest.raises(InputError, match="knows no stiffness in time"):
+    with pytest.raises(InputError, match="does not support a stiffness that changes in time"):
         MOVING[name](run)
 
 

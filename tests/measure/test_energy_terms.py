@@ -271,7 +271,7 @@ def test_grains_in_the_order_in_which_they_were_recorded():
     assert np.isnan(some.of_grain[:, :2]).all()
     assert some.of_grain[:, 2:] == pytest.approx(whole.of_grain[:, [4, 3]], rel=1e-13)
     assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-13)
-    with pytest.raises(InputError, match="part: takes recorded grains"):
+    with pytest.raises(InputError, match="part: must be a range of recorded grains"):
         some.part(5, 7)
 
 

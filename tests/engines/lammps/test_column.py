@@ -245,7 +245,7 @@ def plan(wave, **more) -> StepPlan:
     given = {
         "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6,
         "done": 0, "pieces": (),
-        "rest": 0.0, "wave": wave, "driven": False, "pushed": None,
+        "rest": 0.0, "wave": wave, "driven": False, "pushed": None, "timed": False,
     }  # fmt: skip
     return StepPlan(**given | more)
 

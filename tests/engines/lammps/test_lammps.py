@@ -205,7 +205,7 @@ def test_unlike_contacts_share_few_types():
 
 
 def test_refusals_contain_the_remedy():
-    with pytest.raises(InputError, match=r"1.5 and 1 only.*use the engine native"):
+    with pytest.raises(InputError, match=r"only 1.5 and 1 .*use the engine native"):
         simulate(small(exponent=2.0), engine="lammps")
     with pytest.raises(InputError, match="exponent: gran/hertz/history"):
         simulate(small(exponent=1.0), engine="lammps", pair_style="gran/hertz/history")
