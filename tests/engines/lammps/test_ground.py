@@ -180,5 +180,5 @@ def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
     assert read.scene.chain == scene.chain
     assert read.step == pytest.approx(step, rel=1e-9)
     other = scene.replace(chain=scene.chain.replace(ground=Law("k*u", k=1e4)))
-    with pytest.raises(InputError, match="write the deck anew|can be predicted"):
+    with pytest.raises(InputError, match=r"write the deck anew|can be predicted"):
         read_deck(tmp_path, other)
