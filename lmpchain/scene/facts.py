@@ -22,6 +22,7 @@ from ..chain.upside_down import turn_upside_down
 from ..util.arrays import Array, as_slice, read_only
 from ..util.lazy import cached_property
 from ..util.validation import make_unchecked
+from .acting import Force
 from .base import Excitation
 from .recording import Recording
 
@@ -162,7 +163,7 @@ class SceneFacts(Recording):
         _, near = self._surroundings
         displacement, speed = near.excitation.strongest(near.chain)
         # A contact that cannot hold the force lets its grain fly: the time is what limits it.
-        if displacement > speed * self.duration and near.excitation.does_work:
+        if isinstance(near.excitation, Force) and displacement > speed * self.duration:
             start = float(np.abs(near.excitation.initial(near.chain)[0]).max())
             displacement = min(displacement, start + speed * self.duration)
         return displacement, speed
