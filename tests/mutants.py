@@ -198,8 +198,10 @@ def tests_of(room: str) -> list[str]:
 
 
 def relevance(test: str, module: str) -> tuple[bool, int]:
-    """Return whether a file of tests has the name of a module, and how often it names the module
-    or its contents.
+    """Return how closely a file of tests is related to a module.
+
+    The result is whether the file has the name of the module, and how often the file names the
+    module or its contents.
     """
     if not (PROJECT / test).is_file():
         return False, 0

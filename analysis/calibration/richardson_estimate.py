@@ -94,7 +94,7 @@ def looks(
     coarse: bool = False,
     reaches: Sequence[float] = REACHES,
 ) -> list[Look]:
-    """Return runs of the scenes at some steps, with openings, without, or either."""
+    """Return runs of the scenes at some steps; `opens` selects those with openings or without."""
     found = []
     for case, name in itertools.product(cases, names):
         engine = Native(name, adaptive=adaptive)

@@ -91,7 +91,7 @@ def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, An
 
 
 def cut_of(problem: Problem, solution: Reference) -> Problem | None:
-    """Return the chain cut to the reach of the wave, as by hand, if that saves work."""
+    """Return the problem without the grains that the wave does not reach, or None if few."""
     grains = problem.scene.chain.grains
     u = np.abs(solution.displacement[-1])
     needed = int(np.flatnonzero(u > UNTOUCHED * u.max())[-1]) + 8

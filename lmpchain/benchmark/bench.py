@@ -312,7 +312,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 for kind in methods
                 if kind in engine.integrators
             ]
-        # Every engine meets a tolerance of one half.
+        # The cost at a tolerance of 0.5, which every engine meets, is a lower bound.
         elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:

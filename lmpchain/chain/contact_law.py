@@ -263,7 +263,7 @@ class PowerForce(ContactLaw):
         return np.fmin(of_law, np.sqrt(2 * energy / contacts.stiffness))
 
     def bend(self, contacts: RestingContacts) -> float:
-        """Return delta - 1, see `ContactLaw.bend`."""
+        """Return delta - 1 (see `ContactLaw.bend`)."""
         return self.onset - 1
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:

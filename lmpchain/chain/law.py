@@ -295,7 +295,8 @@ class Law(ContactLaw):
 
     def _onset(self) -> float:
         """Return the lowest power of the distance to any kink at which the two sides differ."""
-        # A parameter of its own in each contact may change the power: extreme contacts show it.
+        # Parameters that differ between contacts may change the power, so contacts with extreme
+        # values are checked.
         arrays = [value for value in self.given.values() if isinstance(value, tuple)]
         contacts = {0} | {f(value) for value in arrays for f in (np.argmin, np.argmax)}
         powers = [SMOOTH] if not self.formula.kinks("o") else []
@@ -673,7 +674,7 @@ class Law(ContactLaw):
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Law:
-        """Return the law of a table of a scene file, see `table`."""
+        """Return the law that a table of a scene file defines (see `table`)."""
         rest = dict(table)
         force = rest.pop("force", None)
         if force is None:
@@ -747,7 +748,7 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
 
 @cache
 def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
-    """Return force, stiffness and curvature, set to 0 for missing contacts, whose constant is 0."""
+    """Return the force, stiffness and curvature, or 0 for missing contacts (constant 0)."""
     force = formula
     if "o" not in formula.names:
         stiffness = force.derivative("u")
@@ -818,7 +819,7 @@ def _kink_functions(formula: Formula, names: tuple[str, ...], of_ground: bool) -
 def bend_powers(
     formula: Formula, places: Sequence[Formula], values: Mapping[str, float], variable: str
 ) -> list[float]:
-    """Return the powers of the distance with which a formula bends at its kinks, see `_bend_at`.
+    """Return the powers of the distance with which a formula bends at its kinks (see `_bend_at`).
 
     Its only name is the variable; `values` are those of the names in the `places` of the kinks.
     """

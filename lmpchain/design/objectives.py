@@ -157,7 +157,7 @@ class Objective(Protocol):
         """Whether the value also depends on the motion between samples."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains that the value depends on; raises `InputError` if they do not exist."""
+        """Return the grains that the value depends on; raise `InputError` if they do not exist."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
@@ -364,7 +364,7 @@ class ArrivalTime:
         return _check_grains(scene, [self.grain])
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the time and its derivatives; raises `InputError` if the grain is too slow."""
+        """Return the time and its derivatives; raise `InputError` if the grain is too slow."""
         from scipy.optimize import brentq
 
         v = view.velocity[:, view.column(self.grain)]

@@ -458,7 +458,7 @@ class _StartStore:
         self._size = size
 
     def read(self) -> list[Start]:
-        """Return the finished starts; raises `InputError` if they belong to a different task."""
+        """Return the finished starts; raise `InputError` if they belong to a different task."""
         if not self.path.exists():
             return []
         try:

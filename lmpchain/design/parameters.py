@@ -47,7 +47,7 @@ DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", 
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raises `InputError` if a name is unknown or has no derivative."""
+    """Return the names; raise `InputError` if a name is unknown or has no derivative."""
     check_scene(scene)
     scene.chain.refuse_ground("a derivative")
     scene.chain.law.power_of("a derivative")

@@ -55,7 +55,7 @@ def names() -> tuple[str, ...]:
 
 
 def automatic(when: Literal["cheapest", "last"] = "cheapest") -> tuple[str, ...]:
-    """Return the names of the engines that "auto" chooses from, see `Engine.auto`."""
+    """Return the names of the engines that "auto" chooses from (see `Engine.auto`)."""
     return tuple(name for name in REGISTRY if class_of(name).auto == when)
 
 

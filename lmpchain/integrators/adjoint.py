@@ -132,7 +132,7 @@ class Call(NamedTuple):
 
 
 def make_aligned(rows: int, width: int) -> Array:
-    """Return zeros (rows, width), with rows of whole cache lines aligned to cache lines."""
+    """Return an array of zeros (rows, width) whose memory is aligned to cache lines."""
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
     return memory[skip : skip + rows * width].reshape(rows, width)

@@ -297,7 +297,7 @@ def _nothing_imposed(
 
 
 def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array, Array, Array]:
-    """Return overlap, m, force, N, constant, and stiffness, N/m, at rest, (R, N+1) arrays each.
+    """Return the overlap (m), force (N), constant and stiffness (N/m) at rest, (R, N+1) each.
 
     Contacts that only touch among pressed contacts get the overlap `TOUCHING` and no stiffness,
     because the compiled forms of the force need a length. The difference from the law without load

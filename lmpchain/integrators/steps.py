@@ -60,7 +60,7 @@ class Steps(NamedTuple):
         adaptive: bool = False,
         coarse_openings: bool = False,
     ) -> Steps:
-        """Return steps with this number per landing interval; samples are `interval` s apart."""
+        """Return `per_landing` steps per landing interval; samples are `interval` s apart."""
         step = interval * stride / per_landing
         dense = int(stride > 1)
         return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)

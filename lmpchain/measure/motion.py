@@ -220,7 +220,7 @@ class Motion:
     def fronts(
         self, field: Field, fraction: float, fall: float | None = None, width: bool = True
     ) -> Array:
-        """Return time, height and width of the front and their errors, (G, 6).
+        """Return the time, height and width of the front and their errors, (G, 6).
 
         See `front.track`; the motion falls by `fall` at least after the front, by default by its
         error.

@@ -220,7 +220,7 @@ class Shock(Shown, Tabular):
         return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
     def _best_prediction(self, name: str) -> list[tuple[str, float]]:
-        """Return name and speed of the best prediction of an edge; None without a theory."""
+        """Return the name and speed of the best prediction of an edge; None without a theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
                 return [(AUTHORS.get(theory, theory), float(speed))]

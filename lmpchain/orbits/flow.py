@@ -140,7 +140,7 @@ class Flow:
         return np.stack((displacement[..., self.free], velocity[..., self.free]), -2) * self.units
 
     def physical(self, state: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain, (N,) each, at t = 0.
+        """Return the displacement and velocity of every grain, (N,) each, at t = 0.
 
         A driven grain has none.
         """

@@ -130,7 +130,7 @@ class Excitation(Checked):
 
     @abstractmethod
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield key and message of each fault for this chain and duration, s."""
+        """Yield the key and message of each fault for this chain and duration, s."""
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Return the largest imposed displacement (N,) m and velocity (N,) m/s."""

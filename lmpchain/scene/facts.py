@@ -467,7 +467,7 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
 
 
 def _fastest(scene: SceneFacts, first: int, last: int) -> float:
-    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last, by the energy above rest."""
+    """Return an upper bound on sqrt(k_max / m_min) of grains first ... last, rad/s."""
     chain = scene.chain
     if chain.grains <= FEW_GRAINS:
         stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)

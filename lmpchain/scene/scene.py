@@ -39,7 +39,7 @@ GATHERING_TURN = 0.5
 # Strike numbers at which the velocities of linear theory have this error after 100 us.
 ERRS_BY_1_PERCENT = 0.037
 ERRS_BY_10_PERCENT = 0.4
-DRAWN_AROUND = 10  # number of resting grains drawn on either side of the excited ones
+DRAWN_AROUND = 10  # Number of resting grains drawn on either side of the excited ones.
 
 
 class Scene(SceneFacts):

@@ -303,7 +303,7 @@ class _Course(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums over the samples of each stretch, of Q quantities of R copies.
+    """Sums of Q quantities of R copies over the samples of each stretch.
 
     Attributes
     ----------

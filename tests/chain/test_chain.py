@@ -719,8 +719,9 @@ def test_rubber_warns_beyond_hertz():
     "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
 )
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
-    """A hundred million grains would take gigabytes; the bound agrees with the arrays of long
-    chains.
+    """A column of a hundred million grains is rejected without allocating gigabytes.
+
+    The bound on the compression agrees with the arrays of long chains.
     """
     tracemalloc.start()
     try:

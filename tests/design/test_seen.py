@@ -54,8 +54,9 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
 def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
     contact: int, viscosity: float
 ):
-    """Derivatives of closed and open contacts by overlap, rate, force at rest, constant and
-    viscosity.
+    """The derivatives of closed and open contacts agree with differences.
+
+    They are by overlap, rate, force at rest, constant and viscosity.
     """
     chain = Chain(
         grains=4,

@@ -16,7 +16,7 @@ def spring(viscous: float, drag: float) -> Chain:
 
 
 def exact(scene: Scene, t: np.ndarray) -> np.ndarray:
-    """Return displacement and velocity of the grain in extended precision, (2, T).
+    """Return the displacement and velocity of the grain in extended precision, (2, T).
 
     They solve x'' + (A k + gamma) x' + k x = f / m, at rest or with a velocity at t = 0.
     """

@@ -32,7 +32,7 @@ HZ = EDGE / (2 * np.pi)
 
 
 def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
+    """Return the displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
     chain = scene.chain
     wave = scene.excitation.waveform
     grains = chain.grains

@@ -122,7 +122,7 @@ def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency of the contact below a grain, or of a strike without load."""
+    """Return the scales of length and frequency of a grain: of its contact, or of a strike."""
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
         overlap = chain.equilibrium_overlap[contact]

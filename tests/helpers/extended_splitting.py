@@ -135,7 +135,7 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) after equal numbers of steps, and the chain."""
+    """Return the displacement and velocity (looks+1, N) at equal intervals, and the chain."""
     chain = scene.chain
     now = made_of(scene, changed)
     m = now["masses"]

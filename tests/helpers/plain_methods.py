@@ -191,8 +191,9 @@ def by_splitting(motion: Motion, method: Splitting, steps: Iterable[Any]) -> Arr
 
 
 class DormandPrinceStep(NamedTuple):
-    """Changes of displacement and velocity (N,) in a step, and estimates of
-    their errors by orders 5 and 3.
+    """The changes of displacement and velocity (N,) in a step, with two error estimates.
+
+    The error estimates are of orders 5 and 3.
     """
 
     x: Array

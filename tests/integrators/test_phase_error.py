@@ -119,7 +119,7 @@ def test_the_state_agrees_with_plain_numpy(reach: np.ndarray, grain: int, size: 
 
 
 def test_an_opening_between_two_times_is_detected():
-    """A parabola is below the limit for a moment, near or far from a time."""
+    """The overlap, a parabola in time, is below the limit for a moment between two times."""
     u, v = np.zeros((2, TIMES, GRAINS))
     links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY, np.zeros(GRAINS))
     u[0] = [0, 0, 0.9, 0, 0]  # Contact 2 is stretched by 0.9 and returns.

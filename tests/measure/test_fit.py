@@ -90,8 +90,9 @@ def keys(error: Any) -> list[str]:
 
 
 def test_shares_of_the_modes_and_their_energy(column: Trajectory):
-    """Shares of an impulse are m_1 X_1p^2 by a dense eigenvalue solver; they sum to the scene's
-    energy.
+    """The energy shares of an impulse are m_1 X_1p^2, by a dense eigenvalue solver.
+
+    The energies of the modes sum to the energy of the scene.
     """
     fit = fit_modes(column)
     assert fit.share.sum() == pytest.approx(1, abs=1e-12)
@@ -122,8 +123,9 @@ def test_a_single_mode_has_all_of_the_energy():
 
 
 def test_a_strong_strike_deviates_from_linear_motion():
-    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain by Chebyshev
-    polynomials.
+    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain.
+
+    The linear chain is solved by Chebyshev polynomials.
     """
     strong = simulate(paper("fig5 g"), "native")
     linear = answered(

@@ -128,8 +128,9 @@ def front(struck: Trajectory) -> Front:
 def test_height_speed_and_width(
     struck: Trajectory, front: Front, first: int | None, last: int | None
 ):
-    """The default grains are the later half of 6 to 39; errors include a 95 % interval and
-    sampling.
+    """The default grains are the later half of grains 6 to 39.
+
+    The errors include a 95 % interval and the sampling.
     """
     fit = fit_soliton(struck, first, last)
     if first is None and last is None:

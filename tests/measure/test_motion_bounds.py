@@ -78,8 +78,9 @@ def test_bounds_of_a_chain_that_may_open():
 
 
 def test_bounds_of_a_compressed_chain():
-    """If no contact opens, the contacts have the energy: (sum of r)^2 <= (delta + 1) E sum of 1 /
-    k.
+    """If no contact opens, the energy of the contacts bounds their change of length r.
+
+    The bound is (sum of r)^2 <= (delta + 1) E sum of 1 / k.
     """
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)

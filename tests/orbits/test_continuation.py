@@ -67,7 +67,7 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
 
     def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return state and derivatives after a period in overlaps and radians of the drive."""
+        """Return the state and derivatives after a period in overlaps and radians of the drive."""
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
             above = max(1 + amplitude * np.sin(t) - y[0], 0.0)

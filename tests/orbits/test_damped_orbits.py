@@ -219,7 +219,7 @@ def test_multipliers_do_not_depend_on_the_number_of_steps():
 
 
 def misses(orbit: Orbit) -> float:
-    """Return the relative closure error of an orbit, by SciPy in velocities."""
+    """Return the relative closure error of an orbit, integrated by SciPy with velocities."""
     move = rate(orbit)
     begin = start_of(orbit, False)[:, 0]
     scale = np.abs(begin.reshape(2, -1)).max(1).repeat(begin.size // 2)

@@ -716,7 +716,7 @@ def check_live_figures(build: Path, profile: Path):
     figures = re.findall(r'<iframe class="live-figure" src="([^"]*)"', index)
     assert len(figures) == 4
     assert all((build / figure).stat().st_size < 2e6 for figure in figures)
-    # They do not contain the build path either.
+    # The figures must not contain the build path.
     assert not any(str(build) in (build / figure).read_text("utf-8") for figure in figures)
     if not installed():
         return

@@ -343,7 +343,7 @@ def test_a_front_travels_downward(run: Trajectory):
             return front_below(run)
 
     onward = np.arange(21.0)
-    for back, ok in ((2, True), (3, False)):  # Steps backward of twenty steps.
+    for back, ok in ((2, True), (3, False)):  # Number of the twenty steps that go backward.
         times = onward.copy()
         times[2 : 2 + 2 * back : 2] -= 1.5
         assert (np.diff(times) < 0).sum() == back
@@ -370,7 +370,7 @@ def test_the_dispersion_is_that_of_the_moving_grains(draw: Any, run: Trajectory)
     first, last = extent(crop(run))
     assert picture.caption.startswith(f"Spectrum of grains {first} to {last} over wavenumber")
     result = spectrum.dispersion(run, first, last)
-    # Newton's law for a wave exp(i k n - i w t) gives at most m w^2 = 4 k sin(q/2)^2.
+    # For a wave exp(i q n - i w t), Newton's law is m w^2 = 4 k sin(q/2)^2, at most 4 k.
     chain = run.scene.chain
     middle = result.grain[1]
     stiff = chain.linear_stiffness[middle - 2 : middle].mean()

@@ -111,7 +111,7 @@ def test_a_ball_that_bounces_on_a_plate_lands_when_its_parabola_meets_the_plate(
 
     run = simulate(scene_of(chain, shaker, 0.019, 3801), "native", tolerance=1e-7)
     flies = contact.contacts(run, [1]).force[:, 0] == 0
-    # The last flight, after small bounces of the plate's sudden start.
+    # The last flight follows small bounces that the sudden start of the plate causes.
     above = np.arange(1 + np.flatnonzero(~flies)[-1], flies.size)
     assert above.size > 500
     middle = above[above.size // 2]

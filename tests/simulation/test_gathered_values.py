@@ -47,7 +47,7 @@ def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
-    """Return time and size of the largest displacement (0) or velocity (1) of a grain."""
+    """Return the time and size of the largest displacement (0) or velocity (1) of a grain."""
 
     def values(t):
         return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])

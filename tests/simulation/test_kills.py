@@ -78,7 +78,7 @@ def lammps(monkeypatch: pytest.MonkeyPatch):
 
 
 def breakdown(monkeypatch: pytest.MonkeyPatch):
-    """Return a first attempt with far too long steps, so that it breaks down."""
+    """Return a first attempt that breaks down because its steps are far too long."""
     honest = time_stepping.TimeSteppingEngine.propose
 
     def choose(*arguments):
@@ -98,7 +98,7 @@ def by_formula(monkeypatch: pytest.MonkeyPatch):
 
 
 def fallback(monkeypatch: pytest.MonkeyPatch):
-    """Return an attempt of "auto" with linear theory, whose model error proves too large."""
+    """Return a scene for which "auto" tries linear theory, whose model error is too large."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
@@ -441,7 +441,7 @@ SOAK = {
     [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)],
 )
 def test_random_kills(case: str, piece: int, tmp_path: Path, truth: Callable):
-    """Ten kills at random, some of them in the same run, in any of its attempts."""
+    """A run that is killed at random moments and resumed gives the same result."""
     right = truth(case)
     rng = random.Random(f"{case} {piece}")
     count = 0

@@ -92,10 +92,10 @@ def struck(seed: int) -> Scene:
 
 
 def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity of every grain by Taylor series, checked by extrapolation.
+    """Return the displacement and velocity of every grain by Taylor series.
 
-    The second one knows only grains as near as the wave can have come; the first must all but leave
-    others at rest.
+    A second solution contains only the grains that the wave can reach. Both must agree there, and
+    the other grains of the first solution must be nearly at rest.
     """
     spare = 120
     (first, last) = scene.excitation.reach(scene.chain)

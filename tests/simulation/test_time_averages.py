@@ -29,7 +29,7 @@ def struck(chain: Chain, seed: int = 1) -> Scene:
 
 
 def beta(grains: int, exponent: float) -> tuple[float, float]:
-    """Return mean and variance of K / E in the microcanonical ensemble.
+    """Return the mean and variance of K / E in the microcanonical ensemble.
 
     The volume of phase space below an energy is that of a product: momenta give E^(N/2), and
     displacements, of whose potential a factor s on all makes s^(delta+1), give E^(N/(delta+1)).
@@ -74,7 +74,7 @@ def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
         scene = struck(chain, seed)
         low, high = averages(scene, [name], time=0.1, tolerance=6e-4).interval[name]
         covered += low < 5 / 9 * scene.energy / 24 < high
-    # A thousand intervals scatter by 0.7 %.
+    # The standard deviation of the coverage of a thousand intervals is 0.7 %.
     assert 0.93 <= covered / 1000 <= 0.97
 
 

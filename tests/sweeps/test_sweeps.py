@@ -455,7 +455,7 @@ def test_accumulated_quantities_are_stored(tmp_path):
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        # Two samples do not show the value, so that it is accumulated.
+        # Two samples do not show the largest displacement, so the sweep accumulates it.
         farthest = peaks(one, "displacement")
         error = own["peak_displacement_error"] + farthest.error[[6, 2]]
         assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()

@@ -117,7 +117,7 @@ SINE = np.sin(pi * np.arange(1, 32) / 32)
 
 
 def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and mode energies of the Fermi-Pasta-Ulam-Tsingou chain in their units.
+    """Return the time and mode energies of the Fermi-Pasta-Ulam-Tsingou chain in their units.
 
     31 grains between walls, alpha = 1/4, a sine of amplitude 1: Fig. 1 of report LA-1940 (1955).
     The figure has 4000 times the energies, and the step of the report is sqrt(1/8).

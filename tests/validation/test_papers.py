@@ -39,7 +39,7 @@ def train() -> Trajectory:
 
 @cache
 def opening() -> Trajectory:
-    """Simulate a rarefaction of a step to half the overlap."""
+    """Simulate a rarefaction wave: half of the chain is expanded to half the overlap at t = 0."""
     chain = Chain(grains=600, top="free", bottom="wall", **BEADS)
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 9.5e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=350)

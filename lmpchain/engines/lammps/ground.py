@@ -47,7 +47,7 @@ class LammpsGround:
     @property
     def pull(self) -> str:
         """The upward force on a grain, N, in variables of LAMMPS."""
-        # Displacements are positive downward, so that a force that pulls back is one upward.
+        # Displacements are positive downward, so a restoring force is upward.
         values = self._values | {"u": name("v_phi"), "t": name("v_now")}
         return self.law.formula.substitute(values).lammps
 
