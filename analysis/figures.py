@@ -50,7 +50,7 @@ LETTERS = {
 }
 OUTLINE = [withStroke(linewidth=2, foreground="white")]  # Outline of letters on maps.
 DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # Outline of white lines on maps.
-# Label of a panel of differences below another one, as matplotlib's <colorbar>.
+# Label of a panel that shows differences from the panel above, like matplotlib's <colorbar>.
 DIFFERENCES = "<differences>"
 SVG = "--svg"
 PRINT_DPI = 300

@@ -240,7 +240,7 @@ class Scan(NamedTuple):
 def work_precision(
     scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False
 ) -> WorkPrecision:
-    """Measure error and time of every engine and integrator that supports a scene.
+    """Measure the error and time of every engine and integrator that supports a scene.
 
     Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops
     falling or the time is used up, tolerances by factors of sqrt(10). Each time is the least of

@@ -58,7 +58,7 @@ class ContactLaw(ABC):
     Parameters
     ----------
     force_formula, stiffness_formula, curvature_formula : functions
-        Force, N, and its first two derivatives by the overlap, N/m and N/m2. A force grows with the
+        Force (N) and its first two overlap derivatives (N/m, N/m2). A force grows with the
         overlap, and is 0 where there is none.
     onset : float
         The power of the overlap with which the force sets in as a contact closes.

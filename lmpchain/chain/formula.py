@@ -143,7 +143,7 @@ class Formula:
         return made[self]
 
     def derivative(self, variable: str) -> Formula:
-        """Return the derivative by a variable; jumps of the formula contribute nothing."""
+        """Return the derivative with respect to a variable; jumps contribute nothing."""
         slopes: dict[Formula, Formula] = {}
         for node in self.walk():
             slopes[node] = _slope(node, [slopes[part] for part in node.parts], variable)

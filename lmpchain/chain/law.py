@@ -339,11 +339,11 @@ class Law(ContactLaw):
         return self._filled(super().force, overlap, constant)
 
     def stiffness(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the derivative of the force by the overlap, N/m."""
+        """Return the derivative of the force with respect to the overlap, N/m."""
         return self._filled(super().stiffness, overlap, constant)
 
     def curvature(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the second derivative of the force by the overlap, N/m2."""
+        """Return the second derivative of the force with respect to the overlap, N/m2."""
         return self._filled(super().curvature, overlap, constant)
 
     def overlap(self, force: Any, constant: Any = None) -> Any:
@@ -629,7 +629,7 @@ class Law(ContactLaw):
         constant: float | None = None,
         contact: int = 0,
     ) -> str:
-        """Return force or energy of one contact as a LEPTON formula with all numbers inserted.
+        """Return the force or energy of one contact as a LEPTON formula with numbers inserted.
 
         Parameters
         ----------
@@ -666,7 +666,7 @@ class Law(ContactLaw):
         return formula.substitute({variable: parse(overlap)}).lepton
 
     def table(self) -> dict[str, Any]:
-        """Return formula and parameters as a table of a scene file."""
+        """Return the formula and parameters as a table of a scene file."""
         return {"force": self.text} | {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in self.given.items()

@@ -1,4 +1,4 @@
-"""Objectives: scalar functions of a motion, with derivatives by the motion and the chain.
+"""Objectives: scalar functions of a motion and the chain, with their derivatives.
 
 An objective looks at some grains at times that are equal parts of the duration: at the samples of
 the scene or, where it is `dense`, so often that the fastest motion turns by a quarter of a radian
@@ -58,7 +58,7 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        Derivatives by the motion.
+        Derivatives with respect to the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
         Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
         objective itself depends on them.
@@ -81,9 +81,9 @@ class ContactForce(NamedTuple):
     value : (T,) array
         Force, N.
     by_closer, by_closing : (T,) arrays
-        Derivatives by the approach of the two bodies, m, and its rate, m/s.
+        Derivatives with respect to the approach of the two bodies, m, and its rate, m/s.
     by_force, by_constant, by_viscosity : (T,) arrays
-        Derivatives by the force at rest, N, the constant, N/m^delta, and the viscosity, s.
+        Derivatives with respect to the force at rest (N), constant (N/m^delta), viscosity (s).
     grains : list of int
         One or two grains of the contact.
     """
@@ -150,7 +150,7 @@ def quadrature(size: int) -> Array:
 
 
 class Objective(Protocol):
-    """A scalar function of a motion, with its derivatives by the motion and the chain."""
+    """A scalar function of a motion and the chain, with its derivatives."""
 
     @property
     def dense(self) -> bool:

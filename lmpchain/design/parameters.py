@@ -62,7 +62,7 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _refuse(scene: Scene, name: str) -> str:
-    """Return the reason why a scene has no derivative by a parameter; empty if it has one."""
+    """Return why a scene has no derivative with respect to a parameter; empty if it has one."""
     chain = scene.chain
     course = _course(scene)
     if scene.excitation.from_below:
@@ -125,7 +125,7 @@ def inputs(scene: Scene) -> Inputs:
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
-    """Return derivatives by the parameters of this name, (P,), from derivatives by all inputs."""
+    """Return the gradient over parameters of this name, (P,), from that over all inputs."""
     if name in DIRECT:
         return _with_weight(scene.chain, gradient, name)
     return sum(
@@ -186,7 +186,7 @@ def _course(scene: Scene) -> Drive | Force | None:
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return the derivatives of inputs by the named parameters, as one matrix per input."""
+    """Return one matrix per input: its derivatives with respect to the named parameters."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}

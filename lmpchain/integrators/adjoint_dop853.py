@@ -221,7 +221,7 @@ class DifferentiableDampedRun(ObservedRun):
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of a result by all inputs, given those by the observed motion.
+        """Return the gradient of a result over all inputs, given that over the observed motion.
 
         See `adjoint.DifferentiableRun.pull`.
         """

@@ -427,7 +427,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
     pull = _ground_of(chain, u, off)
-    total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    total = (chain.masses * v**2).sum(1) / 2 + elastic  # As in Chain.excess_energy.
     total = total + pull.energy.sum(1)
     # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)

@@ -126,7 +126,7 @@ class Excitation(Checked):
 
     @abstractmethod
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
+        """Return the displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
 
     @abstractmethod
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:

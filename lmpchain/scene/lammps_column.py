@@ -116,7 +116,7 @@ def infer_scene(
     Parameters
     ----------
     grains : RunGrains
-        At the begin of the scene.
+        At the start of the scene.
     source : LammpsInput, optional
         The input file, which has forces and fixes; without it the material must be given, and
         gravity and load follow from the overlaps.

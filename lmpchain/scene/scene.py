@@ -202,7 +202,7 @@ class Scene(SceneFacts):
         return self.replace(quantities=None) if self.quantities else self
 
     def initial(self) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0."""
+        """Return the displacement (N,) m and velocity (N,) m/s at t = 0."""
         return self.excitation.initial(self.chain)
 
     @property

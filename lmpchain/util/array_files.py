@@ -293,7 +293,7 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
 
 
 def _fixed(lines: Iterable[str], widths: tuple[int, ...], count: int) -> Iterator[float]:
-    """Yield numbers of fixed width that may have no blanks between them; at most one extra."""
+    """Yield `count` numbers, or one more, of fixed widths that need no blanks between them."""
     for line in lines:
         place = 0
         while line[place:].strip() and count >= 0:

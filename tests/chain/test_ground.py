@@ -132,7 +132,7 @@ def test_a_batch_gives_the_bits_of_single_runs():
 
 
 def test_quantities_between_samples_hold_their_errors():
-    """They are computed from the samples alone, because the ground may depend on time."""
+    """Motion between samples is computed from the samples alone, as the ground may vary."""
     scene = struck(on(GROUNDS["in time"]), samples=161)
     peaks, exact = (
         lmpchain.measure.motion.peaks(simulate(each, "native", tolerance=1e-9))

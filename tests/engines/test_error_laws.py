@@ -481,7 +481,7 @@ def test_runs_of_more_than_ten_years_are_rejected():
 
 @pytest.mark.parametrize("engine", ["native", "auto"])
 def test_recording_only_fixed_grains_has_no_error(engine: str):
-    """Such a scene was once rejected because of the rounding of other grains."""
+    """A scene that records fixed grains was once rejected because of rounding elsewhere."""
     chain = Chain(grains=8, diameter=1e-3)
     held = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, grains=[8])
     answer = simulate(held, engine, 1e-13)

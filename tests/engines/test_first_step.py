@@ -191,7 +191,7 @@ def test_estimates_of_smooth_runs_are_close_upper_bounds():
 
 
 def test_the_longest_steps_of_auxiliary_runs_fit_between_two_corners():
-    """Otherwise all runs have equal steps there; an error of 5e-11 was once estimated as 1e-12."""
+    """If all runs had equal steps between two corners, an error of 5e-11 would seem 1e-12."""
     times = np.linspace(0, 7e-5, 15)
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)

@@ -161,7 +161,7 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     "path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem
 )
 def test_kernels_depend_only_on_their_folder(path: Path):
-    """Their imports are in the same folder, which is monitored, or in `util`, not compiled."""
+    """Kernels import only from their monitored folder, or uncompiled functions from `util`."""
     above = re.findall(
         r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
     )

@@ -162,7 +162,7 @@ def test_short_steps_at_openings_restore_the_order(scene: Scene, steps: int):
 def test_steps_limited_by_samples_are_not_shortened_further_at_openings(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
-    """The cost is at least a quarter less, with an estimate of lower order."""
+    """Equal steps cost at least a quarter less, although their error estimate has a lower order."""
     scene = paper(name, samples=301)
     engine = Native("rkn6")
     # Otherwise steps need not adapt at all.

@@ -90,7 +90,7 @@ def test_two_balls_that_collide() -> None:
 
     These are the results of Landau and Lifshitz, volume 7, section 9.
     """
-    deepest = (2.5 * 0.5 * 0.5) ** 0.4  # v = m = K = 1, reduced mass 1/2
+    deepest = (2.5 * 0.5 * 0.5) ** 0.4  # Here v = m = K = 1, and the reduced mass is 1/2.
     lasts = 2.9432751843 * deepest
     t = record(vacuum(2), Impulse(velocity=1.0), 1.5 * lasts, 201, tolerance=1e-11)
     history = contacts(t)
@@ -236,7 +236,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
     """The front in a vacuum rises faster than any power, so that an interpolant overshoots."""
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
-    # Until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine.
+    # The pulse moves 1.2 grains per unit of time and gets halfway. Samples are coarse to fine.
     for samples in (
         5,
         9,

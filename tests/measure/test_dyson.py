@@ -63,7 +63,7 @@ def test_sums_over_the_grains_of_a_run(bottom: str):
     velocity[:, : chain.movable] = t.velocity[:, : chain.movable]
     seen = sums(t, [1, 2.5])
     kappa = np.arange(1.0, 31) ** (1 / 3)
-    if bottom == "wall":  # stiffer by 2^(1/2) at a constant, so by 2^(1/3) under the same weight
+    if bottom == "wall":  # K is 2^(1/2) times as large, so k is 2^(1/3) times as large.
         kappa[-1] *= 2 ** (1 / 3)
     weight = np.array([dyson_weight(kappa, m) for m in (1, 2.5)])
     assert seen.m.tolist() == [1, 2.5]

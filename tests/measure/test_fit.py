@@ -616,7 +616,7 @@ def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Pa
     assert np.array_equal(t.velocity, v)
     assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
     native = simulate(scene, "native", 1e-9)
-    far = 2e-5  # heights lose digits: the deck says that it expects 5e-5
+    far = 2e-5  # Heights lose digits; the deck expects an error of 5e-5.
     assert (
         np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
     )

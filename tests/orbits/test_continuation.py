@@ -138,7 +138,7 @@ def test_from_a_linear_mode_through_two_folds_and_back():
 
 
 def test_each_orbit_of_a_family_needs_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
-    """This holds even if rounding is far above an ulp, as in slow modes of a long column."""
+    """One tangent map suffices even if rounding is far above an ulp, as in slow modes."""
     taken = []
     linearise = Equations.linearise
 

@@ -549,7 +549,7 @@ def test_stored_tables_agree_with_the_pictures(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_a_measured_number_is_on_one_page():
-    """It is on the page that names the measuring script; other pages link to it."""
+    """A measured number is on the page that names the script; other pages link to that page."""
     cited: dict[str, set[str]] = {}
     for page in [*DOCS.glob("*.md"), ROOT / "README.md"]:
         for script in re.findall(r"analysis/[\w/]+\.py", page.read_text(encoding="utf-8")):

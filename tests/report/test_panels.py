@@ -324,7 +324,7 @@ def test_grains_are_equal_to_nine_digits(key: str):
 
 
 def test_a_front_travels_downward(run: Trajectory):
-    """It passes nine of ten grains in order, and at least six grains."""
+    """A front passes at least six grains, and nine of ten in order."""
     from lmpchain.measure import front
 
     sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))

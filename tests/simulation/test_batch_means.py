@@ -47,7 +47,7 @@ def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
 
 @pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
 def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
-    """Such intervals have few batches or are infinite; the others are wide enough on average."""
+    """Intervals from few batches may be infinite; the others are wide enough on average."""
     assert coverage(memory, 1, 8, 400, 3) > 0.92
 
 

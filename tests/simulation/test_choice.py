@@ -323,7 +323,7 @@ class Answers:
 
 
 def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
-    """They follow from the shortest times of a small and a large solution.
+    """The start-up time and slowness follow from a small and a large solution.
 
     It is written with the name of the machine.
     """

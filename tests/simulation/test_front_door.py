@@ -296,7 +296,7 @@ def test_a_folder_used_by_another_process_is_left_unchanged(tmp_path, small_bloc
 
 
 def test_a_killed_run_has_the_status_killed(tmp_path, small_blocks):
-    """Its file says "running", but no process has the lock."""
+    """A killed run leaves a file that says "running", but no process has the lock."""
     folder = tmp_path / "run"
     stopped(folder)
     file = folder / "status.json"

@@ -252,7 +252,7 @@ def test_ranks_name_no_shared_memory_and_end_with_their_launcher(tmp_path: Path)
 
 
 def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """These are files of ranks killed at their start, and of launchers.
+    """Files of launchers, and of ranks that were killed at their start, are removed.
 
     Not what is in use, new, or of others.
     """

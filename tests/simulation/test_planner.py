@@ -198,7 +198,7 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore:Eq. ")
 def test_the_choice_takes_at_most_twice_the_time_of_the_fastest():
-    """This holds for nine of ten scenes above 1 ms."""
+    """The choice is within twice the fastest time for nine of ten scenes above 1 ms."""
     scenes = [
         scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20
     ]

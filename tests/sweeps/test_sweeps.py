@@ -119,7 +119,7 @@ def test_a_grid_is_every_combination(tmp_path):
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
     assert (found.reason == "").all()
-    found.load()  # Loaded before the next sweep takes over its folder.
+    found.load()  # The next sweep reuses the folder.
     turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
     assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), (
         "as they are named"
@@ -359,7 +359,7 @@ def test_files_are_identified_by_their_contents(tmp_path):
 
 
 def test_traces_of_instruments_are_swept(tmp_path):
-    """Their calibration is swept like any key; a start file is identified by its contents."""
+    """The calibration of a trace is swept like any key; a start file is known by its contents."""
     (tmp_path / "scope.csv").write_text("t (us);u (mV)\n-1;10\n0;10\n5;11,5\n20;13\n")
     (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
     options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
@@ -814,7 +814,7 @@ def test_a_dying_process_loses_only_its_own_task():
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["shutdown", "kill"])
 def test_processes_end_within_a_task(how):
-    """They end with the pool, and with the process of the pool, however it ends."""
+    """Worker processes end with their pool, and with the process of the pool, however it ends."""
     script = (
         "import os, sys, time\n"
         "from lmpchain.sweeps.executors import Processes\n"

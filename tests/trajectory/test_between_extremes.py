@@ -371,7 +371,7 @@ def test_a_slow_maximum_may_have_turned_earlier():
 
 
 def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
-    """Return u, v, a and j over time, (4, ...), of three pulses of a velocity."""
+    """Return a function of time with u, v, a and j, (4, ...), of three velocity pulses."""
     sizes = rng.uniform(0.3, 1, 3) * rng.choice([-1, 1], 3)
     middles = np.cumsum(rng.uniform(1.5, 4, 3)) + 4
     widths = rng.uniform(1.4, 2.5, 3)

@@ -134,7 +134,7 @@ class ModalSolution:
         return self._modes.free(np.maximum(t - end, 0.0), q, p)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
+        """Solve ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
         # Importing scipy.special takes longer than many runs.
         from scipy.special import spherical_jn
 

@@ -172,7 +172,7 @@ class AuxiliarySteps:
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
         """Return the trusted order of the method, which is lower if contacts open or nearly so."""
-        # Adaptive steps end on the kinks of an excitation, equal ones pass over them.
+        # Adaptive steps end on the kinks of an excitation; equal steps pass over them.
         regular = not opens and (self.answer.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
 

@@ -429,7 +429,7 @@ def fill_path(p, block, derived, body, row, lower):
 
 
 def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) -> np.ndarray:
-    """Return the table for `reduce`, (F, 5) integers: the sizes of G grains, and P contacts.
+    """Return the table for `reduce`, (F, 5) integers, with a row per grain size or contact.
 
     Each row has the number of a body, its row in `derivatives.derive`, the row of the body below it
     if the approach of the two is followed, the kind of size, and its place in the largest ones.
