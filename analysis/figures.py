@@ -199,7 +199,7 @@ def save_for_print(picture: Figure, path: Path) -> None:
 
 
 def restyle(picture: Figure) -> None:
-    """Put titles to the left behind the letters of panels, and typeset numbers as formulas."""
+    """Move titles to the left, after the panel letters, and typeset numbers as formulas."""
     lettered = [axes for axes in picture.axes if not axes.get_label().startswith("<")]
     for axes in picture.axes:
         title = axes.get_title() or axes.get_title(loc="left")

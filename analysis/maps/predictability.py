@@ -37,7 +37,7 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return decades of growth over strike, time and length, and predicted horizons."""
+    """Return the decades of growth for each strike, time and length, and predicted horizons."""
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:

@@ -315,7 +315,7 @@ class Energy(_AtTime):
         closer = contacts.closer(u)
         energy = share * contacts.energy(closer)
         change = share * contacts.force_change(closer)
-        # This is the derivative by -log(K) at a fixed force at rest.
+        # This is the derivative with respect to -log(K) at a fixed force at rest.
         delta = chain.law.power_of("the derivative of an energy")
         softer = np.where(contacts.pressed, (energy - closer * change) / delta, -energy)
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))

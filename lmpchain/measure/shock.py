@@ -254,7 +254,7 @@ class TravellingWave(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """Edges and thickness, grains, of a wave of one kind, and the theoretical predictions."""
+    """The edges and thickness (in grains) of a wave of one kind, with theoretical predictions."""
 
     kind: Kind
     leading: Edge

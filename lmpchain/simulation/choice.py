@@ -75,7 +75,7 @@ def choose(
 
 
 def _choose(scene: Scene, tolerance: float) -> Proposal:
-    """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
+    """Return the proposal of the cheapest engine; raise `ToleranceNotMet` if there is none."""
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
     return _explain(best, plan=f"{best.engine}: {reason(best, proposals)}")

@@ -246,7 +246,7 @@ def test_band_edge_against_a_dense_eigensolver(chain: Chain):
 
 @each_walled
 def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
-    """Walls are fixed bodies here; a wall that only touches is no spring."""
+    """Walls are fixed bodies here; a wall that only touches does not act as a spring."""
     size = chain.grains
     k = chain.contact_constants
     delta = chain.exponent

@@ -443,7 +443,7 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
     scene = drawn(seed)
     rng = np.random.default_rng(seed)
-    while scene.chain.exponent == 1.0:  # Of first order only.
+    while scene.chain.exponent == 1.0:  # For exponent 1, estimates are only of first order.
         scene = drawn(seed := seed + 1000)
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
     objective = [PeakForce(contact), KineticEnergy([1, 2]), Momentum([2])][seed % 3]

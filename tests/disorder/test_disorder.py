@@ -190,7 +190,7 @@ def test_options_that_are_wrong(change, key):
 
 @pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
 def test_mean_and_standard_error(engine, count):
-    """Compared with all chains at once, each solved separately."""
+    """Batches give the same means as all chains at once, each solved separately."""
     scene = column(samples=5, grains=20, tau=6.0) if engine == "native" else column(samples=5)
     found = ensemble(scene, 2, count, seed=5, engine=engine)
     alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]

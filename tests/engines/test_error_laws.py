@@ -531,7 +531,7 @@ def test_rounding_of_free_flights_is_measured_if_bounds_would_reject(family: str
 def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
     exponent: float, integrator: str, place: int, steps: int
 ):
-    """Errors scatter after the first opening; estimates were once 0.34 to 0.68 of them."""
+    """Errors scatter after the first opening; estimates were once 0.34 to 0.68 of the error."""
     chain = Chain(
         grains=6, material="steel", diameter=4.76e-3, gravity=0, top_load=2.38, load_grain=2,
         bottom="wall", exponent=exponent, impurity=[Impurity(grain=1, material="ptfe")],
@@ -548,7 +548,7 @@ def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
 
 @pytest.mark.parametrize("steps", [5, 8])
 def test_nearly_open_contacts_are_in_the_estimate_of_equal_steps(steps: int):
-    """No contact opens, but the force is not smooth; once 0.4 of the error was estimated."""
+    """No contact opens, but the force is not smooth; an estimate was once 0.4 of the error."""
     chain = Chain(
         grains=3, material="steel", diameter=5e-3, gravity=0, top_load=2e-3, bottom="wall"
     )

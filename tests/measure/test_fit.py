@@ -786,7 +786,7 @@ def test_fit_faults_have_exit_code_2(
 
 
 def test_bessel_functions_need_a_passing_wave():
-    """Behind a wall, the first grain has an image at once, so that its motion is no measurement."""
+    """Below a wall, the first grain is disturbed at once, so its motion cannot be fitted."""
     chain = Chain(
         grains=40,
         material="steel",

@@ -314,7 +314,7 @@ class Answers:
         monkeypatch.setattr(calibration, "simulate", self.simulate)
 
     def simulate(self, scene, engine, tolerance):
-        """Spend the time; the first results of a row take longer."""
+        """Advance the simulated clock; all repeats but the last take longer."""
         self.count += 1
         start, slowness = cost_model.speed(engine.name, engine.start_up_s)
         work = (engine.propose(engine.part(scene), tolerance).cost_s - start) / slowness

@@ -288,7 +288,7 @@ class Lammps(TimeSteppingEngine):
     def _takes_gauge(
         self, scene: Scene, errors: tuple[float, ...], tolerance: float, fixed: bool
     ) -> bool:
-        """Return whether to use the gauge diameter, from both rounding errors and the allowed one.
+        """Return whether to use the gauge diameter, given the rounding errors of both diameters.
 
         Raises
         ------
