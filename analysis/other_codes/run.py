@@ -44,8 +44,8 @@ LAST_S = 8.0
 # Shortest chain that is cut, and relative displacement allowed beyond the cut.
 LONG_CHAIN = 1000
 UNTOUCHED = 1e-15
-# Codes that are added later are timed alternately with LAMMPS, in runs at the first step of up to
-# this time, s.
+# Number of alternating timings of LAMMPS and a code that is added later, and the shortest stored
+# LAMMPS time, s, that the timings repeat.
 TURNS = 12
 YARDSTICK_S = 0.2
 

@@ -290,7 +290,7 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
 
 
 def _look_times(scene: Scene, begin: float, end: float) -> Array:
-    """Return times from `begin` to `end`, s, at which the largest motion is looked for."""
+    """Return times from `begin` to `end`, s, at which to search for the largest motion."""
     phase = (end - begin) * scene.highest_frequency
     most = LOOK_VALUES // scene.chain.grains
     return np.linspace(begin, end, 2 + int(min(LOOKS_A_RADIAN * phase, most)))

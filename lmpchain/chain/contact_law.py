@@ -5,7 +5,7 @@ symbol    variable      meaning
 ========  ============  ==================================================
 o         overlap       of two bodies, m; below 0 there is a gap
 K         constant      of a contact; its unit is N/m^delta for a power
-F, k      force, ...    force, N, and its derivative by o, N/m
+F, k      force, ...    force, N, and dF/do, N/m
 r         r             change of the overlap since rest, m
 delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 ========  ============  ==================================================

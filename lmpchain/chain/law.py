@@ -41,9 +41,9 @@ NEAR_KINK = 1e-6
 SIZES = np.geomspace(1e-18, 1e2, 801)
 # Upper bound for forces, N, and energies, J.
 LARGEST = 1e300
-# Relative distance from a value at which it counts as reached.
+# A value counts as reached within this relative distance.
 CLOSE = 1e-6
-# Iterations after which bisection alone has found a root between two of these sizes.
+# Number of iterations in which bisection alone finds any root.
 BISECTIONS = 64
 # A kink is near within this multiple of the length over which the stiffness changes.
 FAR = 4.0

@@ -769,7 +769,7 @@ def _integral(
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
-    """Return the integral of the curve through samples up to each; infinite for one sample."""
+    """Return the integral of an interpolant up to each sample; infinite for one sample."""
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:

@@ -420,7 +420,7 @@ def _read_sums(folder: Path) -> dict[str, str]:
 
 
 def write_sums(folder: Path, finished: bool) -> None:
-    """Write the hashes of final files: engine inputs at first, at the end all but the status."""
+    """Write the hashes of files: of engine inputs, or, when finished, of all but the status."""
     names = _inputs()
     if finished:
         names |= _names() - {STATUS, SUMS, *CHECKPOINT_FILES}

@@ -270,7 +270,7 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
 
 
 def test_band_edge_between_like_walls():
-    """N equal springs between equal walls of constant kappa k: the determinant for two grains."""
+    """For two grains on three equal springs, w^2 follows from a 2 x 2 determinant."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
     k = chain.contact_constants[0]
     m = chain.masses[0]

@@ -54,7 +54,7 @@ def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
     assert lowest - slack < covered < highest + slack
     if law.stats("s") > 1.9:
         assert covered > by_student + 0.003
-    # The interval costs little in width.
+    # The interval is only a little wider than that of Student.
     assert np.median(high - low) < 1.3 * np.median(2 * student)
 
 

@@ -1,4 +1,4 @@
-"""Decisions about begin and end of compiled loops, tested in plain Python."""
+"""Decisions about the start and end of compiled loops, tested in plain Python."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ LEVEL = {"material": "steel", "diameter": 9.5e-3, "gravity": 0.0, "top_load": 10
 CHAIN = Chain(grains=30, top="wall", bottom="wall", **LEVEL)
 OVERLAP = float(CHAIN.contacts.overlap[1])
 SOUND = float(np.sqrt(CHAIN.contacts.stiffness[1] / CHAIN.masses[1]))
-LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of the Toda chain of the same bend
+LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of a Toda chain.
 
 
 @cache

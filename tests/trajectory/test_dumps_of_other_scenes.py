@@ -102,7 +102,7 @@ def scaled(columns: str, factor: float) -> Callable[[list[Frame]], None]:
 
 
 def every(number: int) -> Callable[[list[Frame]], None]:
-    """Return the frames of a run with fewer frames in a longer time, for the same sample count."""
+    """Return a function that keeps every n-th frame of a dump."""
 
     def change(frames: list[Frame]) -> None:
         frames[:] = frames[::number]

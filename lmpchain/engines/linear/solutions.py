@@ -122,7 +122,7 @@ class ModalSolution:
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _force(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): response to sines, then free motion."""
+        """Solve ``q'' + w^2 q = f(t)`` from rest, (T, M): response to sines, then free motion."""
         assert self._wave
         end = self._wave.end
         q, p = np.sum(
