@@ -21,7 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DURATION, GRAINS, EARTH, TAU = 100e-6, 120, 9.81, 14.555  # In s, -, m/s2, and 100 us on Earth.
+DURATION, GRAINS, EARTH, TAU = (
+    100e-6,
+    120,
+    9.81,
+    14.555,
+)  # Duration in s, gravity in m/s2, and 100 us in units of tau on Earth.
 OPENS = 8.501  # Strike number v0* from which contact 1 of a Hertzian column opens.
 NAMES = {
     "velocity": "velocities at the end",

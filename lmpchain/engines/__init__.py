@@ -121,7 +121,7 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
 
 
 def brief(engine: str, refusal: str) -> str:
-    """Return the first reason of a refusal without the name of the engine and the remedy."""
+    """Return the first reason for a refusal, without the name of the engine and the remedy."""
     return re.split("; |: ", refusal.removeprefix(f"{engine} "))[0]
 
 

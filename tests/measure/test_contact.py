@@ -34,7 +34,7 @@ def record(
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
-    """Return a strike of 1 on a vacuum chain of 60, until the pulse returns from an equal wall."""
+    """Simulate a strike on 60 grains in a vacuum until the pulse returns from an equal wall."""
     scene = Scene(
         chain=vacuum(60, bottom="wall"),
         excitation=Impulse(velocity=1.0),

@@ -70,7 +70,7 @@ def answered(
 
 @pytest.fixture(scope="module")
 def column() -> Trajectory:
-    """Return a weak strike on 300 grains, until the front returns halfway from the bottom."""
+    """Simulate a weak strike on 300 grains until the front returns halfway from the bottom."""
     return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
 
 

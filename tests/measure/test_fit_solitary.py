@@ -93,7 +93,7 @@ def test_waves_that_are_not_solitary(chain: Chain, excitation: Impulse, said: st
 
 @pytest.mark.parametrize("striker", ["ptfe", "steel"])
 def test_a_striker_of_another_kind(striker: str):
-    """The row behind the striker is uniform, and its wave the exact one: 0.9074700784 v^(1/5)."""
+    """The chain below the striker is uniform, so the speed is the exact 0.9074700784 v^(1/5)."""
     chain = Chain(**STEEL, impurity=[{"grain": 1, "material": striker}])
     fit = fit_soliton(strike(chain, Impulse(velocity=0.44), 1.5e-4))
     row = Chain(**STEEL)

@@ -163,7 +163,7 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
 
 
 def test_an_ambiguous_front_has_a_large_error():
-    """Of two maxima, the first is almost half of the second.
+    """The first of two maxima is almost half as high as the second.
 
     Its time is off by their distance, if values are off.
     """

@@ -49,7 +49,7 @@ def test_kinetic_energy_of_beads_between_walls_is_microcanonical(grains: int, ex
     assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
     assert found.variance["kinetic_energy"] / scene.energy**2 == pytest.approx(variance, rel=0.03)
     low, high = found.variance_interval["kinetic_energy"]
-    # One interval in twenty does not cover, hence half as wide again.
+    # One interval in twenty does not cover the truth, so intervals 1.5 times as wide are compared.
     assert low / 1.01 < variance * scene.energy**2 < high * 1.01
     assert found.energy_error <= 1e-3
 

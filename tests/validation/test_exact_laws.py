@@ -122,7 +122,7 @@ def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.nda
     31 grains between walls, alpha = 1/4, a sine of amplitude 1: Fig. 1 of report LA-1940 (1955).
     The figure has 4000 times the energies, and the step of the report is sqrt(1/8).
     """
-    size = 1e-6  # Their unit of length, m.
+    size = 1e-6  # Unit of length of Fermi et al., m.
     chain = Chain(grains=31, **WALLS, law=laws.fput(0.25 * K / size, k=K))
     unit = sqrt(chain.masses[0] / K)
     engine = Native("verlet", step=step * unit * (1 + 1e-9)) if step else Native()

@@ -545,7 +545,7 @@ def _bounds_overlaps(scene: Scene) -> bool:
 
 
 def _choices(gauge: float, reason: str) -> dict[str, str | float]:
-    """Return the choice and reason of a diameter, m; 0 for the physical diameter."""
+    """Return which diameter (m; 0 is the physical one) was chosen, and why."""
     return {"diameter": "gauge" if gauge else "physical", "drawn_m": gauge, "why": reason}
 
 
