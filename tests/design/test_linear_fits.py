@@ -153,7 +153,7 @@ def test_estimates_have_their_units():
 
 
 def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
-    """Of 200 draws, 68 and 95 % are within one and two standard deviations."""
+    """One and two standard deviations contain 68 and 95 % of 200 draws."""
     answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
     column = columns()[:, 0]
     miss = [

@@ -67,7 +67,7 @@ def estimate(
 @pytest.mark.parametrize("order", [2, 4, 6, 8])
 @pytest.mark.parametrize("ratios", [(2.0, 4.0), (1.9, 3.7), (3.0, 6.0)])
 def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
-    """The factor is exact for steps that double.
+    """The factor is exact if each step is twice the previous one.
 
     Else the gain follows from a rate that is not quite the order.
     """

@@ -110,7 +110,7 @@ FORCED = {
 
 @pytest.mark.parametrize("name", FORCED)
 def test_forced_motion_agrees_with_a_general_integrator(name):
-    """Solved by modes, and by Chebyshev polynomials for a sine without end."""
+    """The scenes are solved by modes or, for an endless sine, by Chebyshev polynomials."""
     chain, excitation = FORCED[name]
     scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
     u, v = integrated(scene)

@@ -245,7 +245,7 @@ def test_there_are_at_most_twelve_attempts(now):
 
 
 def test_the_best_possible_result_is_returned_on_request(now):
-    """Steps shorten until all but the rounding error, which exceeds the tolerance, is within it."""
+    """Steps shorten until all errors but rounding, which is too large, meet the tolerance."""
     errors = [budget(1e-2, 3e-6), budget(1e-4, 3e-6), budget(2e-6, 3e-6), budget(1e-7, 3e-6)]
     engine = Native("rkn6")
     attempt = Attempt(engine.propose(SCENE, 1e-6), 1e-6)

@@ -199,7 +199,7 @@ def test_the_picture(unit: float):
 
 
 def test_the_picture_ends_four_grains_below_the_wave():
-    """Grain 40 of 90 is the last with more than 1e-3 of the largest motion: shown down to 44."""
+    """Grain 40 of 90 is the last that moves by 1e-3 of the largest motion; 44 are shown."""
     size = 90
     wave = np.zeros(size)
     wave[[3, 20, 39, 59]] = 1.0, 0.5, -2e-3, 0.9e-3

@@ -171,7 +171,7 @@ def test_height_speed_and_width(
 
 
 def test_the_first_grains_still_change(struck: Trajectory):
-    """The wave still changes there, so these grains are used on request only."""
+    """The wave still changes near the top, so those grains are used only on request."""
     with pytest.raises(InputError, match="no solitary wave") as error:
         fit_soliton(struck, None, 30)
     assert "from grain 2 to 30" in str(error.value)

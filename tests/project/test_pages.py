@@ -233,7 +233,7 @@ def test_examples(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_every_block_is_tested():
-    """Only these kinds of blocks occur, and each of them is executed or read by a test."""
+    """Pages contain only known kinds of blocks, and a test executes or reads each of them."""
     for page in NAMES:
         text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
         assert "+SKIP" not in text

@@ -113,7 +113,7 @@ def test_a_picture_is_an_svg_of_its_size_without_a_date():
 
 
 def test_many_points_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
-    """At 200 dots per inch they are sharp."""
+    """The pictures are sharp at 200 dots per inch."""
     shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
     size = min(shown + MARGIN, 40)
     for limit, pixels in ((size, False), (size - 1, True)):

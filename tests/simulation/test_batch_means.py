@@ -53,7 +53,7 @@ def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
 
 @pytest.mark.slow
 def test_intervals_of_correlations_over_two_stretches_cover():
-    """Correlations that are small by chance must not lead to too narrow intervals."""
+    """Correlations that are small by chance must not make intervals too narrow."""
     rng = np.random.default_rng(7)
     averages = [estimate(sequences(np.exp(-1 / 16), 1, 8, rng).mean(-1)) for _ in range(8000)]
     known = [average for average in averages if average.batches]

@@ -210,7 +210,7 @@ def test_a_plan_as_a_table():
 
 
 def test_the_picture_of_a_plan():
-    """Expected error over cost, on scales of powers of ten.
+    """The picture shows the expected error against the cost on logarithmic scales.
 
     The tolerance is a line, the choice has a ring.
     """

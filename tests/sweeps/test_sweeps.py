@@ -486,7 +486,7 @@ def test_the_example(tmp_path, capsys):
 
 
 def test_arrays_are_read_on_use(tmp_path):
-    """Only the required files, and of these only the required entries, are read."""
+    """Only the required entries of the required files are read."""
     found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
     whole = load_sweep(tmp_path).velocity.load()
     for row, part in enumerate(

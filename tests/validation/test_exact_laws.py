@@ -142,7 +142,7 @@ def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.nda
 
 
 def test_the_recurrence_of_fermi_pasta_ulam_and_tsingou() -> None:
-    """With their step of sqrt(1/8), 97.8 % of the energy returns to mode 1 after 157 periods.
+    """With the published step sqrt(1/8), 97.8 % of the energy is in mode 1 after 157 periods.
 
     Such is the published result (Weissert, The Genesis of Simulation in Dynamics, 1997, and
     others). In exact time the energy returns after 146.4 periods, because a long step weakens the
