@@ -46,7 +46,7 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return this work by `theory.front`: 2 sqrt(kappa) times the integral of v^2."""
+    """Return the work by `theory.front`: 2 sqrt(kappa) times the integral of v^2."""
     n = 100
     xi = 1 - 1 / delta
     peak = float(front.peak_time(n, delta))

@@ -130,10 +130,10 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
 
 
 def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[str, Any]:
-    """Run discrete element codes for an existing file, in addition to its codes.
+    """Run other discrete element codes, and add their results to an existing file.
 
-    LAMMPS takes turns with each, in processor time, so that a busy machine serves: the ratio, times
-    what a step took in LAMMPS then, is the time of a step.
+    Each code and LAMMPS are timed alternately in CPU time, so that the machine may be busy. The
+    time of a step is the ratio of both times, multiplied by the stored LAMMPS time of a step.
     """
     problem = Problem(scene)
     solution = reference(problem.scene)

@@ -205,7 +205,7 @@ class DifferentiableDampedRun(ObservedRun):
         )
 
     def _calls(self) -> list[NDArray[np.intp]]:
-        """Return the first piece of each call, and the piece after its last, (2,) each."""
+        """Return the range of pieces of each call: the first one, and the one after the last."""
         count = self._pieces.starts.size - 1
         # An imposed force or motion is stored for each stage of a call.
         size = max(1, CHECKPOINTS.steps_of_call // self._longest) if self.imposed else count

@@ -161,7 +161,7 @@ class ChainBatch:
         arrays = self.arrays
         contacts = slice(PAD - 1, PAD + self.grains)
         inverse_length = arrays.inverse_length[:, contacts]
-        # The smallest strain is that of one kink: contacts with more count as open.
+        # The smallest strain is defined for one kink only; contacts with several count as open.
         if len(kinks) > 1:
             arrays.least_strain[:] = -1.0
         arrays.opening_weight[:] = arrays.opening_reach[:] = 0.0

@@ -49,7 +49,7 @@ class Newton:
 
 
 NEWTON = Newton()
-FILTERS = Lock()  # Protects the warning filters, which all threads share.
+FILTERS = Lock()  # This lock protects the warning filters, which all threads share.
 
 
 class OrbitPoint(NamedTuple):

@@ -37,7 +37,7 @@ QUIET = 1e-6  # A grain is at rest below this fraction of the largest velocity.
 FEWEST_CONTACTS = 3  # Smallest number of contacts at rest that determine gravity and load.
 UNLIKE = 1e-2  # Relative scatter of forces above which a column is not at rest.
 FAR_WALL = 0.1  # A wall whose gap exceeds this fraction of the grain's radius is ignored.
-RESOLVED = 1e-2  # Rounding up to which forces can be inferred.
+RESOLVED = 1e-2  # Largest relative rounding error with which forces are inferred.
 
 
 class RunOptions(NamedTuple):

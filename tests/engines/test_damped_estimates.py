@@ -64,7 +64,7 @@ def true_error(run: Trajectory) -> float:
 
 
 def strike(viscous: float, drag: float, reach: float) -> Scene:
-    """Return a struck spring with three steps per sample of this length over the stable one."""
+    """Return a struck spring; `reach` is the step relative to the stable one, at 3 per sample."""
     chain = spring(viscous, drag)
     duration = 20 * reach / chain.fastest_rate
     return Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)

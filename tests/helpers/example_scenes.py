@@ -28,7 +28,7 @@ PAPER = {  # Name: strike velocity, m/s, and gravity, m/s2.
 
 
 def paper(name: str, samples: int = 26) -> Scene:
-    """Return a scene of the paper: 120 glass beads of 1 mm to 100 us."""
+    """Return a scene of the paper: 120 glass beads of 1 mm diameter, for 100 us."""
     velocity, gravity = PAPER[name]
     chain = Chain(grains=120, material=GLASS, diameter=1e-3, gravity=gravity)
     return Scene(

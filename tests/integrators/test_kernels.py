@@ -180,7 +180,7 @@ def untiled() -> Any:
         names[name] = forces.inlined(again(names[name]))
     march = sample_loop.sample_loop(names["_advance"], True)
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
-    # Its arguments are now known.
+    # This call compiles the kernel, so that its argument types are known.
     NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], Steps(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])
     return made

@@ -117,7 +117,7 @@ def spoilt(tree: Any, turn: random.Random) -> Any:
 
 
 def damaged(content: bytes, turn: random.Random) -> bytes:
-    """Return the bytes of a file with some changed, lost, doubled or inserted."""
+    """Return the content of a file with some bytes changed, lost, doubled or inserted."""
     found = bytearray(content)
     for _ in range(turn.choice([1, 1, 2, 10])):
         place = turn.randrange(len(found) or 1)

@@ -92,7 +92,7 @@ def test_damped_random_columns_agree_with_own_integration(bottom: str, seed: int
         np.abs(run.displacement[:, moving] - u).max() / np.abs(run.displacement).max(),
         np.abs(run.velocity[:, moving] - v).max() / np.abs(run.velocity).max(),
     )
-    # The own integration steps over openings, with an error of up to 1e-8.
+    # The integration of this test steps over openings, with an error of up to 1e-8.
     assert off <= run.error_estimate.total + 1e-8
 
 

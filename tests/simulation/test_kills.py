@@ -153,7 +153,7 @@ def test_a_kill_at_any_change_of_the_disk_is_recovered(
             again = kill_moments(
                 folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}"
             )
-            # There is no copy from a moment at which another thread moved a file.
+            # If another thread moved a file at a kill moment, that moment has no copy.
             folder = rng.choice(again)
         answer = resume(folder)
         assert same(answer, right), folder

@@ -50,7 +50,7 @@ def test_dimer(m: float):
 
 @each
 def test_rings_of_cells_have_frequencies_of_the_branches(cell: Cell):
-    """A ring of 6 cells by a dense matrix."""
+    """The frequencies agree with the dense matrix of a ring of 6 cells."""
     m = np.tile(cell.masses, 6)
     k = np.tile(cell.stiffness, 6)
     inside = np.tile(
