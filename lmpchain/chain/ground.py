@@ -134,7 +134,7 @@ def energy(law: Law, displacement: Array) -> Array:
 
 
 def _work(law: Law, displacement: Array, pieces: int) -> Array:
-    """Return the energy by this number of equal pieces of each displacement."""
+    """Return the energy at each displacement by Gauss quadrature over equal pieces."""
     width = displacement / pieces
     total = np.zeros(displacement.shape)
     for piece in range(pieces):

@@ -256,7 +256,7 @@ class _AtTime:
     dense = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose energy is computed."""
         if self.time is not None and not 0 <= self.time <= scene.duration:
             message = f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})"
             raise InputError.at("time", message)
@@ -496,7 +496,7 @@ class Function:
     dense: bool = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose energy is computed."""
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:

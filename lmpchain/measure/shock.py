@@ -481,7 +481,7 @@ def _span_before_echoes(
     start = 0.0
     until = np.inf
     if sound := gas.sound(float(overlap[0, -1])):
-        # A shock is faster than sound at the end, and a rarefaction as fast.
+        # A shock arrives faster than sound, and a rarefaction at the speed of sound.
         until = (contacts - source) / sound
     if isinstance(excitation, Drive | Force):
         # A step of the same final speed or force would have begun at this time.

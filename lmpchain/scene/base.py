@@ -196,7 +196,7 @@ class OneGrain(Excitation):
             yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the number of the excited grain, as the first and the last."""
+        """Return the first and the last excited grain, which are both `grain`."""
         return self.grain, self.grain
 
     def part(self, first: int, last: int) -> Excitation:

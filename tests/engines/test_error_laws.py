@@ -249,9 +249,9 @@ def test_the_loss_of_the_plain_force_is_in_the_estimate():
 
 
 def test_rounding_of_heights_adds_energy_to_contacts():
-    """The energy is half the stiffness times the squared ulp of ten grains, as a random walk.
+    """The added energy is half the stiffness times the squared rounding error of heights.
 
-    And of springs, exactly.
+    The rounding error is a random walk of ulps of the chain's length. For springs this is exact.
     """
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     scene = Scene(chain=chain, excitation=Displacement(displacement=2e-5), duration=1e-5)

@@ -1,9 +1,7 @@
-"""Kick-drift splittings in extended precision, from Eq.
+"""Kick-drift splittings in extended precision, derived from Eq. (1) alone.
 
-(1) alone: differences of their answers check derivatives.
-
-What a chain is made of is found here from diameters and moduli anew, so that one number may be
-changed at a time.
+Differences of their results check derivatives. The chain is derived here from its diameters and
+moduli, so that one number can be changed at a time.
 """
 
 from __future__ import annotations

@@ -205,7 +205,7 @@ def sweeps(draw: st.DrawFn) -> Tables:
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """Draw a damage of a file: changed or inserted bytes, lost or doubled lines, or a cut end."""
+    """Draw a function that damages a file: bytes change, lines are lost, or the end is cut."""
     turn = random.Random(draw(st.integers(0, 2**32)))
     how = draw(
         st.sampled_from(["flip", "flip", "flip", "insert", "drop", "double", "cut", "zeros"])

@@ -294,7 +294,7 @@ def test_drives_from_above_and_below_are_mirror_images_without_gravity() -> None
 
 @BOTTOMS
 def test_power_of_a_shaker_below(bottom: str) -> None:
-    """The power that a weak shaker gives is that of the linear column, and the ledger's."""
+    """The input power of a weak shaker agrees with linear theory and with the ledger."""
     damping = Damping(viscoelastic=4e-6)
     chain = Chain(grains=6, material="steel", diameter=1e-2, bottom=bottom, damping=damping)
     shaker = Drive(end="bottom", amplitude=1e-10, frequency=300.0)

@@ -353,7 +353,7 @@ def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
 
 
 def test_the_external_force_of_drives_and_forces() -> None:
-    """For a driven grain, a driven wall and a force: the external force and the body's motion."""
+    """The external force and its body's motion agree for driven grains, walls and forces."""
     time = np.array([0.0, 1e-5, 3e-5])
     rng = np.random.default_rng(1)
     force, rate = rng.normal(size=(2, 3, 10))

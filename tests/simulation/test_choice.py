@@ -300,9 +300,9 @@ def test_best_effort_loosens_an_unreachable_tolerance():
 
 
 class Answers:
-    """Results that take these times.
+    """A stand-in for `simulate` that advances a simulated clock.
 
-    A start, and a slowness times their work on the reference machine.
+    A result takes the start-up time, plus the slowness times its work on the reference machine.
     """
 
     def __init__(self, monkeypatch, start: float, slowness: float):

@@ -242,7 +242,7 @@ class Lammps(TimeSteppingEngine):
     ) -> Proposal:
         """Find the step by native trials, and the diameter by the expected rounding error."""
         if steps.per_landing > deck.STEPS_OF_A_RUN:
-            # This call rejects runs that would take years, because more samples would not shorten them.
+            # This call rejects runs of years, because more samples would not shorten them.
             super().propose_steps(scene, tolerance, method, steps)
             most = f"{steps.per_landing} steps per sample exceed the largest number in LAMMPS"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
