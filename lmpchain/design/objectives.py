@@ -256,7 +256,7 @@ class _AtTime:
     dense = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains whose energy is computed."""
+        """Return the grains whose motion determines the value."""
         if self.time is not None and not 0 <= self.time <= scene.duration:
             message = f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})"
             raise InputError.at("time", message)
@@ -496,7 +496,7 @@ class Function:
     dense: bool = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains whose energy is computed."""
+        """Return the grains whose motion determines the value."""
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:
