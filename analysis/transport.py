@@ -46,7 +46,10 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return the work by `theory.front`: 2 sqrt(kappa) times the integral of v^2."""
+    """Return the work of each grain on the next one by `theory.front`.
+
+    It is 2 sqrt(kappa) times the integral of v^2.
+    """
     n = 100
     xi = 1 - 1 / delta
     peak = float(front.peak_time(n, delta))

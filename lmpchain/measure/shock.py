@@ -521,7 +521,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
 
 
 def _plateau(wave: TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
-    """Return the mean velocity and overlap behind the wave, and twice their deviations."""
+    """Return the mean velocity and overlap behind the wave, and two standard deviations."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))

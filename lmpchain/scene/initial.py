@@ -233,7 +233,7 @@ class Packet(Excitation):
             # A real wave number exists only below 2 sqrt(k/m), because w = 2 sqrt(k/m) sin(q/2).
             if (2 * np.pi * self.frequency >= 2 * hops).any():
                 limit = f"{float(hops.min() / np.pi):.4g} Hz"
-                # Each grain has two values of sqrt(k/m), one for each of its contacts.
+                # Each grain has two values: to the contact below, and on to the next grain.
                 slowest = first + int(hops.argmin()) // 2
                 yield (
                     "frequency",

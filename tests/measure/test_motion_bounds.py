@@ -78,7 +78,7 @@ def test_bounds_of_a_chain_that_may_open():
 
 
 def test_bounds_of_a_compressed_chain():
-    """If no contact opens, the energy of the contacts bounds their change of length r.
+    """If no contact opens, the energy of the contacts bounds the changes r of their overlaps.
 
     The bound is (sum of r)^2 <= (delta + 1) E sum of 1 / k.
     """
