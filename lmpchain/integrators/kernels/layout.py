@@ -50,7 +50,7 @@ STATE = np.dtype(
         ("step_begin", "f8"),  # Start of the last adaptive step, s after the last sample.
         ("lost", "f8"),  # Energy dissipated by viscous contacts and drag since t = 0, J.
         ("work", "f8"),  # Work of the force or on the driven body since t = 0, J.
-        ("loss_rate", "f8"),  # Dissipated power, W, which equal steps sum up.
+        ("loss_rate", "f8"),  # Rates of both energies, W, which equal steps sum up.
         ("work_rate", "f8"),
     ],
     # Compiled loops read aligned numbers faster.
