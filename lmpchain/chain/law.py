@@ -37,7 +37,7 @@ SMOOTH = 1.5
 COMPARED = 4
 # Distance to a kink, relative to its overlap, at which a fractional exponent is measured.
 NEAR_KINK = 1e-6
-# Overlaps between which an equilibrium is searched, m.
+# Overlaps between which an equilibrium is sought, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
 # Upper bound for forces, N, and energies, J.
 LARGEST = 1e300

@@ -502,7 +502,7 @@ def _lossless_distance(x: float) -> int:
 
 
 def _damped_distance(viscosity: float, time: float) -> int:
-    """Return d from which all displacements behind viscous contacts are negligible.
+    """Return the number of grains beyond which viscous contacts transmit no motion.
 
     Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
     d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by

@@ -298,7 +298,7 @@ class Workplace(tempfile.TemporaryDirectory):
 
 
 def nothing_injected(folder: Path) -> None:
-    """Return whether no text of a scene is in a deck, and no command of it was executed."""
+    """Check that no text of a scene is in a deck, and that no command of a scene was executed."""
     for path in folder.glob("deck/*"):
         assert MARK not in path.read_text()
     assert not (folder / MARK).exists()

@@ -122,7 +122,7 @@ def keeps_its_word(seed: int) -> str:
             # Linear theory is used if it is accurate enough.
             if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
-                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # And it is asked at all.
+                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # Linear theory is cheap.
             plan = lmpchain.plan(scene, tolerance)
             t = simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]

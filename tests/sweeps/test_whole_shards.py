@@ -159,7 +159,7 @@ def test_an_incomplete_part_is_computed_again(
 
 
 def test_results_are_on_disk_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Shards precede their seal, the seal precedes removal of parts, parts precede their name."""
+    """Shards are on disk before their seal, which is on disk before their parts are removed."""
     events: list[tuple[str, str]] = []
     honest = {"flush": files._to_disk, "replace": os.replace, "unlink": Path.unlink}
 
