@@ -261,7 +261,7 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
             ax.plot(cost, error, class_of(name).style[1], color="0.8", mec="k", ms=8, zorder=5)
         label = textwrap.fill(", ".join(names), 20)
         place = ax.transAxes.inverted().transform(ax.transData.transform((max(costs), errors[0])))
-        # The label stands on the side with more room.
+        # The label is on the side with more room.
         late = place[0] > ROOM
         ax.annotate(
             label,

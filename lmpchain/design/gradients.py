@@ -66,7 +66,7 @@ class Gradient(Mapping[str, Array]):
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
-        The largest error relative to the largest derivative by the same kind of parameter. Where
+        The largest error relative to the largest derivative for the same kind of parameter. Where
         these are nothing but round-off, relative to the terms that they are the sum of.
     value_error : float
         Estimated error of the value, in its unit.
@@ -119,7 +119,7 @@ class GradientTask(NamedTuple):
     adaptive: bool = False
 
     def solve(self, step: float, finer: int = 1) -> Answer:
-        """Return the value and its derivatives by all inputs, with steps of at most this length.
+        """Return the value and its gradient over all inputs, with steps of at most this length.
 
         Raises
         ------
@@ -134,7 +134,7 @@ class GradientTask(NamedTuple):
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)
         slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
-        # Derivatives by the initial motion are needed for all grains, otherwise for the grains that
+        # The gradient over the initial motion needs all grains, the others only the grains that
         # the wave reaches.
         everywhere = not {"displacement", "velocity"}.isdisjoint(self.names)
         inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
@@ -267,7 +267,7 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
 
 
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
-    """Return the sums of the absolute terms of a value's derivatives by all inputs.
+    """Return the sums of the absolute terms of a value's derivatives with respect to all inputs.
 
     Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
     motion or a drive adds.
@@ -316,7 +316,7 @@ def gradient(
     step: float | None = None,
     adaptive: bool = False,
 ) -> Gradient:
-    """Return an objective and its exact derivatives by the parameters of a scene.
+    """Return an objective and its exact derivatives with respect to the parameters of a scene.
 
     The adjoint of the native integrator is run at the step of the answer and at one twice as long,
     whose difference is the error; steps are halved until it is within the tolerance. Where contacts

@@ -1,4 +1,4 @@
-"""Objectives: scalar functions of a motion, with derivatives by the motion and the chain.
+"""Objectives: scalar functions of a motion and the chain, with their derivatives.
 
 An objective looks at some grains at times that are equal parts of the duration: at the samples of
 the scene or, where it is `dense`, so often that the fastest motion turns by a quarter of a radian
@@ -58,7 +58,7 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        Derivatives by the motion.
+        Derivatives with respect to the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
         Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
         objective itself depends on them.
@@ -81,9 +81,9 @@ class ContactForce(NamedTuple):
     value : (T,) array
         Force, N.
     by_closer, by_closing : (T,) arrays
-        Derivatives by the approach of the two bodies, m, and its rate, m/s.
+        Derivatives with respect to the approach of the two bodies, m, and its rate, m/s.
     by_force, by_constant, by_viscosity : (T,) arrays
-        Derivatives by the force at rest, N, the constant, N/m^delta, and the viscosity, s.
+        Derivatives with respect to the force at rest (N), constant (N/m^delta), viscosity (s).
     grains : list of int
         One or two grains of the contact.
     """
@@ -150,14 +150,14 @@ def quadrature(size: int) -> Array:
 
 
 class Objective(Protocol):
-    """A scalar function of a motion, with its derivatives by the motion and the chain."""
+    """A scalar function of a motion and the chain, with its derivatives."""
 
     @property
     def dense(self) -> bool:
         """Whether the value also depends on the motion between samples."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains that the value depends on; raises `InputError` if they do not exist."""
+        """Return the grains that the value depends on; raise `InputError` if they do not exist."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
@@ -256,7 +256,7 @@ class _AtTime:
     dense = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose motion determines the value."""
         if self.time is not None and not 0 <= self.time <= scene.duration:
             message = f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})"
             raise InputError.at("time", message)
@@ -315,7 +315,7 @@ class Energy(_AtTime):
         closer = contacts.closer(u)
         energy = share * contacts.energy(closer)
         change = share * contacts.force_change(closer)
-        # This is the derivative by -log(K) at a fixed force at rest.
+        # This is the derivative with respect to -log(K) at a fixed force at rest.
         delta = chain.law.power_of("the derivative of an energy")
         softer = np.where(contacts.pressed, (energy - closer * change) / delta, -energy)
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))
@@ -364,7 +364,7 @@ class ArrivalTime:
         return _check_grains(scene, [self.grain])
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the time and its derivatives; raises `InputError` if the grain is too slow."""
+        """Return the time and its derivatives; raise `InputError` if the grain is too slow."""
         from scipy.optimize import brentq
 
         v = view.velocity[:, view.column(self.grain)]
@@ -496,7 +496,7 @@ class Function:
     dense: bool = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose motion determines the value."""
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:

@@ -47,7 +47,7 @@ DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", 
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raises `InputError` if a name is unknown or has no derivative."""
+    """Return the names; raise `InputError` if a name is unknown or has no derivative."""
     check_scene(scene)
     scene.chain.refuse_ground("a derivative")
     scene.chain.law.power_of("a derivative")
@@ -62,7 +62,7 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _refuse(scene: Scene, name: str) -> str:
-    """Return the reason why a scene has no derivative by a parameter; empty if it has one."""
+    """Return why a scene has no derivative with respect to a parameter; empty if it has one."""
     chain = scene.chain
     course = _course(scene)
     if scene.excitation.from_below:
@@ -125,7 +125,7 @@ def inputs(scene: Scene) -> Inputs:
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
-    """Return derivatives by the parameters of this name, (P,), from derivatives by all inputs."""
+    """Return the gradient over parameters of this name, (P,), from that over all inputs."""
     if name in DIRECT:
         return _with_weight(scene.chain, gradient, name)
     return sum(
@@ -186,7 +186,7 @@ def _course(scene: Scene) -> Drive | Force | None:
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return the derivatives of inputs by the named parameters, as one matrix per input."""
+    """Return one matrix per input: its derivatives with respect to the named parameters."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}
@@ -237,10 +237,10 @@ def _between(chain: Chain) -> sparse.csr_array:
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK by a property of the grains, (N+1, N), from d(log K) by upper and lower grain.
+    """Return dK per property of the grains, (N+1, N), given d(log K) per upper and lower grain.
 
-    What is given does not follow, and a wall's constant that does has the share of its neighbour
-    that does not.
+    Given constants do not depend on the property. A wall constant that does depend on it includes
+    the part of the neighbour that does not.
     """
     last = chain.grains
     contact = np.arange(last + 1)
@@ -262,7 +262,7 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
 
 
 def _by_viscosity(chain: Chain) -> sparse.csr_array:
-    """Return dA of all contacts by the common value, (N+1, 1), or by values between, (N+1, N-1)."""
+    """Return dA of contacts per common viscosity, (N+1, 1), or per given one, (N+1, N-1)."""
     last = chain.grains
     if np.ndim(chain.damping.viscoelastic) == 0:
         return sparse.csr_array(np.ones((last + 1, 1)))
@@ -277,7 +277,7 @@ def _diagonal(entries: Array) -> sparse.csr_array:
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
-    """Return dK/dE, (N+1, N), from E* = 1 / (1/M_above + 1/M_below); a wall has its grain's M."""
+    """Return dK/dE, (N+1, N), for E* = 1 / (1/M_above + 1/M_below) and the M of a wall's grain."""
     young = chain.by_grain("youngs_modulus")
     walls = (chain.top_material, chain.bottom_material)
     of_grains = chain.by_grain("plane_strain_modulus")

@@ -133,7 +133,7 @@ class Traces(Shown, Tabular):
         return cls(reading.time, places, reading.values, **options)
 
     def grains(self, scene: Scene) -> list[int]:
-        """Return the grains that the traces need; raises `InputError` if the chain lacks one."""
+        """Return the grains that the traces need; raise `InputError` if the chain lacks one."""
         grains = scene.chain.grains
         first = 0 if self.field == "contact" else 1
         exists = scene.chain.contacts.exists

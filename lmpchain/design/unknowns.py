@@ -17,7 +17,7 @@ from . import parameters as params
 from .changes import changed
 from .traces import Traces, model
 
-TURN = 0.5  # Initial phase of the fastest motion between two evaluation times, rad.
+TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Parameters that may change sign; all others stay above a tenth of their value.
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")
 LOWEST = -0.9

@@ -427,7 +427,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
     pull = _ground_of(chain, u, off)
-    total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    total = (chain.masses * v**2).sum(1) / 2 + elastic  # As in Chain.excess_energy.
     total = total + pull.energy.sum(1)
     # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)
@@ -769,7 +769,7 @@ def _integral(
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
-    """Return the integral of the curve through samples up to each; infinite for one sample."""
+    """Return the integral of an interpolant up to each sample; infinite for one sample."""
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:

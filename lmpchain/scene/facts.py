@@ -468,7 +468,7 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
 
 
 def _fastest(scene: SceneFacts, first: int, last: int) -> float:
-    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last, by the energy above rest."""
+    """Return an upper bound on sqrt(k_max / m_min) of grains first ... last, rad/s."""
     chain = scene.chain
     if chain.grains <= FEW_GRAINS:
         stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)
@@ -503,7 +503,7 @@ def _lossless_distance(x: float) -> int:
 
 
 def _damped_distance(viscosity: float, time: float) -> int:
-    """Return d from which all displacements behind viscous contacts are negligible.
+    """Return the number of grains beyond which viscous contacts transmit no motion.
 
     Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
     d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by

@@ -42,7 +42,7 @@ STEPS_AT_ONCE = 2**23  # Number of grains times steps between two opportunities 
 
 @dataclass(frozen=True)
 class Averaging:
-    """Parameters of time averages, see analysis/calibration/batch_means.py.
+    """Parameters of time averages (see analysis/calibration/batch_means.py).
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """Relative energy errors of splittings, see analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings (see analysis/calibration/batch_means.py).
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class _Course(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums over the samples of each stretch, of Q quantities of R copies.
+    """Sums of Q quantities of R copies over the samples of each stretch.
 
     Attributes
     ----------

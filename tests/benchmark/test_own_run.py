@@ -402,7 +402,7 @@ def test_unrecorded_grains_make_the_energy_unknown():
 
 
 def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):
-    """Adaptive steps around contact openings are more than equal steps."""
+    """A run with adaptive steps around openings has more steps than one with equal steps."""
     scene = small(Impulse(velocity=8.57e-3)).replace(duration=1e-4, samples=26)
     t = simulate(scene, "native", 1e-4)
     t.save(tmp_path / "run.nc")

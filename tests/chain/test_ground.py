@@ -132,7 +132,7 @@ def test_a_batch_gives_the_bits_of_single_runs():
 
 
 def test_quantities_between_samples_hold_their_errors():
-    """They are computed from the samples alone, because the ground may depend on time."""
+    """Motion between samples is computed from the samples alone, as the ground may vary."""
     scene = struck(on(GROUNDS["in time"]), samples=161)
     peaks, exact = (
         lmpchain.measure.motion.peaks(simulate(each, "native", tolerance=1e-9))
@@ -290,7 +290,7 @@ def test_modes_allow_only_springs():
 
 @pytest.mark.parametrize("acting", ["strike", "push", "drive"])
 def test_modes_of_viscous_contacts_on_a_spring(acting):
-    """The ground is not viscous: a mode decays by what its contacts alone store."""
+    """The ground is not viscous, so only the energy in contacts damps a mode."""
     scene = struck(on(SPRING, damping={"viscoelastic": 1e-8, "drag": 1e3}), velocity=1e-8)
     weak = {
         key: excitation.replace(amplitude=1e-5 * excitation.amplitude)

@@ -128,7 +128,7 @@ def test_functions_without_damping_support_reject_it(compute):
 
 @pytest.mark.parametrize("seed", range(24))
 def test_the_effect_of_damping_is_within_its_estimate(seed: int):
-    """Weak waves, struck and driven, are compared by an independent integrator."""
+    """Weak waves, struck and driven, are compared with an independent integrator."""
     rng = np.random.default_rng([55, seed])
     draw = acted_trial_scene if seed % 3 == 0 else trial_scene
     lossless = draw(rng, work=1e3)

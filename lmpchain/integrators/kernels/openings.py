@@ -68,7 +68,7 @@ def _score(gap, rate, bend, weight, omega, nearest):
     # Grains that touch at rest: the overlap grows like t^2, and they were never nearer than this.
     least = abs(bend) / (2.0 * omega * nearest)
     fast = least if fast < least and gap >= 0.0 else fast
-    # Two roots closer to each other than their distance act like one double root.
+    # Two roots that are closer to each other than to this time act like one double root.
     double = fast * fast / 32.0
     size = double if size < double else size
     root = math.sqrt(size)

@@ -327,7 +327,7 @@ def test_the_gauge_diameter_is_three_times_the_largest_overlap_or_more():
 
 
 def test_round_off_in_heights_is_predicted_from_their_last_digit():
-    """The error is a random walk in the evaluations, and larger in velocities by the frequency."""
+    """The error is a random walk in the evaluations; in velocities it is times the frequency."""
     scene = paper("fig5 g", 3)
     engine = Lammps("verlet")
     height = np.abs(LammpsColumn(scene, 0.0).heights).max()

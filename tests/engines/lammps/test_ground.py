@@ -95,7 +95,7 @@ def test_with_other_excitations(name: str, acting: str):
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6"])
 @pytest.mark.parametrize("acting", ["strike", "push"])
 def test_splittings_meet_the_ground_at_their_times(integrator: str, acting: str):
-    """The native engine keeps the order, see `tests/chain/test_ground.py`."""
+    """The native engine keeps the order (see `tests/chain/test_ground.py`)."""
     scene, step = scene_on(MATHIEU, acting)
     check_agreement(scene, 4 * step, integrator)
 
