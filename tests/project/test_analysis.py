@@ -265,7 +265,7 @@ CAPTIONS = {
         "peak at g, Eq. (1)": "{:.1f} and 17.7",
         "peak at g / 10, Eq. (1)": "and {:.1f} where",
         "peak at g, linear": "{:.1f} and 12.3",
-        "peak at g / 10, linear": "and {:.1f}. No wonder",
+        "peak at g / 10, linear": "and {:.1f}. The strike",
     },
     "fig6": {
         "Eq. (22), m = 1": "({:.3f}, 0.026",
@@ -370,7 +370,7 @@ CAPTIONS = {
     },
     "transparent_pair": {
         "mass of the upper one": "waves passes, {:.3f} of the",
-        "runs": "{:.0f} runs,",
+        "runs": "after {:.0f} runs",
     },
     "delay_line": {
         "runs with gradients": "({:.0f} runs with gradients in 5 s",
