@@ -357,17 +357,6 @@ CAPTIONS = {
         "fall, theory off by": "to {:.2f} %; the rise",
         "fall / rise of the velocity at grain 300": "({:.2f} of the time",
     },
-    "protector": {
-        "runs with gradients": "starts, {:.0f} runs",
-        "time of each": "in {:.0f} s of the processor: 58 N",
-        "optimised": "of the processor: {:.0f} N",
-        "random beads tried": "through; {:,.0f} random",
-        "best order of equal beads": "lets {:.0f} N through, and with",
-        "that order, diameters optimised": "gradients {:.0f} N (600 runs",
-        "time of each of these": "(600 runs, {:.0f} s)",
-        "evolution": "some {:.0f} N (as many runs",
-        "evolution, then gradients": "down to {:.1f} to 5.4 N",
-    },
     "transparent_pair": {
         "mass of the upper one": "waves passes, {:.3f} of the",
         "runs": "after {:.0f} runs",
