@@ -265,7 +265,7 @@ CAPTIONS = {
         "peak at g, Eq. (1)": "{:.1f} and 17.7",
         "peak at g / 10, Eq. (1)": "and {:.1f} where",
         "peak at g, linear": "{:.1f} and 12.3",
-        "peak at g / 10, linear": "and {:.1f}. No wonder",
+        "peak at g / 10, linear": "and {:.1f}. The strike",
     },
     "fig6": {
         "Eq. (22), m = 1": "({:.3f}, 0.026",
@@ -357,20 +357,9 @@ CAPTIONS = {
         "fall, theory off by": "to {:.2f} %; the rise",
         "fall / rise of the velocity at grain 300": "({:.2f} of the time",
     },
-    "protector": {
-        "runs with gradients": "starts, {:.0f} runs",
-        "time of each": "in {:.0f} s of the processor: 58 N",
-        "optimised": "of the processor: {:.0f} N",
-        "random beads tried": "through; {:,.0f} random",
-        "best order of equal beads": "lets {:.0f} N through, and with",
-        "that order, diameters optimised": "gradients {:.0f} N (600 runs",
-        "time of each of these": "(600 runs, {:.0f} s)",
-        "evolution": "some {:.0f} N (as many runs",
-        "evolution, then gradients": "down to {:.1f} to 5.4 N",
-    },
     "transparent_pair": {
         "mass of the upper one": "waves passes, {:.3f} of the",
-        "runs": "{:.0f} runs,",
+        "runs": "after {:.0f} runs",
     },
     "delay_line": {
         "runs with gradients": "({:.0f} runs with gradients in 5 s",

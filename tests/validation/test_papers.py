@@ -1,5 +1,6 @@
 """The rows of the page on papers: every call runs, and gives the numbers that the page prints."""
 
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -267,11 +268,11 @@ def test_the_call_of_a_row_gives_the_numbers_of_the_page(key: str) -> None:
 
 def test_every_row_names_a_call_that_exists_or_says_what_is_missing() -> None:
     rows = [line.split("|")[1:-1] for line in PAGE.read_text().splitlines()[8:]]
-    rows = [[cell.strip() for cell in row] for row in rows if len(row) == 6]
-    assert len(rows) >= 26
+    rows = [[cell.strip() for cell in row] for row in rows if len(row) == 5]
+    assert sum(len(re.findall(r"\d{4}\.\d{5}", row[0])) for row in rows) >= 25
     pages = Path(__file__).parents[2] / "docs" / "gallery"
-    for paper, _, call, picture, ours, missing in rows:
+    for paper, _, call, picture, ours in rows:
         assert call == "-" or "`" in call, paper
-        assert (call == "-") == (ours == "-"), paper
+        assert call != "-" or picture == "-", paper
         assert picture == "-" or (pages / f"{picture.strip('`')}.py").exists(), paper
-        assert missing, paper
+        assert ours not in ("", "-"), paper
