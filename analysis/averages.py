@@ -1,7 +1,7 @@
 """Time averages of beads between walls, compared with the microcanonical ensemble.
 
-After Przedborski, Sen and Harroun, Phys. Rev. E 95, 032903 (2017): the kinetic energy of Hertzian
-beads that only just touch fluctuates as that of an ensemble of constant energy does.
+After Przedborski, Sen and Harroun, Phys. Rev. E 95, 032903 (2017), arXiv:1605.08970: the kinetic
+energy of Hertzian beads that only just touch fluctuates as that of an ensemble of constant energy.
 """
 
 import warnings
