@@ -21,9 +21,7 @@ def main() -> None:
     comparison = compare(found, reference(scene))
     for row in comparison.rows:
         say(f"error of {row.engine}", row.error)
-    picture = comparison.plot().figure.figure
-    picture.set_size_inches(7.5, 6.0)
-    finish(picture, given.output)
+    finish(comparison.plot().figure.figure, given.output)
 
 
 if __name__ == "__main__":

@@ -78,7 +78,7 @@ def main() -> None:
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
     weighted.set_title("One column, weighted sum")
-    mean.set_title(f"Mean over {columns} columns, smoothed")
+    mean.set_title(f"Mean of {columns} columns, smoothed contours")
     noise.set_title("Error of the mean")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
