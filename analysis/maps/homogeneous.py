@@ -95,7 +95,7 @@ def draw_boundaries(plane: Axes, first: float, last: float, background: str = "w
     )
     for level in LEVELS:
         label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
-        below = 0.72 * uniform_reach(level, XI / 120)
+        below = 0.6 * uniform_reach(level, XI / 120)
         plane.text(
             120,
             below,

@@ -98,7 +98,7 @@ def draw(data: dict[str, Any]) -> Figure:
     plane.set_title("Linear theory: measured (solid), law (dashed)")
     _draw_norms(norms, data)
     _draw_own(own, data)
-    for axes in (norms, own):
+    for axes, left in ((norms, -0.3), (own, 0.0)):
         axes.set(
             xscale="log",
             yscale="log",
@@ -106,7 +106,7 @@ def draw(data: dict[str, Any]) -> Figure:
             ylabel="relative error",
             ylim=(1e-5, 3),
         )
-        axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.24))
+        axes.legend(loc="upper left", bbox_to_anchor=(left, -0.24))
     return picture
 
 

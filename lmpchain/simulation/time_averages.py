@@ -399,8 +399,8 @@ def averages(
 
     For a sonic vacuum between walls the microcanonical ensemble is known: the fraction of the
     kinetic energy has a beta distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
-    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, J. Stat. Mech. 2017, 123204 =
-    arXiv:1701.05546.
+    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, Phys. Rev. E 95, 032903
+    (2017), arXiv:1605.08970.
 
     Examples
     --------
