@@ -8,6 +8,7 @@ of this error, which runs at other steps show.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -24,10 +25,14 @@ from ..util.arrays import Array
 from . import parameters as params
 from .changes import changed
 
-# Largest and smallest change of the phase of the fastest motion, or relative change of another
-# quantity, by a difference, rad.
-MAX_CHANGE = 1e-2
-MIN_CHANGE = 1e-6
+# Change of the phase of the fastest motion in the first difference, rad, and the largest relative
+# change of a parameter there; largest relative change in any difference.
+FIRST_PHASE = 0.1
+FIRST_CHANGE = 1e-2
+MAX_CHANGE = 0.1
+# Largest number of further changes, and the smallest spread over the allowed one.
+MOST_CHANGES = 3
+TINY = 1e-6
 # Largest number of steps in one call of a stepper.
 MOST_STEPS = 2**62
 
@@ -104,10 +109,18 @@ class Differences(NamedTuple):
         Extrapolated derivatives, per length of the direction.
     spread : (D, ...) array
         Absolute difference between the derivatives by both changes.
+    rounding : float
+        Rounding error of the derivatives.
     """
 
     slope: Array
     spread: Array
+    rounding: float
+
+    @property
+    def error(self) -> float:
+        """Largest error of the derivatives."""
+        return float(self.spread.max(initial=0.0)) + self.rounding
 
 
 def differentiate(
@@ -115,9 +128,12 @@ def differentiate(
     name: str,
     directions: Array,
     value: Callable[[Scene], Array],
-    change: float,
+    rounding: float,
+    accuracy: float,
 ) -> Differences:
     """Return the derivatives of a function of the scene along directions of one parameter.
+
+    The change is chosen so that the difference between both derivatives is within the accuracy.
 
     Parameters
     ----------
@@ -128,8 +144,10 @@ def differentiate(
         Directions, in the unit of the parameter.
     value : function
         Returns an array for a scene.
-    change : float
-        The larger of the two changes, as a part of a direction.
+    rounding : float
+        Rounding error of a value.
+    accuracy : float
+        Desired error, relative to the largest derivative.
     """
     base = params.values(scene, name)
 
@@ -139,11 +157,27 @@ def differentiate(
         )
         return (up - down) / (2 * part)
 
-    coarse, fine = (
-        np.array([difference(direction, part) for direction in directions])
-        for part in (change, change / 2)
-    )
-    return Differences((4 * fine - coarse) / 3, np.abs(fine - coarse))
+    def attempt(change: float) -> Differences:
+        coarse, fine = (
+            np.array([difference(direction, part) for direction in directions])
+            for part in (change, change / 2)
+        )
+        spread = np.abs(fine - coarse)
+        return Differences((4 * fine - coarse) / 3, spread, 2 * rounding / change)
+
+    # The phase of the fastest motion changes by a part of a radian.
+    change = FIRST_PHASE / max(FIRST_PHASE / FIRST_CHANGE, scene.total_phase)
+    best = found = attempt(change)
+    for _ in range(MOST_CHANGES):
+        allowed = accuracy * float(np.abs(best.slope).max(initial=0.0))
+        if best.error <= allowed or allowed == 0.0:
+            break
+        # The spread is of second order in the change.
+        spread = max(float(found.spread.max()), TINY * allowed)
+        change = min(change * math.sqrt(allowed / (2 * spread)), MAX_CHANGE)
+        found = attempt(change)
+        best = min(best, found, key=lambda differences: differences.error)
+    return best
 
 
 def scales_of(scene: Scene, name: str) -> Array:
@@ -172,8 +206,3 @@ def scales_of(scene: Scene, name: str) -> Array:
     if name in ("velocity", "displacement"):
         scales[scene.chain.movable :] = 0.0
     return scales
-
-
-def change_for(scene: Scene, largest: float) -> float:
-    """Return the relative change of a parameter for this largest change of the phase, rad."""
-    return max(largest, MIN_CHANGE) / max(1.0, scene.total_phase)

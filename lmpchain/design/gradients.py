@@ -26,7 +26,7 @@ from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
 from ..util.suggestions import not_among
 from . import parameters as params
-from .differences import MAX_CHANGE, FixedRun, change_for, differentiate, scales_of
+from .differences import FixedRun, differentiate, scales_of
 from .objectives import Objective, Seen, Slopes
 
 
@@ -140,9 +140,8 @@ class GradientTask(NamedTuple):
     names : tuple of str
     method : Splitting or DormandPrince
     adaptive : bool
-    change : float
-        Largest change of the phase of the fastest motion in a difference, rad, if a law by formula
-        or a ground requires differences.
+    accuracy : float
+        Desired relative error of differences, if a law by formula or a ground requires them.
     """
 
     scene: Scene
@@ -150,7 +149,7 @@ class GradientTask(NamedTuple):
     names: tuple[str, ...]
     method: AnyMethod
     adaptive: bool = False
-    change: float = MAX_CHANGE
+    accuracy: float = 1e-6
 
     def solve(self, step: float, finer: int = 1) -> Answer:
         """Return the value and its derivatives, with steps of at most this length.
@@ -202,24 +201,24 @@ class GradientTask(NamedTuple):
         run, slopes = solve(self.scene)
         terms = (slopes.displacement * run.displacement, slopes.velocity * run.velocity)
         size = abs(slopes.value) + sum(float(np.abs(term).sum()) for term in terms)
-        # Halving the steps also halves the changes, because nonlinear scenes need smaller ones.
-        change = change_for(self.scene, self.change / finer)
+        floor = _floor(self, run)
         by_name = {}
         for name in self.names:
             scales = scales_of(self.scene, name)
             free = scales > 0
-            slope, spread, by_size = np.zeros((3, scales.size))
+            slope, spread, by_size, rounding = np.zeros((4, scales.size))
             found = differentiate(
                 self.scene,
                 name,
                 np.diag(scales)[free],
                 lambda scene: np.array(solve(scene)[1].value),
-                change,
+                floor * size,
+                self.accuracy,
             )
             slope[free] = found.slope / scales[free]
             spread[free] = found.spread / scales[free]
             by_size[free] = size / scales[free]
-            rounding = _floor(self, run) / change * by_size
+            rounding[free] = found.rounding / scales[free]
             by_name[name] = DifferenceSlopes(slope, spread, by_size, rounding)
         return Answer(slopes.value, by_name, run)
 
@@ -471,8 +470,7 @@ def gradient(
         raise InputError.at("step", f"must be {least} (got {step:g})")
     method = _method(scene, objective, names, integrator, adaptive)
     adaptive = adaptive or shortens(scene, method)
-    change = min(MAX_CHANGE, 2 * math.sqrt(tolerance))
-    task = GradientTask(scene, objective, names, method, adaptive, change)
+    task = GradientTask(scene, objective, names, method, adaptive, tolerance / 4)
     answer: Gradient = refine(
         task.solve,
         lambda answer, others: _compare(task, answer, others),
