@@ -154,7 +154,8 @@ class GradientTask(NamedTuple):
     def solve(self, step: float, finer: int = 1) -> Answer:
         """Return the value and its derivatives, with steps of at most this length.
 
-        Derivatives are by all inputs; with a law by formula or a ground they are `DifferenceSlopes` by name.
+        Derivatives are by all inputs; with a law by formula or a ground they are
+        `DifferenceSlopes` by name.
 
         Raises
         ------
