@@ -356,7 +356,9 @@ class Energy(_AtTime):
         if chain.ground is not None:
             owned = np.isin(np.arange(chain.grains) + 1, self.group)
             pull = owned * chain.ground.force(u, 0.0)
-            slopes = slopes._replace(value=slopes.value + owned @ ground.energy(chain.ground, u))
+            slopes = slopes._replace(
+                value=slopes.value + float(owned @ ground.energy(chain.ground, u))
+            )
             slopes.displacement[look] += pull[at]
         slopes.velocity[look] = m * v
         slopes.masses[at] = inside * v**2 / 2
