@@ -295,9 +295,10 @@ def refine(
         finer = 2 ** (halvings + 1)
         # The answer of one attempt is the reference for the next.
         coarse = before
+        kind = "differences between runs" if isinstance(coarse.run, FixedRun) else "an adjoint run"
         announce(
             2 ** (halvings + 1) * spent_s,
-            f"an adjoint run of {2 * coarse.run.steps} steps for the tolerance",
+            f"{kind} of {2 * coarse.run.steps} steps for the tolerance",
             "a shorter duration or a larger tolerance takes less",
         )
         answer = before = solve(coarse.run.step / 2, finer)
@@ -341,7 +342,7 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
         if size <= rounding:
             size = sum_of_terms
         gradients[name] = slope
-        errors[name] = SAFETY * difference + (floor * size if terms else rounding)
+        errors[name] = SAFETY * difference + (rounding if terms is None else floor * size)
         relative[name] = errors[name] / size if size > 0 else 0.0
     difference = sum(abs(value - other.value) for other in others)
     error = SAFETY * difference + floor * abs(value)

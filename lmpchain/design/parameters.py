@@ -70,8 +70,8 @@ def names_of_formulas(chain: Chain) -> list[str]:
     Examples
     --------
     >>> from lmpchain import Chain, laws
-    >>> names_of_formulas(Chain(grains=3, diameter=1e-3, ground=laws.klein_gordon(k=1e6)))
-    ['chain.ground.k']
+    >>> names_of_formulas(Chain(grains=3, diameter=1e-3, law=laws.toda(b=1e5, k=1e3)))
+    ['chain.law.k', 'chain.law.b']
     """
     pairs = ((LAW, chain.law), (GROUND, chain.ground))
     return [place + key for place, law in pairs if isinstance(law, Law) for key in law.given]
