@@ -5,6 +5,8 @@ The motion depends on masses, contact constants K_n, forces at rest
 whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all of them, so that a mass acts by its
 inertia and by its weight on every contact below. Diameters and moduli act through Hertz's constants
 ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
+
+Parameters of laws by formula are named after their keys, ``chain.law.c`` and ``chain.ground.k``.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from scipy import sparse
 
 from ..chain.chain import Chain
 from ..chain.contacts import pair_slopes
+from ..chain.law import Law
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
@@ -44,17 +47,44 @@ UNITS = {
 }
 # Parameters that are themselves inputs of the motion.
 DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")
+LAW = "chain.law."
+GROUND = "chain.ground."
+
+
+def by_differences(scene: Scene) -> bool:
+    """Return whether the scene has derivatives by differences only: adjoints require powers."""
+    return scene.chain.ground is not None or scene.chain.law.power is None
+
+
+def formula_of(chain: Chain, name: str) -> tuple[Law, str]:
+    """Return the formula that a name such as chain.law.c belongs to, and its parameter, c."""
+    place, _, key = name.rpartition(".")
+    law = chain.law if place == LAW.removesuffix(".") else chain.ground
+    assert isinstance(law, Law)
+    return law, key
+
+
+def names_of_formulas(chain: Chain) -> list[str]:
+    """Return the names of the parameters of all formulas of a chain.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, laws
+    >>> names_of_formulas(Chain(grains=3, diameter=1e-3, law=laws.toda(b=1e5, k=1e3)))
+    ['chain.law.k', 'chain.law.b']
+    """
+    pairs = ((LAW, chain.law), (GROUND, chain.ground))
+    return [place + key for place, law in pairs if isinstance(law, Law) for key in law.given]
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
     """Return the names; raise `InputError` if a name is unknown or has no derivative."""
     check_scene(scene)
-    scene.chain.refuse_ground("a derivative")
-    scene.chain.law.power_of("a derivative")
     names = (names,) if isinstance(names, str) else tuple(names)
-    faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]
+    known = [*UNITS, *names_of_formulas(scene.chain)]
+    faults = [(name if name in known else "parameters", _refuse(scene, name)) for name in names]
     if not names:
-        faults = [("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})")]
+        faults = [("parameters", f"name one or more of {', '.join(known)} (got {shown(names)})")]
     faults = [(key, message) for key, message in faults if message]
     if faults:
         raise InputError(faults)
@@ -74,6 +104,12 @@ def _refuse(scene: Scene, name: str) -> str:
             return "has no derivative at 0, where the top wall only touches: give a top_load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
+        case "contact_constants" if chain.law.given_constant is not None:
+            return f"are those of the law: use {LAW}k"
+        case "diameters" | "masses" | "youngs_modulus" if chain.impurity and by_differences(scene):
+            return "has no derivative with impurities and formulas: give every grain its own value"
+        case "displacement" | "velocity" if course is not None and by_differences(scene):
+            return "has no derivative with formulas while a drive or force acts: use its own"
         case "wall_constants" if not chain.wall_constants.any():
             return 'there is no wall: use top or bottom = "wall"'
         case "amplitude" | "frequency" if getattr(course, name, None) is None:
@@ -83,11 +119,14 @@ def _refuse(scene: Scene, name: str) -> str:
         case "drive" | "force" if course and course.interpolation == "pchip":
             cure = 'use interpolation = "linear" or "spline"'
             return f"has no derivative everywhere where a curve is kept monotone: {cure}"
-    return "" if name in UNITS else not_among(name, tuple(UNITS))
+    known = [*UNITS, *names_of_formulas(chain)]
+    return "" if name in known else not_among(name, known)
 
 
 def unit(scene: Scene, name: str) -> str:
-    """Return the unit of the parameters of this name in the scene."""
+    """Return the unit of the parameters of this name; empty for those of formulas."""
+    if name.startswith("chain."):
+        return ""
     if name == "amplitude":
         return "N" if isinstance(scene.excitation, Force) else "m"
     return UNITS[name]
@@ -96,6 +135,9 @@ def unit(scene: Scene, name: str) -> str:
 def values(scene: Scene, name: str) -> Array:
     """Return the values of the parameters with this name in the scene, (P,)."""
     chain = scene.chain
+    if name.startswith("chain."):
+        law, key = formula_of(chain, name)
+        return np.array(law.given[key], ndmin=1)
     if name == "youngs_modulus":
         return chain.by_grain("youngs_modulus")
     if name in (VISCOSITY, DRAG):

@@ -20,6 +20,7 @@ from ..util.notebook import Shown
 from ..util.remarks import note
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
+from .differences import FixedRun
 from .objectives import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
@@ -151,7 +152,7 @@ class Traces(Shown, Tabular):
 
 def model(
     scene: Scene,
-    run: AnyRun,
+    run: AnyRun | FixedRun,
     traces: Traces,
     change: Inputs | None,
     motion: tuple[Array, Array] | None,

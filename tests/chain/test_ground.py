@@ -261,9 +261,6 @@ REFUSING = {
     "relative stiffness": lambda run: dyson.relative_stiffness(run.scene.chain),
     "fit of solitary waves": lambda run: fit_solitary.fit_soliton(run),
     "stability": lambda run: lmpchain.stability.stability(run.scene),
-    "gradients": lambda run: lmpchain.design.gradient(
-        run.scene, lmpchain.design.PeakForce(contact=3), ["masses"]
-    ),
     "orbits": lambda run: lmpchain.orbits.normal_mode(run.scene.chain, 1, 1e-12),
     "scattering": lambda run: scattering.transmission(run.scene.chain, 1e5),
     "soliton": lambda run: soliton.solve(speed=1.2).on(run.scene.chain, 6),
