@@ -78,12 +78,12 @@ def main() -> None:
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
     weighted.set_title("One column, weighted sum")
-    mean.set_title(f"Mean over {columns} columns, smoothed contours")
+    mean.set_title(f"Mean of {columns} columns, smoothed contours")
     noise.set_title("Error of the mean")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))
-    noise.set(xlabel="time τ", ylabel="standard error", ylim=(1e-5, 10))
+    noise.set(xlabel="time τ", ylabel="standard error", ylim=(1e-5, 1e4))
     say("Eq. (22) at tau 15, m = 1", float(dyson.average(velocity[30], n ** (1 / 3), 1)))
     say("Eq. (22), native and Eq. (19) differ by", off.max())
     for place in (0, -1):

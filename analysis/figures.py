@@ -50,7 +50,7 @@ LETTERS = {
 }
 OUTLINE = [withStroke(linewidth=2, foreground="white")]  # Outline of letters on maps.
 DARK_OUTLINE = [withStroke(linewidth=4, foreground="black")]  # Outline of white lines on maps.
-# Label of a panel of differences below another one, as matplotlib's <colorbar>.
+# Label of a panel that shows differences from the panel above, like matplotlib's <colorbar>.
 DIFFERENCES = "<differences>"
 SVG = "--svg"
 PRINT_DPI = 300
@@ -199,7 +199,7 @@ def save_for_print(picture: Figure, path: Path) -> None:
 
 
 def restyle(picture: Figure) -> None:
-    """Put titles to the left behind the letters of panels, and typeset numbers as formulas."""
+    """Move titles to the left, after the panel letters, and typeset numbers as formulas."""
     lettered = [axes for axes in picture.axes if not axes.get_label().startswith("<")]
     for axes in picture.axes:
         title = axes.get_title() or axes.get_title(loc="left")

@@ -57,7 +57,7 @@ def measure() -> Iterator[tuple[str, ...]]:
 
 
 def laws(grains: int) -> dict[str, tuple[float, float]]:
-    """Return mean and variance of quantities in the ensemble, relative to the total energy."""
+    """Return the mean and variance of quantities in the ensemble, relative to the total energy."""
     whole = ensemble(grains)
     bead = stats.beta(0.5, grains / 2 - 0.5 + grains / 2.5)
     # Variance of the sum of fourth powers of a random direction.

@@ -35,7 +35,7 @@ def chain(light: int) -> lmpchain.Chain:
 
 
 def transmitted(light: int, amplitude: float, quick: bool) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return frequencies, Hz, spectrum, N, and variance, N², of the force at the far wall."""
+    """Return frequencies (Hz), and the spectrum (N) and variance (N²) of the far-wall force."""
     time = 0.05 if quick else 0.3
     drive = lmpchain.Drive(amplitude=amplitude, frequency=FREQUENCY)
     samples = int(20 * FREQUENCY * time) + 1

@@ -53,7 +53,7 @@ def measure(powers: tuple[int, ...]) -> Iterator[tuple[str, ...]]:
 
 
 def main() -> None:
-    """Write the table, or print the one of each power."""
+    """Write the table of reflections, or print a table for each power of the grading."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--powers", action="store_true")
     warnings.simplefilter("ignore")

@@ -24,7 +24,7 @@ KEEP = ["arrival_time", "peak_velocity"]
 
 
 def cpu() -> float:
-    """Return user plus system time of this process and its children up to now, s."""
+    """Return the user and system time that this process and its children have used, s."""
     used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(each.ru_utime + each.ru_stime for each in used)
 

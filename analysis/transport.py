@@ -15,7 +15,7 @@ from lmpchain.measure import front as measured
 from lmpchain.theory import continuum, front
 
 DELTAS = (1.0, 1.25, 1.5, 2.0, 2.5)
-FURTHER = (1.1, 1.35, 1.7, 1.85)  # Only for the exponents.
+FURTHER = (1.1, 1.35, 1.7, 1.85)  # Used only in the table of exponents.
 DEEPEST = 1000
 PER_TAU = 12
 NEXT = 0.34  # Exponent of the next order for Hertz's law.
@@ -46,7 +46,10 @@ def carried(run: lmpchain.Trajectory, grain: int, until: float) -> float:
 
 
 def theory_carried(depths: np.ndarray, delta: float) -> np.ndarray:
-    """Return this work by `theory.front`: 2 sqrt(kappa) times the integral of v^2."""
+    """Return the work of each grain on the next one by `theory.front`.
+
+    It is 2 sqrt(kappa) times the integral of v^2.
+    """
     n = 100
     xi = 1 - 1 / delta
     peak = float(front.peak_time(n, delta))

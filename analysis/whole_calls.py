@@ -27,7 +27,7 @@ SPEEDS = {"weak": 1e-6, "strong": 8.57e-4}
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 TOGETHER = 64  # Number of scenes of `simulate_many`.
 UNIT = 1e-6  # Unit of time of the other code, s.
-MOST_STEPS = 10**5  # Largest number of its steps.
+MOST_STEPS = 10**5  # Largest number of steps of the other code.
 Solution = tuple[np.ndarray, np.ndarray]
 # A function of the strike velocity and of the other code's tolerance.
 Call = Callable[[float, float], Solution]

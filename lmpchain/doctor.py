@@ -108,7 +108,7 @@ class Diagnosis:
         return "\n".join([*map(str, self.findings), self.summary])
 
     def to_json(self) -> dict[str, Any]:
-        """Return summary and findings for a JSON file."""
+        """Return the summary and findings for a JSON file."""
         return {"summary": self.summary, "findings": [asdict(finding) for finding in self.findings]}
 
 

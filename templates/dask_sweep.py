@@ -20,5 +20,5 @@ if __name__ == "__main__":
         cluster.scale(jobs=10)
         results = lmpchain.sweep(sweep, folder, scheduler=cluster.scheduler_address)
     failed = int((results.reason != "").sum())
-    print(f"{results.reason.size - failed} of {results.reason.size} scenes are answered")
+    print(f"{results.reason.size - failed} of {results.reason.size} scenes are solved")
     sys.exit(int(failed > 0))

@@ -30,9 +30,7 @@ from pathlib import Path
 
 PROJECT = Path(__file__).parents[1]
 NOT_COPIED = shutil.ignore_patterns(".git", ".venv", "*_cache", "*.egg-info", "build", "dist")
-CPU_LIMIT_S = (
-    240  # of a process, for a mutant may never end; a busy machine changes nothing about it
-)
+CPU_LIMIT_S = 240  # Limit on CPU time, s, because a mutant may never end.
 WALL_LIMIT_S = 1800  # Limit for a mutant that waits without end.
 OPPOSITES = {
     **{
@@ -64,7 +62,7 @@ OPPOSITES = {
 
 @dataclass(frozen=True)
 class Mutant:
-    """A node of a program with its begin and end (line, byte of the line), and its replacement."""
+    """A node of a program with its start and end (line, byte of the line), and its replacement."""
 
     path: str
     begin: tuple[int, int]
@@ -198,8 +196,10 @@ def tests_of(room: str) -> list[str]:
 
 
 def relevance(test: str, module: str) -> tuple[bool, int]:
-    """Return whether a file of tests has the name of a module, and how often it names the module
-    or its contents.
+    """Return how closely a file of tests is related to a module.
+
+    The result is whether the file has the name of the module, and how often the file names the
+    module or its contents.
     """
     if not (PROJECT / test).is_file():
         return False, 0

@@ -65,9 +65,9 @@ def looks(cases: list[Case], name: str) -> dict[tuple[int, float], Look]:
 def length(
     field: str, values: tuple[float, ...], cases: list[Case], methods: tuple[str, ...]
 ) -> Row:
-    """Return the row of the length of steps.
+    """Return the row of the table for a field that limits the length of steps.
 
-    Work with other values of it, over that with its own.
+    The row has the work with other values of the field, relative to the work with its own value.
     """
     shipped = getattr(OPENING_STEPS, field)
     usual = {name: looks(cases, name) for name in methods}

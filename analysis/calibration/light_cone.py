@@ -55,7 +55,7 @@ def _cut(engine: Engine, quick: bool) -> Row:
     for part in (0.3, 0.7, 0.97) if quick else (0.3, 0.5, 0.6, 0.7, 0.8, 0.9, 0.97):
         scene = struck(math.ceil(needed / part), periods)
         times = []
-        for worth in (1.1, 0.0):  # Always, and never.
+        for worth in (1.1, 0.0):  # The chain is always cut, then never.
             with mock.patch.object(facts, "CUT", dataclasses.replace(CUT, share=worth)):
                 run = partial(fresh, engine, scene)
                 times.append(best(run, repeats))

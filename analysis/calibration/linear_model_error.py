@@ -89,7 +89,7 @@ def held(scenes: list[Scene]) -> list[Held]:
 
 
 class Need(NamedTuple):
-    """The factor that a scene requires, with the other parts as they are, and alone."""
+    """The factor that a scene requires for a part of the error: with other parts, and alone."""
 
     beside: float
     alone: float

@@ -1,6 +1,6 @@
-"""Measure when samples between steps are interpolated, and the accuracy.
+"""Measure the error and cost of samples that are interpolated between steps.
 
-INTERPOLATION and ROUNDING.interpolated.
+The results are INTERPOLATION and ROUNDING.interpolated.
 
 In random scenes some samples lie between steps: how much further off they are than those on which
 steps end is the error of the polynomial where steps are long, and rounding where they are short.

@@ -211,7 +211,7 @@ def _solitary() -> list[Row]:
 
 
 def _peak(time: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Return time and height of the largest value, by a parabola."""
+    """Return the time and height of the largest value, by a parabola."""
     place = int(np.argmax(values))
     before, here, after = values[place - 1 : place + 2]
     shift = (before - after) / (before - 2 * here + after) / 2

@@ -47,7 +47,7 @@ SPLITTINGS = ("rkn4", "rkn6", "kahan-li8")
 KNOWN = 0.1  # Larger errors follow no order.
 CLEAR = 30.0  # Multiple of the rounding error.
 RARE = 0.005  # Fraction of estimates by which two values may differ.
-WIDE = 3.0  # Factor on the median estimate of the tightest value.
+WIDE = 3.0  # Largest median estimate, relative to the median of the tightest estimate.
 
 
 class Look(NamedTuple):
@@ -94,7 +94,7 @@ def looks(
     coarse: bool = False,
     reaches: Sequence[float] = REACHES,
 ) -> list[Look]:
-    """Return runs of the scenes at some steps, with openings, without, or either."""
+    """Return runs of the scenes at some steps; `opens` selects those with openings or without."""
     found = []
     for case, name in itertools.product(cases, names):
         engine = Native(name, adaptive=adaptive)

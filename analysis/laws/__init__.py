@@ -1,1 +1,1 @@
-"""Laws for the limits of methods and theories that only the maps use, and their measurement."""
+"""Measured laws for the limits of methods and theories, which only the maps use."""

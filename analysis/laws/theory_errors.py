@@ -91,7 +91,7 @@ def uniform_error(grain: int, travelled: float, width: float = 0.0) -> float:
 
 
 def bessel_error(load: float, tau: float) -> tuple[float, float]:
-    """Return contrast and error of `theories.bessel_law`, for a top load in weights of a grain."""
+    """Return the contrast and error of `theories.bessel_law`; `load` is in grain weights."""
     scene = column(WEAK, tau, 60 + int(continuum.depth(tau) + 1.2 * tau), load=load)
     uniform, exact = (theory(scene, engine) for engine in ("bessel", "chebyshev"))
     stiffness = scene.chain.linear_stiffness

@@ -1,4 +1,4 @@
-"""Errors of the continuum, Eqs. (35) and (27), over depth, time and width; dispersion and front."""
+"""Errors of the continuum, Eqs. (35) and (27), against depth, time and width."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ WIDTH = 2.2346 / 4 ** (1 / 3)
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return errors over depth, time and width, phase velocities, and the front over depth."""
+    """Return errors for each depth, time and width, phase velocities, and the front by depth."""
     far = 40.0 if quick else 150.0
     times, h, impulse = impulse_error(far, 41 if quick else 76)
     h = h[::2]

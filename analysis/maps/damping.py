@@ -1,4 +1,4 @@
-"""Effect of neglecting damping over strike and A omega, after 20, 100 and 500 grains."""
+"""Effect of neglecting damping against strike and A omega, after 20, 100 and 500 grains."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def hot(grains: int) -> lmpchain.Scene:
 
 @compiled_once("Runge and Kutta's method, to be compared with", 3)
 def _runge_kutta(u, v, overlap, force, constant, inverse_mass, h, steps, samples):
-    """Return displacement and velocity (samples, N) by the classical Runge-Kutta method."""
+    """Return the displacement and velocity (samples, N) by the classical Runge-Kutta method."""
     grains = u.size
     us = np.empty((samples, grains))
     vs = np.empty((samples, grains))

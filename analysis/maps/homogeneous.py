@@ -23,7 +23,7 @@ XI = 1 / 3
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return errors over depth and distance, width and distance, time and load, and time."""
+    """Return errors for depth and distance, width and distance, time and load, and time."""
     grains = np.unique(np.geomspace(5, 2000, 3 if quick else 14).astype(int))
     travelled = np.geomspace(1, 100, 4 if quick else 25)
     widths = [0.0, *np.geomspace(1, 30, 2 if quick else 7)]
@@ -95,7 +95,7 @@ def draw_boundaries(plane: Axes, first: float, last: float, background: str = "w
     )
     for level in LEVELS:
         label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
-        below = 0.72 * uniform_reach(level, XI / 120)
+        below = 0.6 * uniform_reach(level, XI / 120)
         plane.text(
             120,
             below,

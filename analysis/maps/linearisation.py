@@ -1,4 +1,4 @@
-"""Error of linear theory over strike and gravity, in four norms, and its a priori estimate."""
+"""Error of linear theory against strike and gravity, in four norms, and its estimate."""
 
 from __future__ import annotations
 
@@ -21,7 +21,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-DURATION, GRAINS, EARTH, TAU = 100e-6, 120, 9.81, 14.555  # In s, -, m/s2, and 100 us on Earth.
+DURATION, GRAINS, EARTH, TAU = (
+    100e-6,
+    120,
+    9.81,
+    14.555,
+)  # Duration in s, gravity in m/s2, and 100 us in units of tau on Earth.
 OPENS = 8.501  # Strike number v0* from which contact 1 of a Hertzian column opens.
 NAMES = {
     "velocity": "velocities at the end",
@@ -32,7 +37,7 @@ NAMES = {
 
 
 def measure(quick: bool) -> dict[str, Any]:
-    """Return errors over v0 and g after 100 us, and over v0* at g."""
+    """Return the errors for each v0 and gravity after 100 us, and for each v0* on Earth."""
     strikes = np.geomspace(1e-8, 1, 5 if quick else 33)
     gravity = EARTH * np.geomspace(1e-3, 1e2, 3 if quick else 11)
     errors = [[linear_error(_scene(v, g))["velocity"] for v in strikes] for g in gravity]
@@ -93,7 +98,7 @@ def draw(data: dict[str, Any]) -> Figure:
     plane.set_title("Linear theory: measured (solid), law (dashed)")
     _draw_norms(norms, data)
     _draw_own(own, data)
-    for axes in (norms, own):
+    for axes, left in ((norms, -0.3), (own, 0.0)):
         axes.set(
             xscale="log",
             yscale="log",
@@ -101,12 +106,12 @@ def draw(data: dict[str, Any]) -> Figure:
             ylabel="relative error",
             ylim=(1e-5, 3),
         )
-        axes.legend(loc="upper center", bbox_to_anchor=(0.45, -0.24))
+        axes.legend(loc="upper left", bbox_to_anchor=(left, -0.24))
     return picture
 
 
 def draw_boundaries(plane: Axes, least: float, most: float, background: str = "white") -> None:
-    """Draw the boundary of linear theory over strike and gravity, between two of these."""
+    """Draw the boundary of linear theory against strike, between two values of gravity."""
     gravity = np.array([least, most])
     for name, number, style in (
         ("1 %", strike_number_at(0.01, "velocity"), "--"),

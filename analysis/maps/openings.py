@@ -18,8 +18,7 @@ if TYPE_CHECKING:
 
 EXPONENT = 1.5
 ADAPTIVE = [name for name, method in METHODS.items() if method.adaptive]
-# The slope is fitted below this product of step and frequency; other methods are fitted from the
-# first point on.
+# Largest product of step and frequency in the fit of the slope; no limit for other methods.
 ASYMPTOTIC = {"gear4": 0.02}
 RUNS = {"dop853": 120}  # Number of runs for an error; other methods have 40.
 FLOOR = 3e-13  # Rounding contributes to errors below this one.

@@ -67,8 +67,8 @@ def draw(data: dict[str, Any]) -> Figure:
             strike["gravity"],
             strike["v0"],
             label,
-            (0, 8),
-            "center",
+            (8, -10),
+            "left",
         )
     linear.set(ylim=(3e-8, 0.1))
     linear.set_title("Linear theory: velocities at 100 µs")

@@ -23,7 +23,7 @@ LENGTHS = (10, 20, 40)
 TOLERANCES = (1e-9, 1e-6, 1e-3)
 NAMES = ("$10^{-9}$", "$10^{-6}$", "$10^{-3}$")
 CHANGE = 1e-13
-SHOWN = 16  # Decades that double precision has.
+SHOWN = 16  # Number of decades that double precision resolves.
 MOST = 12  # Decades of growth after which two runs are uncorrelated.
 HOLDS = 30.0, 50.0  # Strike numbers between which the law is valid; the second one is per grain.
 
@@ -37,7 +37,7 @@ def scene(grains: int, velocity: float, duration: float = 5e-3, samples: int = 1
 
 
 def measure(quick: bool) -> dict:
-    """Return decades of growth over strike, time and length, and predicted horizons."""
+    """Return the decades of growth for each strike, time and length, and predicted horizons."""
     velocities = np.logspace(-3.5, -0.5, 3 if quick else 10)
     panels = []
     for grains in LENGTHS[:1] if quick else LENGTHS:

@@ -162,7 +162,7 @@ class Problem:
         return np.concatenate(([moving, 0.0], self.closer, self.strength, np.zeros(moving)))
 
     def cut(self, grains: int) -> Problem:
-        """Return the problem restricted to grains 1 ... `grains`, as one would cut it by hand."""
+        """Return the problem restricted to grains 1 ... `grains`."""
         return Problem(self.scene.part(1, grains))
 
 

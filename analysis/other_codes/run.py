@@ -44,8 +44,8 @@ LAST_S = 8.0
 # Shortest chain that is cut, and relative displacement allowed beyond the cut.
 LONG_CHAIN = 1000
 UNTOUCHED = 1e-15
-# Codes that are added later are timed alternately with LAMMPS, in runs at the first step of up to
-# this time, s.
+# Number of alternating timings of LAMMPS and a code that is added later, and the shortest stored
+# LAMMPS time, s, that the timings repeat.
 TURNS = 12
 YARDSTICK_S = 0.2
 
@@ -91,7 +91,7 @@ def scan(code: Code, problem: Problem, solution: Reference) -> list[dict[str, An
 
 
 def cut_of(problem: Problem, solution: Reference) -> Problem | None:
-    """Return the chain cut to the reach of the wave, as by hand, if that saves work."""
+    """Return the problem without the grains that the wave does not reach, or None if few."""
     grains = problem.scene.chain.grains
     u = np.abs(solution.displacement[-1])
     needed = int(np.flatnonzero(u > UNTOUCHED * u.max())[-1]) + 8
@@ -130,10 +130,10 @@ def measure(scene: lmpchain.Scene, others: list[str]) -> dict[str, Any]:
 
 
 def add(scene: lmpchain.Scene, others: list[str], kept: dict[str, Any]) -> dict[str, Any]:
-    """Run discrete element codes for an existing file, in addition to its codes.
+    """Run other discrete element codes, and add their results to an existing file.
 
-    LAMMPS takes turns with each, in processor time, so that a busy machine serves: the ratio, times
-    what a step took in LAMMPS then, is the time of a step.
+    Each code and LAMMPS are timed alternately in CPU time, so that the machine may be busy. The
+    time of a step is the ratio of both times, multiplied by the stored LAMMPS time of a step.
     """
     problem = Problem(scene)
     solution = reference(problem.scene)

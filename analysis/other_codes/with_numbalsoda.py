@@ -15,7 +15,7 @@ from lmpchain import RunFailed
 
 MOST_STEPS = 10**7
 LSODA_GRAINS = 1000  # LSODA always allocates a dense 2 M x 2 M matrix.
-LSODA_LEAST = 3e-14  # With smaller tolerances it fails with many messages.
+LSODA_LEAST = 3e-14  # Smallest tolerance at which LSODA does not fail.
 
 
 @numba.cfunc(lsoda_sig)

@@ -15,7 +15,6 @@ import lmpchain
 from lmpchain import laws
 
 plt.style.use("tableau-colorblind10")
-picture, (meeting, recurrence, cradle) = plt.subplots(3, figsize=(7, 9), layout="constrained")
 
 # %%
 # Toda's bonds, k (exp(b o) - 1) / b, have solitons that pass through each other. Dashed lines show
@@ -51,6 +50,7 @@ time = run.time / unit
 own_speeds = np.sinh(kappa) / kappa
 frame = own_speeds.mean()
 moving = n[:-1] + 0.5 - frame * time[:, None]
+picture, meeting = plt.subplots(figsize=(7, 3.2), layout="constrained")
 meeting.pcolormesh(moving, np.broadcast_to(time[:, None], moving.shape), overlap, rasterized=True)
 for k, s, speed in zip(kappa, start, own_speeds, strict=True):
     # The slower soliton is ahead at first and has its shift already.
@@ -94,6 +94,7 @@ def mode_energies(engine):
 
 own_step = lmpchain.engines.Native("verlet", step=sqrt(1 / 8) * unit * (1 + 1e-9))
 exact, published = mode_energies("native"), mode_energies(own_step)
+picture_of_recurrence, recurrence = plt.subplots(figsize=(7, 3.2), layout="constrained")
 for mode in range(4):
     color = f"C{mode}"
     recurrence.plot(exact[0], exact[1][:, mode], color, label=f"mode {mode + 1}")
@@ -118,6 +119,7 @@ strike = lmpchain.Impulse(velocity=0.1)
 run = lmpchain.simulate(
     lmpchain.Scene(chain=balls, excitation=strike, duration=1e-4, samples=401), "native", 1e-9
 )
+picture_of_cradle, cradle = plt.subplots(figsize=(7, 3.2), layout="constrained")
 for ball, last in enumerate([-0.07108502, -0.02962620, 0.10973864, 0.99097257]):
     cradle.plot(run.time * 1e6, run.velocity[:, ball] / 0.1, f"C{ball}", label=f"ball {ball + 1}")
     cradle.axhline(last, color=f"C{ball}", linestyle="--", linewidth=0.8)

@@ -240,7 +240,7 @@ class Scan(NamedTuple):
 def work_precision(
     scene: Scene, budget_s: float = BUDGET_S, *, progress: bool = False
 ) -> WorkPrecision:
-    """Measure error and time of every engine and integrator that supports a scene.
+    """Measure the error and time of every engine and integrator that supports a scene.
 
     Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops
     falling or the time is used up, tolerances by factors of sqrt(10). Each time is the least of
@@ -312,7 +312,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
                 for kind in methods
                 if kind in engine.integrators
             ]
-        # Every engine meets a tolerance of one half.
+        # The cost at a tolerance of 0.5, which every engine meets, is a lower bound.
         elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
             refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
         else:

@@ -213,7 +213,7 @@ def _draw_errors(
         if longest and curve.name in styles:
             ax.plot(*longest[0], "o", ms=14, mfc="none", mec=styles[curve.name]["color"], mew=1.2)
     # Errors below this floor may come from the reference as well as from the engine.
-    ax.set_ylim(floor / 4, min(ax.get_ylim()[1], 5))
+    ax.set_ylim(floor / 10, min(ax.get_ylim()[1], 5))
     ax.axhline(floor, color="0.6", lw=0.8, ls=(0, (1, 3)))
     ax.annotate(
         f"{KNOWN:g} × error of the reference",
@@ -261,7 +261,7 @@ def _draw_alone(ax: Axes, points: Sequence[tuple[float, float, str]]) -> None:
             ax.plot(cost, error, class_of(name).style[1], color="0.8", mec="k", ms=8, zorder=5)
         label = textwrap.fill(", ".join(names), 20)
         place = ax.transAxes.inverted().transform(ax.transData.transform((max(costs), errors[0])))
-        # The label stands on the side with more room.
+        # The label is on the side with more room.
         late = place[0] > ROOM
         ax.annotate(
             label,

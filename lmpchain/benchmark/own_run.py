@@ -300,7 +300,7 @@ def _read(
     scene: Scene | None,
     units: str | Sequence[float] | None,
 ) -> Trajectory:
-    """Return the trajectory of a run; raises `InputError`."""
+    """Return the trajectory of a run; raise `InputError` if it is incomplete or invalid."""
     if isinstance(run, Trajectory):
         answer = run
     elif is_dump(run):

@@ -290,7 +290,7 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
 
 
 def _look_times(scene: Scene, begin: float, end: float) -> Array:
-    """Return times from `begin` to `end`, s, at which the largest motion is looked for."""
+    """Return times from `begin` to `end`, s, at which to search for the largest motion."""
     phase = (end - begin) * scene.highest_frequency
     most = LOOK_VALUES // scene.chain.grains
     return np.linspace(begin, end, 2 + int(min(LOOKS_A_RADIAN * phase, most)))
@@ -350,7 +350,7 @@ class _Motion:
         self.knots = np.array(self.wave.corners if self.wave else (), dtype=Long) / self.time
 
     def solve(self, series: TaylorSettings) -> tuple[Array, Array]:
-        """Return displacement and velocity, (2, T, N), and their maxima at any time, (2,).
+        """Return the displacement and velocity, (2, T, N), and their maxima at any time, (2,).
 
         In m and m/s.
         """
@@ -392,7 +392,8 @@ class _Motion:
             first = state.shape[1] - 1 if self.from_below else self.pushed or 0
             moving = np.union1d(moving, first).astype(int)
         first, last = (moving[0], moving[-1]) if moving.size else (0, 0)
-        # Each grain costs two orders of the series, or one order if forces depend on velocities.
+        # The motion reaches one more grain with every two orders of the series, or with every order
+        # if forces depend on velocities.
         reach = order if self.viscosity.any() else order // 2
         return slice(max(0, first - reach), min(state.shape[1], last + 1 + reach))
 
@@ -418,7 +419,7 @@ class _Motion:
         power = np.zeros_like(y)
         x[:2] = state
         wall, base = np.zeros((2, order + 1), dtype=Long)
-        # The grains of these columns follow from the equation of motion.
+        # The columns of grains that move by the equation of motion; a drive imposes the others.
         free = slice(None)
         outside = np.zeros_like(x)
         if self.driven and grains.start == 0:
@@ -581,7 +582,7 @@ def _slope(series: Longs) -> Longs:
 
 def _bend(series: Longs, end: Long) -> Long:
     """Return a positive upper bound of the second derivative of a series between 0 and `end`."""
-    # The constant 1e-200 is negligible beside any occurring number, and avoids division by 0.
+    # The constant 1e-200 avoids division by 0 and is negligible.
     return _at(np.abs(_slope(_slope(series))), end) + 1e-200
 
 

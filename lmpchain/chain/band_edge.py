@@ -35,7 +35,7 @@ def band_edges(diagonal: Array, coupling: Array) -> Array:
 # without.
 @compiled_once("the band edge", 2, error_model="numpy", _nrt=False)
 def _fill_edges(edges, diagonal, coupling):
-    """Compute the square roots of the largest eigenvalues, see `band_edges`."""
+    """Compute the square roots of the largest eigenvalues (see `band_edges`)."""
     count, size = diagonal.shape
     for row in range(count):
         d = diagonal[row]

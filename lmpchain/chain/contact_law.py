@@ -5,7 +5,7 @@ symbol    variable      meaning
 ========  ============  ==================================================
 o         overlap       of two bodies, m; below 0 there is a gap
 K         constant      of a contact; its unit is N/m^delta for a power
-F, k      force, ...    force, N, and its derivative by o, N/m
+F, k      force, ...    force, N, and dF/do, N/m
 r         r             change of the overlap since rest, m
 delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 ========  ============  ==================================================
@@ -58,7 +58,7 @@ class ContactLaw(ABC):
     Parameters
     ----------
     force_formula, stiffness_formula, curvature_formula : functions
-        Force, N, and its first two derivatives by the overlap, N/m and N/m2. A force grows with the
+        Force (N) and its first two overlap derivatives (N/m, N/m2). A force grows with the
         overlap, and is 0 where there is none.
     onset : float
         The power of the overlap with which the force sets in as a contact closes.
@@ -263,7 +263,7 @@ class PowerForce(ContactLaw):
         return np.fmin(of_law, np.sqrt(2 * energy / contacts.stiffness))
 
     def bend(self, contacts: RestingContacts) -> float:
-        """Return delta - 1, see `ContactLaw.bend`."""
+        """Return delta - 1 (see `ContactLaw.bend`)."""
         return self.onset - 1
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:

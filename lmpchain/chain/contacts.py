@@ -95,7 +95,7 @@ class Contacts:
 
     @property
     def arrays(self) -> tuple[Array, Array, Array, Array]:
-        """Constant, force, N, overlap, m, and stiffness, N/m, at rest, (..., N+1) each."""
+        """The constant, force (N), overlap (m) and stiffness (N/m) at rest, (..., N+1) each."""
         return self.constant, self.force, self.overlap, self.stiffness
 
     @cached_property

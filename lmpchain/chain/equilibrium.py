@@ -218,7 +218,7 @@ def _spread(shape: tuple[int, ...], values: Array) -> Array:
 
 
 def _fill(shape: tuple[int, ...], values: Ends) -> Array:
-    """Return rows (..., B): one value, B - 2 values (or a common one), and one value."""
+    """Return rows (..., B) with given first, middle (one or B - 2) and last values."""
     row = np.empty(shape)
     row[..., :1], row[..., 1:-1], row[..., -1:] = values
     return row

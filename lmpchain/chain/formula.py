@@ -143,7 +143,7 @@ class Formula:
         return made[self]
 
     def derivative(self, variable: str) -> Formula:
-        """Return the derivative by a variable; jumps of the formula contribute nothing."""
+        """Return the derivative with respect to a variable; jumps contribute nothing."""
         slopes: dict[Formula, Formula] = {}
         for node in self.walk():
             slopes[node] = _slope(node, [slopes[part] for part in node.parts], variable)
@@ -707,13 +707,13 @@ def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
     return total
 
 
-# Added to a sum of two roots, which may be 0; negligible beside every other number.
+# Added to a sum of two roots, which may be 0; negligible compared with every other number.
 NEARLY_ZERO = number(1e-300)
 TWO = number(2.0)
 
 
 def _change(node: Formula, changes: list[Formula], after: Mapping[Formula, Formula]) -> Formula:
-    """Return the change of a formula, given the changes of its parts, see `Formula.change`."""
+    """Return the change of a formula, given the changes of its parts (see `Formula.change`)."""
     a = node.parts[0]
     da = changes[0]
     ends = after[node]
@@ -1006,8 +1006,8 @@ def _log_cosh(inner: Formula) -> Formula:
     return add(size, build("log", multiply(number(0.5), add(ONE, decays))))
 
 
-# Maps function f(L) to its integral over L without the sign, the function of that integral, and the
-# sign.
+# For each function f(L): its integral over L without the sign, the name of the function in the
+# integral, and the sign.
 PRIMITIVES: dict[str, Callable[[Formula], tuple[Formula, str, float]]] = {
     "exp": lambda inner: (build("exp", inner), "exp", 1.0),
     "sin": lambda inner: (build("cos", inner), "cos", -1.0),

@@ -20,8 +20,8 @@ from .law import SMOOTH, Law, bend_powers
 
 # Times, s, at which the powers of kinks are determined.
 KINK_TIMES = (0.0, 1 / 3, 1.0)
-# Displacements over the largest one, and times over the duration, at which the largest stiffness is
-# looked for.
+# Displacements (relative to the largest) and times (relative to the duration) at which the largest
+# stiffness is sought.
 PLACES = np.linspace(-1.0, 1.0, 17)
 MOMENTS = np.linspace(0.0, 1.0, 65)
 # The work against the ground is integrated over pieces of a displacement, each exact up to degree
@@ -134,7 +134,7 @@ def energy(law: Law, displacement: Array) -> Array:
 
 
 def _work(law: Law, displacement: Array, pieces: int) -> Array:
-    """Return the energy by this number of equal pieces of each displacement."""
+    """Return the energy at each displacement by Gauss quadrature over equal pieces."""
     width = displacement / pieces
     total = np.zeros(displacement.shape)
     for piece in range(pieces):

@@ -37,13 +37,13 @@ SMOOTH = 1.5
 COMPARED = 4
 # Distance to a kink, relative to its overlap, at which a fractional exponent is measured.
 NEAR_KINK = 1e-6
-# Overlaps between which an equilibrium is searched, m.
+# Overlaps between which an equilibrium is sought, m.
 SIZES = np.geomspace(1e-18, 1e2, 801)
 # Upper bound for forces, N, and energies, J.
 LARGEST = 1e300
-# Relative distance from a value at which it counts as reached.
+# A value counts as reached within this relative distance.
 CLOSE = 1e-6
-# Iterations after which bisection alone has found a root between two of these sizes.
+# Number of iterations in which bisection alone finds any root.
 BISECTIONS = 64
 # A kink is near within this multiple of the length over which the stiffness changes.
 FAR = 4.0
@@ -295,7 +295,8 @@ class Law(ContactLaw):
 
     def _onset(self) -> float:
         """Return the lowest power of the distance to any kink at which the two sides differ."""
-        # A parameter of its own in each contact may change the power: extreme contacts show it.
+        # Parameters that differ between contacts may change the power, so contacts with extreme
+        # values are checked.
         arrays = [value for value in self.given.values() if isinstance(value, tuple)]
         contacts = {0} | {f(value) for value in arrays for f in (np.argmin, np.argmax)}
         powers = [SMOOTH] if not self.formula.kinks("o") else []
@@ -338,11 +339,11 @@ class Law(ContactLaw):
         return self._filled(super().force, overlap, constant)
 
     def stiffness(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the derivative of the force by the overlap, N/m."""
+        """Return the derivative of the force with respect to the overlap, N/m."""
         return self._filled(super().stiffness, overlap, constant)
 
     def curvature(self, overlap: Any, constant: Any = None) -> Any:
-        """Return the second derivative of the force by the overlap, N/m2."""
+        """Return the second derivative of the force with respect to the overlap, N/m2."""
         return self._filled(super().curvature, overlap, constant)
 
     def overlap(self, force: Any, constant: Any = None) -> Any:
@@ -628,7 +629,7 @@ class Law(ContactLaw):
         constant: float | None = None,
         contact: int = 0,
     ) -> str:
-        """Return force or energy of one contact as a LEPTON formula with all numbers inserted.
+        """Return the force or energy of one contact as a LEPTON formula with numbers inserted.
 
         Parameters
         ----------
@@ -665,7 +666,7 @@ class Law(ContactLaw):
         return formula.substitute({variable: parse(overlap)}).lepton
 
     def table(self) -> dict[str, Any]:
-        """Return formula and parameters as a table of a scene file."""
+        """Return the formula and parameters as a table of a scene file."""
         return {"force": self.text} | {
             key: list(value) if isinstance(value, tuple) else value
             for key, value in self.given.items()
@@ -673,7 +674,7 @@ class Law(ContactLaw):
 
     @classmethod
     def from_table(cls, table: Mapping[str, Any]) -> Law:
-        """Return the law of a table of a scene file, see `table`."""
+        """Return the law that a table of a scene file defines (see `table`)."""
         rest = dict(table)
         force = rest.pop("force", None)
         if force is None:
@@ -747,7 +748,7 @@ def _kernel(formula: Formula, names: tuple[str, ...]) -> LawKernel:
 
 @cache
 def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
-    """Return force, stiffness and curvature, set to 0 for missing contacts, whose constant is 0."""
+    """Return the force, stiffness and curvature, or 0 for missing contacts (constant 0)."""
     force = formula
     if "o" not in formula.names:
         stiffness = force.derivative("u")
@@ -818,7 +819,7 @@ def _kink_functions(formula: Formula, names: tuple[str, ...], of_ground: bool) -
 def bend_powers(
     formula: Formula, places: Sequence[Formula], values: Mapping[str, float], variable: str
 ) -> list[float]:
-    """Return the powers of the distance with which a formula bends at its kinks, see `_bend_at`.
+    """Return the powers of the distance with which a formula bends at its kinks (see `_bend_at`).
 
     Its only name is the variable; `values` are those of the names in the `places` of the kinks.
     """

@@ -383,7 +383,7 @@ class _Repeated(Checked):
                 yield key, "is missing; add it, or give every grain of the cell its own"
 
     def by_grain(self) -> dict[str, Any]:
-        """Return material and diameter of the chain, either common or one for each grain."""
+        """Return the material and diameter of the chain, either common or one for each grain."""
         materials = [grain.material or self.material or GLASS for grain in self.cell]
         widths = [grain.diameter or self.diameter for grain in self.cell]
         kind = np.arange(self.grains) % len(self.cell)

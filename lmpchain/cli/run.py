@@ -153,8 +153,8 @@ def _new_folder(name: str, force: bool) -> Path:
     if not force:
         raise InputError.at(
             name,
-            f"contains a run: continue it, {resume_command(name)}, replace it with --force, "
-            "or name another folder",
+            f"contains a run already: continue it, {resume_command(name)}, replace it with "
+            "--force, or name another folder",
         )
     return check_replaceable(name)
 

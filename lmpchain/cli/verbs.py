@@ -564,7 +564,7 @@ VERBS = {
                 action="append",
                 required=True,
                 help="a slider: key of the scene file, range in SI units, number of runs "
-                "(default: 15), and log for equal ratios; repeat for more sliders",
+                "(15 if left out), and log for equal ratios; repeat for more sliders",
             ),
             _argument(
                 "-o",

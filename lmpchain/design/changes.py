@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..chain.chain import Chain
+from ..chain.law import Law
 from ..chain.materials import Material
 from ..errors import InputError
 from ..scene.excitation import Profile
@@ -59,6 +60,13 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
                 one = np.ndim(getattr(damping, key)) == 0
                 damping = damping.replace(**{key: float(value[0]) if one else value})
                 chain["damping"] = damping
+            case _ if name.startswith("chain."):
+                law, key = params.formula_of(scene.chain, name)
+                field = "ground" if law.of_ground else "law"
+                law = chain.get(field, law)
+                one = np.ndim(law.given[key]) == 0
+                entry = float(value[0]) if one else value
+                chain[field] = Law(law.text, **(law.given | {key: entry}))
             case "youngs_modulus":
                 chain["material"] = _materials(scene.chain, value)
             case "diameters":

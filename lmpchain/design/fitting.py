@@ -211,8 +211,8 @@ def fit(
     """Fit a scene to measured traces; return it with the covariance of its parameters.
 
     Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown
-    number. Steps are halved until they add less than a twentieth of a standard deviation to every
-    estimate.
+    number. With a law by formula or a ground, Jacobians are differences of native runs. Steps are
+    halved until they add less than a twentieth of a standard deviation to every estimate.
 
     Parameters
     ----------
@@ -221,7 +221,8 @@ def fit(
         With a guess of the parameters, and long enough for the traces.
     parameters : mapping, or names
         By a name that `gradient` knows: "common", one factor for all entries, which a name alone
-        means; "each"; or the numbers of entries, from 1.
+        means; "each"; or the numbers of entries, from 1. Parameters of formulas, such as
+        "chain.law.c", keep the sign of the guess.
 
     Returns
     -------

@@ -26,7 +26,8 @@ from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
 from ..util.suggestions import not_among
 from . import parameters as params
-from .objectives import Objective, Seen
+from .differences import FixedRun, differentiate, scales_of
+from .objectives import Objective, Seen, Slopes
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class Gradient(Mapping[str, Array]):
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
-        The largest error relative to the largest derivative by the same kind of parameter. Where
+        The largest error relative to the largest derivative for the same kind of parameter. Where
         these are nothing but round-off, relative to the terms that they are the sum of.
     value_error : float
         Estimated error of the value, in its unit.
@@ -106,20 +107,55 @@ class Answer(NamedTuple):
 
     value: float
     slopes: Any
-    run: AnyRun
+    run: AnyRun | FixedRun
+
+
+class DifferenceSlopes(NamedTuple):
+    """Derivatives of a value by the entries of one parameter, from differences, (P,) each.
+
+    Attributes
+    ----------
+    slope : (P,) array
+    spread : (P,) array
+        Difference between the derivatives by two changes of the parameter.
+    terms : (P,) array
+        Size of the terms of the value, over the size of the entry.
+    rounding : (P,) array
+        Rounding error of the derivatives.
+    """
+
+    slope: Array
+    spread: Array
+    terms: Array
+    rounding: Array
 
 
 class GradientTask(NamedTuple):
-    """An objective of a scene, parameter names, and the integration of the scene."""
+    """An objective of a scene, parameter names, and the integration of the scene.
+
+    Attributes
+    ----------
+    scene : Scene
+    objective : Objective
+    names : tuple of str
+    method : Splitting or DormandPrince
+    adaptive : bool
+    accuracy : float
+        Desired relative error of differences, if a law by formula or a ground requires them.
+    """
 
     scene: Scene
     objective: Objective
     names: tuple[str, ...]
     method: AnyMethod
     adaptive: bool = False
+    accuracy: float = 1e-6
 
     def solve(self, step: float, finer: int = 1) -> Answer:
-        """Return the value and its derivatives by all inputs, with steps of at most this length.
+        """Return the value and its derivatives, with steps of at most this length.
+
+        Derivatives are by all inputs; with a law by formula or a ground they are
+        `DifferenceSlopes` by name.
 
         Raises
         ------
@@ -127,6 +163,8 @@ class GradientTask(NamedTuple):
             If the motion breaks down.
         """
         scene = self.scene
+        if params.by_differences(scene):
+            return self._solve_by_differences(step, finer)
         grains = np.unique(self.objective.grains(scene))
         looks = looks_of(scene, self.objective, finer)
         run = differentiable(scene, self.method, step, looks, grains, self.adaptive)
@@ -134,7 +172,7 @@ class GradientTask(NamedTuple):
             message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
             raise RunFailed(message)
         slopes = self.objective(Seen(scene, run.time, grains, run.displacement, run.velocity))
-        # Derivatives by the initial motion are needed for all grains, otherwise for the grains that
+        # The gradient over the initial motion needs all grains, the others only the grains that
         # the wave reaches.
         everywhere = not {"displacement", "velocity"}.isdisjoint(self.names)
         inputs = run.pull(slopes.displacement, slopes.velocity, everywhere)
@@ -150,6 +188,46 @@ class GradientTask(NamedTuple):
             drag=zero,
         )
         return Answer(slopes.value, inputs + direct, run)
+
+    def _solve_by_differences(self, step: float, finer: int) -> Answer:
+        """Return the value and its `DifferenceSlopes` by name, from runs of changed scenes."""
+        grains = np.unique(self.objective.grains(self.scene))
+        looks = looks_of(self.scene, self.objective, finer)
+
+        def solve(scene: Scene) -> tuple[FixedRun, Slopes]:
+            run = FixedRun.of(scene, self.method, step, looks, grains, self.adaptive)
+            view = Seen(scene, run.time, grains, run.displacement, run.velocity)
+            return run, self.objective(view)
+
+        run, slopes = solve(self.scene)
+        terms = (slopes.displacement * run.displacement, slopes.velocity * run.velocity)
+        size = abs(slopes.value) + sum(float(np.abs(term).sum()) for term in terms)
+        floor = _floor(self, run)
+        by_name = {}
+        for name in self.names:
+            scales = scales_of(self.scene, name)
+            free = scales > 0
+            slope, spread, by_size, rounding = np.zeros((4, scales.size))
+            found = differentiate(
+                self.scene,
+                name,
+                np.diag(scales)[free],
+                lambda scene: np.array(solve(scene)[1].value),
+                floor * size,
+                self.accuracy,
+            )
+            slope[free] = found.slope / scales[free]
+            spread[free] = found.spread / scales[free]
+            by_size[free] = size / scales[free]
+            rounding[free] = found.rounding / scales[free]
+            by_name[name] = DifferenceSlopes(slope, spread, by_size, rounding)
+        return Answer(slopes.value, by_name, run)
+
+    def slope(self, slopes: Any, name: str) -> Array:
+        """Return the derivatives by the parameters of this name, (P,), of an answer's slopes."""
+        if params.by_differences(self.scene):
+            return slopes[name].slope  # type: ignore[no-any-return]
+        return params.pull(self.scene, slopes, name)
 
 
 def shortens(scene: Scene, method: AnyMethod) -> bool:
@@ -177,8 +255,8 @@ def at_step(
         If the motion breaks down.
     """
     task = GradientTask(scene, objective, tuple(names), method, adaptive)
-    value, inputs, run = task.solve(step)
-    return Answer(value, {name: params.pull(scene, inputs, name) for name in task.names}, run)
+    value, slopes, run = task.solve(step)
+    return Answer(value, {name: task.slope(slopes, name) for name in task.names}, run)
 
 
 def refine(
@@ -217,9 +295,10 @@ def refine(
         finer = 2 ** (halvings + 1)
         # The answer of one attempt is the reference for the next.
         coarse = before
+        kind = "differences between runs" if isinstance(coarse.run, FixedRun) else "an adjoint run"
         announce(
             2 ** (halvings + 1) * spent_s,
-            f"an adjoint run of {2 * coarse.run.steps} steps for the tolerance",
+            f"{kind} of {2 * coarse.run.steps} steps for the tolerance",
             "a shorter duration or a larger tolerance takes less",
         )
         answer = before = solve(coarse.run.step / 2, finer)
@@ -238,26 +317,32 @@ def refine(
 
 def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gradient:
     """Return a gradient with its errors, from answers with different steps and from rounding."""
-    scene = task.scene
-    value, inputs, run = answer
-    evaluations = run.steps * task.method.evaluations
-    floor = 10 * native_floor(evaluations, scene.total_phase)
-    terms = _terms(scene, value, inputs)
+    value, slopes, run = answer
+    floor = _floor(task, run)
+    terms = None
+    if not params.by_differences(task.scene):
+        terms = _terms(task.scene, value, slopes)
     gradients = {}
     errors = {}
     relative = {}
     for name in task.names:
-        slope = params.pull(scene, inputs, name)
+        slope = task.slope(slopes, name)
         difference = sum(
-            float(np.abs(slope - params.pull(scene, other.slopes, name)).max()) for other in others
+            float(np.abs(slope - task.slope(other.slopes, name)).max()) for other in others
         )
         size = float(np.abs(slope).max())
-        sum_of_terms = float(np.abs(params.pull(scene, terms, name)).max())
+        if terms is None:
+            sum_of_terms = float(slopes[name].terms.max())
+            rounding = float(slopes[name].rounding.max())
+            difference += float(slopes[name].spread.max()) / SAFETY
+        else:
+            sum_of_terms = float(np.abs(params.pull(task.scene, terms, name)).max())
+            rounding = floor * sum_of_terms
         # The terms of this derivative cancel to rounding error.
-        if size <= floor * sum_of_terms:
+        if size <= rounding:
             size = sum_of_terms
         gradients[name] = slope
-        errors[name] = SAFETY * difference + floor * size
+        errors[name] = SAFETY * difference + (rounding if terms is None else floor * size)
         relative[name] = errors[name] / size if size > 0 else 0.0
     difference = sum(abs(value - other.value) for other in others)
     error = SAFETY * difference + floor * abs(value)
@@ -266,8 +351,13 @@ def _compare(task: GradientTask, answer: Answer, others: Sequence[Answer]) -> Gr
     )
 
 
+def _floor(task: GradientTask, run: AnyRun | FixedRun) -> float:
+    """Return the rounding error of a run, relative to the largest motion, with a safety factor."""
+    return 10 * native_floor(run.steps * task.method.evaluations, task.scene.total_phase)
+
+
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
-    """Return the sums of the absolute terms of a value's derivatives by all inputs.
+    """Return the sums of the absolute terms of a value's derivatives with respect to all inputs.
 
     Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
     motion or a drive adds.
@@ -316,13 +406,17 @@ def gradient(
     step: float | None = None,
     adaptive: bool = False,
 ) -> Gradient:
-    """Return an objective and its exact derivatives by the parameters of a scene.
+    """Return an objective and its derivatives with respect to parameters, exact for powers.
 
     The adjoint of the native integrator is run at the step of the answer and at one twice as long,
     whose difference is the error; steps are halved until it is within the tolerance. Where contacts
     open, the two may agree by chance: the difference to a third one, at a step half again as long,
     is added. An objective that looks between samples looks half as often in the run of the longest
     steps, so that the difference shows motion that it misses in between, too.
+
+    With a law by formula or a ground, derivatives are central differences of native runs with two
+    changes of each entry, extrapolated (four runs per entry). The difference between the two, and
+    the rounding error of the runs over the change, are added to the error.
 
     Parameters
     ----------
@@ -332,7 +426,8 @@ def gradient(
     parameters : names
         Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_modulus",
         "top_load", "gravity", "displacement" and "velocity" (at t = 0), "drive" and "force" (their
-        samples), "amplitude" and "frequency", "damping.viscoelastic" and "damping.drag".
+        samples), "amplitude" and "frequency", "damping.viscoelastic" and "damping.drag"; of a law
+        by formula "chain.law.NAME", and of a ground "chain.ground.NAME", for each parameter NAME.
     tolerance : float
         Of the gradient, relative to its largest entry of each name.
     integrator : "verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8" or "dop853", optional
@@ -376,7 +471,8 @@ def gradient(
         least = f"longer than {scene.duration / MOST_STEPS:.1g} s, or a run takes hours"
         raise InputError.at("step", f"must be {least} (got {step:g})")
     method = _method(scene, objective, names, integrator, adaptive)
-    task = GradientTask(scene, objective, names, method, adaptive or shortens(scene, method))
+    adaptive = adaptive or shortens(scene, method)
+    task = GradientTask(scene, objective, names, method, adaptive, tolerance / 4)
     answer: Gradient = refine(
         task.solve,
         lambda answer, others: _compare(task, answer, others),

@@ -1,4 +1,4 @@
-"""Objectives: scalar functions of a motion, with derivatives by the motion and the chain.
+"""Objectives: scalar functions of a motion and the chain, with their derivatives.
 
 An objective looks at some grains at times that are equal parts of the duration: at the samples of
 the scene or, where it is `dense`, so often that the fastest motion turns by a quarter of a radian
@@ -14,6 +14,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from ..chain import ground
+from ..chain.contacts import Contacts
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array, whole_numbers
@@ -58,7 +60,7 @@ class Slopes(NamedTuple):
     ----------
     value : float
     displacement, velocity : (T, G) arrays
-        Derivatives by the motion.
+        Derivatives with respect to the motion.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
         Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
         objective itself depends on them.
@@ -81,9 +83,9 @@ class ContactForce(NamedTuple):
     value : (T,) array
         Force, N.
     by_closer, by_closing : (T,) arrays
-        Derivatives by the approach of the two bodies, m, and its rate, m/s.
+        Derivatives with respect to the approach of the two bodies, m, and its rate, m/s.
     by_force, by_constant, by_viscosity : (T,) arrays
-        Derivatives by the force at rest, N, the constant, N/m^delta, and the viscosity, s.
+        Derivatives with respect to the force at rest (N), constant (N/m^delta), viscosity (s).
     grains : list of int
         One or two grains of the contact.
     """
@@ -98,10 +100,13 @@ class ContactForce(NamedTuple):
 
 
 def contact_force(view: Seen, contact: int) -> ContactForce:
-    """Return the force of a contact and its derivatives."""
+    """Return the force of a contact and its derivatives.
+
+    With a law by formula, those by the force at rest and by the constant are NaN.
+    """
     chain = view.scene.chain
     law = chain.contacts.of(contact)
-    delta = chain.law.power_of("the derivative of a contact force")
+    delta = chain.law.power
     grains = [grain for grain in (contact, contact + 1) if 1 <= grain <= chain.grains]
     viscosity = chain.contact_viscosity[contact]
     closer = np.zeros(view.time.size)
@@ -110,6 +115,8 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
         sign = 1 if grain == contact else -1
         closer += view.displacement[:, view.column(grain)] * sign
         closing += view.velocity[:, view.column(grain)] * sign
+    if delta is None:
+        return _by_formula(law, viscosity, closer, closing, grains)
     overlap = np.maximum(law.overlap + closer, 0.0)
     stiffness = law.stiffness_at(overlap) * (overlap > 0)
     viscous = viscosity * stiffness * closing
@@ -135,6 +142,30 @@ def contact_force(view: Seen, contact: int) -> ContactForce:
     )
 
 
+def _by_formula(
+    law: Contacts, viscosity: float, closer: Array, closing: Array, grains: list[int]
+) -> ContactForce:
+    """Return the force of a contact with a law by formula, and its derivatives by the motion."""
+    overlap = law.overlap + closer
+    stiffness = law.stiffness_at(overlap)
+    # An open contact has no viscous force, even if its law pulls.
+    viscous = np.where(overlap > 0, viscosity, 0.0)
+    growth = np.zeros(closer.shape)
+    if viscosity > 0:
+        curvature = law.law.curvature(overlap, law.constant)
+        growth = np.where(overlap > 0, viscous * curvature * closing, 0.0)
+    unknown = np.full(closer.shape, np.nan)
+    return ContactForce(
+        value=law.force + law.force_change(closer) + viscous * stiffness * closing,
+        by_closer=stiffness + growth,
+        by_closing=viscous * stiffness,
+        by_force=unknown,
+        by_constant=unknown,
+        by_viscosity=np.where(overlap > 0, stiffness * closing, 0.0),
+        grains=grains,
+    )
+
+
 def quadrature(size: int) -> Array:
     """Return the weights (size,) of the trapezoidal rule with Gregory's corrections of order 6."""
     weight = np.ones(size)
@@ -150,14 +181,14 @@ def quadrature(size: int) -> Array:
 
 
 class Objective(Protocol):
-    """A scalar function of a motion, with its derivatives by the motion and the chain."""
+    """A scalar function of a motion and the chain, with its derivatives."""
 
     @property
     def dense(self) -> bool:
         """Whether the value also depends on the motion between samples."""
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the grains that the value depends on; raises `InputError` if they do not exist."""
+        """Return the grains that the value depends on; raise `InputError` if they do not exist."""
 
     def __call__(self, view: Seen) -> Slopes:
         """Return the value and its derivatives."""
@@ -256,7 +287,7 @@ class _AtTime:
     dense = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose motion determines the value."""
         if self.time is not None and not 0 <= self.time <= scene.duration:
             message = f"must be from 0 to {scene.duration:g} s (got {shown(self.time)})"
             raise InputError.at("time", message)
@@ -284,12 +315,14 @@ class Energy(_AtTime):
     """The energy of a group of grains above rest at one sample, J.
 
     As `measure.energy.shares` divides it: kinetic energy, half the energy of contacts with other
-    grains, less the work that load and weight do as they give way, and all of those with walls.
+    grains, less the work that load and weight do as they give way, and all of those with walls and
+    with the ground.
     """
 
     def grains(self, scene: Scene) -> Sequence[int]:
         """Return the group and its neighbours."""
         group = super().grains(scene)
+        scene.chain.refuse_moving_ground("the energy of grains")
         _check_still(scene, 0 if 1 in group else 1)
         # The energy of a contact depends on both of its grains.
         near = {other for grain in group for other in (grain - 1, grain, grain + 1)}
@@ -315,11 +348,19 @@ class Energy(_AtTime):
         closer = contacts.closer(u)
         energy = share * contacts.energy(closer)
         change = share * contacts.force_change(closer)
-        # This is the derivative by -log(K) at a fixed force at rest.
-        delta = chain.law.power_of("the derivative of an energy")
+        # This is the derivative with respect to -log(K) at a fixed force at rest; that of a formula
+        # is another one.
+        delta = chain.law.power or np.nan
         softer = np.where(contacts.pressed, (energy - closer * change) / delta, -energy)
         slopes = view.slopes(float(m @ v**2 / 2 + energy.sum()))
         slopes.displacement[look] = np.diff(change)[at]
+        if chain.ground is not None:
+            owned = np.isin(np.arange(chain.grains) + 1, self.group)
+            pull = owned * chain.ground.force(u, 0.0)
+            slopes = slopes._replace(
+                value=slopes.value + float(owned @ ground.energy(chain.ground, u))
+            )
+            slopes.displacement[look] += pull[at]
         slopes.velocity[look] = m * v
         slopes.masses[at] = inside * v**2 / 2
         slopes.constants[:] = -softer / np.where(contacts.exists, contacts.constant, 1.0)
@@ -364,7 +405,7 @@ class ArrivalTime:
         return _check_grains(scene, [self.grain])
 
     def __call__(self, view: Seen) -> Slopes:
-        """Return the time and its derivatives; raises `InputError` if the grain is too slow."""
+        """Return the time and its derivatives; raise `InputError` if the grain is too slow."""
         from scipy.optimize import brentq
 
         v = view.velocity[:, view.column(self.grain)]
@@ -476,6 +517,15 @@ class DriveWork:
         slopes.forces[1] = (weight * v) @ (force.by_force - 1)
         slopes.constants[1] = (weight * v) @ force.by_constant
         slopes.viscosity[1] = (weight * v) @ force.by_viscosity
+        law = view.scene.chain.ground
+        if law is not None:
+            # The drive also pushes grain 1 against the ground.
+            own = law.of(0)
+            u = view.displacement[:, 0]
+            pull = own.force(u, view.time)
+            slopes = slopes._replace(value=slopes.value + float(weight @ (pull * v)))
+            slopes.displacement[:, 0] += weight * v * own.stiffness(u, view.time)
+            slopes.velocity[:, 0] += weight * pull
         return slopes
 
 
@@ -496,7 +546,7 @@ class Function:
     dense: bool = False
 
     def grains(self, scene: Scene) -> Sequence[int]:
-        """Return the group."""
+        """Return the grains whose motion determines the value."""
         return _check_grains(scene, self.group)
 
     def __call__(self, view: Seen) -> Slopes:

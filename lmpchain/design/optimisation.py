@@ -205,7 +205,7 @@ class _Box:
         return dict(zip(self.names, np.split(entries, self.sizes[1:-1]), strict=True))
 
     def slopes(self, by_name: Mapping[str, Array]) -> Array:
-        """Return derivatives by the scaled numbers; parameters without a derivative get 0."""
+        """Return the gradient over the scaled numbers; parameters without a derivative get 0."""
         entries = np.concatenate(
             [
                 np.broadcast_to(by_name.get(name, np.zeros(1)), (size,))
@@ -458,7 +458,7 @@ class _StartStore:
         self._size = size
 
     def read(self) -> list[Start]:
-        """Return the finished starts; raises `InputError` if they belong to a different task."""
+        """Return the finished starts; raise `InputError` if they belong to a different task."""
         if not self.path.exists():
             return []
         try:

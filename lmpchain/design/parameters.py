@@ -5,6 +5,8 @@ The motion depends on masses, contact constants K_n, forces at rest
 whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all of them, so that a mass acts by its
 inertia and by its weight on every contact below. Diameters and moduli act through Hertz's constants
 ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
+
+Parameters of laws by formula are named after their keys, ``chain.law.c`` and ``chain.ground.k``.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from scipy import sparse
 
 from ..chain.chain import Chain
 from ..chain.contacts import pair_slopes
+from ..chain.law import Law
 from ..errors import InputError, shown
 from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
@@ -44,17 +47,44 @@ UNITS = {
 }
 # Parameters that are themselves inputs of the motion.
 DIRECT = ("masses", "top_load", "gravity", "displacement", "velocity", "drive", "force")
+LAW = "chain.law."
+GROUND = "chain.ground."
+
+
+def by_differences(scene: Scene) -> bool:
+    """Return whether the scene has derivatives by differences only: adjoints require powers."""
+    return scene.chain.ground is not None or scene.chain.law.power is None
+
+
+def formula_of(chain: Chain, name: str) -> tuple[Law, str]:
+    """Return the formula that a name such as chain.law.c belongs to, and its parameter, c."""
+    place, _, key = name.rpartition(".")
+    law = chain.law if place == LAW.removesuffix(".") else chain.ground
+    assert isinstance(law, Law)
+    return law, key
+
+
+def names_of_formulas(chain: Chain) -> list[str]:
+    """Return the names of the parameters of all formulas of a chain.
+
+    Examples
+    --------
+    >>> from lmpchain import Chain, laws
+    >>> names_of_formulas(Chain(grains=3, diameter=1e-3, law=laws.toda(b=1e5, k=1e3)))
+    ['chain.law.k', 'chain.law.b']
+    """
+    pairs = ((LAW, chain.law), (GROUND, chain.ground))
+    return [place + key for place, law in pairs if isinstance(law, Law) for key in law.given]
 
 
 def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names; raises `InputError` if a name is unknown or has no derivative."""
+    """Return the names; raise `InputError` if a name is unknown or has no derivative."""
     check_scene(scene)
-    scene.chain.refuse_ground("a derivative")
-    scene.chain.law.power_of("a derivative")
     names = (names,) if isinstance(names, str) else tuple(names)
-    faults = [(name if name in UNITS else "parameters", _refuse(scene, name)) for name in names]
+    known = [*UNITS, *names_of_formulas(scene.chain)]
+    faults = [(name if name in known else "parameters", _refuse(scene, name)) for name in names]
     if not names:
-        faults = [("parameters", f"name one or more of {', '.join(UNITS)} (got {shown(names)})")]
+        faults = [("parameters", f"name one or more of {', '.join(known)} (got {shown(names)})")]
     faults = [(key, message) for key, message in faults if message]
     if faults:
         raise InputError(faults)
@@ -62,7 +92,7 @@ def check(scene: Scene, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def _refuse(scene: Scene, name: str) -> str:
-    """Return the reason why a scene has no derivative by a parameter; empty if it has one."""
+    """Return why a scene has no derivative with respect to a parameter; empty if it has one."""
     chain = scene.chain
     course = _course(scene)
     if scene.excitation.from_below:
@@ -74,6 +104,12 @@ def _refuse(scene: Scene, name: str) -> str:
             return "has no derivative at 0, where the top wall only touches: give a top_load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
+        case "contact_constants" if chain.law.given_constant is not None:
+            return f"are those of the law: use {LAW}k"
+        case "diameters" | "masses" | "youngs_modulus" if chain.impurity and by_differences(scene):
+            return "has no derivative with impurities and formulas: give every grain its own value"
+        case "displacement" | "velocity" if course is not None and by_differences(scene):
+            return "has no derivative with formulas while a drive or force acts: use its own"
         case "wall_constants" if not chain.wall_constants.any():
             return 'there is no wall: use top or bottom = "wall"'
         case "amplitude" | "frequency" if getattr(course, name, None) is None:
@@ -83,11 +119,14 @@ def _refuse(scene: Scene, name: str) -> str:
         case "drive" | "force" if course and course.interpolation == "pchip":
             cure = 'use interpolation = "linear" or "spline"'
             return f"has no derivative everywhere where a curve is kept monotone: {cure}"
-    return "" if name in UNITS else not_among(name, tuple(UNITS))
+    known = [*UNITS, *names_of_formulas(chain)]
+    return "" if name in known else not_among(name, known)
 
 
 def unit(scene: Scene, name: str) -> str:
-    """Return the unit of the parameters of this name in the scene."""
+    """Return the unit of the parameters of this name; empty for those of formulas."""
+    if name.startswith("chain."):
+        return ""
     if name == "amplitude":
         return "N" if isinstance(scene.excitation, Force) else "m"
     return UNITS[name]
@@ -96,6 +135,9 @@ def unit(scene: Scene, name: str) -> str:
 def values(scene: Scene, name: str) -> Array:
     """Return the values of the parameters with this name in the scene, (P,)."""
     chain = scene.chain
+    if name.startswith("chain."):
+        law, key = formula_of(chain, name)
+        return np.array(law.given[key], ndmin=1)
     if name == "youngs_modulus":
         return chain.by_grain("youngs_modulus")
     if name in (VISCOSITY, DRAG):
@@ -125,7 +167,7 @@ def inputs(scene: Scene) -> Inputs:
 
 
 def pull(scene: Scene, gradient: Inputs, name: str) -> Array:
-    """Return derivatives by the parameters of this name, (P,), from derivatives by all inputs."""
+    """Return the gradient over parameters of this name, (P,), from that over all inputs."""
     if name in DIRECT:
         return _with_weight(scene.chain, gradient, name)
     return sum(
@@ -186,7 +228,7 @@ def _course(scene: Scene) -> Drive | Force | None:
 
 
 def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
-    """Return the derivatives of inputs by the named parameters, as one matrix per input."""
+    """Return one matrix per input: its derivatives with respect to the named parameters."""
     chain = scene.chain
     if name == "contact_constants":
         return {"constants": _between(chain)}
@@ -237,10 +279,10 @@ def _between(chain: Chain) -> sparse.csr_array:
 
 
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
-    """Return dK by a property of the grains, (N+1, N), from d(log K) by upper and lower grain.
+    """Return dK per property of the grains, (N+1, N), given d(log K) per upper and lower grain.
 
-    What is given does not follow, and a wall's constant that does has the share of its neighbour
-    that does not.
+    Given constants do not depend on the property. A wall constant that does depend on it includes
+    the part of the neighbour that does not.
     """
     last = chain.grains
     contact = np.arange(last + 1)
@@ -262,7 +304,7 @@ def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
 
 
 def _by_viscosity(chain: Chain) -> sparse.csr_array:
-    """Return dA of all contacts by the common value, (N+1, 1), or by values between, (N+1, N-1)."""
+    """Return dA of contacts per common viscosity, (N+1, 1), or per given one, (N+1, N-1)."""
     last = chain.grains
     if np.ndim(chain.damping.viscoelastic) == 0:
         return sparse.csr_array(np.ones((last + 1, 1)))
@@ -277,7 +319,7 @@ def _diagonal(entries: Array) -> sparse.csr_array:
 
 
 def _by_modulus(chain: Chain) -> sparse.csr_array:
-    """Return dK/dE, (N+1, N), from E* = 1 / (1/M_above + 1/M_below); a wall has its grain's M."""
+    """Return dK/dE, (N+1, N), for E* = 1 / (1/M_above + 1/M_below) and the M of a wall's grain."""
     young = chain.by_grain("youngs_modulus")
     walls = (chain.top_material, chain.bottom_material)
     of_grains = chain.by_grain("plane_strain_modulus")

@@ -223,7 +223,7 @@ def _parameters(scene: Scene) -> list[str]:
     fields = scene.chain.given().keys()
     derived = not {"masses", "contact_constants"} <= fields
     names = []
-    for name in CANDIDATES:
+    for name in (*CANDIDATES, *params.names_of_formulas(scene.chain)):
         if name in OVERRIDES and name not in fields:
             continue
         # Diameters and moduli have no effect if masses and constants are given.

@@ -20,6 +20,7 @@ from ..util.notebook import Shown
 from ..util.remarks import note
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
+from .differences import FixedRun
 from .objectives import Seen, contact_force
 
 Field = Literal["velocity", "displacement", "force", "contact"]
@@ -133,7 +134,7 @@ class Traces(Shown, Tabular):
         return cls(reading.time, places, reading.values, **options)
 
     def grains(self, scene: Scene) -> list[int]:
-        """Return the grains that the traces need; raises `InputError` if the chain lacks one."""
+        """Return the grains that the traces need; raise `InputError` if the chain lacks one."""
         grains = scene.chain.grains
         first = 0 if self.field == "contact" else 1
         exists = scene.chain.contacts.exists
@@ -151,7 +152,7 @@ class Traces(Shown, Tabular):
 
 def model(
     scene: Scene,
-    run: AnyRun,
+    run: AnyRun | FixedRun,
     traces: Traces,
     change: Inputs | None,
     motion: tuple[Array, Array] | None,

@@ -7,17 +7,21 @@ from typing import Any
 
 import numpy as np
 
+from ..engines.stepping.rounding import native_floor
 from ..errors import InputError, RunFailed, shown
 from ..integrators.adjoint import Inputs
-from ..integrators.differentiation import differentiable, method_for
+from ..integrators.differentiation import AnyMethod, differentiable, method_for
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.units import FIELD_UNITS
 from . import parameters as params
 from .changes import changed
+from .differences import FixedRun, differentiate
 from .traces import Traces, model
 
-TURN = 0.5  # Initial phase of the fastest motion between two evaluation times, rad.
+TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
+# Relative error of a Jacobian by differences; the estimates of a fit do not depend on it.
+ACCURACY = 1e-5
 # Parameters that may change sign; all others stay above a tenth of their value.
 SIGNED = ("displacement", "velocity", "drive", "force", "amplitude")
 LOWEST = -0.9
@@ -129,26 +133,60 @@ class Problem:
         changes = [params.push(scene, name, direction[None]) for name, direction in self.along]
         return Inputs(*(np.concatenate(inputs) for inputs in zip(*changes, strict=True)))
 
-    def _predict(self, theta: Array, derivatives: bool) -> list[tuple[Array, Array]]:
-        """Return the values of all traces in the scene, (T, G), and derivatives, (K, T, G)."""
-        from scipy.interpolate import make_interp_spline
+    def _tables(self, scene: Scene, derivatives: bool) -> tuple[Array, list[Array]]:
+        """Return the times of a run, (L,), and for each trace its values and derivatives there.
 
-        scene = changed(self.scene, self.by_name(theta))
-        names = [name for name, _ in self.along]
-        method = method_for(self.scene, names, "rkn4")
+        Each is an array (L, D+1, G), with the derivatives by D unknowns of the scene, if requested.
+        """
+        method = method_for(self.scene, [name for name, _ in self.along], "rkn4")
+        if params.by_differences(self.scene):
+            return self._tables_by_differences(scene, method, derivatives)
         run = differentiable(scene, method, scene.duration, self.looks, self.grains)
         if not np.isfinite(run.velocity).all():
             raise RunFailed(f"the motion breaks down with steps of {run.step:.3g} s")
         # Nuisance parameters of the traces do not need the tangent of the motion.
         change = self._directions(scene) if derivatives and self.along else None
         motion = None if change is None else run.push(change)
+        models = [model(scene, run, trace, change, motion) for trace in self.traces]
+        return run.time, [
+            np.concatenate((values[None], rates)).transpose(1, 0, 2) for values, rates in models
+        ]
+
+    def _tables_by_differences(
+        self, scene: Scene, method: AnyMethod, derivatives: bool
+    ) -> tuple[Array, list[Array]]:
+        """Return what `_tables` does, from runs with changed parameters."""
+
+        def values_of(near: Scene) -> Array:
+            run = FixedRun.of(near, method, near.duration, self.looks, self.grains)
+            return np.concatenate(
+                [model(near, run, trace, None, None)[0] for trace in self.traces], axis=1
+            )
+
+        time = np.linspace(0.0, scene.duration, self.looks + 1)
+        rows = values_of(scene)[None]
+        if derivatives:
+            size = float(np.abs(rows).max())
+            floor = native_floor(self.looks * method.evaluations, scene.total_phase)
+            slopes = [
+                differentiate(scene, name, direction[None], values_of, floor * size, ACCURACY).slope
+                for name, direction in self.along
+            ]
+            rows = np.concatenate((rows, *slopes))
+        ends = np.cumsum([len(trace.places) for trace in self.traces])[:-1]
+        return time, np.split(rows.transpose(1, 0, 2), ends, axis=2)
+
+    def _predict(self, theta: Array, derivatives: bool) -> list[tuple[Array, Array]]:
+        """Return the values of all traces in the scene, (T, G), and derivatives, (K, T, G)."""
+        from scipy.interpolate import make_interp_spline
+
+        scene = changed(self.scene, self.by_name(theta))
+        time, tables = self._tables(scene, derivatives)
         predictions = []
         index = len(self.along)
-        for trace in self.traces:
-            values, rates = model(scene, run, trace, change, motion)
-            both = np.concatenate((values[None], rates)).transpose(1, 0, 2)
+        for trace, both in zip(self.traces, tables, strict=True):
             # A quintic spline through all times of the run gives values at the measured times.
-            spline = make_interp_spline(run.time, both, k=5)
+            spline = make_interp_spline(time, both, k=5)
             late = theta[index] * self.units[index] if trace.trigger else 0.0
             when = trace.time - late
             inside = np.clip(when, 0.0, scene.duration)

@@ -42,8 +42,8 @@ from .draws import (
 
 Measure = Callable[[Trajectory], Any]
 Distribution = Literal["normal", "uniform"]
-BATCH = 16  # chains that are in memory at a time
-BAND = (0.05, 0.95)  # quantiles between which a picture is shaded
+BATCH = 16  # Number of chains in memory at a time.
+BAND = (0.05, 0.95)  # Quantiles between which a picture is shaded.
 OF_GRAINS: dict[str, Of] = {
     "diameter": "diameter",
     "youngs_modulus": "youngs_modulus",

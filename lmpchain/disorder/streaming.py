@@ -22,7 +22,7 @@ from ..util.plotting import Axes
 from ..util.progress import ProgressBar
 from .draws import Law, Of, check, fault_of_count, realisation
 
-BATCH = 16  # number of chains in a batch
+BATCH = 16  # Number of chains in a batch.
 
 
 class Draw(NamedTuple):

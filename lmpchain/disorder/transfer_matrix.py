@@ -37,7 +37,7 @@ from ..util.progress import ProgressBar
 from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
 
-PIECE = 2**16  # number of grains drawn at a time
+PIECE = 2**16  # Number of grains drawn at a time.
 # Initial fraction of each chain that is ignored, because its ratios still depend on the top grain
 # (analysis/calibration/transfer_matrices.py).
 WARM_UP = 0.1
@@ -269,7 +269,7 @@ def _transfer(
 
 
 def _wave(z: Array, omega2: Array, slowness: float) -> tuple[Array, Array]:
-    """Return the logarithm of amplitude over |u|, and the phase, of the wave in the mean chain.
+    """Return log(A / |u|) and the phase phi of the wave in the mean chain.
 
     In the mean chain ``u_n = A cos(q n + phi)``, so that
     ``u_n^2 + t^2 - 2 cos(q) u_n t = A^2 sin(q)^2`` with ``t = u_(n+1)``.

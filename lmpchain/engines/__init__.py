@@ -55,7 +55,7 @@ def names() -> tuple[str, ...]:
 
 
 def automatic(when: Literal["cheapest", "last"] = "cheapest") -> tuple[str, ...]:
-    """Return the names of the engines that "auto" chooses from, see `Engine.auto`."""
+    """Return the names of the engines that "auto" chooses from (see `Engine.auto`)."""
     return tuple(name for name in REGISTRY if class_of(name).auto == when)
 
 
@@ -121,7 +121,7 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
 
 
 def brief(engine: str, refusal: str) -> str:
-    """Return the first reason of a refusal without the name of the engine and the remedy."""
+    """Return the first reason for a refusal, without the name of the engine and the remedy."""
     return re.split("; |: ", refusal.removeprefix(f"{engine} "))[0]
 
 

@@ -37,7 +37,7 @@ def seconds(engine: str, start_up_s: float, work_s: float) -> float:
 
 
 class TooLong(LmpchainError):
-    """Raised for work that exceeds the budget of its caller, see `budget`."""
+    """Raised for work that exceeds the budget of its caller (see `budget`)."""
 
 
 # Largest expected time of work, s, and the CPU time of this process at which work is stopped, s.

@@ -83,7 +83,7 @@ SHORT = 4
 
 
 class Inputs(NamedTuple):
-    """Inputs of a motion, or derivatives by them, or directions (D, ...) of change.
+    """Inputs of a motion, or derivatives with respect to them, or directions (D, ...) of change.
 
     Attributes
     ----------
@@ -132,14 +132,14 @@ class Call(NamedTuple):
 
 
 def make_aligned(rows: int, width: int) -> Array:
-    """Return zeros (rows, width), with rows of whole cache lines aligned to cache lines."""
+    """Return an array of zeros (rows, width) whose memory is aligned to cache lines."""
     memory = np.zeros(rows * width + PAD)
     skip = -memory.ctypes.data // memory.itemsize % PAD
     return memory[skip : skip + rows * width].reshape(rows, width)
 
 
 def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
-    """Return derivatives by the constants and the forces at rest of all contacts, (N+1,) arrays.
+    """Return the gradient over the constants and rest forces of all contacts, (N+1,) arrays.
 
     They follow from the sums over p and f, see `kernels.adjoint`; those by constants are at a
     constant force at rest.
@@ -288,7 +288,7 @@ class DifferentiableRun(ObservedRun):
         self._fill_motion_of_driven(values)
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of a result by all inputs, given those by the observed motion.
+        """Return the gradient of a result over all inputs, given that over the observed motion.
 
         Parameters
         ----------

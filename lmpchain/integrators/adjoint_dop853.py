@@ -205,7 +205,7 @@ class DifferentiableDampedRun(ObservedRun):
         )
 
     def _calls(self) -> list[NDArray[np.intp]]:
-        """Return the first piece of each call, and the piece after its last, (2,) each."""
+        """Return the range of pieces of each call: the first one, and the one after the last."""
         count = self._pieces.starts.size - 1
         # An imposed force or motion is stored for each stage of a call.
         size = max(1, CHECKPOINTS.steps_of_call // self._longest) if self.imposed else count
@@ -221,7 +221,7 @@ class DifferentiableDampedRun(ObservedRun):
         return np.append(times, self.time[-1]) if end == self.steps else times.ravel()
 
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
-        """Return the derivatives of a result by all inputs, given those by the observed motion.
+        """Return the gradient of a result over all inputs, given that over the observed motion.
 
         See `adjoint.DifferentiableRun.pull`.
         """

@@ -161,7 +161,7 @@ class ChainBatch:
         arrays = self.arrays
         contacts = slice(PAD - 1, PAD + self.grains)
         inverse_length = arrays.inverse_length[:, contacts]
-        # The smallest strain is that of one kink: contacts with more count as open.
+        # The smallest strain is defined for one kink only; contacts with several count as open.
         if len(kinks) > 1:
             arrays.least_strain[:] = -1.0
         arrays.opening_weight[:] = arrays.opening_reach[:] = 0.0
@@ -297,7 +297,7 @@ def _nothing_imposed(
 
 
 def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array, Array, Array]:
-    """Return overlap, m, force, N, constant, and stiffness, N/m, at rest, (R, N+1) arrays each.
+    """Return the overlap (m), force (N), constant and stiffness (N/m) at rest, (R, N+1) each.
 
     Contacts that only touch among pressed contacts get the overlap `TOUCHING` and no stiffness,
     because the compiled forms of the force need a length. The difference from the law without load

@@ -21,7 +21,7 @@ DIFFERENTIABLE: dict[str, AnyMethod] = {**SPLITTINGS, DOP853.name: DOP853}
 
 
 def method_for(scene: Scene, names: Collection[str], by_default: str) -> AnyMethod:
-    """Return the method for derivatives by these parameters; DOP853 if there is any damping."""
+    """Return the method for the gradient over these parameters; DOP853 with any damping."""
     damped = scene.chain.damped or any(name.startswith("damping.") for name in names)
     return DOP853 if damped else DIFFERENTIABLE[by_default]
 

@@ -60,7 +60,7 @@ class Steps(NamedTuple):
         adaptive: bool = False,
         coarse_openings: bool = False,
     ) -> Steps:
-        """Return steps with this number per landing interval; samples are `interval` s apart."""
+        """Return `per_landing` steps per landing interval; samples are `interval` s apart."""
         step = interval * stride / per_landing
         dense = int(stride > 1)
         return cls(per_landing, stride, step, adaptive, 1.0, coarse_openings, dense)
@@ -133,7 +133,7 @@ class Steps(NamedTuple):
 
 
 # Row of the compiled loops: the fields of `Steps`, the time between two samples in s and the number
-# of the last sample. The loops fill in the current landing: its begin and end, s, its length, s,
+# of the last sample. The loops fill in the current landing: its start and end, s, its length, s,
 # and its steps and their length, s, if all are equal.
 CLOCK = np.dtype(
     [
@@ -154,7 +154,7 @@ def clocks(schedules: Sequence[Steps], interval: float, final: int) -> NDArray[A
 
 @dataclass(frozen=True)
 class OpeningSteps:
-    """Lengths of steps near an opening, see analysis/calibration/adaptive_steps.py.
+    """Lengths of steps near an opening (see analysis/calibration/adaptive_steps.py).
 
     Attributes
     ----------

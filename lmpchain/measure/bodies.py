@@ -44,7 +44,7 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
 
 
 def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, Array]:
-    """Return displacements, m, and velocities, m/s, of grains or walls (0 and N + 1), (T, B) each.
+    """Return the displacements (m) and velocities (m/s) of grains or walls, (T, B) each.
 
     Parameters
     ----------

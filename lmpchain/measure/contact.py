@@ -259,7 +259,7 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
 
 
 def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
-    """Return displacement, velocity and acceleration of the driven grain or wall, m, m/s, m/s2.
+    """Return the displacement, velocity and acceleration of the driven body, m, m/s, m/s2.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ def local_maxima(values: Array) -> NDArray[np.intp]:
 
 
 def first_crests(time: Array, signals: Array) -> tuple[Array, Array]:
-    """Return time and height of the first maximum of each signal above half of its largest value.
+    """Return the time and height of the first maximum above half of the largest value.
 
     Parameters
     ----------
@@ -180,7 +180,7 @@ def first_passages(time: Array, signals: Array) -> Array:
 
 
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
-    """Return time and height of the maximum near a sample by a quintic spline.
+    """Return the time and height of the maximum near a sample by a quintic spline.
 
     The spline runs through every `stride`-th sample around it.
 

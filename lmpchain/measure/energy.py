@@ -427,7 +427,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     losses = _sum_losses(scene, time, contacts, v, fast)
     elastic = chain.contacts.energy(closer).sum(1)
     pull = _ground_of(chain, u, off)
-    total = (chain.masses * v**2).sum(1) / 2 + elastic  # as Chain.excess_energy
+    total = (chain.masses * v**2).sum(1) / 2 + elastic  # As in Chain.excess_energy.
     total = total + pull.energy.sum(1)
     # The error of the trajectory propagates to the energies.
     total_error = chain.masses * fast * (np.abs(v) + fast / 2)
@@ -465,9 +465,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
         work, drive_error = integral(power, change, pieces.work)
         drive = work + push.inertia / 2 * (speed**2 - speed[0] ** 2)
         # An applied force is exact, and so is the speed of a driven body.
-        driven = _doubt_of_driver(scene, doubt)
-        if scene.excitation.driven and chain.ground is not None:
-            driven = driven + pull.doubt[:, 0]
+        driven = _doubt_of_driver(scene, doubt, pull.doubt)
         moves = scene.drive is not None
         drive_error += _area(time, np.abs(speed) * driven if moves else np.abs(push.force) * fast)
         if push.on_grain:
@@ -549,11 +547,13 @@ def _area(time: Array, size: Array | float) -> float:
     return float(np.trapezoid(np.broadcast_to(size, time.shape), time))
 
 
-def _doubt_of_driver(scene: Scene, doubt: Array) -> Array:
-    """Return the error of the force on the driven body, (T,) N, given those of the contacts."""
+def _doubt_of_driver(scene: Scene, doubt: Array, of_ground: Array) -> Array:
+    """Return the error of the force on the driven body, (T,) N, from contacts and ground."""
     if scene.excitation.from_below:
         return doubt[:, scene.chain.movable]
-    return np.asarray(doubt[:, :2].sum(1)) if scene.excitation.driven else doubt[:, 0]
+    if scene.excitation.driven:
+        return np.asarray(doubt[:, :2].sum(1) + of_ground[:, 0])
+    return doubt[:, 0]
 
 
 def _carries(scene: Scene) -> bool:
@@ -769,7 +769,7 @@ def _integral(
 
 
 def _integrate(time: Array, value: Array, slope: Array | None) -> Array:
-    """Return the integral of the curve through samples up to each; infinite for one sample."""
+    """Return the integral of an interpolant up to each sample; infinite for one sample."""
     if len(time) < 2:
         return np.full((1, *value.shape[1:]), np.inf)
     if slope is None:

@@ -175,7 +175,7 @@ def wave(
     cell: int = 1,
     periods: int | None = None,
 ) -> HarmonicWave:
-    """Measure phase and decay per cell of the wave in a chain that is driven at one frequency.
+    """Measure the phase and decay per cell of the wave in a chain driven at one frequency.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ __dir__ = listed(__name__)
 # accelerations computed from the samples; see analysis/calibration/between_samples.py.
 RESOLVED = 2.0
 RESOLVED_BY_DIFFERENCES = 0.7
-# What to use in place of the force on a held last grain that is driven.
+# Remedy if the force on a held last grain is requested, but that grain is driven.
 OF_DRIVER = "the last grain is driven: use measure.contact.drive_force, with its inertia"
 
 
@@ -220,7 +220,7 @@ class Motion:
     def fronts(
         self, field: Field, fraction: float, fall: float | None = None, width: bool = True
     ) -> Array:
-        """Return time, height and width of the front and their errors, (G, 6).
+        """Return the time, height and width of the front and their errors, (G, 6).
 
         See `front.track`; the motion falls by `fall` at least after the front, by default by its
         error.

@@ -41,11 +41,11 @@ from .shock import find, medium_of, wave_of
 
 __dir__ = listed(__name__)
 
-# Share of the way at which the waves are measured, and half the distance over which their speed is.
+# Fraction of the path at which the waves are measured, and half the distance for their speed.
 PLACE = 0.7
 HALF_DISTANCE = 4
-LEAST_HEIGHT = 0.05  # of the jump, from trough to crest, of the waves that are measured
-DRAWN = 6  # orbits in a picture
+LEAST_HEIGHT = 0.05  # Smallest height of a measured wave, trough to crest, relative to the jump.
+DRAWN = 6  # Number of orbits in a picture.
 COLUMNS = (
     "self_similar",
     "phase_speed",
@@ -60,7 +60,7 @@ COLUMNS = (
     "orbit_mean",
     "orbit_mean_error",
 )
-POINTS = 201  # of an orbit from crest to trough
+POINTS = 201  # Number of points of an orbit from crest to trough.
 
 
 class ClosedOrbit(NamedTuple):

@@ -77,7 +77,7 @@ class Power(Shown, Tabular):
 
     @property
     def linear_share(self) -> float:
-        """This fraction in linear theory."""
+        """Predicted fraction in linear theory."""
         return self.linear / self.linear_input
 
     def plot(self, ax: Axes | None = None) -> Axes:

@@ -220,7 +220,7 @@ class Shock(Shown, Tabular):
         return finish(ax, f"{self.kind}: overlaps over place and time", below=0.16, **shade)
 
     def _best_prediction(self, name: str) -> list[tuple[str, float]]:
-        """Return name and speed of the best prediction of an edge; None without a theory."""
+        """Return the name and speed of the best prediction of an edge; None without a theory."""
         for theory, edges in self.predictions.items():
             if np.isfinite(speed := getattr(edges, name)):
                 return [(AUTHORS.get(theory, theory), float(speed))]
@@ -254,7 +254,7 @@ class TravellingWave(NamedTuple):
 
 
 class _Answer(NamedTuple):
-    """Edges and thickness, grains, of a wave of one kind, and the theoretical predictions."""
+    """The edges and thickness (in grains) of a wave of one kind, with theoretical predictions."""
 
     kind: Kind
     leading: Edge
@@ -481,7 +481,7 @@ def _span_before_echoes(
     start = 0.0
     until = np.inf
     if sound := gas.sound(float(overlap[0, -1])):
-        # A shock is faster than sound at the end, and a rarefaction as fast.
+        # A shock arrives faster than sound, and a rarefaction at the speed of sound.
         until = (contacts - source) / sound
     if isinstance(excitation, Drive | Force):
         # A step of the same final speed or force would have begun at this time.
@@ -521,7 +521,7 @@ def _check_push(excitation: Excitation, time: Array, near: Array, way: str) -> N
 
 
 def _plateau(wave: TravellingWave, gas: Medium, ahead: State) -> tuple[State, State]:
-    """Return mean velocity and overlap behind the wave, and twice their standard deviations."""
+    """Return the mean velocity and overlap behind the wave, and two standard deviations."""
     late = slice(-(len(wave.time) // 5), None)
     sound = gas.sound(ahead.overlap)
     behind = float(np.median(wave.overlap[late, wave.source + 1 : wave.source + 4]))

@@ -543,7 +543,7 @@ System = tuple[Chain, Drive | Force | None]
 def _vary(
     orbit: Orbit, parameter: str | Callable[[float], Chain], start: float | None
 ) -> tuple[Callable[[float], System], float]:
-    """Return chain and drive as a function of the parameter, and the orbit's parameter value."""
+    """Return the chain and drive as a function of the parameter, and the orbit's value."""
     chain = orbit.chain
     drive = orbit.drive
     if not isinstance(parameter, str):
@@ -562,7 +562,7 @@ def _vary(
 
 
 def _vary_number(orbit: Orbit, parameter: str) -> tuple[Callable[[float], System], float]:
-    """Return chain and drive as a function of a chain or damping property, and its value."""
+    """Return the chain and drive as a function of a chain or damping property, and its value."""
     chain = orbit.chain
     drive = orbit.drive
     room, _, name = parameter.removeprefix("chain.").rpartition(".")

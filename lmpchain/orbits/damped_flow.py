@@ -32,7 +32,7 @@ class DampedFlow(Flow):
         return super().canonical(displacement, velocity - self._creep(displacement))
 
     def physical(self, state: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain, (N,) each, at t = 0."""
+        """Return the displacement and velocity of every grain, (N,) each, at t = 0."""
         u, w = self._rows(state)
         return u, w + self._creep(u) * self._moves
 

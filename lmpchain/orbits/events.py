@@ -160,7 +160,7 @@ def _values(member: Member) -> Complex:
 
 
 def _centre(member: Member) -> float:
-    """Return the mean at which two pairs of multipliers have met: the closest two means."""
+    """Return the mean (A + 1/A) / 2 at which two pairs of multipliers collided; 0 if none did."""
     pairs = _complex(_values(member))
     return float(pairs.real[np.abs(pairs.imag).argmin()]) if pairs.size else 0.0
 

@@ -46,9 +46,10 @@ def means(matrix: Array) -> Complex:
 
 @in_one_thread
 def reversible_means(half: Array) -> Complex:
-    """Return the means of an orbit at rest at t = 0, from the tangent map of half its period.
+    """Return (A + 1/A) / 2 of each pair of multipliers, from the tangent map of half a period.
 
-    With the blocks a, b, c, d of that map, (A + 1/A) / 2 is 1 + 2 b^T c for the displacements.
+    The orbit is at rest at t = 0. With the blocks a, b, c, d of the map of half a period, these
+    means are the eigenvalues of 1 + 2 b^T c, which acts on displacements.
     """
     _, b, c, _ = blocks(half)
     return (1 + 2 * eigvals(b.T @ c)).astype(complex)

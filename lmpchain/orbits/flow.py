@@ -140,7 +140,7 @@ class Flow:
         return np.stack((displacement[..., self.free], velocity[..., self.free]), -2) * self.units
 
     def physical(self, state: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain, (N,) each, at t = 0.
+        """Return the displacement and velocity of every grain, (N,) each, at t = 0.
 
         A driven grain has none.
         """
@@ -216,7 +216,7 @@ class Flow:
         """Convert the rows of the compiled loop to displacements and velocities, (2, K+1, N)."""
 
     def _imposed(self, share: Array) -> Array:
-        """Return the motion, m, or the force, N, of the drive at fractions of the period."""
+        """Return the motion (m) or the force (N) of the drive at fractions of the period."""
         if self.drive is None:
             return np.zeros(0)
         # Whole cycles are subtracted, because the sine of a small phase is the most accurate.

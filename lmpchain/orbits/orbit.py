@@ -194,7 +194,7 @@ class Orbit(Shown, Tabular):
         return viscous_force(contacts, self.chain.contact_viscosity, overlap, closing)
 
     def direction(self, number: int = 1) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) of an unstable Floquet direction.
+        """Return the displacement and velocity (N,) of an unstable Floquet direction.
 
         Its largest displacement is 1 m. For a complex multiplier it is the real part, which turns
         as it grows.

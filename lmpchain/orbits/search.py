@@ -144,7 +144,7 @@ def _flow(chain: Chain, period: float | None, drive: Drive | Force | None) -> tu
 
 
 def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, float]:
-    """Return the displacement (N,), m, and the period, s, of a small linear mode.
+    """Return the displacement (N,) and the period (s) of a small linear mode.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ class Newton:
 
 
 NEWTON = Newton()
-FILTERS = Lock()  # Protects the warning filters, which all threads share.
+FILTERS = Lock()  # This lock protects the warning filters, which all threads share.
 
 
 class OrbitPoint(NamedTuple):
@@ -202,7 +202,7 @@ class Solution(NamedTuple):
     mesh : (K,) array
         Steps, as fractions of the period.
     slopes : (R, U) array
-        Derivatives of all equations by the unknowns.
+        Derivatives of all equations with respect to the unknowns.
     residual : float
         Largest residual, over the size of the orbit.
     iterations, relaid : int

@@ -170,7 +170,7 @@ def _sections(trajectory: Trajectory, bar: ProgressBar) -> Iterator[Section]:
 def _cards(
     trajectory: Trajectory, linear: Trajectory | None, origin: Mapping[str, str]
 ) -> Iterator[tuple[str, str, str]]:
-    """Yield name, value and remark of each card."""
+    """Yield the name, value and remark of each card."""
     scene = trajectory.scene
     error = trajectory.error_estimate
     cost = trajectory.cost

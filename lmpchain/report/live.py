@@ -198,7 +198,7 @@ def _columns(trajectory: Trajectory, between: tuple[int, int]) -> np.ndarray:
 
 
 def _energies(trajectory: Trajectory) -> tuple[Array | None, Array | None]:
-    """Return kinetic and total energy above rest, (T,) J, if all grains were recorded."""
+    """Return the kinetic and total energy above rest, (T,) J, if all grains were recorded."""
     try:
         ledger = energy.ledger(trajectory)
     except InputError:

@@ -14,7 +14,7 @@ NOT_RECORDED = {"date": "not recorded", "command": "not recorded"}
 
 
 def origin(path: str | PathLike[str] | None) -> dict[str, str]:
-    """Return date and command of a saved run; the date of the file if none is stored."""
+    """Return the date and command of a saved run; the date of the file if none is stored."""
     answer = dict(NOT_RECORDED)
     if path is None:
         return answer
@@ -37,7 +37,7 @@ def _of_folder(path: Path) -> tuple[str, str]:
 
 
 def _of_file(path: Path) -> tuple[str, str]:
-    """Return date and command from the attribute `history` of a NetCDF file."""
+    """Return the date and command from the attribute `history` of a NetCDF file."""
     import h5py
 
     check_seal(path)

@@ -197,7 +197,7 @@ def spectra(run: Trajectory) -> Panel:
     ax.locator_params(axis="x", nbins=4)
     first, last = extent(run)
     ax.set_ylim(last + 0.5, first - 0.5)
-    # A lasting displacement appears at 0 Hz, which is ignored because it is no oscillation.
+    # A lasting displacement appears at 0 Hz, which is ignored because it is not an oscillation.
     heard = np.where(result.frequency[:, None] > 0, result.amplitude, 0.0)
     row = np.unravel_index(heard.argmax(), heard.shape)[0]
     strongest = si(result.frequency[row], "Hz", 1)

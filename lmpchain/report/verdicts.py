@@ -156,7 +156,7 @@ def linear_verdict(run: Trajectory, linear: Trajectory) -> str:
 def facts(
     run: Trajectory, linear: Trajectory | None, passed: front.Front | str, tolerance: float
 ) -> Iterator[tuple[str, str]]:
-    """Yield name and text of the facts beside the live figure of a run.
+    """Yield the name and text of the facts beside the live figure of a run.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ class _Acting(Measured):
         return np.array([self.amplitude, self.frequency or 0.0])
 
     def _begin(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity (N,) at t = 0, as given by `start`."""
+        """Return the displacement and velocity (N,) at t = 0, as given by `start`."""
         if self.start is None:
             return np.zeros(chain.grains), np.zeros(chain.grains)
         return self.start.initial(chain)
@@ -338,7 +338,7 @@ class Drive(_Acting):
         return chain.movable + 1 if self.from_below else self.grain
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         u, v = self._begin(chain)
         if 1 <= self.body(chain) <= chain.grains:
             v[self.body(chain) - 1] = self.motion(0.0)[1]
@@ -378,7 +378,7 @@ class Drive(_Acting):
         return self if self.start is None else self.replace(start=self.start.part(first, last))
 
     def motion(self, t: float | Array) -> tuple[Array, Array]:
-        """Return displacement, m, and velocity, m/s, of the driven body at these times, s."""
+        """Return the displacement (m) and velocity (m/s) of the driven body at these times (s)."""
         return self.waveform.at(t), self.waveform.at(t, 1)
 
     def acceleration(self, t: Array) -> Array:
@@ -475,7 +475,7 @@ class Force(OneGrain, _Acting):
         yield from self._start_faults(chain, duration)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         return self._begin(chain)
 
     def reach(self, chain: Chain) -> tuple[int, int]:
@@ -507,7 +507,7 @@ class Force(OneGrain, _Acting):
             return np.zeros(chain.grains), np.zeros(chain.grains)
         contacts = chain.contacts.of(slice(self.grain - 1, self.grain + 1))
         distance = max(contacts.of(n).squeezed_by(size) for n in np.flatnonzero(contacts.exists))
-        # The speed is limited by the impulse on a free grain, and by the work over that distance.
+        # Two bounds on the speed: the impulse on a free grain, and the work over `distance`.
         speed = min(self.waveform.gained / mass, float(np.sqrt(2 * size * distance / mass)))
         displacement = self.at_grain(chain, speed * np.sqrt(mass * distance / size))
         return displacement, self.at_grain(chain, speed)

@@ -126,11 +126,11 @@ class Excitation(Checked):
 
     @abstractmethod
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
+        """Return the displacement (N,) m and velocity (N,) m/s at t = 0, positive downward."""
 
     @abstractmethod
     def faults(self, chain: Chain, duration: float) -> Iterator[tuple[str, str]]:
-        """Yield key and message of each fault for this chain and duration, s."""
+        """Yield the key and message of each fault for this chain and duration, s."""
 
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Return the largest imposed displacement (N,) m and velocity (N,) m/s."""
@@ -196,7 +196,7 @@ class OneGrain(Excitation):
             yield "grain", f"grain {self.grain} is held; choose one of 1 to {chain.movable}"
 
     def reach(self, chain: Chain) -> tuple[int, int]:
-        """Return the number of the excited grain, as the first and the last."""
+        """Return the first and the last excited grain, which are both `grain`."""
         return self.grain, self.grain
 
     def part(self, first: int, last: int) -> Excitation:

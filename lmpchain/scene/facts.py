@@ -22,6 +22,7 @@ from ..chain.upside_down import turn_upside_down
 from ..util.arrays import Array, as_slice, read_only
 from ..util.lazy import cached_property
 from ..util.validation import make_unchecked
+from .acting import Force
 from .base import Excitation
 from .recording import Recording
 
@@ -162,7 +163,7 @@ class SceneFacts(Recording):
         _, near = self._surroundings
         displacement, speed = near.excitation.strongest(near.chain)
         # A contact that cannot hold the force lets its grain fly: the time is what limits it.
-        if displacement > speed * self.duration and near.excitation.does_work:
+        if isinstance(near.excitation, Force) and displacement > speed * self.duration:
             start = float(np.abs(near.excitation.initial(near.chain)[0]).max())
             displacement = min(displacement, start + speed * self.duration)
         return displacement, speed
@@ -467,7 +468,7 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
 
 
 def _fastest(scene: SceneFacts, first: int, last: int) -> float:
-    """Bound sqrt(k_max / m_min), rad/s, of grains first ... last, by the energy above rest."""
+    """Return an upper bound on sqrt(k_max / m_min) of grains first ... last, rad/s."""
     chain = scene.chain
     if chain.grains <= FEW_GRAINS:
         stiffness = chain.contacts.stiffness_bound(scene.overlap_bounds)
@@ -502,7 +503,7 @@ def _lossless_distance(x: float) -> int:
 
 
 def _damped_distance(viscosity: float, time: float) -> int:
-    """Return d from which all displacements behind viscous contacts are negligible.
+    """Return the number of grains beyond which viscous contacts transmit no motion.
 
     Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
     d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by

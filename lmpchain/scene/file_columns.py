@@ -167,7 +167,7 @@ def _times_among(table: NumberTable, places: Sequence[int]) -> list[int]:
 
 
 def _named_times(table: NumberTable, place: int) -> bool:
-    """Return whether the name of a column is one of times, and its unit is not a different one."""
+    """Return whether a column has the name of times, and a unit of time or no unit."""
     column = table.columns[place]
     fits = _in_seconds(table, place) or not unit_of(column.unit)
     return fits and column.name.lower() in TIMES

@@ -32,7 +32,7 @@ class Impulse(OneGrain):
     grain: Number = 1
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         return np.zeros(chain.grains), self.at_grain(chain, self.velocity)
 
     def strongest(self, chain: Chain) -> tuple[float, float]:
@@ -72,7 +72,7 @@ class Displacement(OneGrain):
     grain: Number = 1
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         return self.at_grain(chain, self.displacement), np.zeros(chain.grains)
 
 
@@ -122,7 +122,7 @@ class Profile(Measured):
                 yield key, f"must be 0 for grain {chain.grains}, which is held"
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         # The arrays are copied, because a drive overwrites the values of grain 1.
         displacement, velocity = (
             np.zeros(chain.grains) if values is None else values.copy()
@@ -233,7 +233,7 @@ class Packet(Excitation):
             # A real wave number exists only below 2 sqrt(k/m), because w = 2 sqrt(k/m) sin(q/2).
             if (2 * np.pi * self.frequency >= 2 * hops).any():
                 limit = f"{float(hops.min() / np.pi):.4g} Hz"
-                # There are two hops for each grain.
+                # Each grain has two values: to the contact below, and on to the next grain.
                 slowest = first + int(hops.argmin()) // 2
                 yield (
                     "frequency",
@@ -262,7 +262,7 @@ class Packet(Excitation):
         return self.replace(grain=self.grain - first + 1)
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         first, last = self.reach(chain)
         omega = 2 * np.pi * self.frequency
         hops = self._hops(chain, first, last)
@@ -341,7 +341,7 @@ class Riemann(Excitation):
             yield "velocity", f"must be 0 on the right, where grain {chain.grains} is held"
 
     def initial(self, chain: Chain) -> tuple[Array, Array]:
-        """Return displacement and velocity of every grain at t = 0."""
+        """Return the displacement and velocity of every grain at t = 0."""
         left = np.arange(1, chain.grains + 1) <= self.grain
         velocity = np.where(left, self.velocity[0], self.velocity[1])
         strain = np.where(left, self.strain[0], self.strain[1])

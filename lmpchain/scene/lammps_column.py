@@ -36,8 +36,8 @@ AT_REST = 1e-6  # Largest difference of an overlap from its value at rest, relat
 QUIET = 1e-6  # A grain is at rest below this fraction of the largest velocity.
 FEWEST_CONTACTS = 3  # Smallest number of contacts at rest that determine gravity and load.
 UNLIKE = 1e-2  # Relative scatter of forces above which a column is not at rest.
-FAR_WALL = 0.1  # Diameters to a wall beyond the column.
-RESOLVED = 1e-2  # Rounding up to which forces can be inferred.
+FAR_WALL = 0.1  # A wall whose gap exceeds this fraction of the grain's radius is ignored.
+RESOLVED = 1e-2  # Largest relative rounding error with which forces are inferred.
 
 
 class RunOptions(NamedTuple):
@@ -116,7 +116,7 @@ def infer_scene(
     Parameters
     ----------
     grains : RunGrains
-        At the begin of the scene.
+        At the start of the scene.
     source : LammpsInput, optional
         The input file, which has forces and fixes; without it the material must be given, and
         gravity and load follow from the overlaps.
@@ -557,7 +557,7 @@ class RunColumn:
         return forces, errors, still if still.sum() >= FEWEST_CONTACTS else np.ones_like(still)
 
     def _load(self, chain: Chain) -> tuple[float, float]:
-        """Return gravity, m/s2, and top load, N, from the input or from the overlaps."""
+        """Return the gravity (m/s2) and top load (N) from the input or from the overlaps."""
         forces, errors, quiet = self._forces(chain)
         weights = np.cumsum(chain.masses)[:-1]
         largest = float(np.abs(self._overlaps()).max())

@@ -75,7 +75,7 @@ class GrainForce(NamedTuple):
 
     @property
     def normal(self) -> float:
-        """The stiffness k between two grains of this model; in LAMMPS it is equal at a wall."""
+        """The stiffness k between two grains of this model, which LAMMPS also uses at a wall."""
         if self.elastic is None:
             return self.stiffness
         modulus, ratio = self.elastic

@@ -114,7 +114,7 @@ class _DataReader:
 def _read_atom(
     line: InputLine, words: list[str], style: str, styles: Sequence[str]
 ) -> tuple[int, RunAtom]:
-    """Return number and grain of a row of Atoms."""
+    """Return the number and grain of a row of Atoms."""
     if style == "hybrid" and not styles:
         raise line.refuse("is of a hybrid atom style: name the input that reads this file")
     known = (styles or ["sphere"]) if style in ("", "hybrid") else [style]
@@ -141,7 +141,7 @@ def _read_atom(
 
 
 def _sections(path: Path, text: str) -> Iterator[tuple[str, str, list[InputLine]]]:
-    """Yield name, atom style and rows of every section of a data file."""
+    """Yield the name, atom style and rows of every section of a data file."""
     title = style = ""
     rows: list[InputLine] = []
     for count, raw in enumerate(text.split("\n")[1:], 2):

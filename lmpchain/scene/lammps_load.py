@@ -10,7 +10,7 @@ from ..util.arrays import Array
 
 CERTAIN = 3.0  # Number of standard errors above which a value is certain.
 GRAVITIES = (9.81, 9.80665, 9.8)  # Usual values of gravity in inputs, m/s2.
-NEAR = 1e-5  # Relative difference of gravity from one of these, caused by residual motion.
+NEAR = 1e-5  # Relative difference from a usual gravity, caused by residual motion.
 # Forces over the largest one below which gravity and load are taken to be 0.
 LEAST_WEIGHT = 1e-7
 LEAST_LOAD = 1e-9

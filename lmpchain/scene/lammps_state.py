@@ -93,7 +93,7 @@ class RunFix(NamedTuple):
 
 
 class RunBond(NamedTuple):
-    """A bond of a type between two atoms."""
+    """A bond between two atoms, with its type."""
 
     kind: int
     first: int

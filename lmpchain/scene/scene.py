@@ -39,7 +39,7 @@ GATHERING_TURN = 0.5
 # Strike numbers at which the velocities of linear theory have this error after 100 us.
 ERRS_BY_1_PERCENT = 0.037
 ERRS_BY_10_PERCENT = 0.4
-DRAWN_AROUND = 10  # number of resting grains drawn on either side of the excited ones
+DRAWN_AROUND = 10  # Number of resting grains drawn on either side of the excited ones.
 
 
 class Scene(SceneFacts):
@@ -202,7 +202,7 @@ class Scene(SceneFacts):
         return self.replace(quantities=None) if self.quantities else self
 
     def initial(self) -> tuple[Array, Array]:
-        """Return displacement (N,) m and velocity (N,) m/s at t = 0."""
+        """Return the displacement (N,) m and velocity (N,) m/s at t = 0."""
         return self.excitation.initial(self.chain)
 
     @property

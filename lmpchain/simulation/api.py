@@ -370,7 +370,7 @@ class _Memory:
         return None
 
     def collect(self, _: Run, blocks: Iterable[Block]) -> tuple[Array, Array]:
-        """Return displacement and velocity, (T, G) m and m/s."""
+        """Return the displacement and velocity, (T, G) m and m/s."""
         scene = self._known
         u = v = np.empty(0)
         for block in blocks:

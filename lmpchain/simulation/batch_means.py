@@ -22,7 +22,7 @@ from ..util.arrays import Array
 
 @dataclass(frozen=True)
 class Batching:
-    """Numbers of batches and cosines, see analysis/calibration/batch_means.py.
+    """Numbers of batches and cosines (see analysis/calibration/batch_means.py).
 
     Attributes
     ----------

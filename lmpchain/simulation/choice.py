@@ -21,7 +21,7 @@ from ..util.provenance import versions
 from ..util.suggestions import not_among
 
 AUTO = "auto"
-REFUSED = "cannot do it: "  # Begin of the verdict on an engine that refuses a scene.
+REFUSED = "cannot do it: "  # Start of the verdict on an engine that refuses a scene.
 GIVEN_STEP = "none, for a step was given"  # Recorded instead of a tolerance.
 # Names of theories by equation.
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
@@ -75,7 +75,7 @@ def choose(
 
 
 def _choose(scene: Scene, tolerance: float) -> Proposal:
-    """Return the proposal of the cheapest engine, or raise `ToleranceNotMet`."""
+    """Return the proposal of the cheapest engine; raise `ToleranceNotMet` if there is none."""
     proposals = propose(scene, tolerance)
     best = cheapest(proposals)
     return _explain(best, plan=f"{best.engine}: {reason(best, proposals)}")

@@ -80,7 +80,7 @@ def is_run(folder: str | PathLike[str]) -> bool:
 
 
 def is_sealed(folder: Path) -> bool:
-    """Return whether lmpchain wrote the run specification in a folder, and it is unchanged."""
+    """Return whether the run specification in a folder is unchanged since lmpchain wrote it."""
     order = read_sealed_json(folder / RUN)
     try:
         text = (folder / SCENE).read_bytes().decode("utf-8")
@@ -365,7 +365,7 @@ def strangers(folder: Path) -> list[Path]:
 
 
 def _is_own(folder: Path, name: Path, sums: dict[str, str]) -> bool:
-    """Return whether lmpchain wrote a file or folder, and it is unchanged."""
+    """Return whether a file or folder is unchanged since lmpchain wrote it."""
     path = folder / name
     text = name.as_posix()
     if path.is_symlink() or not (path.is_dir() or path.is_file()):
@@ -420,7 +420,7 @@ def _read_sums(folder: Path) -> dict[str, str]:
 
 
 def write_sums(folder: Path, finished: bool) -> None:
-    """Write the hashes of final files: engine inputs at first, at the end all but the status."""
+    """Write the hashes of files: of engine inputs, or, when finished, of all but the status."""
     names = _inputs()
     if finished:
         names |= _names() - {STATUS, SUMS, *CHECKPOINT_FILES}

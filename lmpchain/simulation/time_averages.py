@@ -42,7 +42,7 @@ STEPS_AT_ONCE = 2**23  # Number of grains times steps between two opportunities 
 
 @dataclass(frozen=True)
 class Averaging:
-    """Parameters of time averages, see analysis/calibration/batch_means.py.
+    """Parameters of time averages (see analysis/calibration/batch_means.py).
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ class Averaging:
 
 @dataclass(frozen=True)
 class EnergyErrors:
-    """Relative energy errors of splittings, see analysis/calibration/batch_means.py.
+    """Relative energy errors of splittings (see analysis/calibration/batch_means.py).
 
     Attributes
     ----------
@@ -303,7 +303,7 @@ class _Course(NamedTuple):
 
 
 class _Sums(NamedTuple):
-    """Sums over the samples of each stretch, of Q quantities of R copies.
+    """Sums of Q quantities of R copies over the samples of each stretch.
 
     Attributes
     ----------
@@ -399,8 +399,8 @@ def averages(
 
     For a sonic vacuum between walls the microcanonical ensemble is known: the fraction of the
     kinetic energy has a beta distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
-    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, J. Stat. Mech. 2017, 123204 =
-    arXiv:1701.05546.
+    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, Phys. Rev. E 95, 032903
+    (2017), arXiv:1605.08970.
 
     Examples
     --------

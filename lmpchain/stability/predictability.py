@@ -97,7 +97,7 @@ def growth_rate(scene: Scene) -> float:
 
 
 def amplifies(scene: Scene) -> bool:
-    """Return whether `growth_rate` applies: a strike on top of few grains that opens contacts.
+    """Return whether `growth_rate` applies: a strike on a short chain opens contacts.
 
     Parameters
     ----------

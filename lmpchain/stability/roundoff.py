@@ -58,7 +58,7 @@ def floor(
 
 
 def long_double(scene: Scene) -> tuple[Array, Array]:
-    """Return displacement and velocity of the light cone, (T, N) m and m/s, in long double.
+    """Return the displacement and velocity of the light cone, (T, N) m and m/s, in long double.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def _speed(scene: Scene) -> float:
 
 
 def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, Array]:
-    """Return displacement and velocity, (T, N) m and m/s, by a splitting in long double."""
+    """Return the displacement and velocity, (T, N) m and m/s, by a splitting in long double."""
     chain = scene.chain
     mass = chain.masses.astype(Long)
     constant: Any = chain.contacts.constant.astype(Long)

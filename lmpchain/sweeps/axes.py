@@ -95,7 +95,7 @@ def _numeric(values: Sequence[Any]) -> bool:
 
 
 def _coordinate(values: Sequence[Any]) -> Array | list[str]:
-    """Return numbers as an array, lists of numbers as rows padded with NaN, and others as text."""
+    """Return numbers as an array, lists of numbers as rows padded with NaN, the rest as text."""
     if not _numeric(values):
         return [
             value if isinstance(value, str) else json.dumps(value, default=str) for value in values

@@ -61,7 +61,7 @@ class Processes(Executor):
         )
 
     def __enter__(self) -> Processes:
-        """Start a process; raises `InputError` if none can start, or its script ends it."""
+        """Start a process; raise `InputError` if none can start, or its script ends it."""
         try:
             self.submit(os.getpid).result()
         except OSError as error:

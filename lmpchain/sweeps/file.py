@@ -132,7 +132,7 @@ class Sweep:
         }
 
     def grains(self, position: Place) -> int:
-        """Return the number of grains that the table of a scene gives; raises `InputError`."""
+        """Return the number of grains of a scene; raise `InputError` if its table is invalid."""
         tables = self.tables_at(position)
         chain = tables.get("chain")
         count = chain.get("grains") if isinstance(chain, dict) else None
@@ -154,7 +154,7 @@ class Sweep:
         return _make_scene(json.dumps((tables, self.source["files"]), default=as_json), self.folder)
 
     def scene(self, position: Place) -> Scene:
-        """Make a scene; raises `InputError`."""
+        """Return the scene at a position; raise `InputError` if its options are invalid."""
         scene = self.regular_scene(position)
         disorder = self.disorder(position)
         if not disorder:
@@ -165,7 +165,7 @@ class Sweep:
             raise InputError(error.under("disorder")) from None
 
     def disorder(self, position: Place) -> Disorder | None:
-        """Return the options of the random contacts of a scene, if any; raises `InputError`."""
+        """Return the options of random contacts, if any; raise `InputError` if invalid."""
         table = self.tables_at(position).get("disorder")
         try:
             return None if table is None else Disorder(**table)

@@ -77,7 +77,7 @@ class Normal(Checked):
 
 
 def make_law(table: Any) -> Uniform | Normal:
-    """Return the law that a table describes; raises `InputError`."""
+    """Return the law that a table describes; raise `InputError` if the table is invalid."""
     if not isinstance(table, Mapping):
         cure = "such as {low = 1.0, high = 10.0} or {mean = 5.0, deviation = 1.0}"
         raise InputError.at("", f"must be a range or a distribution, {cure}")

@@ -93,7 +93,7 @@ QUANTITIES = {
     "velocity": SweepQuantity(
         ("time", "grain"), "m s-1", "velocity, downward", lambda motion, _: (motion.velocity,), True
     ),
-    # Quantities that a run can accumulate have the same names and units as there.
+    # Quantities that a run can accumulate have the names and units of `gathered`.
     "peak_displacement": SweepQuantity(
         *gathered.QUANTITIES["peak_displacement"],
         lambda motion, _: motion.peaks("displacement")[1:],

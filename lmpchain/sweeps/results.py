@@ -52,7 +52,8 @@ class Labels(NamedTuple):
 
 def make_labels(plan: Sweep) -> Labels:
     """Return the labels of a sweep; invalid scenes contribute none."""
-    # Along the other axes all scenes record the same, so the first one represents them.
+    # Along the other axes all scenes record the same grains and contacts, so the first scene
+    # represents them.
     lengths = [
         len(axis) if any(key == "chain" or key.startswith(SHAPING) for key in axis.columns) else 1
         for axis in plan.axes

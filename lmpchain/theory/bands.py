@@ -450,7 +450,7 @@ def _check_cell(cell: Cell) -> tuple[Array, Array, Array]:
 
 
 def _extensions(cell: Cell, q: Array) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Return B and its derivative by the wavenumber, (K, P + R + G, P + R) for G ground springs."""
+    """Return B and dB/dq for wavenumber q, (K, P + R + G, P + R) for G ground springs."""
     m, k, resonators = _check_cell(cell)
     ground = _check_ground(cell)
     size = m.size

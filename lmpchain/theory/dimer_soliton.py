@@ -255,7 +255,7 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
 
 @cache
 def _solve(near: float, delta: float) -> tuple[float, Array, Array]:
-    """Return mass ratio, positions and values of A for speed 1."""
+    """Return the mass ratio, and the positions and values of A, for speed 1."""
     points = GRID.points
     x = (np.arange(points) - points // 2) * GRID.period / points
     k = 2 * np.pi * np.fft.fftfreq(points, GRID.period / points)

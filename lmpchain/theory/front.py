@@ -183,7 +183,7 @@ def _near(n: ArrayLike, tau: ArrayLike, delta: float, derivative: int) -> Array:
 
 
 def _scales(n: ArrayLike, delta: float) -> tuple[Array, Array, float]:
-    """Return chi and w at grain n, and a."""
+    """Return chi, w and a at grain n."""
     xi, eta, _ = exponents(delta)
     message = "must be below 3: from there on waves are dispersed at the top, not at the front"
     require(("delta", delta < 3, message))

@@ -202,7 +202,10 @@ class Accumulator:
         return arrivals(*self._maxima(log), self._rules(FRACTION, error, error))
 
     def fronts(self, fraction: float, error: float, fall: float, width: bool) -> Array:
-        """Return time, height and width of the front and their errors, (G, 6), after `take_all`."""
+        """Return the time, height and width of the front and their errors, (G, 6).
+
+        `take_all` must be called first.
+        """
         rules = self._rules(fraction, error, fall, width)
         motion = (self._block, self._grains, self._derived)
         return fronts(*motion, *self._maxima(self.state["log"]), rules)

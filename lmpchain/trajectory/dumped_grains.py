@@ -99,7 +99,7 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     diameters = columns.get("diameter", 2 * columns.get("radius", unknown))[0]
     masses = columns.get("mass", unknown)[0]
     types = frames.columns[TYPE][0] if TYPE in frames.columns else np.zeros(count)
-    # Positions of the first frame may be round numbers, those of later frames are not.
+    # Positions of the first frame may be round numbers; those of later frames are not.
     written = frames.columns[frames.position_columns[along]]
     digit = frames.units.length * last_digit(written.ravel())
     spacing = float(np.spacing(np.abs(positions[0, :, along]).max()))

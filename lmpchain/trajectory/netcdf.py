@@ -39,7 +39,7 @@ def write_netcdf(record: Record, path: str | PathLike[str], overwrite: bool = Fa
 
 
 def read_netcdf(path: Path) -> tuple[dict[str, Any], Scene, dict[str, Array]]:
-    """Return metadata, scene and arrays of a file; raise an error if it is damaged or foreign.
+    """Return the metadata, scene and arrays of a file; raise an error if it is damaged.
 
     Only plain arrays in the file itself are read, after a check of their declared size.
     """

@@ -86,7 +86,7 @@ def stores(scene: Scene, present: Collection[str]) -> dict[str, Piece]:
 
 
 def metadata(node: Path) -> dict[str, Any]:
-    """Return the metadata of an array or group of Zarr format 3; raise `ValueError`, `OSError`."""
+    """Return the metadata of a Zarr 3 array or group; raise `ValueError` for other content."""
     path = node / "zarr.json"
     if path.exists():
         check_readable(path, LARGEST_JSON)

@@ -260,7 +260,7 @@ def _read_universal(content: bytes, largest: int) -> Arrays:
 
 
 def _datasets(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield number and lines of each dataset, which is enclosed by two lines with -1."""
+    """Yield the number and lines of each dataset, which is enclosed by two lines with -1."""
     marks = [index for index, line in enumerate(lines) if line.strip() == "-1"]
     for begin, end in zip(marks[::2], marks[1::2], strict=False):
         if end > begin + 1:
@@ -268,7 +268,7 @@ def _datasets(lines: list[str]) -> Iterator[tuple[str, list[str]]]:
 
 
 def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
-    """Return name, times, values and unit of a record of dataset 58."""
+    """Return the name, times, values and unit of a record of dataset 58."""
     head = lines[5]
     if int(head[:5]) != TIME_RESPONSE:
         raise ValueError(f"its function of type {int(head[:5])} is no time response (type 1)")
@@ -293,7 +293,7 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
 
 
 def _fixed(lines: Iterable[str], widths: tuple[int, ...], count: int) -> Iterator[float]:
-    """Yield numbers of fixed width that may have no blanks between them; at most one extra."""
+    """Yield `count` numbers, or one more, of fixed widths that need no blanks between them."""
     for line in lines:
         place = 0
         while line[place:].strip() and count >= 0:

@@ -158,7 +158,7 @@ def clock() -> float:
 
 @cache
 def _sources(module: Path) -> str:
-    """Return a hash of this module, a module, and its imports among neighbours and kernels."""
+    """Return a hash of the source of a module, of its relative imports, and of this module."""
     sources = {}
     waiting = [module, Path(__file__)]
     while waiting:

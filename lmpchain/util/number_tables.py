@@ -201,7 +201,7 @@ class NumberTable:
         return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
 
     def describe(self, place: int) -> str:
-        """Return number and header of a column as text."""
+        """Return the number and header of a column as text."""
         column = self.columns[place]
         name = f" ({column.name})" if column.name else ""
         return f"column {place + 1}{name}" + (f" in {column.unit}" if column.unit else "")

@@ -323,7 +323,7 @@ def _describe(error: ValidationError) -> Iterator[tuple[str, str]]:
         key = ".".join(map(str, fault["loc"]))
         cause = fault.get("ctx", {}).get("error")
         if isinstance(cause, InputError):
-            # The fault is in a value inside this one.
+            # The fault is in a nested value.
             yield from cause.under(key)
         elif fault["type"] == "value_error":
             yield key, str(cause)

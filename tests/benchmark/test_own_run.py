@@ -164,7 +164,7 @@ def test_single_precision_has_too_few_digits(dump: Path, tmp_path: Path):
     x, y = read_dump(dump)
     left_out = max(np.abs(u - x).max() / np.abs(x).max(), np.abs(v - y).max() / np.abs(y).max())
     assert causes(found)["digits"] == pytest.approx(left_out, rel=0.5)
-    assert re.search(r"some [78] digits", found.causes[1].why)
+    assert re.search(r"about [78] digits", found.causes[1].why)
 
 
 def test_errors_without_a_known_cause_are_reported(tmp_path: Path):
@@ -402,7 +402,7 @@ def test_unrecorded_grains_make_the_energy_unknown():
 
 
 def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):
-    """Adaptive steps around contact openings are more than equal steps."""
+    """A run with adaptive steps around openings has more steps than one with equal steps."""
     scene = small(Impulse(velocity=8.57e-3)).replace(duration=1e-4, samples=26)
     t = simulate(scene, "native", 1e-4)
     t.save(tmp_path / "run.nc")

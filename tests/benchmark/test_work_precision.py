@@ -281,10 +281,10 @@ def test_the_table_lists_the_time_to_each_error(found):
 
 
 def test_the_cheapest_way_to_an_error_has_it(found):
-    """A run with the engine, integrator and step of a row has the error by another integrator."""
+    """A run with the step of a row has the stated error, compared with another integrator."""
     u, v, _ = extended_reference(SCENE)
     ways = [*found.cheapest(), *found.cheapest("lammps")]
-    # On a busy machine the time ends early.
+    # On a busy machine the time limit may be reached early.
     assert ways[0].engine
     for way in ways:
         points = [p for p in found.points if p.error <= way.target and way.engine in ("", p.engine)]

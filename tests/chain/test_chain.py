@@ -246,7 +246,7 @@ def test_band_edge_against_a_dense_eigensolver(chain: Chain):
 
 @each_walled
 def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
-    """Walls are fixed bodies here; a wall that only touches is no spring."""
+    """Walls are fixed bodies here; a wall that only touches does not act as a spring."""
     size = chain.grains
     k = chain.contact_constants
     delta = chain.exponent
@@ -270,7 +270,7 @@ def test_band_edge_between_walls_against_a_dense_eigensolver(chain: Chain):
 
 
 def test_band_edge_between_like_walls():
-    """N equal springs between equal walls of constant kappa k: the determinant for two grains."""
+    """For two grains on three equal springs, w^2 follows from a 2 x 2 determinant."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
     k = chain.contact_constants[0]
     m = chain.masses[0]
@@ -719,8 +719,9 @@ def test_rubber_warns_beyond_hertz():
     "odd", [[], [Impurity(grain=7, mass=1e-9), Impurity(grain=9, diameter=3e-3)]]
 )
 def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impurity], monkeypatch):
-    """A hundred million grains would take gigabytes; the bound agrees with the arrays of long
-    chains.
+    """A column of a hundred million grains is rejected without allocating gigabytes.
+
+    The bound on the compression agrees with the arrays of long chains.
     """
     tracemalloc.start()
     try:

@@ -146,7 +146,7 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
 
 
 def test_the_bounce_of_one_grain():
-    """A grain on a wall without gravity: the time of a Hertzian collision by quadrature."""
+    """The contact time of a grain on a wall without gravity equals Hertz's quadrature."""
     chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
     m = float(chain.masses[0])
     k = float(chain.wall_constants[1])

@@ -411,7 +411,7 @@ def test_short_runs_are_timed_again(answer: Trajectory, monkeypatch: Any):
     trajectories, failures, _ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.5
     assert failures == []
-    times = iter([0.95])  # with the rest above 2 s
+    times = iter([0.95])  # With the rest, this is above 2 s.
     trajectories, *_ = compare._run_engines(answer.scene, {"native": 1e-5}, 30.0)
     assert trajectories[0].cost.integration_s == 0.95
 

@@ -113,7 +113,7 @@ def test_a_call_preserves_a_file_of_a_user(write, answer: Trajectory, tmp_path: 
     write(answer, path, overwrite=True)
     content = path.read_bytes()
     assert content != b"my own"
-    write(answer, path)  # As in a script that runs again.
+    write(answer, path)  # A script that runs again writes the same file.
 
 
 @pytest.mark.parametrize("name", ["column.data", "column.lammpstrj", "log.lammps", "in.column"])

@@ -170,7 +170,7 @@ def planned(scene: Scene, tolerance: float) -> Row:
 
 
 def batches() -> Iterator[tuple[str, Row]]:
-    """Yield name and result of ensembles and sweeps, which are run in batches."""
+    """Yield the name and result of ensembles and sweeps, which are run in batches."""
     column = Chain(grains=40, diameter=1e-3)
     for velocity in (1e-6, 8.57e-4):
         scene = Scene(chain=column, excitation=Impulse(velocity=velocity), duration=4e-5, samples=5)

@@ -1,5 +1,6 @@
-"""Gradients of damped chains against differences of independent Taylor series in extended
-precision, and adjoints against tangents.
+"""Gradients of damped chains against differences of independent solutions.
+
+The solutions are Taylor series in extended precision. Adjoints are compared with tangents.
 """
 
 from collections.abc import Callable

@@ -121,7 +121,7 @@ def test_undetermined_parameters_are_rejected():
 
 
 def test_traces_beyond_the_end_of_a_scene_are_refused():
-    """Such traces were once compared with the end of the scene, and gave a wrong estimate."""
+    """Traces after the end of a scene were once compared with its end, and gave a wrong fit."""
     with pytest.raises(InputError, match="must reach to the last value"):
         fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_modulus"])
 

@@ -1,5 +1,6 @@
-"""Gradients against extended-precision differences, the linear propagator, and runs at higher
-accuracy.
+"""Gradients against extended-precision differences and independent solutions.
+
+The solutions are those of the linear propagator, and runs at higher accuracy.
 """
 
 from typing import Any
@@ -206,8 +207,9 @@ def test_forcing_has_the_derivatives_of_extended_precision(what: str):
     reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True
 )
 def test_what_acts_has_derivatives_by_a_distant_wall():
-    """The wave moves grain N by 2e-5 of an overlap, so that the derivative is only accurate to
-    5e-8.
+    """The derivatives of a weak motion at a distant wall are accurate to 5e-8.
+
+    The wave moves grain N by only 2e-5 of an overlap.
     """
     check_scene(1, acted("burst of grain 1"))
 
@@ -342,8 +344,10 @@ def test_few_terms_give_every_digit_of_weak_waves(exponent: float, reach: float,
 
 @pytest.mark.parametrize("seed", [0, 3])  # Exponents 1.5 and 1.8.
 def test_adaptive_steps_keep_the_order_where_contacts_open(seed: int):
-    """Compared with very many equal steps, which are fifty times less accurate at four times the
-    number.
+    """Gradients of adaptive steps converge in order where contacts open.
+
+    The reference has very many equal steps. Four times as many equal steps as adaptive ones are
+    fifty times less accurate.
     """
     scene = drawn(seed)
     objective = Momentum([2])
@@ -410,8 +414,9 @@ def test_steps_that_are_none_are_refused(step: float):
 
 
 def test_two_steps_that_agree_by_chance_are_no_bound():
-    """With an opening, gradients at h and 2h are ten times closer to each other than to the true
-    one.
+    """Agreement of the gradients at h and 2h does not prove that they are accurate.
+
+    With an opening, they are ten times closer to each other than to the true gradient.
     """
     chain = Chain(
         grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
@@ -438,7 +443,7 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
 def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
     scene = drawn(seed)
     rng = np.random.default_rng(seed)
-    while scene.chain.exponent == 1.0:  # Of first order only.
+    while scene.chain.exponent == 1.0:  # For exponent 1, estimates are only of first order.
         scene = drawn(seed := seed + 1000)
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))
     objective = [PeakForce(contact), KineticEnergy([1, 2]), Momentum([2])][seed % 3]

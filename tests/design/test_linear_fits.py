@@ -153,7 +153,7 @@ def test_estimates_have_their_units():
 
 
 def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
-    """Of 200 draws, 68 and 95 % are within one and two standard deviations."""
+    """One and two standard deviations contain 68 and 95 % of 200 draws."""
     answer = fit(Traces(SCENE.time, [2, 5], noisy(4), noise=NOISE), SCENE, ["velocity"])
     column = columns()[:, 0]
     miss = [
@@ -166,8 +166,9 @@ def test_errors_of_linear_fits_cover_the_truth_as_often_as_they_say():
 
 
 def test_numbers_of_several_traces_have_names_units_and_begins():
-    """Triggers are in durations, gains in 1, offsets in the largest value, and entries in their
-    units.
+    """Each fitted number of a trace has a name, a unit and an initial value.
+
+    Triggers are in durations, gains in 1, offsets in the largest value, and entries in their units.
     """
     one = Traces(SCENE.time, [2, 5], noisy(1), trigger=True, gain=True, offset=True)
     two = Traces(SCENE.time[5:], [3], 4 * noisy(1)[5:, :1], offset=True)

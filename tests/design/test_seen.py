@@ -54,8 +54,9 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
 def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
     contact: int, viscosity: float
 ):
-    """Derivatives of closed and open contacts by overlap, rate, force at rest, constant and
-    viscosity.
+    """The derivatives of closed and open contacts agree with differences.
+
+    They are by overlap, rate, force at rest, constant and viscosity.
     """
     chain = Chain(
         grains=4,
@@ -296,7 +297,7 @@ def test_dense_objectives_look_at_every_quarter_of_a_radian_of_the_fastest_motio
 
 
 def test_the_error_of_gradients_is_some_ten_times_the_true_one_where_the_order_holds():
-    """For Verlet with steps h, 2h and 1.5h: 2.5 (3 + 1.25) = 10.6 times the error of order h^2."""
+    """The estimate from steps h, 2h and 1.5h of Verlet is 2.5 (3 + 1.25) = 10.6 times the error."""
     chain = Chain(grains=6, diameter=1e-3, top_load=0.05)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=2)
     names = ["masses", "contact_constants"]

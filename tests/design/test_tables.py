@@ -257,8 +257,9 @@ def test_a_result_depends_on_given_parameters_that_are_not_0():
 
 
 def test_steps_are_halved_until_two_comparisons_are_enough():
-    """The first comparison is with twice the step, the second with 1.5 times the step or a shorter
-    one.
+    """Steps are halved until two comparisons confirm the result.
+
+    The first comparison is with twice the step, the second with at most 1.5 times the step.
     """
     asked: list[tuple[float, int]] = []
 

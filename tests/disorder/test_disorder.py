@@ -64,8 +64,9 @@ def test_moments_of_the_factors(m, law, shape):
 
 @pytest.mark.parametrize("m", [2, 5, 30])
 def test_mean_compliance_of_the_printed_law(m):
-    """The mean of 1/zeta is 1 for every m, and its variance 1/(m-1), so that long waves keep their
-    speed.
+    """The mean of 1/zeta is 1 for every m, and its variance is 1/(m-1).
+
+    The mean of 1 preserves the speed of long waves.
     """
     compliance = 1 / factors(m, 10**6, generator(2), "paper")
     assert compliance.mean() == pytest.approx(1, rel=0, abs=5e-3 * np.sqrt(1 / (m - 1)))
@@ -189,7 +190,7 @@ def test_options_that_are_wrong(change, key):
 
 @pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
 def test_mean_and_standard_error(engine, count):
-    """Compared with all chains at once, each solved separately."""
+    """Batches give the same means as all chains at once, each solved separately."""
     scene = column(samples=5, grains=20, tau=6.0) if engine == "native" else column(samples=5)
     found = ensemble(scene, 2, count, seed=5, engine=engine)
     alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]

@@ -19,7 +19,7 @@ SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
 
 @pytest.mark.slow
 def test_intervals_cover_mean_and_quantiles() -> None:
-    """Of 2000 ensembles, at least 95 % of the intervals contain the true value."""
+    """At least 95 % of the intervals of 2000 ensembles contain the true value."""
     rng = np.random.default_rng(2)
     law = stats.gamma(5, scale=0.2)
     covers = np.zeros((2000, 4), bool)
@@ -41,7 +41,7 @@ def test_intervals_cover_mean_and_quantiles() -> None:
     "law", [stats.norm(), stats.uniform(), stats.gamma(4), stats.gamma(2), stats.expon()]
 )
 def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
-    """Of 20000 ensembles 94 to 96 % of the intervals contain the mean, of small ones nearly so."""
+    """The intervals of 94 to 96 % of 20000 ensembles contain the mean; nearly so if small."""
     draws = 20000
     values = law.rvs((chains, draws), random_state=np.random.default_rng(chains))
     found = MeasuredEnsemble(values, None, 0.0, 0.0)
@@ -54,7 +54,7 @@ def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
     assert lowest - slack < covered < highest + slack
     if law.stats("s") > 1.9:
         assert covered > by_student + 0.003
-    # The interval costs little in width.
+    # The interval is only a little wider than that of Student.
     assert np.median(high - low) < 1.3 * np.median(2 * student)
 
 

@@ -75,7 +75,7 @@ def power(time: np.ndarray, moment: np.ndarray, begin: float, end: float) -> flo
 
 @pytest.mark.parametrize("of", ["stiffness", "constant", "mass", "diameter", "youngs_modulus"])
 def test_means_and_errors(of):
-    """Compared with the energies of every chain, solved separately by the nonlinear engine."""
+    """Spreading agrees with the energies of every chain, solved by the nonlinear engine."""
     case = scene(grains=21, tau=6.0)
     count = 19
     found = spreading(case, 6, count, 5, "native", of=of, tolerance=1e-9)

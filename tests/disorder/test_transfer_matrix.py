@@ -139,7 +139,7 @@ def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatc
 
 
 def test_a_node_on_a_grain():
-    """For w = 1 and equal grains, every third ratio is 0 or infinite; a third of modes is below."""
+    """For w = 1 and equal grains, every third ratio is 0 or infinite; a third of modes is lower."""
     options = {"grains": 6000, "chains": 2}
     assert density_of_states(1.0, **options).integrated == pytest.approx(1 / 3, abs=2e-4)
     assert abs(lyapunov(1.0, **options).exponent[0]) < 0.01

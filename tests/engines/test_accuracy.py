@@ -189,7 +189,7 @@ def test_many_random_scenes(seed):
 
 @pytest.mark.parametrize("divisor", [1, 2, 3, 4, 7, 8])
 def test_estimate_at_a_given_step(divisor):
-    """The estimate is right whether or not the step divides the interval; nothing is enforced."""
+    """The estimate is right whether or not the step divides the interval."""
     scene = paper("fig5 g", samples=6)
     step = scene.duration / 5 / (40 * divisor) * 1.001
     t = simulate(scene, engine=Native(integrator="verlet", step=step), tolerance=1e-12)

@@ -16,7 +16,7 @@ def spring(viscous: float, drag: float) -> Chain:
 
 
 def exact(scene: Scene, t: np.ndarray) -> np.ndarray:
-    """Return displacement and velocity of the grain in extended precision, (2, T).
+    """Return the displacement and velocity of the grain in extended precision, (2, T).
 
     They solve x'' + (A k + gamma) x' + k x = f / m, at rest or with a velocity at t = 0.
     """
@@ -64,7 +64,7 @@ def true_error(run: Trajectory) -> float:
 
 
 def strike(viscous: float, drag: float, reach: float) -> Scene:
-    """Return a struck spring with three steps per sample of this length over the stable one."""
+    """Return a struck spring; `reach` is the step relative to the stable one, at 3 per sample."""
     chain = spring(viscous, drag)
     duration = 20 * reach / chain.fastest_rate
     return Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11)

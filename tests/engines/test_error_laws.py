@@ -67,7 +67,7 @@ def estimate(
 @pytest.mark.parametrize("order", [2, 4, 6, 8])
 @pytest.mark.parametrize("ratios", [(2.0, 4.0), (1.9, 3.7), (3.0, 6.0)])
 def test_three_runs_give_twice_the_error_where_the_order_holds(order, ratios):
-    """The factor is exact for steps that double.
+    """The factor is exact if each step is twice the previous one.
 
     Else the gain follows from a rate that is not quite the order.
     """
@@ -249,9 +249,9 @@ def test_the_loss_of_the_plain_force_is_in_the_estimate():
 
 
 def test_rounding_of_heights_adds_energy_to_contacts():
-    """The energy is half the stiffness times the squared ulp of ten grains, as a random walk.
+    """The added energy is half the stiffness times the squared rounding error of heights.
 
-    And of springs, exactly.
+    The rounding error is a random walk of ulps of the chain's length. For springs this is exact.
     """
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
     scene = Scene(chain=chain, excitation=Displacement(displacement=2e-5), duration=1e-5)
@@ -481,7 +481,7 @@ def test_runs_of_more_than_ten_years_are_rejected():
 
 @pytest.mark.parametrize("engine", ["native", "auto"])
 def test_recording_only_fixed_grains_has_no_error(engine: str):
-    """Such a scene was once rejected because of the rounding of other grains."""
+    """A scene that records fixed grains was once rejected because of rounding elsewhere."""
     chain = Chain(grains=8, diameter=1e-3)
     held = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, grains=[8])
     answer = simulate(held, engine, 1e-13)
@@ -531,7 +531,7 @@ def test_rounding_of_free_flights_is_measured_if_bounds_would_reject(family: str
 def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
     exponent: float, integrator: str, place: int, steps: int
 ):
-    """Errors scatter after the first opening; estimates were once 0.34 to 0.68 of them."""
+    """Errors scatter after the first opening; estimates were once 0.34 to 0.68 of the error."""
     chain = Chain(
         grains=6, material="steel", diameter=4.76e-3, gravity=0, top_load=2.38, load_grain=2,
         bottom="wall", exponent=exponent, impurity=[Impurity(grain=1, material="ptfe")],
@@ -548,7 +548,7 @@ def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
 
 @pytest.mark.parametrize("steps", [5, 8])
 def test_nearly_open_contacts_are_in_the_estimate_of_equal_steps(steps: int):
-    """No contact opens, but the force is not smooth; once 0.4 of the error was estimated."""
+    """No contact opens, but the force is not smooth; an estimate was once 0.4 of the error."""
     chain = Chain(
         grains=3, material="steel", diameter=5e-3, gravity=0, top_load=2e-3, bottom="wall"
     )

@@ -64,7 +64,7 @@ def test_the_step_follows_from_error_constant_order_and_tolerance(name):
 
 
 def test_openings_increase_errors_and_shorten_steps():
-    """The factor is the root of the strain, four to 23, and thirty for equal steps."""
+    """The factor is the root of the strain, from 4 to 23, and 30 for equal steps."""
     for strain, factor in ((0.3, 1.0), (0.31, 4.0), (3.0, 4.0), (12.0, 8.0), (math.inf, 23.0)):
         assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
     assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
@@ -77,7 +77,7 @@ def test_openings_increase_errors_and_shorten_steps():
 
 
 def test_cost_never_falls_as_the_tolerance_falls():
-    """Tested in weak, strong and unbounded scenes, with few and many samples.
+    """The steps meet the tolerance in weak, strong and unbounded scenes, with any sample count.
 
     The work of the first attempt.
     """
@@ -191,7 +191,7 @@ def test_estimates_of_smooth_runs_are_close_upper_bounds():
 
 
 def test_the_longest_steps_of_auxiliary_runs_fit_between_two_corners():
-    """Otherwise all runs have equal steps there; an error of 5e-11 was once estimated as 1e-12."""
+    """If all runs had equal steps between two corners, an error of 5e-11 would seem 1e-12."""
     times = np.linspace(0, 7e-5, 15)
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)
@@ -205,7 +205,7 @@ def test_the_longest_steps_of_auxiliary_runs_fit_between_two_corners():
 
 
 def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
-    """Recorded up to this time, the scene can be solved."""
+    """The scene can be solved if it is recorded up to this time."""
     rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)

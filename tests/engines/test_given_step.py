@@ -107,7 +107,7 @@ def test_the_weakest_motions_have_an_error_relative_to_themselves(velocity: floa
 
 @pytest.mark.parametrize("engine", ["native", "modes", "chebyshev"])
 def test_a_motion_of_the_smallest_double_has_the_largest_estimate(engine: str):
-    """A velocity of 5e-324 m/s has no accurate digit, but 2e-13 was once stated."""
+    """A velocity of 5e-324 m/s has no accurate digit; its error was once given as 2e-13."""
     weakest = STRUCK.replace(excitation=Impulse(velocity=5e-324))
     with pytest.raises(ToleranceNotMet, match=r"estimated at 2 \(nothing is known\)"):
         simulate(weakest, engine)

@@ -32,7 +32,7 @@ HZ = EDGE / (2 * np.pi)
 
 
 def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
+    """Return the displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
     chain = scene.chain
     wave = scene.excitation.waveform
     grains = chain.grains
@@ -110,7 +110,7 @@ FORCED = {
 
 @pytest.mark.parametrize("name", FORCED)
 def test_forced_motion_agrees_with_a_general_integrator(name):
-    """Solved by modes, and by Chebyshev polynomials for a sine without end."""
+    """The scenes are solved by modes or, for an endless sine, by Chebyshev polynomials."""
     chain, excitation = FORCED[name]
     scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
     u, v = integrated(scene)

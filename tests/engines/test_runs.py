@@ -158,7 +158,7 @@ def test_recorded_grains_are_columns_of_the_full_motion():
 
 
 def test_interpolated_samples_are_as_accurate_as_others():
-    """Of a thousand samples of a smooth motion, few are at the end of a step."""
+    """Few of a thousand samples of a smooth motion are at the end of a step."""
     scene = smooth(samples=1001)
     candidate = Native("rkn6").propose(scene, 1e-6)
     assert candidate.steps.stride > 1

@@ -214,7 +214,7 @@ def test_the_best_attempt_that_misses_the_tolerance_is_returned(now):
 
 
 def test_a_refusal_returns_the_best_result_that_rounding_allows():
-    """The first coarse attempt is not the best: once 2.7 was returned instead of 2e-10."""
+    """The best attempt is returned: once it was the first, with 2.7 instead of 2e-10."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0, exponent=1.5, bottom="wall", top="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=11)
     with pytest.raises(ToleranceNotMet) as refusal:
@@ -245,7 +245,7 @@ def test_there_are_at_most_twelve_attempts(now):
 
 
 def test_the_best_possible_result_is_returned_on_request(now):
-    """Steps shorten until all but the rounding error, which exceeds the tolerance, is within it."""
+    """Steps shorten until all errors but rounding, which is too large, meet the tolerance."""
     errors = [budget(1e-2, 3e-6), budget(1e-4, 3e-6), budget(2e-6, 3e-6), budget(1e-7, 3e-6)]
     engine = Native("rkn6")
     attempt = Attempt(engine.propose(SCENE, 1e-6), 1e-6)

@@ -1,4 +1,4 @@
-"""A load below the first grain, so that upper grains only touch: strikers.
+"""Strikers: grains above a load, which only touch each other and the chain at rest.
 
 The reference is the Taylor series of `helpers.taylor_series`, which finds the equilibrium itself.
 """

@@ -131,7 +131,7 @@ def front_among(
     ceiling: np.ndarray | None = None,
     width: bool = True,
 ) -> np.ndarray:
-    """Return time, height and width of the front and their errors, (6,)."""
+    """Return the time, height and width of the front and their errors, (6,)."""
     sampled = np.abs(values[1 if kind == hermite.VELOCITY else 0])
     level = fraction / 2 * max(sampled.max() - known, 0.0)
     largest, latest, events = followed(values, kind, h, ceiling, level)

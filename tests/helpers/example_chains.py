@@ -73,8 +73,9 @@ WALLED = {
 
 
 def vacuum(grains: int, **ends: Any) -> Chain:
-    """Return a chain of touching grains with m = K = 1 and diameter 100, free at the bottom unless
-    told.
+    """Return a chain of touching grains with m = K = 1 and diameter 100.
+
+    The bottom is free unless `ends` say otherwise.
     """
     units = {"masses": np.ones(grains), "contact_constants": np.ones(grains - 1)}
     return Chain(grains=grains, diameter=100.0, gravity=0.0, **({"bottom": "free"} | units | ends))

@@ -28,7 +28,7 @@ PAPER = {  # Name: strike velocity, m/s, and gravity, m/s2.
 
 
 def paper(name: str, samples: int = 26) -> Scene:
-    """Return a scene of the paper: 120 glass beads of 1 mm to 100 us."""
+    """Return a scene of the paper: 120 glass beads of 1 mm diameter, for 100 us."""
     velocity, gravity = PAPER[name]
     chain = Chain(grains=120, material=GLASS, diameter=1e-3, gravity=gravity)
     return Scene(
@@ -122,7 +122,7 @@ def _impurities(rng: np.random.Generator, grains: int, diameter: float) -> list[
 
 
 def _units(rng: np.random.Generator, chain: Chain, grain: int) -> tuple[float, float]:
-    """Return a length and a frequency of the contact below a grain, or of a strike without load."""
+    """Return the scales of length and frequency of a grain: of its contact, or of a strike."""
     if chain.compressed:
         contact = min(grain, chain.grains - 1) - 1
         overlap = chain.equilibrium_overlap[contact]

@@ -15,7 +15,7 @@ def tangent_map(
     steps: np.ndarray,
     splitting: Splitting,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return displacement and velocity (M,) after these steps, s, and derivatives (2M, 2M)."""
+    """Return the displacement and velocity (M,) after these steps, s, and derivatives (2M, 2M)."""
     size = chain.movable
     delta = REAL(chain.exponent)
     constant, rest = (

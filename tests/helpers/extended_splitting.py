@@ -1,9 +1,7 @@
-"""Kick-drift splittings in extended precision, from Eq.
+"""Kick-drift splittings in extended precision, derived from Eq. (1) alone.
 
-(1) alone: differences of their answers check derivatives.
-
-What a chain is made of is found here from diameters and moduli anew, so that one number may be
-changed at a time.
+Differences of their results check derivatives. The chain is derived here from its diameters and
+moduli, so that one number can be changed at a time.
 """
 
 from __future__ import annotations
@@ -135,7 +133,7 @@ def _motion(scene: Scene, now: dict[str, Any]) -> Callable[[Any], tuple[Any, Any
 def run(
     scene: Scene, method: Splitting, steps: int, looks: int, changed: dict[str, Array]
 ) -> tuple[Array, Array, Any]:
-    """Return displacement and velocity (looks+1, N) after equal numbers of steps, and the chain."""
+    """Return the displacement and velocity (looks+1, N) at equal intervals, and the chain."""
     chain = scene.chain
     now = made_of(scene, changed)
     m = now["masses"]

@@ -42,7 +42,7 @@ class Sine:
         self.knots = np.array(ends, dtype=kind)
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return displacement, m, and velocity, m/s, or a force, N, and its rate."""
+        """Return the displacement (m) and velocity (m/s), or the force (N) and its rate (N/s)."""
         if self.knots.size and t >= self.knots[0]:
             return 0 * self.omega, 0 * self.omega
         a = self.amplitude
@@ -102,7 +102,7 @@ class Curve:
         self.unit = np.diff(self.knots).min()
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return displacement, m, and velocity, m/s."""
+        """Return the displacement (m) and velocity (m/s)."""
         piece = min(
             max(int(np.searchsorted(self.knots, t, side="right")) - 1, 0), self.knots.size - 2
         )

@@ -1,8 +1,8 @@
-"""The command line with frequent checkpoints, and first attempts with too long steps.
+"""The command line with frequent checkpoints and a first attempt whose steps are too long.
 
     python tests/helpers/hurried.py run scene.toml -o run/
 
-So a run of a second has as many attempts and checkpoints to be killed at as one of an hour.
+A run of one second then has as many attempts and checkpoints as a run of one hour.
 """
 
 import sys

@@ -57,8 +57,9 @@ def unit(count: int, k: int) -> Array:
 
 
 def largest(function: Callable[[Array], Array], low: float, high: float) -> float:
-    """Return the largest value of a smooth function between two places, by a
-    polynomial through 21 of them.
+    """Return the largest value of a smooth function between two places.
+
+    The function is interpolated by a polynomial through 21 points.
     """
     fit = Chebyshev.interpolate(function, 20, (low, high))
     turns = fit.deriv().roots()
@@ -102,7 +103,7 @@ def superposition(h: float, tau: float, delta: float, power: float) -> complex:
             y = x**20
             return 20 * x**19 * y**-power * mp.besselk(nu, chi * y) * mp.exp(-tau * y)
 
-        # The integrand is positive, and smooth apart from 0, so that few nodes give all digits.
+        # The integrand is positive, and smooth except at 0, so a few nodes give full precision.
         nodes, weights = np.polynomial.legendre.leggauss(24)
         total = mp.quad(integrand, [0, 0.5])
         for low, high in pairwise((0.5, 0.65, 0.8, 0.9, 1.0, 1.1, 1.2, 1.3)):

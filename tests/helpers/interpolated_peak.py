@@ -8,7 +8,7 @@ Array = NDArray[np.float64]
 
 
 def find_peak(time: Array, values: Array, top: int | None = None) -> tuple[float, float]:
-    """Return time and size of the maximum of values (T,), near the sample `top` if given."""
+    """Return the time and size of the maximum of values (T,), near the sample `top` if given."""
     top = int(values.argmax()) if top is None else top
     assert 12 <= top < len(time) - 12, "the peak must lie well inside the recording"
     near = slice(top - 12, top + 13)

@@ -14,7 +14,7 @@ BETWEEN = 12  # Number of evaluations of the motion between two samples.
 def true_error(
     t: Trajectory, scene: Scene, integrate: Callable[[Scene], Reference] = extended_reference
 ) -> tuple[float, float]:
-    """Return the error of a trajectory as in the package, and the error of the reference."""
+    """Return the error of a trajectory as the package defines it, and that of the reference."""
     finer = (scene.samples - 1) * BETWEEN + 1
     u, v, own = integrate(Scene(**scene.given() | {"samples": finer, "grains": "all"}))
     pairs = ((t.displacement, u), (t.velocity, v))

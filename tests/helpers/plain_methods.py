@@ -1,9 +1,7 @@
-"""The methods of time integration in plain NumPy and 80-bit numbers, from Eq.
+"""Time integration in plain NumPy and 80-bit numbers, written from the publications alone.
 
-(1) and their publications alone.
-
-All arrays may have axes before that of the grains, of chains that differ: differences of their
-answers are derivatives.
+The methods share only Eq. (1) with the package. Arrays may have axes before the axis of the grains,
+one entry for each of several chains; differences of their results are derivatives.
 """
 
 from __future__ import annotations
@@ -191,8 +189,9 @@ def by_splitting(motion: Motion, method: Splitting, steps: Iterable[Any]) -> Arr
 
 
 class DormandPrinceStep(NamedTuple):
-    """Changes of displacement and velocity (N,) in a step, and estimates of
-    their errors by orders 5 and 3.
+    """The changes of displacement and velocity (N,) in a step, with two error estimates.
+
+    The error estimates are of orders 5 and 3.
     """
 
     x: Array

@@ -78,5 +78,5 @@ SCENES = (
 
 @cache
 def reference_motion(name: str) -> Reference:
-    """Return displacement, velocity and their error for one of `SCENES`, computed once."""
+    """Return the displacement, velocity and their error for one of `SCENES`, computed once."""
     return extended_reference(SCENES[name])

@@ -231,7 +231,7 @@ def _struck(rng: np.random.Generator, chain: Chain, work: float, weakest: float 
         samples = int(_log(rng, 2, 1001.5))
         duration = once.duration
     angle = once.highest_frequency * duration
-    most = max(np.sqrt(work), work / chain.grains)  # Phase that the work allows.
+    most = max(np.sqrt(work), work / chain.grains)  # Largest phase, limited by the work.
     if angle > most:
         duration *= most / angle * rng.uniform(0.5, 1)
     # The knots depend on the duration.

@@ -99,7 +99,7 @@ def test_a_pulse_stays_within_its_light_cone():
 
 
 def test_the_number_of_terms_depends_on_the_times():
-    """Six radians of w = 2 sqrt(2) need one series of about 18 terms, 18 radians three series."""
+    """Six radians of w = 2 sqrt(2) need one series of about 18 terms; 18 radians need three."""
     chains = [
         Propagator(np.ones(31), np.ones(30), 0.0, np.zeros(30), np.eye(30)[15]) for _ in range(3)
     ]

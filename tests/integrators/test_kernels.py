@@ -161,7 +161,7 @@ def test_force_is_the_derivative_of_the_energy(exponent: float):
     "path", sorted(Path(forces.__file__).parent.glob("*.py")), ids=lambda path: path.stem
 )
 def test_kernels_depend_only_on_their_folder(path: Path):
-    """Their imports are in the same folder, which is monitored, or in `util`, not compiled."""
+    """Kernels import only from their monitored folder, or uncompiled functions from `util`."""
     above = re.findall(
         r"^\s*from (\.\.\S*|lmpchain\S*) import", path.read_text(encoding="utf-8"), re.MULTILINE
     )
@@ -180,7 +180,7 @@ def untiled() -> Any:
         names[name] = forces.inlined(again(names[name]))
     march = sample_loop.sample_loop(names["_advance"], True)
     made = numba.njit(nogil=True, error_model="numpy", fastmath=forces.STRICT, _nrt=False)(march)
-    # Its arguments are now known.
+    # This call compiles the kernel, so that its argument types are known.
     NativeStepper(ChainBatch([smooth()]), METHODS["verlet"], Steps(1, 1, 1e-6, False), {})
     made.compile(kernels.march.signatures[0])
     return made
@@ -290,10 +290,9 @@ def test_no_contact_that_shortens_a_step_is_missed():
         reach = np.cbrt(weight) / (2**0.5 * (2 * omega) ** 3)
         length = 10 ** rng.uniform(-2, 2, size)
         pressed = float(rng.integers(2))
-        links = links_of(length, weight, Form.CORRECTED, pressed, 1.5)
-        near = Near(weight, np.full(size, np.inf), close, omega, 1e6)
-        every = find(y, rates, bends, links, near)
-        found = find(y, rates, bends, links, near._replace(reach=reach))
+        near = Near(length, weight, np.full(size, np.inf), pressed, False, close, omega, 1e6)
+        every = find(y, rates, bends, near)
+        found = find(y, rates, bends, near._replace(reach=reach))
         assert found == every or every < shortened**14
         passed = passed + (found < every)
         shortens = shortens + (every > shortened**14)

@@ -41,7 +41,7 @@ def test_the_largest_strain_is_that_of_the_bound_on_overlaps(name: str):
 
 @pytest.mark.parametrize(("steps", "lost"), [(1, "answer"), (12, "companion"), (64, "nothing")])
 def test_grains_that_come_too_close_are_detected(steps: int, lost: str):
-    """With far too long steps grains pass through each other, and the error is infinite."""
+    """If steps are far too long, grains pass through each other, and the error is infinite."""
     chain = Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.862e-3), duration=4.5e-4, samples=9)
     engine = Native("rkn4", adaptive=False)

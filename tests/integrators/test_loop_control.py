@@ -1,4 +1,4 @@
-"""Decisions about begin and end of compiled loops, tested in plain Python."""
+"""Decisions about the start and end of compiled loops, tested in plain Python."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_a_step_is_cut_where_a_burst_ends_within_it():
 @pytest.mark.parametrize("every", [1, 2, 4])
 @pytest.mark.parametrize("sample", [0, 5, 8])
 def test_a_step_passes_the_interpolated_samples(every: int, sample: int):
-    """These are multiples after its begin and up to its end, except landings."""
+    """A step passes the multiples after its start and up to its end, except landings."""
     chain = windowed(PAD, 2 * PAD)
     chain.state.sample = sample
     clock = SimpleNamespace(dense=every, interval=0.5, length=4.0)

@@ -169,7 +169,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
-    """Return displacement and velocity from plain NumPy, (2, T, N)."""
+    """Return the displacement and velocity from plain NumPy, (2, T, N)."""
     motion = Motion(plain.column(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":

@@ -75,7 +75,7 @@ def test_a_grain_that_another_leaves_remains_at_rest(integrator: str, exponent: 
 
 
 def test_a_wall_that_only_touches_has_no_effect_after_separation():
-    """Gear's start uses one step backward, where there is an overlap that never occurs."""
+    """Gear's start uses one step backward, with an overlap that never occurs in the motion."""
     chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=9.81, top="wall")
     ends = []
     for top in ("wall", "free"):
@@ -145,7 +145,7 @@ SHAKEN = [
     ids=["vacuum", "loaded"],
 )
 def test_short_steps_at_openings_restore_the_order(scene: Scene, steps: int):
-    """With doubled steps there, estimates of full order were 0.24 and 0.88 of the error."""
+    """With doubled steps near openings, full-order estimates were 0.24 and 0.88 of the error."""
     engine = Native("rkn6")
     truth = reference(scene)
     step = scene.duration / (scene.samples - 1) / steps
@@ -162,7 +162,7 @@ def test_short_steps_at_openings_restore_the_order(scene: Scene, steps: int):
 def test_steps_limited_by_samples_are_not_shortened_further_at_openings(
     name: str, monkeypatch: pytest.MonkeyPatch
 ):
-    """The cost is at least a quarter less, with an estimate of lower order."""
+    """Equal steps cost at least a quarter less, although their error estimate has a lower order."""
     scene = paper(name, samples=301)
     engine = Native("rkn6")
     # Otherwise steps need not adapt at all.

@@ -105,7 +105,7 @@ NARROW = np.array([[0, 2], [0, 3], [1, 3], [1, 4], [2, 5], [0, 5]])
 @pytest.mark.parametrize("grain", [0, 2, 4])
 @pytest.mark.parametrize(("size", "near"), [(1.0, 0.0), (1.0, 0.7), (4.0, 0.3), (20.0, 5.0)])
 def test_the_state_agrees_with_plain_numpy(reach: np.ndarray, grain: int, size: float, near: float):
-    """Computed in one call and in two, for weak waves and with contact openings."""
+    """One call and two calls agree with plain NumPy, also if contacts open."""
     solution = Evaluations(TIME, RECORDED, size * U, size * V, reach)
     imposed = ImposedMotion(size * WALL, grain, size * PUSH)
     law = StrainError(LEAD, near, -0.9)
@@ -119,7 +119,7 @@ def test_the_state_agrees_with_plain_numpy(reach: np.ndarray, grain: int, size: 
 
 
 def test_an_opening_between_two_times_is_detected():
-    """A parabola is below the limit for a moment, near or far from a time."""
+    """The overlap, a parabola in time, is below the limit for a moment between two times."""
     u, v = np.zeros((2, TIMES, GRAINS))
     links = LinearLinks(STIFFNESS, np.ones(GRAINS + 1), MOBILITY, np.zeros(GRAINS))
     u[0] = [0, 0, 0.9, 0, 0]  # Contact 2 is stretched by 0.9 and returns.

@@ -34,7 +34,7 @@ def record(
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
-    """Return a strike of 1 on a vacuum chain of 60, until the pulse returns from an equal wall."""
+    """Simulate a strike on 60 grains in a vacuum until the pulse returns from an equal wall."""
     scene = Scene(
         chain=vacuum(60, bottom="wall"),
         excitation=Impulse(velocity=1.0),
@@ -86,10 +86,11 @@ def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent:
 
 
 def test_two_balls_that_collide() -> None:
-    """The balls separate after 2.9432751843 x_max / v, with the largest force K x_max^1.5 (Landau
-    7, 9).
+    """Two balls separate after 2.9432751843 x_max / v; the largest force is K x_max^1.5.
+
+    These are the results of Landau and Lifshitz, volume 7, section 9.
     """
-    deepest = (2.5 * 0.5 * 0.5) ** 0.4  # v = m = K = 1, reduced mass 1/2
+    deepest = (2.5 * 0.5 * 0.5) ** 0.4  # Here v = m = K = 1, and the reduced mass is 1/2.
     lasts = 2.9432751843 * deepest
     t = record(vacuum(2), Impulse(velocity=1.0), 1.5 * lasts, 201, tolerance=1e-11)
     history = contacts(t)
@@ -102,8 +103,9 @@ def test_two_balls_that_collide() -> None:
 
 
 def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
-    """F_wall / F_chain = 1.94390 for a solitary wave and an equal wall: Job et al., PRL 94, 178002
-    (2005).
+    """F_wall / F_chain = 1.94390 for a solitary wave and an equal wall.
+
+    The ratio is that of Job et al., PRL 94, 178002 (2005).
     """
     incoming = contacts(until(pulse, 60.0), [30])
     along = arrival(incoming.time, incoming.force[:, 0])
@@ -234,7 +236,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
     """The front in a vacuum rises faster than any power, so that an interpolant overshoots."""
     chain = vacuum(12)
     assert contacts(record(chain, REST, 10.0, 11)).events() == []
-    # Until the pulse is halfway, at 1.2 grains per unit of time: coarse to fine.
+    # The pulse moves 1.2 grains per unit of time and gets halfway. Samples are coarse to fine.
     for samples in (
         5,
         9,
@@ -294,10 +296,10 @@ def test_an_arrival_that_sampling_hardly_shows() -> None:
 
 @pytest.mark.parametrize("per_wave", thinned([3.0, 4.0, 6.0, 10.0], 2))
 def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float) -> None:
-    """The signals are sums of six sines; `per_wave` is the number of samples in the shortest
-    period.
+    """The error of the largest value includes the choice between nearly equal maxima.
 
-    The maximum next to the largest sample is another one in up to a fourth of them.
+    The signals are sums of six sines; `per_wave` is the number of samples in the shortest period.
+    In up to a fourth of the signals, the largest sample is next to a lower maximum.
     """
     tried = 0
     doubtful = 0
@@ -328,8 +330,9 @@ def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float)
 
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any) -> None:
-    """V = 0.9074700784 v_m^(1/5) for the exact lattice soliton (Ahnert and Pikovsky 2009, English
-    and Pego 2005).
+    """The speed is V = 0.9074700784 v_m^(1/5) for the exact lattice soliton.
+
+    The constant is by Ahnert and Pikovsky (2009), and English and Pego (2005).
     """
     before_the_echo = until(pulse, 65.0)
     flight = time_of_flight(before_the_echo, 30, 50, method)

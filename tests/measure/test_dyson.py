@@ -63,7 +63,7 @@ def test_sums_over_the_grains_of_a_run(bottom: str):
     velocity[:, : chain.movable] = t.velocity[:, : chain.movable]
     seen = sums(t, [1, 2.5])
     kappa = np.arange(1.0, 31) ** (1 / 3)
-    if bottom == "wall":  # stiffer by 2^(1/2) at a constant, so by 2^(1/3) under the same weight
+    if bottom == "wall":  # K is 2^(1/2) times as large, so k is 2^(1/3) times as large.
         kappa[-1] *= 2 ** (1 / 3)
     weight = np.array([dyson_weight(kappa, m) for m in (1, 2.5)])
     assert seen.m.tolist() == [1, 2.5]
@@ -199,7 +199,7 @@ def test_the_picture(unit: float):
 
 
 def test_the_picture_ends_four_grains_below_the_wave():
-    """Grain 40 of 90 is the last with more than 1e-3 of the largest motion: shown down to 44."""
+    """Grain 40 of 90 is the last that moves by 1e-3 of the largest motion; 44 are shown."""
     size = 90
     wave = np.zeros(size)
     wave[[3, 20, 39, 59]] = 1.0, 0.5, -2e-3, 0.9e-3

@@ -89,7 +89,7 @@ def test_time_of_flight_agrees_with_an_independent_integration(
     """The time between the two largest powers is right within the stated error, for each end."""
     chain = Chain(**{"grains": 26} | BEADS | changes)
     place = reflector or 26
-    # Up to a little after the echo, with four samples in the time from grain to grain.
+    # The run ends soon after the echo and has four samples per grain that the wave passes.
     grains = 2 * place - 8 + (8 if reflector is None else 4)
     duration = time_of(chain, velocity, grains)
     out, back = exact_peaks(chain, velocity, 8, duration)

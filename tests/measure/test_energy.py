@@ -215,8 +215,9 @@ def test_the_kinetic_energy_counts_the_driven_grain() -> None:
 
 
 def test_energy_is_shared_5_to_4_between_walls() -> None:
-    """K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E), G = sum m phi phi': the virial
-    theorem.
+    """The mean kinetic energy obeys the virial theorem.
+
+    With G = sum m phi phi', K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E).
     """
     chain = vacuum(20, top="wall", bottom="wall")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)

@@ -256,7 +256,7 @@ def test_errors_of_linear_energies_include_the_model_error(act, samples: int):
 )
 @pytest.mark.parametrize("samples", [3, 41])
 def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int):
-    """Weak waves of linear theory, and LAMMPS: their energies are within their errors."""
+    """The energies of linear theory (for weak waves) and LAMMPS are within their errors."""
     damping = DAMPING if engine != "chebyshev" else {}
     chain = Chain(**WALLS, damping=damping)
     scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)

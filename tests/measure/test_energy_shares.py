@@ -77,7 +77,7 @@ def test_parts_of_what_was_recorded():
     assert some.contact.tolist() == [3, 4, 5]
     assert np.isnan(some.of_grain[:, [0, -1]]).all()
     assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-12)
-    with pytest.raises(InputError, match="part: takes recorded grains"):
+    with pytest.raises(InputError, match="part: must be a range of recorded grains"):
         some.part(2, 5)
 
 

@@ -119,8 +119,9 @@ HAMMERS = {
 @pytest.mark.parametrize("name", HAMMERS)
 @pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
 def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float):
-    """Corners between few samples do not spoil the work of a hammer, compared with the energy
-    gained.
+    """The work of a hammer is accurate despite corners between few samples.
+
+    The work is compared with the energy gained.
     """
     top = "wall" if name == "a wall" else "free"
     chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, top=top)
@@ -271,7 +272,7 @@ def test_grains_in_the_order_in_which_they_were_recorded():
     assert np.isnan(some.of_grain[:, :2]).all()
     assert some.of_grain[:, 2:] == pytest.approx(whole.of_grain[:, [4, 3]], rel=1e-13)
     assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-13)
-    with pytest.raises(InputError, match="part: takes recorded grains"):
+    with pytest.raises(InputError, match="part: must be a range of recorded grains"):
         some.part(5, 7)
 
 

@@ -70,7 +70,7 @@ def answered(
 
 @pytest.fixture(scope="module")
 def column() -> Trajectory:
-    """Return a weak strike on 300 grains, until the front returns halfway from the bottom."""
+    """Simulate a weak strike on 300 grains until the front returns halfway from the bottom."""
     return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
 
 
@@ -90,8 +90,9 @@ def keys(error: Any) -> list[str]:
 
 
 def test_shares_of_the_modes_and_their_energy(column: Trajectory):
-    """Shares of an impulse are m_1 X_1p^2 by a dense eigenvalue solver; they sum to the scene's
-    energy.
+    """The energy shares of an impulse are m_1 X_1p^2, by a dense eigenvalue solver.
+
+    The energies of the modes sum to the energy of the scene.
     """
     fit = fit_modes(column)
     assert fit.share.sum() == pytest.approx(1, abs=1e-12)
@@ -122,8 +123,9 @@ def test_a_single_mode_has_all_of_the_energy():
 
 
 def test_a_strong_strike_deviates_from_linear_motion():
-    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain by Chebyshev
-    polynomials.
+    """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain.
+
+    The linear chain is solved by Chebyshev polynomials.
     """
     strong = simulate(paper("fig5 g"), "native")
     linear = answered(
@@ -614,7 +616,7 @@ def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Pa
     assert np.array_equal(t.velocity, v)
     assert (t.engine, t.equation, t.error_estimate.total) == ("lammps", 1, math.inf)
     native = simulate(scene, "native", 1e-9)
-    far = 2e-5  # heights lose digits: the deck says that it expects 5e-5
+    far = 2e-5  # Heights lose digits; the deck expects an error of 5e-5.
     assert (
         np.abs(t.displacement - native.displacement).max() < far * np.abs(native.displacement).max()
     )
@@ -784,7 +786,7 @@ def test_fit_faults_have_exit_code_2(
 
 
 def test_bessel_functions_need_a_passing_wave():
-    """Behind a wall, the first grain has an image at once, so that its motion is no measurement."""
+    """Below a wall, the first grain is disturbed at once, so its motion cannot be fitted."""
     chain = Chain(
         grains=40,
         material="steel",

@@ -93,7 +93,7 @@ def test_waves_that_are_not_solitary(chain: Chain, excitation: Impulse, said: st
 
 @pytest.mark.parametrize("striker", ["ptfe", "steel"])
 def test_a_striker_of_another_kind(striker: str):
-    """The row behind the striker is uniform, and its wave the exact one: 0.9074700784 v^(1/5)."""
+    """The chain below the striker is uniform, so the speed is the exact 0.9074700784 v^(1/5)."""
     chain = Chain(**STEEL, impurity=[{"grain": 1, "material": striker}])
     fit = fit_soliton(strike(chain, Impulse(velocity=0.44), 1.5e-4))
     row = Chain(**STEEL)
@@ -128,8 +128,9 @@ def front(struck: Trajectory) -> Front:
 def test_height_speed_and_width(
     struck: Trajectory, front: Front, first: int | None, last: int | None
 ):
-    """The default grains are the later half of 6 to 39; errors include a 95 % interval and
-    sampling.
+    """The default grains are the later half of grains 6 to 39.
+
+    The errors include a 95 % interval and the sampling.
     """
     fit = fit_soliton(struck, first, last)
     if first is None and last is None:
@@ -170,7 +171,7 @@ def test_height_speed_and_width(
 
 
 def test_the_first_grains_still_change(struck: Trajectory):
-    """The wave still changes there, so these grains are used on request only."""
+    """The wave still changes near the top, so those grains are used only on request."""
     with pytest.raises(InputError, match="no solitary wave") as error:
         fit_soliton(struck, None, 30)
     assert "from grain 2 to 30" in str(error.value)

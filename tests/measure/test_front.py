@@ -25,9 +25,7 @@ def column(
     recorded: str = "all",
     delta: float = 1.5,
 ) -> Trajectory:
-    """Return a column struck at the top with this strike number, until its weak front has passed
-    the `last` grain.
-    """
+    """Simulate a column struck at the top until the weak front has passed the `last` grain."""
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
     eta = 1 + 1 / delta
     end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
@@ -179,8 +177,9 @@ def test_against_the_exact_motion_of_a_weak_strike():
 
 
 def test_soliton_of_the_sonic_vacuum():
-    """V = 0.9074700784 v^(1/5) and 1.5791 grains of full width at half maximum: the exact lattice
-    soliton.
+    """The front of the exact lattice soliton has its known speed and width.
+
+    The speed is V = 0.9074700784 v^(1/5), and the full width at half maximum is 1.5791 grains.
     """
     chain = Chain(
         grains=90,
@@ -221,8 +220,9 @@ def test_peak_velocity(velocity: Front, weak: Trajectory, grain: int, ratio: flo
 
 
 def test_local_speed(velocity: Front, weak: Trajectory):
-    """The ratio of speed to n^(1/6) is 0.9944 at 100, because the maximum lags behind (6/5)
-    h^(5/6).
+    """The ratio of speed to n^(1/6) is 0.9944 at grain 100.
+
+    It is less than 1 because the maximum lags behind (6/5) h^(5/6).
     """
     unit = weak.scene.chain.time_scale
     assert at(velocity, 100, velocity.grains_per_second) * unit / 100 ** (1 / 6) == pytest.approx(
@@ -281,8 +281,9 @@ def test_asymptotic_laws(
     power: float,
     factor: float,
 ):
-    """Velocity 0.931767 n^(-4/15), displacement n^(-1/10), not the -1/4 and -1/12 of Hong, Ji and
-    Kim.
+    """The velocity decays as 0.931767 n^(-4/15), and the displacement as n^(-1/10).
+
+    Hong, Ji and Kim published the exponents -1/4 and -1/12.
     """
     unit = weak.scene.chain.time_scale
     strike = weak.scene.excitation.velocity

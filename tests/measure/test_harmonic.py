@@ -26,7 +26,7 @@ def driven(chain: Chain, drive: Drive | Force, periods: float, samples: int = 24
 
 
 def exact_linear(chain: Chain, omega: float, viscoelastic: float, drag: float) -> complex:
-    """Return phase and, as the imaginary part, decay of a wave that goes down a linear chain."""
+    """Return phase + i decay per grain of a wave that travels down a linear chain."""
     stiffness = chain.linear_stiffness[0] * (1 + 1j * omega * viscoelastic)
     k = np.arccos(1 - chain.masses[0] * (omega**2 - 1j * omega * drag) / (2 * stiffness))
     k = k if k.imag < 0 or (k.imag == 0 and k.real > 0) else -k

@@ -31,8 +31,9 @@ Array = NDArray[np.float64]
 def least_squares(
     h: Array, y: Array, orders: list[float], power: float | None = None
 ) -> tuple[Array, Array]:
-    """Fit y = f h^p (1 + sum of c h^-order) in logarithms; return p, ln f, c ... and their standard
-    errors.
+    """Fit y = f h^p (1 + sum of c h^-order) to logarithms.
+
+    Return p, ln f, c ... and their standard errors.
     """
 
     def off(x: Array) -> Array:

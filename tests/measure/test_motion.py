@@ -86,9 +86,7 @@ def test_two_grains_against_the_exact_oscillation(samples: int):
 
 @pytest.mark.parametrize("equation", [1, 0])
 def test_order_of_the_interpolation(dense, equation):
-    """The error of the velocity falls with the sixth power of the time between samples, or the
-    fourth.
-    """
+    """The interpolation error of the velocity is of sixth or fourth order in the interval."""
     every = np.array([200, 100, 50]) if equation else np.array([100, 50, 25])
     off = []
     true = peaks(dense).value
@@ -201,7 +199,7 @@ def test_a_driven_grain_with_few_samples():
 
 
 def test_a_front_that_rises_after_a_sample_near_an_opening():
-    """The top is sampled before the maximum, and the interval before has a much smaller error."""
+    """The largest sample is before the maximum, and the interval before it has a smaller error."""
     sizes = (8.8256e-3, 7.3948e-3, 12.8546e-3, 11.8211e-3, 9.6739e-3)
     walls = {"top": "wall", "bottom": "wall"}
     chain = Chain(grains=5, material="ptfe", diameter=sizes, gravity=12.0993, **walls)

@@ -62,7 +62,7 @@ def test_reference_values_of_relative_errors():
 
 
 def test_bounds_of_a_chain_that_may_open():
-    """The bounds are a grain with all of the energy, and its path in half an interval more."""
+    """The speed is bounded by one grain with all of the energy, and the path by that speed."""
     masses = np.linspace(2e-6, 1e-6, 12)
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-4, samples=3)
@@ -78,8 +78,9 @@ def test_bounds_of_a_chain_that_may_open():
 
 
 def test_bounds_of_a_compressed_chain():
-    """If no contact opens, the contacts have the energy: (sum of r)^2 <= (delta + 1) E sum of 1 /
-    k.
+    """If no contact opens, the energy of the contacts bounds the changes r of their overlaps.
+
+    The bound is (sum of r)^2 <= (delta + 1) E sum of 1 / k.
     """
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)

@@ -34,7 +34,7 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
     assert (off <= waves.spacing_error + waves.orbit_spacing_error).mean() >= 0.9
     off = np.abs(waves.orbit_mean - waves.mean)
     assert (off <= waves.mean_error + waves.orbit_mean_error).mean() >= 0.9
-    # The errors are small enough to say something.
+    # The errors are small enough for a meaningful comparison.
     assert np.median(waves.orbit_spacing_error / waves.orbit_spacing) < 0.12
     assert np.median(waves.spacing_error / waves.spacing) < 0.08
     jump = waves.crest[0] - waves.trough[0]

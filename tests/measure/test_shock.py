@@ -38,8 +38,9 @@ REST = State(0.0, OVERLAP)
 
 @cache
 def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajectory:
-    """Simulate a piston, its velocity in units of sound speed times overlap, until the shock is
-    near N.
+    """Simulate a piston until the shock is near grain N.
+
+    The velocity of the piston is in units of sound speed times overlap.
     """
     damping = Damping(viscoelastic=viscosity / SOUND) if viscosity else None
     chain = CHAIN.replace(grains=grains, damping=damping)

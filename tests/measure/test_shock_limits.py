@@ -16,7 +16,7 @@ LEVEL = {"material": "steel", "diameter": 9.5e-3, "gravity": 0.0, "top_load": 10
 CHAIN = Chain(grains=30, top="wall", bottom="wall", **LEVEL)
 OVERLAP = float(CHAIN.contacts.overlap[1])
 SOUND = float(np.sqrt(CHAIN.contacts.stiffness[1] / CHAIN.masses[1]))
-LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of the Toda chain of the same bend
+LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of a Toda chain.
 
 
 @cache
@@ -71,9 +71,9 @@ class Excess(NamedTuple):
 
 
 def weak(size: float) -> Excess:
-    """Return the excess for a piston that makes a jump of four times this size of the overlap.
+    """Return the excess for a piston that increases the overlap by a factor 1 + 4 `size`.
 
-    Run to 90 and 180 of KdV's times, between which what is left of 1 / t is known.
+    The runs end at 90 and 180 KdV times, from which the 1 / t error is extrapolated.
     """
     gas = Medium(1.5, float(CHAIN.contacts.constant[1]), float(CHAIN.masses[1]))
     velocity = gas.invariant((1 + 4 * size) * OVERLAP) - gas.invariant(OVERLAP)

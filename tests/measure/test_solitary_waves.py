@@ -145,7 +145,7 @@ def test_unrecorded_grains_and_other_directions_are_rejected() -> None:
     ],
 )
 def test_pull_and_strike_at_the_far_end_send_no_wave(excitation: Drive | Impulse, key: str) -> None:
-    """Neither run has a useful sample, or motion in that direction."""
+    """Runs without a useful sample, or without motion in the given direction, are rejected."""
     struck = chain(top="wall", bottom="wall", top_load=1.0)
     scene = Scene(chain=struck, excitation=excitation, duration=5e-5, samples=400)
     with pytest.raises(InputError, match=key):

@@ -193,8 +193,9 @@ def test_waves_in_a_column_move_downward_on_the_local_relation():
 
 
 def test_a_dimer_has_two_branches():
-    """Waves are on both branches, w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m
-    M)]^(1/2).
+    """The spectrum of a dimer chain has waves on both branches of the dispersion relation.
+
+    w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2)
     """
     masses = np.resize([1e-6, 3e-6], 160)
     chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)

@@ -35,9 +35,9 @@ def surface() -> Orbit:
 
 @cache
 def defect() -> Orbit:
-    """Return a breather at a light grain among heavier ones, above their band: Theocharis et al.
+    """Return a breather at a light grain among heavier ones, above their band.
 
-    Rev. E 80, 066601 (2009).
+    The breather is that of Theocharis et al., Phys. Rev. E 80, 066601 (2009).
     """
     masses = np.where(np.arange(21) == 10, LIGHT / 2, LIGHT)
     return orbits.normal_mode(Chain(grains=21, masses=masses, **LOADED, **WALLS), 21, energy=4e-6)

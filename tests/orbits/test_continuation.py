@@ -67,7 +67,7 @@ def test_a_grain_driven_at_twice_its_frequency_doubles_its_period():
     assert np.abs(event.orbit.multipliers + 1).max() < 1e-2
 
     def returned(amplitude: float, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return state and derivatives after a period in overlaps and radians of the drive."""
+        """Return the state and derivatives after a period in overlaps and radians of the drive."""
 
         def rate(t: float, y: np.ndarray) -> np.ndarray:
             above = max(1 + amplitude * np.sin(t) - y[0], 0.0)
@@ -138,7 +138,7 @@ def test_from_a_linear_mode_through_two_folds_and_back():
 
 
 def test_each_orbit_of_a_family_needs_one_tangent_map(monkeypatch: pytest.MonkeyPatch):
-    """This holds even if rounding is far above an ulp, as in slow modes of a long column."""
+    """One tangent map suffices even if rounding is far above an ulp, as in slow modes."""
     taken = []
     linearise = Equations.linearise
 

@@ -219,7 +219,7 @@ def test_multipliers_do_not_depend_on_the_number_of_steps():
 
 
 def misses(orbit: Orbit) -> float:
-    """Return the relative closure error of an orbit, by SciPy in velocities."""
+    """Return the relative closure error of an orbit, integrated by SciPy with velocities."""
     move = rate(orbit)
     begin = start_of(orbit, False)[:, 0]
     scale = np.abs(begin.reshape(2, -1)).max(1).repeat(begin.size // 2)
@@ -435,7 +435,7 @@ def test_a_resonance_curve_is_drawn_through_its_folds():
 
 @pytest.mark.slow
 def test_two_hundred_orbits_of_81_grains_take_less_than_a_minute():
-    """Computed on one core, through resonances of the upper band of a dimer, with events."""
+    """One core follows a family through resonances of the upper band of a dimer."""
     level = LEVEL | {"grains": 81, "damping": {"drag": 500.0}}
     chain = Chain(material=["steel", "ptfe"] * 40 + ["steel"], **level)
     drive = Drive(amplitude=0.003 * float(chain.contacts.overlap[1]), frequency=6.7e3)
@@ -477,7 +477,7 @@ def test_engines_know_the_forced_grain_if_others_move_earlier(engine: str, toler
 
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_modes_include_the_initial_motion_of_a_forced_scene(exponent: float):
-    """Compared with the native integrator for weak motion."""
+    """The orbit agrees with the native integrator for weak motion."""
     chain = TRIMER.replace(exponent=exponent, damping={"viscoelastic": 2e-7, "drag": 500.0})
     orbit = orbits.find(chain, drive=Force(grain=3, amplitude=1e-9, frequency=9e3))
     scene = orbit.scene(1.25, samples=6)

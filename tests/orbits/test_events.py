@@ -60,7 +60,7 @@ def test_pairs_that_meet_among_others_are_located(meets: float, sign: int):
 @pytest.mark.parametrize("sign", [1, -1])
 @pytest.mark.parametrize(("kind", "value"), [("period doubling", -1.0), ("branch point", 1.0)])
 def test_a_pair_that_passes_another_is_located(kind: str, value: float, sign: int, where: float):
-    """The mean is curved, with other pairs beside it and a complex pair."""
+    """A pair is located although its mean is curved and other pairs are close."""
 
     def at(way: float) -> SimpleNamespace:
         passing = value + sign * (way - where) * (0.1 + 0.2 * way)

@@ -146,7 +146,7 @@ def test_an_uncompressed_chain_has_no_bands():
 
 
 def test_edges_of_bands_are_shown_near_the_family():
-    """Edges within 10 % are included, and 8 % more on either side."""
+    """A band edge within 10 % of the family is shown, with a margin of 8 % on either side."""
     edge = 2 * np.sqrt(DIMER.linear_stiffness[0] / (2 * 3e-3)) / (2 * np.pi)
     for ratio, inside in ((1.05, True), (1.15, False)):
         scale = ratio * edge / FREQUENCY.min()

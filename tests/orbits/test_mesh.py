@@ -49,7 +49,7 @@ def test_very_long_periods_have_a_limited_number_of_steps():
 
 
 def moving(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity (K, 5) of a motion in which some contacts open; period 1."""
+    """Return the displacement and velocity (K, 5) of a motion of period 1 with openings."""
     turn = 2 * np.pi * time[:, None]
     n = np.arange(5)
     u = EPS[1] * (1.3 * np.sin(turn + n) * (n > 1) + 0.3 * np.sin(2 * turn) * (n == 0))

@@ -215,7 +215,7 @@ def test_figure(script: str, command: Command):
 
 
 def test_no_script_has_the_name_of_a_library():
-    """Such a script would be imported instead of the library, because its folder comes first."""
+    """A script with the name of a library would be imported instead of the library."""
     names = {path.stem for path in ANALYSIS.glob("*.py")}
     others = (name for package in packages_distributions() for name in package.split("."))
     assert names.isdisjoint(others)

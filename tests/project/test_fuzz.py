@@ -205,7 +205,7 @@ def sweeps(draw: st.DrawFn) -> Tables:
 
 @st.composite
 def damage(draw: st.DrawFn) -> Callable[[bytes], bytes]:
-    """Draw a damage of a file: changed or inserted bytes, lost or doubled lines, or a cut end."""
+    """Draw a function that damages a file: bytes change, lines are lost, or the end is cut."""
     turn = random.Random(draw(st.integers(0, 2**32)))
     how = draw(
         st.sampled_from(["flip", "flip", "flip", "insert", "drop", "double", "cut", "zeros"])
@@ -298,7 +298,7 @@ class Workplace(tempfile.TemporaryDirectory):
 
 
 def nothing_injected(folder: Path) -> None:
-    """Return whether no text of a scene is in a deck, and no command of it was executed."""
+    """Check that no text of a scene is in a deck, and that no command of a scene was executed."""
     for path in folder.glob("deck/*"):
         assert MARK not in path.read_text()
     assert not (folder / MARK).exists()

@@ -117,7 +117,7 @@ def spoilt(tree: Any, turn: random.Random) -> Any:
 
 
 def damaged(content: bytes, turn: random.Random) -> bytes:
-    """Return the bytes of a file with some changed, lost, doubled or inserted."""
+    """Return the content of a file with some bytes changed, lost, doubled or inserted."""
     found = bytearray(content)
     for _ in range(turn.choice([1, 1, 2, 10])):
         place = turn.randrange(len(found) or 1)
@@ -265,7 +265,7 @@ def test_netcdf_files(originals: Path, tmp_path: Path, count: int):
 
     def case(turn: random.Random) -> None:
         changed = damaged(sealed, turn)
-        # A new seal would let files pass at which HDF5 hangs, which no user has.
+        # A valid seal on a damaged file would pass the check, and HDF5 might hang.
         (tmp_path / "run.nc").write_bytes(changed + turn.choice([b"", seal(sealed)]))
         Trajectory.load(tmp_path / "run.nc")
 

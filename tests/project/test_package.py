@@ -83,7 +83,7 @@ def test_built_wheel_works_in_another_folder(tmp_path):
         str(tmp_path / "site"),
         str(wheel),
     )
-    # Compiled code is valid as long as the source has the same time.
+    # Compiled code is valid as long as the source has the same modification time.
     for kept in (ROOT / "lmpchain").rglob("*.nb[ic]"):
         shutil.copy2(kept, tmp_path / "site" / kept.relative_to(ROOT))
     for source in (ROOT / "lmpchain").rglob("*.py"):

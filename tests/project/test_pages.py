@@ -233,7 +233,7 @@ def test_examples(page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_every_block_is_tested():
-    """Only these kinds of blocks occur, and each of them is executed or read by a test."""
+    """Pages contain only known kinds of blocks, and a test executes or reads each of them."""
     for page in NAMES:
         text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
         assert "+SKIP" not in text
@@ -549,7 +549,7 @@ def test_stored_tables_agree_with_the_pictures(monkeypatch: pytest.MonkeyPatch, 
 
 
 def test_a_measured_number_is_on_one_page():
-    """It is on the page that names the measuring script; other pages link to it."""
+    """A measured number is on the page that names the script; other pages link to that page."""
     cited: dict[str, set[str]] = {}
     for page in [*DOCS.glob("*.md"), ROOT / "README.md"]:
         for script in re.findall(r"analysis/[\w/]+\.py", page.read_text(encoding="utf-8")):
@@ -716,7 +716,7 @@ def check_live_figures(build: Path, profile: Path):
     figures = re.findall(r'<iframe class="live-figure" src="([^"]*)"', index)
     assert len(figures) == 4
     assert all((build / figure).stat().st_size < 2e6 for figure in figures)
-    # They do not contain the build path either.
+    # The figures must not contain the build path.
     assert not any(str(build) in (build / figure).read_text("utf-8") for figure in figures)
     if not installed():
         return

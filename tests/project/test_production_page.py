@@ -31,7 +31,8 @@ PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask"
 STRIKE = Impulse(velocity=1e-5)
 STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size=3999), 0.0))
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
-# A run that the page stops must last. Its steps are slow, because ranks synchronise at each step.
+# The page stops this run, so the run must be long. Its steps are slow, because ranks synchronise at
+# each step.
 MOVING = Scene(
     chain=Chain(grains=4000, diameter=1e-3),
     excitation=STIRRED,

@@ -16,7 +16,7 @@ from lmpchain.cli.command_line import main
 NAN = float("nan")
 INF = float("inf")
 STRANGE: list[Any] = [NAN, INF, -INF, -1, 0, 5e-324, 1e308, True, "x", [], {}]
-LONGEST = 400  # Letters of a line, in which a repeated value has at most 80.
+LONGEST = 400  # Largest number of letters of a line; a repeated value has at most 80.
 ALL: list[Tables] = [
     *EXCITATIONS,
     {"kind": "drive", "grain": 1, "amplitude": 1e-10, "frequency": 1e4, "cycles": 2.5},

@@ -120,7 +120,7 @@ def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.Mo
     ("source", "message"),
     [
         ({"over": {"chain.gravty": [1.0, 2.0]}}, "gravity"),
-        ({"over": {"gravity": [1.0, 2.0]}}, "is no key of a scene"),
+        ({"over": {"gravity": [1.0, 2.0]}}, "is not a key of a scene"),
         ({"over": {"chain.gravity": ["a", "b"]}}, "chain.gravity: must be a list of numbers"),
         ({"over": {"chain.gravity": [2.0, 1.0]}}, "ascending"),
         ({"over": {"chain.gravity": []}}, "ascending"),

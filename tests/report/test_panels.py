@@ -113,7 +113,7 @@ def test_a_picture_is_an_svg_of_its_size_without_a_date():
 
 
 def test_many_points_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
-    """At 200 dots per inch they are sharp."""
+    """The pictures are sharp at 200 dots per inch."""
     shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
     size = min(shown + MARGIN, 40)
     for limit, pixels in ((size, False), (size - 1, True)):
@@ -324,7 +324,7 @@ def test_grains_are_equal_to_nine_digits(key: str):
 
 
 def test_a_front_travels_downward(run: Trajectory):
-    """It passes nine of ten grains in order, and at least six grains."""
+    """A front passes at least six grains, and nine of ten in order."""
     from lmpchain.measure import front
 
     sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
@@ -343,7 +343,7 @@ def test_a_front_travels_downward(run: Trajectory):
             return front_below(run)
 
     onward = np.arange(21.0)
-    for back, ok in ((2, True), (3, False)):  # Steps backward of twenty steps.
+    for back, ok in ((2, True), (3, False)):  # Number of the twenty steps that go backward.
         times = onward.copy()
         times[2 : 2 + 2 * back : 2] -= 1.5
         assert (np.diff(times) < 0).sum() == back
@@ -370,7 +370,7 @@ def test_the_dispersion_is_that_of_the_moving_grains(draw: Any, run: Trajectory)
     first, last = extent(crop(run))
     assert picture.caption.startswith(f"Spectrum of grains {first} to {last} over wavenumber")
     result = spectrum.dispersion(run, first, last)
-    # Newton's law for a wave exp(i k n - i w t) gives at most m w^2 = 4 k sin(q/2)^2.
+    # For a wave exp(i q n - i w t), Newton's law is m w^2 = 4 k sin(q/2)^2, at most 4 k.
     chain = run.scene.chain
     middle = result.grain[1]
     stiff = chain.linear_stiffness[middle - 2 : middle].mean()

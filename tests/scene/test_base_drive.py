@@ -92,7 +92,7 @@ def test_damped_random_columns_agree_with_own_integration(bottom: str, seed: int
         np.abs(run.displacement[:, moving] - u).max() / np.abs(run.displacement).max(),
         np.abs(run.velocity[:, moving] - v).max() / np.abs(run.velocity).max(),
     )
-    # The own integration steps over openings, with an error of up to 1e-8.
+    # The integration of this test steps over openings, with an error of up to 1e-8.
     assert off <= run.error_estimate.total + 1e-8
 
 
@@ -111,7 +111,7 @@ def test_a_ball_that_bounces_on_a_plate_lands_when_its_parabola_meets_the_plate(
 
     run = simulate(scene_of(chain, shaker, 0.019, 3801), "native", tolerance=1e-7)
     flies = contact.contacts(run, [1]).force[:, 0] == 0
-    # The last flight, after small bounces of the plate's sudden start.
+    # The last flight follows small bounces that the sudden start of the plate causes.
     above = np.arange(1 + np.flatnonzero(~flies)[-1], flies.size)
     assert above.size > 500
     middle = above[above.size // 2]
@@ -294,7 +294,7 @@ def test_drives_from_above_and_below_are_mirror_images_without_gravity() -> None
 
 @BOTTOMS
 def test_power_of_a_shaker_below(bottom: str) -> None:
-    """The power that a weak shaker gives is that of the linear column, and the ledger's."""
+    """The input power of a weak shaker agrees with linear theory and with the ledger."""
     damping = Damping(viscoelastic=4e-6)
     chain = Chain(grains=6, material="steel", diameter=1e-2, bottom=bottom, damping=damping)
     shaker = Drive(end="bottom", amplitude=1e-10, frequency=300.0)

@@ -441,7 +441,7 @@ def test_knots_and_touching_walls_are_not_smooth() -> None:
 
 @pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 0)])
 def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path: Path):
-    """Compared with an independent integration, from a scene file and from its CSV table."""
+    """Runs from a scene file and its CSV table agree with an independent integration."""
     chain = loaded(top=top)
     rng = np.random.default_rng(3)
     u, v = (

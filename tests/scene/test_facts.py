@@ -54,7 +54,9 @@ def test_corners_are_those_of_the_force_within_the_run() -> None:
     assert SCENES["struck"].corner_spacing == np.inf
     pushed = SCENES["pushed"]
     assert pushed.corners == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
-    assert pushed.corner_spacing == pytest.approx(1e-6)  # From t = 0 to the first one.
+    assert pushed.corner_spacing == pytest.approx(
+        1e-6
+    )  # The smallest spacing is from t = 0 to the first corner.
     assert pushed.recorded.tolist() == [7, 3]
 
 

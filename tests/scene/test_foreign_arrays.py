@@ -1,4 +1,4 @@
-"""Values from other libraries in array arguments: numbers, or rejected under the field's name."""
+"""Values from other libraries are accepted as numbers, or rejected with the field's name."""
 
 from collections.abc import Callable
 from typing import Any

@@ -1,4 +1,4 @@
-"""Valid but implausible input causes one warning line: wrong units, too strong strikes."""
+"""Valid but implausible input causes one warning line: wrong units, or excessive strikes."""
 
 import warnings
 

@@ -150,7 +150,7 @@ def test_too_hard_a_strike_names_the_contact_and_its_compression(grain: int) -> 
 
 
 def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
-    """In long chains these are the moving grains and their neighbours, fewer at the ends."""
+    """A picture of a long chain shows the moving grains and their neighbours."""
     many = Chain(grains=20_000, diameter=1e-3, bottom="wall")
     wide = np.zeros(20_000)
     wide[[99, 101]] = 1e-4

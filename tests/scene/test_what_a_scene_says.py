@@ -226,7 +226,7 @@ def test_decks_have_a_number_of_steps_that_lammps_can_count(tmp_path: Path) -> N
 
 def test_a_run_of_minutes_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     class Begun(Exception):
-        """Raised when the run begins."""
+        """The error is raised when the run begins."""
 
     def begin(*_: object) -> None:
         raise Begun
@@ -282,7 +282,7 @@ AT_START = {
 def test_strains_of_the_linear_chain_are_bounded_by_its_energy(
     chain: Chain, excitation: Any
 ) -> None:
-    """The bound in another form; no superposition of modes exceeds it."""
+    """The bound agrees with another form, and no superposition of modes exceeds it."""
     scene = scene_of(excitation, chain)
     bound = springs_strain(chain, excitation, scene.duration)
     assert scene.linear_strain == pytest.approx(bound, rel=1e-12)
@@ -333,7 +333,7 @@ def test_strains_of_a_driven_linear_chain() -> None:
 
 
 def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
-    """By its impulse over mass and frequency; a slow force by its work over the displacement."""
+    """A short force is bounded by its impulse, and a slow force by its work."""
     spring = {"grains": 1, "diameter": 1e-3, "exponent": 1.0, "bottom": "wall", "masses": [2e-6]}
     chain = Chain(**spring, wall_constants=[0.0, 50.0])
     blow = Force(shape="half-sine", amplitude=-1e-3, duration=1e-7)
@@ -353,7 +353,7 @@ def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
 
 
 def test_the_external_force_of_drives_and_forces() -> None:
-    """For a driven grain, a driven wall and a force: the external force and the body's motion."""
+    """The external force and its body's motion agree for driven grains, walls and forces."""
     time = np.array([0.0, 1e-5, 3e-5])
     rng = np.random.default_rng(1)
     force, rate = rng.normal(size=(2, 3, 10))

@@ -47,13 +47,13 @@ def test_94_to_96_percent_of_20000_intervals_cover(memory: float, copies: int):
 
 @pytest.mark.parametrize("memory", [0.95, 0.99, 0.999, 0.9999])
 def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
-    """Such intervals have few batches or are infinite; the others are wide enough on average."""
+    """Intervals from few batches may be infinite; the others are wide enough on average."""
     assert coverage(memory, 1, 8, 400, 3) > 0.92
 
 
 @pytest.mark.slow
 def test_intervals_of_correlations_over_two_stretches_cover():
-    """Correlations that are small by chance must not lead to too narrow intervals."""
+    """Correlations that are small by chance must not make intervals too narrow."""
     rng = np.random.default_rng(7)
     averages = [estimate(sequences(np.exp(-1 / 16), 1, 8, rng).mean(-1)) for _ in range(8000)]
     known = [average for average in averages if average.batches]
@@ -69,7 +69,7 @@ def test_intervals_of_oscillations_cover():
     radius, angle = 0.98, 0.5
     swings = lfilter([1.0], [1.0, -2 * radius * np.cos(angle), radius**2], rng.normal(size=size))
     averages = [estimate(row.reshape(1, -1, 8).mean(-1)) for row in swings]
-    # Two thousand scatter by 0.5 %.
+    # The standard deviation of the coverage of two thousand intervals is 0.5 %.
     covered = np.mean([abs(average.mean) <= average.half_width for average in averages])
     assert 0.935 <= covered <= 0.965
 
@@ -87,7 +87,7 @@ def test_the_standard_error_agrees_with_the_sequence():
     memory, per_stretch = 0.9, 64
     errors = [estimate(sequences(memory, 1, per_stretch, rng).mean(-1)).error for _ in range(400)]
     exact = (1 + memory) / (1 - memory) / (BATCHING.stretches * per_stretch)
-    # 400 estimates with 15 degrees of freedom each scatter by 1.8 %.
+    # The mean of 400 estimates with 15 degrees of freedom each has a deviation of 1.8 %.
     assert 0.93 < np.mean(np.square(errors)) / exact < 1.07
 
 

@@ -210,7 +210,7 @@ def test_a_plan_as_a_table():
 
 
 def test_the_picture_of_a_plan():
-    """Expected error over cost, on scales of powers of ten.
+    """The picture shows the expected error against the cost on logarithmic scales.
 
     The tolerance is a line, the choice has a ring.
     """
@@ -300,9 +300,9 @@ def test_best_effort_loosens_an_unreachable_tolerance():
 
 
 class Answers:
-    """Results that take these times.
+    """A stand-in for `simulate` that advances a simulated clock.
 
-    A start, and a slowness times their work on the reference machine.
+    A result takes the start-up time, plus the slowness times its work on the reference machine.
     """
 
     def __init__(self, monkeypatch, start: float, slowness: float):
@@ -314,7 +314,7 @@ class Answers:
         monkeypatch.setattr(calibration, "simulate", self.simulate)
 
     def simulate(self, scene, engine, tolerance):
-        """Spend the time; the first results of a row take longer."""
+        """Advance the simulated clock; all repeats but the last take longer."""
         self.count += 1
         start, slowness = cost_model.speed(engine.name, engine.start_up_s)
         work = (engine.propose(engine.part(scene), tolerance).cost_s - start) / slowness
@@ -323,7 +323,7 @@ class Answers:
 
 
 def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
-    """They follow from the shortest times of a small and a large solution.
+    """The start-up time and slowness follow from a small and a large solution.
 
     It is written with the name of the machine.
     """

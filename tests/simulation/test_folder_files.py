@@ -70,7 +70,7 @@ def refused(folder: Path, capsys: pytest.CaptureFixture[str], scene: Path, *opti
 def test_a_scene_beside_a_run_json_is_not_a_run_folder(
     order: str, options: tuple, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    """For example after `compare --json run.json`; other files were once deleted with it."""
+    """A scene beside the output of `compare --json run.json` was once deleted as a run."""
     scene = write(SCENE, tmp_path)
     scene = scene.rename(tmp_path / "scene.toml")
     (tmp_path / "run.json").write_text(order)

@@ -275,9 +275,9 @@ def test_the_interval_of_checkpoints(tmp_path, monkeypatch, small_blocks):
     monkeypatch.setattr(run_folder.store.Writer, "put", put)
     simulate(SCENE, "native", 1e-6, folder=tmp_path / "run")
     moments = [moment for moment, _ in saved]
-    # There are two at the beginning, and the next one after a second.
+    # Two checkpoints are written at the beginning, and the next one after a second.
     assert moments[0] == pytest.approx(2 * 0.05 + 2 * 0.5 + 0.05, rel=1e-9)
-    # Saving took 0.05 s, so that the next one is 5 s later.
+    # Saving took 0.05 s, so the next checkpoint is 5 s later.
     assert moments[1] - moments[0] == pytest.approx(5.05, abs=0.51)
     assert status(tmp_path / "run")["wall_s"] == pytest.approx(now[0], rel=1e-9)
 
@@ -296,7 +296,7 @@ def test_a_folder_used_by_another_process_is_left_unchanged(tmp_path, small_bloc
 
 
 def test_a_killed_run_has_the_status_killed(tmp_path, small_blocks):
-    """Its file says "running", but no process has the lock."""
+    """A killed run leaves a file that says "running", but no process has the lock."""
     folder = tmp_path / "run"
     stopped(folder)
     file = folder / "status.json"

@@ -47,7 +47,7 @@ def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def tops(scene: Scene, kind: int, grain: int) -> list[tuple[float, float]]:
-    """Return time and size of the largest displacement (0) or velocity (1) of a grain."""
+    """Return the time and size of the largest displacement (0) or velocity (1) of a grain."""
 
     def values(t):
         return np.abs(motion(scene, np.atleast_1d(t))[kind][:, grain])
@@ -163,7 +163,7 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
 
 
 def test_an_ambiguous_front_has_a_large_error():
-    """Of two maxima, the first is almost half of the second.
+    """The first of two maxima is almost half as high as the second.
 
     Its time is off by their distance, if values are off.
     """

@@ -81,7 +81,7 @@ def test_an_oscillator_whose_samples_are_nodes(engine: str):
 
 @pytest.mark.parametrize("exponent", [1.0, 1.25, 1.5, 2.0, 3.0])
 def test_a_grain_that_bounces_off_a_wall(exponent: float):
-    """All of its energy is in the contact once.
+    """The contact stores all of the energy at one moment.
 
     F = K x^delta, K x^(delta + 1) / (delta + 1) = m v^2 / 2.
     """
@@ -309,7 +309,7 @@ def test_a_batch_accumulates_like_single_runs():
 
 
 def test_a_batch_accumulates_in_the_whole_chain():
-    """Of 200 grains the wave reaches 111 around the struck grain."""
+    """The wave reaches 111 of 200 grains, around the struck grain."""
     chain = Chain(grains=200, diameter=1e-3, gravity=0.0, top_load=0.05, top="wall", bottom="wall")
     struck = [Impulse(velocity=velocity, grain=100) for velocity in (1e-5, 2e-5)]
     asked = {"duration": 4e-5, "samples": 41, "quantities": ["peak_velocity"]}

@@ -78,7 +78,7 @@ def lammps(monkeypatch: pytest.MonkeyPatch):
 
 
 def breakdown(monkeypatch: pytest.MonkeyPatch):
-    """Return a first attempt with far too long steps, so that it breaks down."""
+    """Return a first attempt that breaks down because its steps are far too long."""
     honest = time_stepping.TimeSteppingEngine.propose
 
     def choose(*arguments):
@@ -98,7 +98,7 @@ def by_formula(monkeypatch: pytest.MonkeyPatch):
 
 
 def fallback(monkeypatch: pytest.MonkeyPatch):
-    """Return an attempt of "auto" with linear theory, whose model error proves too large."""
+    """Return a scene for which "auto" tries linear theory, whose model error is too large."""
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
@@ -153,7 +153,7 @@ def test_a_kill_at_any_change_of_the_disk_is_recovered(
             again = kill_moments(
                 folder, lambda at=folder: resume(at), 3, rng, tmp_path / f"again {folder.name}"
             )
-            # There is no copy from a moment at which another thread moved a file.
+            # If another thread moved a file at a kill moment, that moment has no copy.
             folder = rng.choice(again)
         answer = resume(folder)
         assert same(answer, right), folder
@@ -252,7 +252,7 @@ def test_ranks_name_no_shared_memory_and_end_with_their_launcher(tmp_path: Path)
 
 
 def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """These are files of ranks killed at their start, and of launchers.
+    """Files of launchers, and of ranks that were killed at their start, are removed.
 
     Not what is in use, new, or of others.
     """
@@ -441,7 +441,7 @@ SOAK = {
     [(case, piece) for case, times in SOAK.items() for piece in range(times // 10)],
 )
 def test_random_kills(case: str, piece: int, tmp_path: Path, truth: Callable):
-    """Ten kills at random, some of them in the same run, in any of its attempts."""
+    """A run that is killed at random moments and resumed gives the same result."""
     right = truth(case)
     rng = random.Random(f"{case} {piece}")
     count = 0

@@ -74,7 +74,7 @@ def test_judging_times_depend_only_on_the_scene():
 
 
 def test_a_hopeless_attempt_ends_early_and_sets_the_next_step(early, ends):
-    """Its estimate exceeded the tolerance before its end."""
+    """An attempt ends early because its estimate already exceeds the tolerance."""
     scene = agitated(12, 4e-4)
     answer = simulate(scene, "native", 1e-8)
     assert answer.error_estimate.solver <= 1e-8

@@ -65,7 +65,7 @@ def test_a_sine_beside_sampled_drives_is_computed_as_alone():
 
 
 def test_the_estimate_covers_the_error():
-    """Compared with SciPy's DOP853 on another form of the equation of motion.
+    """The run agrees with SciPy's DOP853 on another form of the equation of motion.
 
     Chains that open contacts and chains that do not.
     """

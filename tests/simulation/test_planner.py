@@ -92,10 +92,10 @@ def struck(seed: int) -> Scene:
 
 
 def truth(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacement and velocity of every grain by Taylor series, checked by extrapolation.
+    """Return the displacement and velocity of every grain by Taylor series.
 
-    The second one knows only grains as near as the wave can have come; the first must all but leave
-    others at rest.
+    A second solution contains only the grains that the wave can reach. Both must agree there, and
+    the other grains of the first solution must be nearly at rest.
     """
     spare = 120
     (first, last) = scene.excitation.reach(scene.chain)
@@ -122,7 +122,7 @@ def keeps_its_word(seed: int) -> str:
             # Linear theory is used if it is accurate enough.
             if seed % 2 and not (scene.drive and scene.chain.grains > 1000):
                 patch.setattr(linear, "seconds", lambda *_: 0.0)
-                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # And it is asked at all.
+                patch.setattr(choice, "speed", lambda *_: (0.0, 1.0))  # Linear theory is cheap.
             plan = lmpchain.plan(scene, tolerance)
             t = simulate(scene, tolerance=tolerance)
         kept = [proposal for proposal in plan.candidates if proposal.kept]
@@ -198,7 +198,7 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
 @pytest.mark.timeout(3600)
 @pytest.mark.filterwarnings("ignore:Eq. ")
 def test_the_choice_takes_at_most_twice_the_time_of_the_fastest():
-    """This holds for nine of ten scenes above 1 ms."""
+    """The choice is within twice the fastest time for nine of ten scenes above 1 ms."""
     scenes = [
         scene for seed in range(300, 380) if expected_seconds(scene := with_alternatives(seed)) < 20
     ]

@@ -268,7 +268,7 @@ def test_another_number_of_ranks_gives_the_same_bits(case: str, tmp_path: Path):
 
 
 def on_ranks(scene: Scene, engine: engines.Lammps, ranks: list[int], folder: Path) -> Trajectory:
-    """Run a scene with these numbers of ranks in turn, stopping after a block each."""
+    """Run a scene with each number of ranks in turn, and stop each run but the last early."""
     for number, count in enumerate(ranks):
         limit = None if number == len(ranks) - 1 else 1e-9
         with nullcontext() if limit is None else pytest.raises(Stopped):

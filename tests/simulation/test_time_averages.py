@@ -29,7 +29,7 @@ def struck(chain: Chain, seed: int = 1) -> Scene:
 
 
 def beta(grains: int, exponent: float) -> tuple[float, float]:
-    """Return mean and variance of K / E in the microcanonical ensemble.
+    """Return the mean and variance of K / E in the microcanonical ensemble.
 
     The volume of phase space below an energy is that of a product: momenta give E^(N/2), and
     displacements, of whose potential a factor s on all makes s^(delta+1), give E^(N/(delta+1)).
@@ -49,7 +49,7 @@ def test_kinetic_energy_of_beads_between_walls_is_microcanonical(grains: int, ex
     assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
     assert found.variance["kinetic_energy"] / scene.energy**2 == pytest.approx(variance, rel=0.03)
     low, high = found.variance_interval["kinetic_energy"]
-    # One interval in twenty does not cover, hence half as wide again.
+    # One interval in twenty does not cover the truth, so intervals 1.5 times as wide are compared.
     assert low / 1.01 < variance * scene.energy**2 < high * 1.01
     assert found.energy_error <= 1e-3
 
@@ -74,7 +74,7 @@ def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
         scene = struck(chain, seed)
         low, high = averages(scene, [name], time=0.1, tolerance=6e-4).interval[name]
         covered += low < 5 / 9 * scene.energy / 24 < high
-    # A thousand intervals scatter by 0.7 %.
+    # The standard deviation of the coverage of a thousand intervals is 0.7 %.
     assert 0.93 <= covered / 1000 <= 0.97
 
 

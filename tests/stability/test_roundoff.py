@@ -312,7 +312,7 @@ def answerable(scene, tolerance, patient):
 
 
 def test_solvable_scenes_are_not_rejected():
-    """Durations are up to close to the predictability horizon."""
+    """The durations are 0.5, 0.7 and 0.85 times the predictability horizon."""
     whole = chaotic()
     end = predictability_time(whole, 1e-6)
     for part in (0.5, 0.7, 0.85):

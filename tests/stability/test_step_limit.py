@@ -122,7 +122,7 @@ def test_the_frequency_of_a_struck_chain(case: tuple[Chain, float, float]) -> No
 
 
 def test_the_frequency_of_two_grains_pressed_together() -> None:
-    """Compared with a closed form.
+    """The result agrees with a closed form.
 
     All the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E.
     """

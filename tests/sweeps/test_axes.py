@@ -135,7 +135,7 @@ def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
 def test_keys_must_belong_to_a_scene_and_be_unique():
     keys = "they begin with chain, excitation, recording, as chain.gravity does"
     (fault,) = faults({"grid": {"chian.gravity": [1.0]}})
-    assert fault == ("chian.gravity", f"is no key of a scene (did you mean 'chain'?); {keys}")
+    assert fault == ("chian.gravity", f"is not a key of a scene (did you mean 'chain'?); {keys}")
     (fault,) = faults({"grid": {"disorder.m": [1.0]}})
     assert fault[0] == "disorder.m"
     grid = {"chain.gravity": [1.0]}

@@ -96,7 +96,7 @@ def energies(run: Any) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_energy_is_that_of_recorded_grains_and_contacts(swept: Any, whole: Any):
-    """Of grains 3, 4 and 7, only the contact between 3 and 4 is included."""
+    """If grains 3, 4 and 7 are recorded, only the contact between 3 and 4 is included."""
     kinetic, held = energies(whole)
     rows = slice(None, None, 100)
     of_grains = kinetic[rows][:, [2, 3, 6]].sum(1)

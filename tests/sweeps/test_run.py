@@ -213,7 +213,7 @@ def test_dask_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch):
 
 
 def test_processes_that_cannot_start_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """For example without /dev/shm, which the semaphores of processes need."""
+    """Processes cannot start without /dev/shm, which their semaphores need."""
 
     def refuse(*_: object, **__: object) -> None:
         raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT))
@@ -286,7 +286,7 @@ def test_labels_cover_all_scenes():
 
 @pytest.mark.usefixtures("in_pairs")
 def test_earlier_results_are_reused_at_any_position(tmp_path: Path, monkeypatch: Any):
-    """They may be in several shards, and in parts."""
+    """Earlier results in several shards, and in parts, are reused."""
     monkeypatch.setattr(store, "STORE", store.STORE._replace(shard_scenes=1))
     few = ASKED | {"grid": {"chain.gravity": [3.0, 6.0, 1.0, 9.0, 2.0]}}
     first = sweep(few, tmp_path).load()

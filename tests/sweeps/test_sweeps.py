@@ -119,7 +119,7 @@ def test_a_grid_is_every_combination(tmp_path):
             assert here.solver_error == alone.error_estimate.solver
     assert np.array_equal(found.time, alone.time)
     assert (found.reason == "").all()
-    found.load()  # Loaded before the next sweep takes over its folder.
+    found.load()  # The next sweep reuses the folder.
     turned = sweep({"scene": SHORT, "grid": dict(reversed(grid.items()))}, tmp_path)
     assert turned.velocity.dims == ("excitation.velocity", "chain.gravity", "time", "grain"), (
         "as they are named"
@@ -359,7 +359,7 @@ def test_files_are_identified_by_their_contents(tmp_path):
 
 
 def test_traces_of_instruments_are_swept(tmp_path):
-    """Their calibration is swept like any key; a start file is identified by its contents."""
+    """The calibration of a trace is swept like any key; a start file is known by its contents."""
     (tmp_path / "scope.csv").write_text("t (us);u (mV)\n-1;10\n0;10\n5;11,5\n20;13\n")
     (tmp_path / "start.csv").write_text("velocity\n" + "0\n" * 12)
     options = {"scale": 1e-6, "offset": 0.01, "trigger": 0.0, "start": {"file": "start.csv"}}
@@ -455,7 +455,7 @@ def test_accumulated_quantities_are_stored(tmp_path):
         error = own["peak_velocity_error"] + most.error[[6, 2]]
         assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
         assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        # Two samples do not show the value, so that it is accumulated.
+        # Two samples do not show the largest displacement, so the sweep accumulates it.
         farthest = peaks(one, "displacement")
         error = own["peak_displacement_error"] + farthest.error[[6, 2]]
         assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()
@@ -486,7 +486,7 @@ def test_the_example(tmp_path, capsys):
 
 
 def test_arrays_are_read_on_use(tmp_path):
-    """Only the required files, and of these only the required entries, are read."""
+    """Only the required entries of the required files are read."""
     found = sweep({"scene": SHORT, "grid": {"chain.gravity": GRAVITIES}}, tmp_path)
     whole = load_sweep(tmp_path).velocity.load()
     for row, part in enumerate(
@@ -814,7 +814,7 @@ def test_a_dying_process_loses_only_its_own_task():
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["shutdown", "kill"])
 def test_processes_end_within_a_task(how):
-    """They end with the pool, and with the process of the pool, however it ends."""
+    """Worker processes end with their pool, and with the process of the pool, however it ends."""
     script = (
         "import os, sys, time\n"
         "from lmpchain.sweeps.executors import Processes\n"

@@ -94,7 +94,7 @@ STORED = [
 def test_incomplete_results_are_computed_again(
     name: str, damage: Callable[[Path], None], folder: Path, right: Any
 ):
-    """Until then they count as missing or damaged, never as zeros or as results."""
+    """Incomplete results count as missing or damaged, never as zeros or as results."""
     name = name.replace("peak_force_2", right_name(folder))
     (path,) = folder.glob(f"*/results.zarr/{name}")
     damage(path)
@@ -159,7 +159,7 @@ def test_an_incomplete_part_is_computed_again(
 
 
 def test_results_are_on_disk_before_they_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Shards precede their seal, the seal precedes removal of parts, parts precede their name."""
+    """Shards are on disk before their seal, which is on disk before their parts are removed."""
     events: list[tuple[str, str]] = []
     honest = {"flush": files._to_disk, "replace": os.replace, "unlink": Path.unlink}
 
@@ -229,7 +229,7 @@ def test_a_lock_of_a_user_is_preserved(tmp_path: Path):
 
 
 def test_an_older_sweep_with_a_users_notes_is_preserved(folder: Path):
-    """Otherwise a longer sweep replaces it."""
+    """A longer sweep replaces an older one, but not if a user's notes are in its folder."""
     (old,) = (path.parent for path in folder.glob("*/store.json"))
     copy = shutil.copytree(folder, folder.with_name("copy"))
     longer = ASKED | {"grid": {"chain.gravity": [*ASKED["grid"]["chain.gravity"], 5.0]}}

@@ -50,7 +50,7 @@ def test_dimer(m: float):
 
 @each
 def test_rings_of_cells_have_frequencies_of_the_branches(cell: Cell):
-    """A ring of 6 cells by a dense matrix."""
+    """The frequencies agree with the dense matrix of a ring of 6 cells."""
     m = np.tile(cell.masses, 6)
     k = np.tile(cell.stiffness, 6)
     inside = np.tile(
@@ -203,7 +203,7 @@ def test_long_waves_and_edges(cell: Cell):
 
 
 def test_density_of_states_at_edges_and_of_any_shape():
-    """For the uniform chain 2 / (pi sqrt(4 - w^2)), which is infinite at its edge."""
+    """The density of a uniform chain is 2 / (pi sqrt(4 - w^2)), infinite at the band edge."""
     bands = branches(Cell([1.0], [1.0]), 0.3)
     w = np.array([[0.1, 1.0], [1.9, 1.99]])
     assert bands.density_of_states(w) == pytest.approx(2 / np.pi / np.sqrt(4 - w**2), rel=1e-7)

@@ -1,5 +1,6 @@
-"""Eqs. (5)-(8), (11), (13) and (19)-(21), against an integrator, mpmath,
-images and published numbers.
+"""Eqs. (5)-(8), (11), (13) and (19)-(21) against independent computations.
+
+The comparisons are with an integrator, mpmath, image sources, and published numbers.
 """
 
 import mpmath as mp

@@ -426,7 +426,7 @@ def test_refusals(call, key: str):
 
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0, 3.0])
 def test_impulse_of_a_grain_is_the_mean_over_its_cell(delta):
-    """Compared with quadrature of the impulse response, and velocity with time differences."""
+    """The field agrees with quadrature of the impulse response, and velocity with differences."""
     tau = 7.3
     n = np.arange(1, 12)
     phi, speed = continuum.impulse_of_grain(n, tau, delta)

@@ -1,6 +1,4 @@
-"""Eqs. (22) and (23): Dyson's distribution against mpmath, its moments,
-and the sum over the column.
-"""
+"""Eqs. (22) and (23): Dyson's distribution against mpmath, and the sum over the column."""
 
 import mpmath as mp
 import numpy as np

@@ -66,7 +66,7 @@ def test_four_decades_of_viscosity_and_speed(viscoelastic):
 
 
 def test_coefficients_of_the_series():
-    """Computed by Cauchy's integral over a circle, from another form of the equations."""
+    """The reference is Cauchy's integral over a circle, with another form of the equations."""
     radius = 0.45
     circle = radius * np.exp(2j * np.pi * np.arange(32) / 32)
     values = np.array([rebound(complex(x)) for x in circle])
@@ -78,7 +78,7 @@ def test_coefficients_of_the_series():
 
 
 def test_time_reversal_corresponds_to_the_opposite_viscosity():
-    """So e(-x e^(1/5)) e(x) = 1, which relates the even coefficients to the others."""
+    """The identity e(-x e^(1/5)) e(x) = 1 relates the even coefficients to the others."""
     from numpy.polynomial import polynomial
 
     for x in (0.02, 0.05, 0.1):

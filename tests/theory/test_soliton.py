@@ -171,7 +171,7 @@ def test_picture(wave: Soliton):
     (axes,) = wave.plot().figure.axes
     x = axes.lines[0].get_xdata()
     half = min(wave.reach, 3.2 * wave.width)
-    # The middle of equally spaced points is 0 up to the rounding of half their length.
+    # The middle of equally spaced points is 0 up to a rounding error of half the range.
     assert x[[0, 200, 400]] == pytest.approx([-half, 0, half], rel=1e-14, abs=1e-14 * half)
     assert x.size == 401
     e = wave.speed - 1

@@ -18,7 +18,7 @@ def integral(values: np.ndarray) -> np.ndarray:
 
 
 def motion(overlap: np.polynomial.Polynomial, exponent: float) -> tuple[np.ndarray, ...]:
-    """Return time, displacement, velocity and acceleration of a grain of 1 kg with one contact."""
+    """Return the time and motion of a grain of 1 kg with one contact, with its acceleration."""
     ends = np.arange((SAMPLES - 1) * FINE + 1) / FINE
     inside = (ends[:-1, None] + ends[1:, None] + KNOTS / FINE) / 2
 

@@ -147,7 +147,7 @@ def front(
     width: bool = True,
     frequency: float = TILT_S,
 ) -> np.ndarray:
-    """Return time, height and width of a front and their errors, (6,)."""
+    """Return the time, height and width of a front and their errors, (6,)."""
     motion = position if isinstance(position, np.ndarray) else motion_of(position, off)
     return front_among(motion, kind, H, fraction, known, certain, frequency, ceiling, width)
 
@@ -218,8 +218,9 @@ def test_the_time_error_of_a_front_is_limited_by_its_value(
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_two_maxima_of_similar_height(kind: int, sign: float):
-    """The first maximum is half as large as the second within the errors, so either may be the
-    front.
+    """Either of two maxima may be the front if their ratio is uncertain.
+
+    The first maximum is half as large as the second within the errors.
     """
     first = 0.15
     second = 0.83
@@ -245,8 +246,9 @@ def test_two_maxima_of_similar_height(kind: int, sign: float):
 
 @pytest.mark.parametrize(("kind", "sign"), MOTIONS)
 def test_a_first_maximum_without_later_ones_may_not_be_a_front(kind: int, sign: float):
-    """The largest value is at the end; if the first maximum were below the fraction, there is no
-    front.
+    """If the first maximum is below the fraction, there is no front.
+
+    The largest value is at the end.
     """
     first = 0.3
 
@@ -369,7 +371,7 @@ def test_a_slow_maximum_may_have_turned_earlier():
 
 
 def bumps(rng: np.random.Generator) -> Callable[[np.ndarray], np.ndarray]:
-    """Return u, v, a and j over time, (4, ...), of three pulses of a velocity."""
+    """Return a function of time with u, v, a and j, (4, ...), of three velocity pulses."""
     sizes = rng.uniform(0.3, 1, 3) * rng.choice([-1, 1], 3)
     middles = np.cumsum(rng.uniform(1.5, 4, 3)) + 4
     widths = rng.uniform(1.4, 2.5, 3)
@@ -440,8 +442,9 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
 def test_fronts_of_random_signals_agree_with_dense_samples(kind: int):
-    """The front is the first maximum above a fraction of the largest, and its width spans many
-    intervals.
+    """Fronts and their widths agree with dense samples of random signals.
+
+    The front is the first maximum above a fraction of the largest. Its width spans many intervals.
     """
     rng = np.random.default_rng(17)
     clear = 0

@@ -211,7 +211,7 @@ def test_a_constant_speed_is_reached_at_its_beginning(sign: int):
 
 
 def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
-    """The log has all turns of random polynomials that exceed all earlier values."""
+    """The log has all turning points of random polynomials that exceed all earlier values."""
     counts = set()
     for _ in range(200):
         position = wavy()

@@ -222,7 +222,7 @@ def test_the_axis_of_a_column_is_at_least_twice_as_long(tmp_path: Path, share: f
 
 @pytest.mark.parametrize(("levels", "good"), [(101, True), (99, False)])
 def test_heights_need_enough_digits(tmp_path: Path, levels: int, good: bool):
-    """Heights have steps of 1e-10 m, and the motion a number of these."""
+    """Heights are rounded to 1e-10 m, and the motion is a given multiple of that."""
     rest = np.round(REST, 10)
     u = np.zeros((SAMPLES, 5))
     u[:, 1] = np.array([0, 0.3, 0.7, 1.0]) * levels * 1e-10

@@ -102,7 +102,7 @@ def scaled(columns: str, factor: float) -> Callable[[list[Frame]], None]:
 
 
 def every(number: int) -> Callable[[list[Frame]], None]:
-    """Return the frames of a run with fewer frames in a longer time, for the same sample count."""
+    """Return a function that keeps every n-th frame of a dump."""
 
     def change(frames: list[Frame]) -> None:
         frames[:] = frames[::number]
@@ -470,7 +470,7 @@ def test_a_deck_with_a_gauge_diameter_has_the_forces_of_the_scene(tmp_path: Path
 
 @pytest.mark.parametrize("amplitude", [1e-6, 1e-5])
 def test_grains_that_move_by_less_than_a_digit_of_their_height(tmp_path: Path, amplitude: float):
-    """Such a grain is beside a forced grain in a vacuum, which moves as if alone."""
+    """A grain beside a forced grain in a vacuum moves by less than a digit of its height."""
     chain = Chain(grains=GRAINS, diameter=1e-3, gravity=0.0)
     push = Force(grain=4, shape="half-sine", amplitude=amplitude, duration=5e-7)
     scene = Scene(chain=chain, excitation=push, duration=1e-6, samples=41)

@@ -92,7 +92,7 @@ def test_xarray_reads_it(trajectory: Trajectory, tmp_path: Path):
         assert data.attrs["equation"] == 1
         assert data.attrs["solver_error"] == trajectory.error_estimate.solver
         assert 'kind = "impulse"' in data.attrs["scene"]
-    assert data.attrs.pop("history").endswith(command())  # Of the file, not of the run.
+    assert data.attrs.pop("history").endswith(command())  # The command of the file.
     assert data.identical(trajectory.to_xarray())
 
 

@@ -302,7 +302,7 @@ def test_the_cache_key_depends_on_imported_neighbours(tmp_path: Path):
 
 @pytest.mark.parametrize("gone", ["clmpchain.errors\nGone\n.", "clmpchain.gone\nGone\n."])
 def test_code_cached_by_an_older_version_is_recompiled(gone: str, tmp_path: Path):
-    """Its argument types may no longer exist, and numba unpickles them before the check."""
+    """A stale cache is ignored before numba unpickles argument types that no longer exist."""
     toy = module(tmp_path, "toy_outdated", TOY.format(name="three"))
     file = toy.twice._cache._cache_file
     path = Path(file._index_path)

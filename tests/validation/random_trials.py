@@ -38,10 +38,10 @@ from helpers.trial_scenes import (
 from lmpchain import InputError, RunFailed, Scene, ToleranceNotMet, Trajectory, simulate
 from lmpchain.engines.native import Native
 
-LONGEST = 60.0  # s of CPU time; a longer trial counts as a failure
-LOW = 3.0  # an estimate below a third of the true error is a failure
-ROUND = 2.3e-16  # difference of two solutions in double precision
-SAFE = 10.0  # the error of the reference must be smaller than its margin by this factor
+LONGEST = 60.0  # CPU time, s; a longer trial counts as a failure.
+LOW = 3.0  # An estimate below a third of the true error is a failure.
+ROUND = 2.3e-16  # Difference of two solutions in double precision.
+SAFE = 10.0  # The error of the reference must be smaller than its margin by this factor.
 FAMILIES = (
     *("native", "step", "auto", "linear", "lammps", "acted"),
     *("damped", "damped-lammps", "loose", "damped-short", "law"),

@@ -117,12 +117,12 @@ SINE = np.sin(pi * np.arange(1, 32) / 32)
 
 
 def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and mode energies of the Fermi-Pasta-Ulam-Tsingou chain in their units.
+    """Return the time and mode energies of the Fermi-Pasta-Ulam-Tsingou chain in their units.
 
     31 grains between walls, alpha = 1/4, a sine of amplitude 1: Fig. 1 of report LA-1940 (1955).
     The figure has 4000 times the energies, and the step of the report is sqrt(1/8).
     """
-    size = 1e-6  # Their unit of length, m.
+    size = 1e-6  # Unit of length of Fermi et al., m.
     chain = Chain(grains=31, **WALLS, law=laws.fput(0.25 * K / size, k=K))
     unit = sqrt(chain.masses[0] / K)
     engine = Native("verlet", step=step * unit * (1 + 1e-9)) if step else Native()
@@ -142,7 +142,7 @@ def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.nda
 
 
 def test_the_recurrence_of_fermi_pasta_ulam_and_tsingou() -> None:
-    """With their step of sqrt(1/8), 97.8 % of the energy returns to mode 1 after 157 periods.
+    """With the published step sqrt(1/8), 97.8 % of the energy is in mode 1 after 157 periods.
 
     Such is the published result (Weissert, The Genesis of Simulation in Dynamics, 1997, and
     others). In exact time the energy returns after 146.4 periods, because a long step weakens the

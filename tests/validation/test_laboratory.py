@@ -419,7 +419,7 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
 
 
 def _soliton(speed: float, grains: int) -> tuple[Array, Array]:
-    """Return displacement and velocity (N,) of a loaded Hertzian chain with one soliton.
+    """Return the displacement and velocity (N,) of a loaded Hertzian chain with one soliton.
 
     Its contacts are compressed by w beyond rest: ``c^2 w'' = F(x-1) - 2 F(x) + F(x+1)``, F = (1 +
     w)^1.5 - 1, in units of r0 and F0, by Petviashvili's iteration in Fourier space. It moves at

@@ -148,7 +148,7 @@ def test_a_toda_soliton_keeps_its_shape() -> None:
     [
         (laws.softening(1e-6, k=K), "law: has no equilibrium under"),
         (Law("k*o*(1 - o/1e-6)*(1 - o/2e-6)", k=K), "law: has 2 equilibria under"),
-        (Law("k*step(o)*(1 + o)", k=K), "law.force: jumps"),
+        (Law("k*step(o)*(1 + o)", k=K), "law.force: has a jump"),
         (Law("k*u", k=K), "law.force: depends on u or t"),
     ],
 )

@@ -40,7 +40,7 @@ def train() -> Trajectory:
 
 @cache
 def opening() -> Trajectory:
-    """Simulate a rarefaction of a step to half the overlap."""
+    """Simulate a rarefaction wave: half of the chain is expanded to half the overlap at t = 0."""
     chain = Chain(grains=600, top="free", bottom="wall", **BEADS)
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 9.5e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=350)
@@ -132,7 +132,7 @@ def diode() -> Row:
 
 
 def gradient() -> Row:
-    """Compare the derivative of an energy by a mass with central differences."""
+    """Compare the derivative of an energy with respect to a mass with central differences."""
     chain = Chain(grains=10, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=51)
     peak = lmpchain.design.PeakForce(5)

@@ -83,7 +83,7 @@ def test_a_kink_of_its_own_in_each_contact_keeps_the_order() -> None:
         off = np.abs(run.velocity[:, :-1] - true).max() / SPEED
         assert off <= run.error_estimate.total <= tolerance
         steps.append(run.cost.steps)
-    # A method of order 1 would take 10,000 times the steps, one of order 6 takes 4.6 times.
+    # A method of order 1 would need 10,000 times as many steps; one of order 6 needs 4.6 times.
     assert steps[-1] < 10 * steps[0]
 
 

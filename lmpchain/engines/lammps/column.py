@@ -302,7 +302,7 @@ class LammpsColumn:
     def _contacts(
         self, constants: Array, radius: Array, mass: Array, numbers: Sequence[int] | slice
     ) -> tuple[Array, Array]:
-        """Return stiffness and damping of contacts as in `Contact`, (C,) each.
+        """Return the stiffness and damping of contacts as in `Contact`, (C,) each.
 
         Parameters
         ----------

@@ -30,7 +30,7 @@ LINES = 2**14  # Number of lines of a data file that are formatted at once.
 
 
 def read_user_text(key: str, path: str | PathLike[str]) -> str:
-    """Return the text of a user's file; raises `InputError` under `key`."""
+    """Return the text of a user's file; raise `InputError` with `key` if it is unreadable."""
     path = expanded(path)
     if not path.is_file():
         raise InputError.at(key, f"there is no file {path}")

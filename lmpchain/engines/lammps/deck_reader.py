@@ -146,7 +146,7 @@ class _Script:
         return next(found, None)
 
     def need(self, *words: str) -> _DeckLine:
-        """Return the first command that begins with these words; raises `InputError`."""
+        """Return the first command that begins with these words; raise `InputError` without one."""
         line = self.find(*words)
         if line is None:
             fault = f"has no command {' '.join(words)}: is it a deck that lmpchain deck wrote?"
@@ -154,7 +154,7 @@ class _Script:
         return line
 
     def value(self, text: str, line: _DeckLine) -> float:
-        """Return the value of a number, a variable or a product of two; raises `InputError`."""
+        """Return the value of a number, a variable or a product; raise `InputError` otherwise."""
         if match := PRODUCT.fullmatch(text):
             first, factor, second = match.groups()
             product = [factor or f"${{{first}}}", f"${{{second}}}"]
@@ -171,7 +171,7 @@ class _Script:
         return number
 
     def argument(self, line: _DeckLine, place: int) -> str:
-        """Return one word of a command; raises `InputError` if it is missing."""
+        """Return one word of a command; raise `InputError` if it is missing."""
         if place >= len(line.words):
             raise self.refuse(line, "is too short")
         return line.words[place]
@@ -183,7 +183,7 @@ class _Script:
         return self.value(f"${{{name}}}", self.variables[name])
 
     def count(self, text: str, line: _DeckLine, least: int = 1) -> int:
-        """Return an integer of at least `least`; raises `InputError` for other words."""
+        """Return an integer of at least `least`; raise `InputError` for other words."""
         number = self.value(text, line)
         if (match := VARIABLE.fullmatch(text)) and match[1] in self.variables:
             text = self.variables[match[1]].words[3]
@@ -299,7 +299,7 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
 
 
 def _data_path(script: _Script) -> str:
-    """Return the path of the data file in the folder of a deck; raises `InputError`."""
+    """Return the path of the data file of a deck; raise `InputError` unless it is plain."""
     data = script.variables.get("data")
     if data is None:
         return "column.data"
@@ -326,7 +326,7 @@ def _is_index(words: Sequence[str]) -> bool:
 
 
 def _read_data(path: Path) -> _Grains:
-    """Return the grains of a data file in the order of their numbers; raises `InputError`."""
+    """Return the grains of a data file by number; raise `InputError` if it is invalid."""
     text = deck.read_user_text("deck", path)
     _, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
@@ -348,7 +348,7 @@ def _read_data(path: Path) -> _Grains:
 
 
 def _read_sections(parts: list[list[list[str]]]) -> tuple[str, dict[str, Array]]:
-    """Return the title of the atoms, and the rows of each section; raises `ValueError`."""
+    """Return the title of the atoms and the rows; raise `ValueError` for other formats."""
     titles = [" ".join(words) for part in parts[1::2] for words in part]
     sections = dict(zip(titles, parts[2::2], strict=True))
     title, *others = titles
@@ -376,7 +376,7 @@ def _forms(title: str, length: int) -> dict[str, tuple[int, int, list[int]]]:
 
 
 def _rows(rows: list[list[str]], form: tuple[int, int, list[int]]) -> Array:
-    """Return the rows of a section by number; raises `ValueError` for other formats."""
+    """Return the rows of a section by number; raise `ValueError` for other formats."""
     length, whole, _ = form
     for row in rows:
         if len(row) != length or not all(map(LAMMPS_NUMBER.fullmatch, row)):

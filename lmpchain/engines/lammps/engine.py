@@ -242,7 +242,7 @@ class Lammps(TimeSteppingEngine):
     ) -> Proposal:
         """Find the step by native trials, and the diameter by the expected rounding error."""
         if steps.per_landing > deck.STEPS_OF_A_RUN:
-            # This call rejects years of work, which more samples would not shorten.
+            # This call rejects runs of years, because more samples would not shorten them.
             super().propose_steps(scene, tolerance, method, steps)
             most = f"{steps.per_landing} steps per sample exceed the largest number in LAMMPS"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
@@ -288,7 +288,7 @@ class Lammps(TimeSteppingEngine):
     def _takes_gauge(
         self, scene: Scene, errors: tuple[float, ...], tolerance: float, fixed: bool
     ) -> bool:
-        """Return whether to use the gauge diameter, from both rounding errors and the allowed one.
+        """Return whether to use the gauge diameter, given the rounding errors of both diameters.
 
         Raises
         ------
@@ -545,7 +545,7 @@ def _bounds_overlaps(scene: Scene) -> bool:
 
 
 def _choices(gauge: float, reason: str) -> dict[str, str | float]:
-    """Return the choice and reason of a diameter, m; 0 for the physical diameter."""
+    """Return which diameter (m; 0 is the physical one) was chosen, and why."""
     return {"diameter": "gauge" if gauge else "physical", "drawn_m": gauge, "why": reason}
 
 

@@ -1,4 +1,4 @@
-"""The force from the ground in LAMMPS: of a spring, or by a formula of the displacement.
+"""The force of the ground in LAMMPS: a spring, or a formula of the displacement.
 
 One spring for all grains is `fix spring/self`, which pulls a grain back to where it is when the fix
 is made, and takes 7 % of the time of a step. Any other ground is an atom-style variable for
@@ -47,7 +47,7 @@ class LammpsGround:
     @property
     def pull(self) -> str:
         """The upward force on a grain, N, in variables of LAMMPS."""
-        # Displacements are positive downward, so that a force that pulls back is one upward.
+        # Displacements are positive downward, so a restoring force is upward.
         values = self._values | {"u": name("v_phi"), "t": name("v_now")}
         return self.law.formula.substitute(values).lammps
 

@@ -19,7 +19,7 @@ from ...errors import EngineUnavailable, InputError, LmpchainError
 from ...util import mpi
 from .communicators import SIGNALS, MpiRanks, Serial, shutdown_workers, worker_loop
 
-START_S = 60.0  # longest wait for the ranks to report, s
+START_S = 60.0  # Longest wait for the ranks to report, s.
 
 
 class SubprocessRanks:

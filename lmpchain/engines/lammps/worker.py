@@ -70,7 +70,7 @@ class StepPlan:
         return imposed and not self.driven and self.pushed is None
 
     def intervals(self, index: int) -> list[tuple[float, Array]]:
-        """Return length and drift times of a step, split in two if the waveform ends within it."""
+        """Return the length and drift times of a step, split where the waveform ends within it."""
         # Imposed values are needed at the ends of the drifts.
         reach = np.array([0.0, *self.splitting.reach])
         h = self.step

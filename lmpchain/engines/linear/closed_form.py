@@ -79,7 +79,7 @@ class ClosedForm(LinearEngine):
 
     @abstractmethod
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        """Return the displacement and velocity of the recorded grains, (T, G) m and m/s."""
 
 
 class Bessel(ClosedForm):
@@ -96,7 +96,7 @@ class Bessel(ClosedForm):
         return uniform and scene.reached is not scene
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        """Return the displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import bessel
 
         unit = scene.chain.time_scale
@@ -125,7 +125,7 @@ class Continuum(ClosedForm):
         return reasons
 
     def wave(self, scene: Scene, times: Array) -> tuple[Array, Array]:
-        """Return displacement and velocity of the recorded grains, (T, G) m and m/s."""
+        """Return the displacement and velocity of the recorded grains, (T, G) m and m/s."""
         from ...theory import continuum
 
         unit = scene.chain.time_scale

@@ -246,7 +246,7 @@ class PhaseError:
 
     @property
     def sums(self) -> PhaseSums:
-        """Sums along the solution up to now."""
+        """Sums along the solution so far."""
         return PhaseSums(*self._state[0].item())
 
     @property

@@ -58,7 +58,7 @@ class Resonance:
         self._scene = scene
 
     def motion(self, time: float) -> Array:
-        """Return the largest displacement, m, and velocity, m/s, up to a time, s, (2,).
+        """Return the largest displacement (m) and velocity (m/s) up to a time, (2,).
 
         They are 0 in a chain of more than `FEW` grains.
         """

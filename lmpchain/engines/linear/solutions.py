@@ -22,13 +22,13 @@ class LinearSolution(Protocol):
 
     @property
     def work(self) -> int:
-        """Number of polynomials or modes up to now, for the cost."""
+        """Number of polynomials or modes computed so far, which determines the cost."""
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement and velocity, (T, N) m and m/s, and reach, (T, 2), at these times.
+        """Return the displacement and velocity, (T, N) m and m/s, and reach, (T, 2).
 
-        The reach is the first grain, from 0, and the grain behind the last one that may move. The
-        times of successive calls must increase.
+        The reach at each time is the first grain that may move, counted from 0, and the grain
+        behind the last one. The times of successive calls must increase.
         """
 
     def state(self) -> dict[str, Array]:
@@ -59,18 +59,18 @@ class ChebyshevSolution:
 
     @property
     def work(self) -> int:
-        """Number of polynomials up to now, each of them an application of the chain's matrix."""
+        """Number of polynomials computed so far, each by one product with the chain's matrix."""
         return self._chain.terms
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement, velocity and reach, as `LinearSolution.at` does."""
+        """Return the displacement, velocity and reach, as `LinearSolution.at` does."""
         before = self._time
         self._time = float(times[-1])
         u, v, reach = self._chain.advance(times - before)
         return u[:, self._walls :], v[:, self._walls :], np.maximum(reach - self._walls, 0)
 
     def state(self) -> dict[str, Array]:
-        """Return displacement and velocity, and their time."""
+        """Return the displacement and velocity, and their time."""
         return {"u": self._chain.u.copy(), "v": self._chain.v.copy(), "time": np.array(self._time)}
 
 
@@ -107,7 +107,7 @@ class ModalSolution:
         return self._modes.frequency.size
 
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        """Return displacement, velocity and reach as `LinearSolution.at` does, at any times."""
+        """Return the displacement, velocity and reach as `LinearSolution.at` does, at any times."""
         u, v = self._modes.response(times, *self._initial)
         top = np.empty((2, times.size, 0))
         if self._wave:
@@ -122,7 +122,7 @@ class ModalSolution:
         return u, v, np.tile((0, u.shape[1]), (times.size, 1))
 
     def _force(self, t: Array) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f(t)`` from rest, (T, M): response to sines, then free motion."""
+        """Solve ``q'' + w^2 q = f(t)`` from rest, (T, M): response to sines, then free motion."""
         assert self._wave
         end = self._wave.end
         q, p = np.sum(
@@ -134,7 +134,7 @@ class ModalSolution:
         return self._modes.free(np.maximum(t - end, 0.0), q, p)
 
     def _by_sine(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
-        """Return ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
+        """Solve ``q'' + w^2 q = f sin(W t)`` from rest, (T, M), also for w = W and short t."""
         # Importing scipy.special takes longer than many runs.
         from scipy.special import spherical_jn
 

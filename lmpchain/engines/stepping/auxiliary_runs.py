@@ -172,7 +172,7 @@ class AuxiliarySteps:
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
         """Return the trusted order of the method, which is lower if contacts open or nearly so."""
-        # Adaptive steps end on the kinks of an excitation, equal ones pass over them.
+        # Adaptive steps end on the kinks of an excitation; equal steps pass over them.
         regular = not opens and (self.answer.adaptive or smooth_excitation)
         return self._method.order if regular else self._order_at_openings
 
@@ -265,7 +265,7 @@ def _arrange(
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
     ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
     runs = (*[answer] * twins, *schedules)
-    # Each run is compared with the run of the next shorter steps; the nearby one with the answer.
+    # Each run is compared with the run of the next shorter steps, and a nearby run with the answer.
     against = np.array([*range(len(runs) - nearby), *[0] * nearby])
     strides = np.array([schedule.filled for schedule in runs])
     together = math.lcm(4, *(schedule.stride for schedule in runs))

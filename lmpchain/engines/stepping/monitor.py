@@ -480,7 +480,7 @@ class Monitor:
         return state | ({"balance": self.native.balance} if self.native.balance.size else {})
 
     def restore(self, state: Mapping[str, Array]) -> None:
-        """Continue from a state of `state`; raises `ValueError` if it does not fit."""
+        """Continue from a state of `state`; raise `ValueError` if it does not fit."""
         pairs = [(self._differences, state["differences"]), (self._peaks, state["peaks"])]
         if self.native.balance.size:
             pairs.append((self.native.balance, state["balance"]))

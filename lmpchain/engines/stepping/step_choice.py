@@ -27,7 +27,7 @@ from .rounding import interpolation_loss
 
 @dataclass(frozen=True)
 class FirstStep:
-    """Parameters of the first step, see analysis/calibration/opening_error_factor.py.
+    """Parameters of the first step (see analysis/calibration/opening_error_factor.py).
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class FirstStep:
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Parameters of interpolation between steps, see analysis/calibration/long_steps.py.
+    """Parameters of interpolation between steps (see analysis/calibration/long_steps.py).
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Interpolation:
 
 @dataclass(frozen=True)
 class StepControl:
-    """Parameters of the next step, see analysis/calibration/step_refinement.py.
+    """Parameters of the next step (see analysis/calibration/step_refinement.py).
 
     Attributes
     ----------

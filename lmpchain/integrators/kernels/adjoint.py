@@ -117,7 +117,7 @@ class Tile(NamedTuple):
     begin, end : int
         First contact, and the contact after the last one, in the first processed row.
     sooner, shorter : int
-        Number of places by which the begin and the end move up with every processed row.
+        Number of places by which the start and the end move up with every processed row.
     top, final : bool
         Whether the tile is the uppermost one, and whether it is the lowest one.
     touches : bool
@@ -396,7 +396,7 @@ def _backward(law, steps, stretch, looks, path, memory, contacts):
 def backward(law, steps, pieces, numbers, looks, path, memory):
     """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is either undone from its end, or recomputed from its begin. `looks` contains
+    A piece is either undone from its end, or recomputed from its start. `looks` contains
     derivatives with respect to the observed values; other arguments are as in `forward`.
     """
     x, v, im = memory.bodies

@@ -30,7 +30,7 @@ from .window import rest_ahead
 
 
 class Tableau(NamedTuple):
-    """Coefficients of DOP853, see `dop853.march`.
+    """Coefficients of DOP853 (see `dop853.march`).
 
     Attributes
     ----------
@@ -252,7 +252,7 @@ def _fill_rates(inverse_mass, viscosity, drag, x, f, slope, creep):
 
 @loop
 def _add(sums, weight, values, other_weight, others):
-    """Add weighted values and others to the sums."""
+    """Add the weighted sum of two arrays to `sums`."""
     apart()
     for n in range(sums.size):
         sums[n] += weight * values[n] + other_weight * others[n]
@@ -534,7 +534,7 @@ def _back_step(window, system, h, path, stages, memory):
             weigh.weights[terms] = tableau.inner[later, stage] * h * h
             weigh.weights[count + terms] = tableau.rates[later, stage] * h
             weigh.rows[terms] = later
-            # Terms with two zero weights are skipped, and there are many.
+            # Many terms have two zero weights and are skipped.
             terms += weigh.weights[terms] != 0.0 or weigh.weights[count + terms] != 0.0
         _add_rows_to_both(pull, creep, weigh, terms, sums.stages, bodies)
         _back_stage(window, system, path, stages, stage, sums)
@@ -580,7 +580,7 @@ def _back_look(window, system, path, stages, sums, looks, look):
 def backward(chains, system, steps, pieces, numbers, path, looks, memory):
     """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is recomputed from its begin. `path` contains the imposed values in each stage of the
+    A piece is recomputed from its start. `path` contains the imposed values in each stage of the
     pieces numbers[0] ... numbers[1]-1, and in the stage after the last step; `looks` contains the
     derivatives with respect to observed values.
     """

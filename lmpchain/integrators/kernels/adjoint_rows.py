@@ -157,7 +157,7 @@ def at(typing: Any, array: Any, n: Any) -> Any:
 
 @loop
 def hertz_power(s, c):
-    """Return p for delta = 3/2, with the digits that 1 + s loses."""
+    """Return p for delta = 3/2 without the rounding error of 1 + s."""
     # One step of Newton's method restores the digits that the root has lost.
     p = math.sqrt(c + s) - c
     return p + 0.5 * c * ((s - 2.0 * p) - p * p)
@@ -253,8 +253,8 @@ keep_row = by_form(
 )
 
 
-# The next functions return p, kick f, and y times the derivative of kick f by r, of a contact that
-# is undone. `impulse` is kick F, and `at_rest` is y kick times the stiffness at rest.
+# The next functions return p, kick f, and y d(kick f)/dr, of a contact that is undone.
+# `impulse` is kick F, and `at_rest` is y kick times the stiffness at rest.
 
 
 @loop
@@ -288,8 +288,7 @@ def _undo_short(s, impulse, at_rest, terms):
     return p, linear + (impulse + linear) * p, at_rest + at_rest * p
 
 
-# The next functions return kick f, and y times its derivative by r, of a contact with stored p;
-# `closer` is y.
+# The next functions return kick f and y d(kick f)/dr of a contact with stored p; `closer` is y.
 
 
 @loop

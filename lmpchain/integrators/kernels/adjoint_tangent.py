@@ -56,7 +56,7 @@ class Directions(NamedTuple):
 
 @loop
 def _evaluate(x, law, above, response):
-    """Compute p, f, the slope of f, and the derivative by the constant of all contacts."""
+    """Compute p, f, the slope of f, and df/dK of all contacts, where K is the constant."""
     c = law.pressed
     last = x.size
     for n in range(PAD, last):
@@ -158,7 +158,7 @@ def tangent(bodies, law, steps, stretch, path, memory, change, looks):
             if body > 0:
                 x[body] = path.imposed[index]
             _evaluate(x, law, above, response)
-            # Changes are advanced before bodies, because both need the forces at the begin of the
+            # Changes are advanced before bodies, because both need the forces at the start of the
             # row.
             _change_row(im, response, change, path, index, kick[n], drift[n])
             if body < 0:

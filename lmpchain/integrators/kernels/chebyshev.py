@@ -25,7 +25,7 @@ from ...util.arrays import Array
 from ...util.compilation import compiled_once
 from .compiling import STRICT, compiled
 
-SPAN = 10.0  # largest w t covered by one series
+SPAN = 10.0  # Largest w t covered by one series.
 
 
 class SeriesLimits(NamedTuple):

@@ -23,7 +23,7 @@ compiled_engine = partial(compiled_once, "the native engine", 10, error_model="n
 # These functions create no arrays either; Python creates them.
 compiled_filler = partial(compiled_engine, _nrt=False)
 compiled_march = partial(compiled_filler, nogil=True, fastmath=STRICT)
-llvm: Any = intrinsic  # For a type checker, it takes the arguments of the compiled function.
+llvm: Any = intrinsic  # The type `Any` allows the arguments of the compiled function.
 
 # These functions work without numba's runtime: they create no arrays and count no references, which
 # would take half of the time. Python cannot call them.

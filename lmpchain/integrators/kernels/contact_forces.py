@@ -42,7 +42,7 @@ unsigned = np.uint64
 
 @compiled
 def _corrected(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Force for delta = 3/2 without cancellation: accurate at any amplitude, one square root."""
+    """Return the force for delta = 3/2 by one square root, accurate at any amplitude."""
     s = r * inverse_length
     s = s if s > -1.0 else -1.0
     u = math.sqrt(1.0 + s) - 1.0
@@ -53,7 +53,7 @@ def _corrected(r, inverse_length, strength, precompressed, coefficients, given, 
 
 @compiled
 def _polynomial(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Force for any delta and |s| small enough for seven binomial terms; no contact may open."""
+    """Return the force for any delta and small |s| by seven binomial terms; no contact may open."""
     s = r * inverse_length
     p = fma(s, fma(s, fma(s, coefficients[6], coefficients[5]), coefficients[4]), coefficients[3])
     return (strength * s) * fma(
@@ -63,7 +63,7 @@ def _polynomial(r, inverse_length, strength, precompressed, coefficients, given,
 
 @compiled
 def _spring(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Force for delta = 1: linear until the contact opens."""
+    """Return the force for delta = 1: linear until the contact opens."""
     s = r * inverse_length
     return strength * (s if s > -precompressed else -precompressed)
 
@@ -81,13 +81,13 @@ def _growth(s, exponent):
 
 @compiled
 def _power(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Force for any delta without cancellation."""
+    """Return the force for any delta without cancellation."""
     return strength * _growth(r * inverse_length, coefficients[7])
 
 
 @compiled
 def _uncompressed_power(r, inverse_length, strength, precompressed, coefficients, given, n):
-    """Force for any delta in a chain without forces at rest."""
+    """Return the force for any delta in a chain without forces at rest."""
     # The logarithm of 0 must be avoided, and the force of such a small overlap is negligible.
     y = select(r > 1e-90, r, 1.0)
     power = exponential(coefficients[7] * logarithm(y, 0.0), 0.0)
@@ -249,7 +249,7 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
 
 
 class Form(IntEnum):
-    """Forms of the contact force; the forms of ROOTS have the numbers in between."""
+    """Forms of the contact force; numbers 5 to 8 belong to the forms of ROOTS."""
 
     CORRECTED = 0
     POLYNOMIAL = 1
@@ -296,7 +296,7 @@ def _identity(*functions: Callable[..., Any]) -> str:
 
 @cache
 def _loops_of(kernel: Any) -> tuple[Any, ...]:
-    """Create the loops of a law by formula, and its loop over samples, see `change_in_time`."""
+    """Create the loops of a law by formula, and its loop over samples (see `change_in_time`)."""
     arguments = "r, given, n", FUNCTIONS, kernel.codes
     change_of = kernel.force_change.function(*arguments)
     stiffness_of = kernel.stiffness.function(*arguments)
@@ -366,7 +366,7 @@ def contact_forces(links, out, x):
 
 @inlined
 def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
-    """Kick and drift all grains once per row, see `sweep_rows`."""
+    """Kick and drift all grains once per row (see `sweep_rows`)."""
     _call_sweep(links.loops[1], (x, v, inverse_mass, links, rows, top, body, forced))
 
 

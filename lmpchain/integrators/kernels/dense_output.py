@@ -63,7 +63,7 @@ def fill_rates(chain, first, last, force, rate, beyond):
 
 @inlined
 def fill_jerk(chain, first, last, rates, beyond):
-    """Compute jerks of the bodies first ... last-1 from the forces, see `fill_rates`."""
+    """Compute jerks of the bodies first ... last-1 from the forces (see `fill_rates`)."""
     fill_rates(chain, first, last, rates.force, rates.rate, beyond)
     for n in range(first, last):
         rates.jerk[n] = chain.inverse_mass[n] * (rates.rate[n - 1] - rates.rate[n])
@@ -71,7 +71,7 @@ def fill_jerk(chain, first, last, rates, beyond):
 
 @inlined
 def keep(chain, first, last, rates):
-    """Store the state of the bodies first ... last-1 at the begin of a step that passes samples."""
+    """Store the state of the bodies first ... last-1 at the start of a step that passes samples."""
     history = chain.history
     for n in range(first, last):
         history[0, n] = chain.x[n]
@@ -102,7 +102,7 @@ def fill_samples(chain, clock, first, last, rates, out):
         q = 1.0 - s
         s3 = s * s * s
         q3 = q * q * q
-        # Weights of u, v, a and j at the begin (0) and the end (1) of the step, for u. The weight
+        # Weights of u, v, a and j at the start (0) and the end (1) of the step, for u. The weight
         # of u at the end is 1 - `along`, so that grains at rest stay exactly in place.
         along = q3 * q * (1.0 + s * (4.0 + s * (10.0 + 20.0 * s)))
         v0 = h * s * q3 * q * (1.0 + s * (4.0 + 10.0 * s))

@@ -261,7 +261,7 @@ def _note_stage(chain, acted, work, rates, weight, stage, t, inside, h):
 
 @inlined
 def _note_begin(chain, clock, creep, reduced, force, now, inside):
-    """Add the boundary terms of the integrals by parts at the begin of a step."""
+    """Add the boundary terms of the integrals by parts at the start of a step."""
     state = chain.state
     begins = state.pending != REDUCED
     if begins:
@@ -330,7 +330,7 @@ def _advance(chain, method, work, clock, out, landed):
         clock.length - state.done,
         ahead(chain, now, clock.begin + clock.length, RESOLUTION * clock.step),
     )
-    # The first stage is at the begin of the step; its accelerations also determine the distance to
+    # The first stage is at the start of the step; its accelerations also determine the distance to
     # an opening.
     put(z[first - 1 : last + 1], y[first - 1 : last + 1])
     # If the step begins at a corner of the imposed motion or force, `inside` selects the branch

@@ -16,7 +16,7 @@ from ...util.arrays import Array
 
 PAD = 8  # Number of doubles in a cache line.
 
-# Fraction of a step; a corner of the forcing closer to an end of the step counts as at the end.
+# A corner of the forcing within this fraction of a step from its end counts as at the end.
 RESOLUTION = 1e-9
 
 # Imposed on a chain after t = 0: a sine, possibly with an envelope, or a cubic spline.
@@ -47,10 +47,10 @@ STATE = np.dtype(
         ("next_look", "i8"),  # Number of steps at which these two are updated next.
         ("steps", "i8"),  # Number of steps since t = 0.
         ("step_size", "f8"),  # Length of the last step, s, with which Gear scales its history.
-        ("step_begin", "f8"),  # Begin of the last adaptive step, s after the last sample.
+        ("step_begin", "f8"),  # Start of the last adaptive step, s after the last sample.
         ("lost", "f8"),  # Energy dissipated by viscous contacts and drag since t = 0, J.
         ("work", "f8"),  # Work of the force or on the driven body since t = 0, J.
-        ("loss_rate", "f8"),  # Rate of both, W, where equal steps sum them up.
+        ("loss_rate", "f8"),  # Rates of both energies, W, which equal steps sum up.
         ("work_rate", "f8"),
     ],
     # Compiled loops read aligned numbers faster.

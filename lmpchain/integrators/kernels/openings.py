@@ -68,7 +68,7 @@ def _score(gap, rate, bend, weight, omega, nearest):
     # Grains that touch at rest: the overlap grows like t^2, and they were never nearer than this.
     least = abs(bend) / (2.0 * omega * nearest)
     fast = least if fast < least and gap >= 0.0 else fast
-    # Two roots closer to each other than their distance act like one double root.
+    # Two roots that are closer to each other than to this time act like one double root.
     double = fast * fast / 32.0
     size = double if size < double else size
     root = math.sqrt(size)
@@ -148,6 +148,21 @@ def _find_ground_nearness(y, rates, bends, inverse_length, weight, omega, neares
 
 
 @inlined
+def _add_ground(ground, chain, grains, moving, nearest, nearness):
+    """Return the largest score including the kinks of the force from the ground.
+
+    Without a ground, it is None, and nothing is compiled.
+    """
+    if ground is not None:
+        for kink in range(chain.ground_kinks.shape[1]):
+            inverse_length = chain.ground_kinks[0, kink, grains]
+            weight = chain.ground_kinks[1, kink, grains]
+            held = *moving, inverse_length, weight, chain.omega, nearest
+            nearness = max(nearness, _find_ground_nearness(*held))
+    return nearness
+
+
+@inlined
 def shorten(chain, y, w, pull, openings):
     """Return the factor on the scheduled step that the contact with the largest score requires.
 
@@ -175,11 +190,8 @@ def shorten(chain, y, w, pull, openings):
         )
         nearness = max(nearness, _find_nearness(y[bodies], w[bodies], pull[bodies], contacts))
     grains = slice(first, last)
-    for kink in range(chain.ground_kinks.shape[1]):
-        inverse_length = chain.ground_kinks[0, kink, grains]
-        weight = chain.ground_kinks[1, kink, grains]
-        held = y[grains], w[grains], pull[grains], inverse_length, weight, chain.omega, nearest
-        nearness = max(nearness, _find_ground_nearness(*held))
+    moving = y[grains], w[grains], pull[grains]
+    nearness = _add_ground(chain.ground, chain, grains, moving, nearest, nearness)
     nearness = largest(chain.team, nearness)
     # The step of constant local error is proportional to score^(-1/14).
     return min(1.0, openings.shortened * nearness ** (-1 / 14)) if nearness > 0.0 else 1.0

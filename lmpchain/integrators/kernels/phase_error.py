@@ -153,9 +153,10 @@ def _largest(x):
 
 @joined
 def _fill(bodies, i, links, solution, imposed):
-    """Compute displacement, velocity and acceleration, (3, n+2), of the moving grains at time i.
+    """Compute the displacement, velocity and acceleration of the moving grains at time i.
 
-    The first body is the top wall or a grain at rest; the last one is a body at rest.
+    They are stored in `bodies`, (3, n+2). The first body is the top wall or a grain at rest; the
+    last one is a body at rest.
     """
     first, last = solution.reach[i]
     for k in range(3):

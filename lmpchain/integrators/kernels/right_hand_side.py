@@ -16,7 +16,7 @@ from .waveform import call_corner, call_course
 # Number of force evaluations between two updates of the window, for long chains and for methods
 # with one stage.
 ROWS = 64
-TILE = 8192  # number of grains that stay in the cache during ROWS evaluations
+TILE = 8192  # Number of grains that stay in the cache during ROWS evaluations.
 
 
 @inlined

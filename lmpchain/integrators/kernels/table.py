@@ -190,7 +190,7 @@ def place_bodies(
 
 @compiled_filler()
 def _fill_places(x, w, state, u, v, driven, reach, least_strain, longest):
-    """Fill rows and state of bodies, see `place_bodies`."""
+    """Fill rows and state of bodies (see `place_bodies`)."""
     sources, batch, grains = u.shape
     width = x.shape[1]
     for row in range(len(x)):

@@ -68,7 +68,7 @@ class ContactResponse(NamedTuple):
 
 @inlined
 def evaluate(links, x, lost, response):
-    """Compute force and stiffness of all contacts; `lost` is the rounding error of x."""
+    """Compute the force and stiffness of all contacts; `lost` is the rounding error of x."""
     force, stiffness = response
     first = PAD - 1
     last = PAD - 1 + force.size

@@ -136,7 +136,7 @@ class FrontLaw(Fitted, Tabular):
     expected: Array
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield exponent and factor of the law."""
+        """Yield the exponent and factor of the law."""
         exponent, factor = self.expected.tolist()
         errors = self.error.tolist()
         yield FittedNumber("continuum", "exponent of the front", self.exponent, errors[0], exponent)

@@ -38,7 +38,7 @@ class FrontPassage(Fitted):
     force: float
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield arrival and mean speed of the front, the largest velocity, the largest force."""
+        """Yield the arrival and mean speed of the front, the largest velocity and force."""
         front = self.front
         last = front.grain[-1]
         yield FittedNumber(
@@ -64,7 +64,7 @@ class FrontPassage(Fitted):
 
 
 def fit_passage(trajectory: Trajectory) -> FrontPassage:
-    """Return arrival and speed of the front, and the largest velocity and force.
+    """Return the arrival and speed of the front, and the largest velocity and force.
 
     Parameters
     ----------

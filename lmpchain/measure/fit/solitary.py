@@ -63,7 +63,7 @@ class SolitonFit(Fitted, Tabular):
     formula: float
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield height, speed and width, and the speed by the long-wave formula."""
+        """Yield the height, speed and width, and the speed by the long-wave formula."""
         _, speed, width = self.expected.tolist()
         errors = self.error.tolist()
         # The exact wave has the measured height by definition.

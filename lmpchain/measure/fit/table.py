@@ -33,7 +33,7 @@ class FittedNumber:
     unit: str = ""
 
     def cells(self) -> tuple[str, str, str, str, str]:
-        """Return quantity, value, error, theory and unit as text."""
+        """Return the quantity, value, error, theory and unit as text."""
         return (
             self.quantity,
             round_to_error(self.value, self.error),

@@ -240,7 +240,7 @@ class BesselFit(Fitted, Tabular):
     residual: float
 
     def rows(self) -> Iterator[FittedNumber]:
-        """Yield amplitude, wave speed, delay and kappa, and the relative residual."""
+        """Yield the amplitude, wave speed, delay and kappa, and the relative residual."""
         unit = UNITS_OF_FIELDS[self.field]
         values = {
             "amplitude": (self.amplitude, unit),

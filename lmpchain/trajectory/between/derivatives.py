@@ -341,7 +341,7 @@ def _inverse_mass(law, n):
 
 @pasted
 def _motion(block, n, rest):
-    """Return displacement and velocity of a body, (R,) each."""
+    """Return the displacement and velocity of a body, (R,) each."""
     column = block.column[n]
     if n == block.imposed.wall_body:
         return block.imposed.wall[0], block.imposed.wall[1]

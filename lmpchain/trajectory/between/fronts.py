@@ -344,7 +344,7 @@ def fronts(
     start: Array,
     rules: Rules,
 ) -> Array:
-    """Return time, height and width of the fronts of G grains and their errors, (G, 6).
+    """Return the time, height and width of the fronts of G grains and their errors, (G, 6).
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ class ScratchRows(NamedTuple):
     pieces : int
         First row of the pieces of a polynomial.
     begin, width : int
-        Columns of their begin and width.
+        Columns of their start and width.
     """
 
     value: int = 0

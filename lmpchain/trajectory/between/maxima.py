@@ -170,7 +170,7 @@ def sure_bend(slopes, count, s, top, error, work):
 
 @compiled
 def _log_shoulders(p, i, h, t, count, stretch, last, events, used, work):
-    """Log local minima of the slope in a rise above all earlier sizes, within an interval."""
+    """Log the local minima of the slope while the size rises above all earlier values."""
     slopes = work[D]
     bends = work[BEND]
     sign = 1.0 if slopes[0] + slopes[count - 2] > 0.0 else -1.0
@@ -261,7 +261,7 @@ def _begin(last, t, height):
 
 @joined
 def _log_maxima(p, interval, ends, counts, last, events, used, work):
-    """Process the turns and the end of an interval; return the number of events.
+    """Process the turning points and the end of an interval; return the number of events.
 
     `ends` are the values at its ends, and `counts` the numbers of coefficients of its polynomial, 0
     if that neither turns nor slows, and of its turns.
@@ -272,7 +272,7 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
     error = p[ERROR, i]
     here = before
     begin = 0.0
-    # The size is monotonic between turns.
+    # The size is monotonic between turning points.
     for k in range(turns + 1):
         s = work[TURNS, k] if k < turns else 1.0
         there = value(work[C], count, s) if k < turns else after
@@ -429,7 +429,7 @@ def fill_path(p, block, derived, body, row, lower):
 
 
 def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) -> np.ndarray:
-    """Return the table for `reduce`, (F, 5) integers: the sizes of G grains, and P contacts.
+    """Return the table for `reduce`, (F, 5) integers, with a row per grain size or contact.
 
     Each row has the number of a body, its row in `derivatives.derive`, the row of the body below it
     if the approach of the two is followed, the kind of size, and its place in the largest ones.

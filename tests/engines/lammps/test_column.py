@@ -245,7 +245,7 @@ def plan(wave, **more) -> StepPlan:
     given = {
         "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6,
         "done": 0, "pieces": (),
-        "rest": 0.0, "wave": wave, "driven": False, "pushed": None,
+        "rest": 0.0, "wave": wave, "driven": False, "pushed": None, "timed": False,
     }  # fmt: skip
     return StepPlan(**given | more)
 
@@ -327,7 +327,7 @@ def test_the_gauge_diameter_is_three_times_the_largest_overlap_or_more():
 
 
 def test_round_off_in_heights_is_predicted_from_their_last_digit():
-    """The error is a random walk in the evaluations, and larger in velocities by the frequency."""
+    """The error is a random walk in the evaluations; in velocities it is times the frequency."""
     scene = paper("fig5 g", 3)
     engine = Lammps("verlet")
     height = np.abs(LammpsColumn(scene, 0.0).heights).max()

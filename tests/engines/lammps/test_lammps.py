@@ -103,7 +103,7 @@ def test_a_complete_deck_gives_the_bytes_of_the_library(tmp_path, name, integrat
 
 
 def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
-    """Positions are float32 there and lose the wave; the additional column preserves it."""
+    """Positions as float32 lose the wave; the additional column preserves it."""
     write_deck(paper("fig5 g", samples=3), tmp_path, step=1e-7)
     lmp(tmp_path)
     u, v = read_dump(tmp_path / "column.lammpstrj")
@@ -205,7 +205,7 @@ def test_unlike_contacts_share_few_types():
 
 
 def test_refusals_contain_the_remedy():
-    with pytest.raises(InputError, match=r"1.5 and 1 only.*use the engine native"):
+    with pytest.raises(InputError, match=r"only 1.5 and 1 .*use the engine native"):
         simulate(small(exponent=2.0), engine="lammps")
     with pytest.raises(InputError, match="exponent: gran/hertz/history"):
         simulate(small(exponent=1.0), engine="lammps", pair_style="gran/hertz/history")
@@ -315,7 +315,7 @@ def test_grains_lost_during_reading_are_detected(monkeypatch):
 
 @pytest.mark.parametrize("kind", [TimeoutError, RuntimeError, Exception])
 def test_a_deadline_of_the_user_ends_a_run(kind, monkeypatch):
-    """An error raised by a signal handler is no failure of LAMMPS; steps are not shortened."""
+    """An error in a signal handler does not count as a LAMMPS failure: steps are not shortened."""
     tries = []
 
     def late(*_):

@@ -271,5 +271,5 @@ def test_a_deck_of_another_law_is_refused(tmp_path: Path):
     scene, step = case("toda")
     write_deck(scene, tmp_path, step=step)
     other = scene.replace(chain=scene.chain.replace(law=laws.toda(1.1e5, k=K)))
-    with pytest.raises(InputError, match="cannot be foreseen"):
+    with pytest.raises(InputError, match="can be predicted"):
         read_deck(tmp_path, other)

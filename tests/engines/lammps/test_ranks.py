@@ -272,7 +272,7 @@ def test_a_killed_rank_ends_the_run_with_a_message(monkeypatch):
     [("-m", "lmpchain.engines.lammps.subprocess_ranks", "nowhere"), ("-c", doctor.SIZES_SEEN)],
 )
 def test_a_rank_whose_peer_never_comes_ends_with_its_launcher(words, tmp_path):
-    """The rank waits in the start of MPI, without Python; the pipe to the launcher stays open."""
+    """The rank waits inside MPI_Init, not in Python, and the pipe to the launcher stays open."""
     ours, theirs = socket.socketpair()
     launcher = (
         f"import subprocess; subprocess.run({[sys.executable, *words]}, "

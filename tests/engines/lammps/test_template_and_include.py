@@ -268,7 +268,7 @@ def test_incompatible_options(capsys: pytest.CaptureFixture[str]):
         (["--include", "none"], "include"),
         (["--include", "."], "include"),
         (["--template", "binary"], "template"),
-        # The template has no place for it.
+        # The template has no place for an include file.
         (["--template", "bare", "--include", "my.include"], "include"),
         (["--template", "my.template", "--integrator", "rkn6"], "template"),
         (["--template", "my.template", "--engine", "native"], "template"),

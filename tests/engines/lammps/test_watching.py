@@ -101,7 +101,7 @@ def test_outputs_continue_after_a_stop(ranks: int, tmp_path: Path, monkeypatch: 
         ('print "x" file "a b"', "give a plain file name"),
         ("dump d all movie 5 d.mp4 type type", "the dump movie"),
         ("dump d all custom 5 d.gz id", "give a plain file name"),
-        ("fix p all print 5 hello ${key} /tmp/hello", "by a variable"),
+        ("fix p all print 5 hello ${key} /tmp/hello", "contains the variable"),
         ('print "x" "append" /tmp/x', "give a plain file name"),
         ("thermo_modify lost ignore", "lost grains"),
     ],

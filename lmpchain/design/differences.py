@@ -1,0 +1,208 @@
+"""Derivatives by central differences of native runs, for laws by formula and grounds.
+
+With changes h and h/2 of a parameter, central differences D(h) and D(h/2) have errors of order h^2.
+Richardson's extrapolation ``(4 D(h/2) - D(h)) / 3`` is of order h^4, and ``|D(h) - D(h/2)|`` bounds
+its error. All runs have the same steps, so that their truncation errors cancel up to the derivative
+of this error, which runs at other steps show.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import InputError, RunFailed
+from ..integrators.batch import ChainBatch
+from ..integrators.differentiation import AnyMethod
+from ..integrators.observed_run import schedule_of
+from ..integrators.stepper import NativeStepper, room_for
+from ..scene.scene import Scene
+from ..util.arrays import Array
+from . import parameters as params
+from .changes import changed
+
+# Change of the phase of the fastest motion in the first difference, rad, and the largest relative
+# change of a parameter there; largest relative change in any difference.
+FIRST_PHASE = 0.1
+FIRST_CHANGE = 1e-2
+MAX_CHANGE = 0.1
+# Largest number of further changes, and the smallest spread over the allowed one.
+MOST_CHANGES = 3
+TINY = 1e-6
+# Largest number of steps in one call of a stepper.
+MOST_STEPS = 2**62
+
+
+class FixedRun(NamedTuple):
+    """A native run with prescribed steps, and the motion of its observed grains.
+
+    Attributes
+    ----------
+    time : (T,) array
+        Times of the observations, s.
+    grains : (G,) array
+        Numbers of the observed grains.
+    displacement, velocity : (T, G) arrays
+        Motion, m and m/s.
+    step : float
+        Longest step, s.
+    steps : int
+        Number of steps.
+    """
+
+    time: Array
+    grains: NDArray[np.intp]
+    displacement: Array
+    velocity: Array
+    step: float
+    steps: int
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        method: AnyMethod,
+        step: float,
+        looks: int,
+        grains: NDArray[np.intp],
+        adaptive: bool = False,
+    ) -> FixedRun:
+        """Return a run with steps of at most this length, s; see `DifferentiableRun`.
+
+        Raises
+        ------
+        RunFailed
+            If the motion breaks down.
+        """
+        observed = scene.replace(samples=looks + 1, grains="all")
+        schedule = schedule_of(observed, step, looks, adaptive)
+        batch = ChainBatch([observed])
+        stepper = NativeStepper(batch, method, schedule, {})
+        u, v = room_for(1, looks + 1, scene.chain.grains)
+        u[:, 0], v[:, 0] = batch.initial
+        stepper.fill(u, v, 0, looks, MOST_STEPS)
+        columns = grains - 1
+        run = cls(
+            observed.time,
+            grains,
+            u[0][:, columns],
+            v[0][:, columns],
+            schedule.step,
+            int(stepper.steps[0]),
+        )
+        if not np.isfinite(run.velocity).all():
+            message = f"the motion breaks down with steps of {run.step:.3g} s: use shorter ones"
+            raise RunFailed(message)
+        return run
+
+
+class Differences(NamedTuple):
+    """Derivatives of a function along D directions of a parameter, (D, ...).
+
+    Attributes
+    ----------
+    slope : (D, ...) array
+        Extrapolated derivatives, per length of the direction.
+    spread : (D, ...) array
+        Absolute difference between the derivatives by both changes.
+    rounding : float
+        Rounding error of the derivatives.
+    """
+
+    slope: Array
+    spread: Array
+    rounding: float
+
+    @property
+    def error(self) -> float:
+        """Largest error of the derivatives."""
+        return float(self.spread.max(initial=0.0)) + self.rounding
+
+
+def differentiate(
+    scene: Scene,
+    name: str,
+    directions: Array,
+    value: Callable[[Scene], Array],
+    rounding: float,
+    accuracy: float,
+) -> Differences:
+    """Return the derivatives of a function of the scene along directions of one parameter.
+
+    The change is chosen so that the difference between both derivatives is within the accuracy.
+
+    Parameters
+    ----------
+    scene : Scene
+    name : str
+        Name of the parameter.
+    directions : (D, P) array
+        Directions, in the unit of the parameter.
+    value : function
+        Returns an array for a scene.
+    rounding : float
+        Rounding error of a value.
+    accuracy : float
+        Desired error, relative to the largest derivative.
+    """
+    base = params.values(scene, name)
+
+    def difference(direction: Array, part: float) -> Array:
+        up, down = (
+            value(changed(scene, {name: base + side * part * direction})) for side in (1, -1)
+        )
+        return (up - down) / (2 * part)
+
+    def attempt(change: float) -> Differences:
+        coarse, fine = (
+            np.array([difference(direction, part) for direction in directions])
+            for part in (change, change / 2)
+        )
+        spread = np.abs(fine - coarse)
+        return Differences((4 * fine - coarse) / 3, spread, 2 * rounding / change)
+
+    # The phase of the fastest motion changes by a part of a radian.
+    change = FIRST_PHASE / max(FIRST_PHASE / FIRST_CHANGE, scene.total_phase)
+    best = found = attempt(change)
+    for _ in range(MOST_CHANGES):
+        allowed = accuracy * float(np.abs(best.slope).max(initial=0.0))
+        if best.error <= allowed or allowed == 0.0:
+            break
+        # The spread is of second order in the change.
+        spread = max(float(found.spread.max()), TINY * allowed)
+        change = min(change * math.sqrt(allowed / (2 * spread)), MAX_CHANGE)
+        found = attempt(change)
+        best = min(best, found, key=lambda differences: differences.error)
+    return best
+
+
+def scales_of(scene: Scene, name: str) -> Array:
+    """Return the size of every entry of a parameter, (P,), which is that of its changes.
+
+    An entry of 0 has the size of the largest one. Missing walls and the motion of grains that are
+    held have the size 0.
+
+    Raises
+    ------
+    InputError
+        If all entries are 0, because no size of a change follows.
+    """
+    base = np.abs(params.values(scene, name))
+    if name == "wall_constants":
+        return base
+    largest = float(base.max())
+    if name == "velocity":
+        largest = max(largest, scene.strike_velocity)
+    if name == "displacement":
+        largest = max(largest, scene.strike_velocity / scene.highest_frequency)
+    if largest == 0:
+        message = "is 0, from which no size of a change follows: give a value other than 0"
+        raise InputError.at(name, message)
+    scales = np.where(base > 0, base, largest)
+    if name in ("velocity", "displacement"):
+        scales[scene.chain.movable :] = 0.0
+    return scales
