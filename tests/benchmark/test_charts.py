@@ -152,7 +152,7 @@ def test_axes_of_errors(panels: Any):
     for ax in (over_time, over_evaluations):
         assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
         floor = 10 * TRUTH.error
-        assert ax.get_ylim()[0] == pytest.approx(floor / 4, rel=1e-12)
+        assert ax.get_ylim()[0] == pytest.approx(floor / 10, rel=1e-12)
         assert 1e-2 < ax.get_ylim()[1] <= 5
         (level,) = (
             line
