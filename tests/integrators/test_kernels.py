@@ -262,10 +262,9 @@ def test_other_loops_are_vectorised():
     bodies, *_ = batch.place(*(field[None] for field in batch.initial))
     chains = Chains(batch.arrays, bodies, bodies, bodies[:, None], np.zeros(1, STATE), ALONE)
     alike = np.ones(2)
-    links = numba.typeof(links_of(alike, alike, Form.CORRECTED, 1.0, 1.5))
-    near = numba.typeof(Near(alike, alike, 1.0, 1.0, 1.0))
+    near = numba.typeof(Near(alike, alike, alike, 1.0, False, 1.0, 1.0, 1.0))
     for loop, takes, operation in (
-        (alone(_find_nearness.py_func), (row, row, row, links, near), "sqrt"),
+        (alone(_find_nearness.py_func), (row, row, row, near), "sqrt"),
         (watch_first, (numba.typeof(chains),), "mul"),
     ):
         loop.compile(takes)
