@@ -108,7 +108,7 @@ def test_help_and_readme_begin_with_new(capsys: pytest.CaptureFixture[str]):
     assert text.split("\nbegin:\n")[1].split()[0] == "new"
     assert "Begin with `lmpchain new scene.toml`." in " ".join(text.split())
     start = README.read_text(encoding="utf-8").split("## Quick start")[1]
-    assert start.split("\n    lmpchain ")[1].startswith("new scene.toml")
+    assert start.split("\nlmpchain ")[1].startswith("new scene.toml")
 
 
 @pytest.mark.slow
