@@ -1,7 +1,6 @@
 """Contact laws by formula in LAMMPS: native engine and SciPy, decks, ranks, stops."""
 
 import filecmp
-import itertools
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.standalone_lammps import lmp, read_dump
+from helpers.stopped_runs import stop_three_times
 from scipy.integrate import solve_ivp
 
 from lmpchain import (
@@ -19,15 +19,12 @@ from lmpchain import (
     InputError,
     Law,
     Scene,
-    Stopped,
     laws,
-    resume,
     simulate,
 )
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.stepping import run as stepping_run
 
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
 K = 1e3  # Contact constant, N/m.
@@ -201,19 +198,7 @@ def test_a_resumed_run_gives_the_same_bits(
     scene, step = case(name)
     engine = Lammps("verlet", step=step, diameter="gauge")
     whole = simulate(scene, engine)
-    monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
-    stops = 0
-    for attempt in itertools.count():
-        limit = 1e-9 if attempt < 3 else None
-        try:
-            if attempt == 0:
-                answer = simulate(scene, engine, folder=tmp_path / "run", max_wall=limit)
-            else:
-                answer = resume(tmp_path / "run", max_wall=limit)
-            break
-        except Stopped:
-            stops += 1
-    assert stops == 3
+    answer = stop_three_times(scene, engine, tmp_path / "run", monkeypatch)
     assert np.array_equal(answer.displacement[:], whole.displacement)
     assert np.array_equal(answer.velocity[:], whole.velocity)
 
