@@ -498,6 +498,15 @@ class Force(OneGrain, _Acting):
         pushed = self._pushed(chain)
         return np.maximum(displacement, pushed[0]), np.maximum(velocity, pushed[1])
 
+    def strongest(self, chain: Chain, duration: float) -> tuple[float, float]:
+        """Return the largest displacement and speed of any grain, m and m/s."""
+        displacement, speed = super().strongest(chain, duration)
+        # A contact that cannot hold the force lets its grain fly: the time limits the distance.
+        if displacement > speed * duration:
+            start = float(np.abs(self._begin(chain)[0]).max())
+            displacement = min(displacement, start + speed * duration)
+        return displacement, speed
+
     def _pushed(self, chain: Chain) -> tuple[Array, Array]:
         """Estimate the motion of the forced grain from rest, (N,) m and m/s; 0 for other grains."""
         size = self.waveform.largest()

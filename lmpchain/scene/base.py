@@ -136,8 +136,8 @@ class Excitation(Checked):
         """Return the largest imposed displacement (N,) m and velocity (N,) m/s."""
         return self.initial(chain)
 
-    def strongest(self, chain: Chain) -> tuple[float, float]:
-        """Return the largest imposed displacement and speed of any grain, m and m/s."""
+    def strongest(self, chain: Chain, duration: float) -> tuple[float, float]:
+        """Return the largest imposed displacement and speed of any grain within a time, m, m/s."""
         displacement, velocity = self.largest(chain)
         return float(np.abs(displacement).max()), float(np.abs(velocity).max())
 

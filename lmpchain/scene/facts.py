@@ -22,7 +22,6 @@ from ..chain.upside_down import turn_upside_down
 from ..util.arrays import Array, as_slice, read_only
 from ..util.lazy import cached_property
 from ..util.validation import make_unchecked
-from .acting import Force
 from .base import Excitation
 from .recording import Recording
 
@@ -161,12 +160,7 @@ class SceneFacts(Recording):
     def imposed(self) -> tuple[float, float]:
         """The largest displacement and speed that the excitation imposes, m and m/s."""
         _, near = self._surroundings
-        displacement, speed = near.excitation.strongest(near.chain)
-        # A contact that cannot hold the force lets its grain fly: the time is what limits it.
-        if isinstance(near.excitation, Force) and displacement > speed * self.duration:
-            start = float(np.abs(near.excitation.initial(near.chain)[0]).max())
-            displacement = min(displacement, start + speed * self.duration)
-        return displacement, speed
+        return near.excitation.strongest(near.chain, self.duration)
 
     @property
     def at_rest(self) -> bool:

@@ -35,7 +35,7 @@ class Impulse(OneGrain):
         """Return the displacement and velocity of every grain at t = 0."""
         return np.zeros(chain.grains), self.at_grain(chain, self.velocity)
 
-    def strongest(self, chain: Chain) -> tuple[float, float]:
+    def strongest(self, chain: Chain, duration: float) -> tuple[float, float]:
         """Return the largest displacement, 0 m, and speed of the struck grain, m/s."""
         return 0.0, abs(self.velocity)
 

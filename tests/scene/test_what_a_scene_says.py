@@ -340,7 +340,7 @@ def test_a_short_push_moves_its_grain_like_an_oscillator() -> None:
     (u,), (v,) = blow.largest(chain)
     speed = 1e-3 * 2e-7 / np.pi / 2e-6
     assert (u, v) == pytest.approx((speed / 5000.0, speed), rel=1e-12)
-    assert blow.strongest(chain) == pytest.approx((u, v), rel=1e-15)
+    assert blow.strongest(chain, 1.0) == pytest.approx((u, v), rel=1e-15)
     slow = Force(amplitude=1e-4, frequency=1.0)
     (u,), (v,) = slow.largest(chain)
     assert v == pytest.approx(np.sqrt(2 * 1e-4 * (1e-4 / 50.0) / 2e-6), rel=1e-12)
@@ -540,8 +540,8 @@ def test_every_excitation_describes_itself() -> None:
     assert not Drive(**POINTS).linear
     assert [kind.smooth_until(1.0) for kind in kinds] == [True] * 7
     assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)
-    assert impulse.strongest(COLUMN) == (0.0, 2e-3)
-    assert moved.strongest(COLUMN) == (1e-9, 0.0)
+    assert impulse.strongest(COLUMN, 1.0) == (0.0, 2e-3)
+    assert moved.strongest(COLUMN, 1.0) == (1e-9, 0.0)
     assert [kind.energy(COLUMN) for kind in (drive, force)] == [np.inf] * 2
     ends = Profile(
         displacement=[0, 0, 1e-12, 0, 0, 0, 1e-12, 0, 0], velocity=[0, 1e-6, 0, 0, 0, 0, 0, 0, 0]
