@@ -431,8 +431,8 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
     Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
     function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
     of the series of the exact solution are positive there. The stiffest contact is bounded by the
-    energy above rest; a driven chain has no such bound, and the light cone is all of it, as that of
-    a chain on a ground, which is stiff in another way. A drag
+    energy above rest. A driven chain and a chain on a ground have no such bound, and their light
+    cone is the whole chain. A drag
     leaves the bound as it is; with viscous contacts it is that of `_damped_distance`.
     """
     chain = scene.chain
