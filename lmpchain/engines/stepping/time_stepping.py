@@ -41,11 +41,13 @@ class TimeSteppingEngine(Engine):
     Attributes
     ----------
     monitor : type
-        Class that estimates the errors of the runs.
+        Class of the monitor that estimates the errors of a run.
     adaptive : bool
         Whether steps are shorter near openings and may pass over samples, if the method allows it.
     foreign : tuple of str
-        Methods of other programs, which `lmpchain check` asks for.
+        Integrators of another program that users cannot choose; `lmpchain check` compares them.
+    dissipates : bool
+        Whether the engine computes damped chains.
     """
 
     adaptive: bool = False
@@ -106,7 +108,7 @@ class TimeSteppingEngine(Engine):
     ) -> dict[str, Stepper]:
         """Return the steppers of a run by the names of their states; the main stepper is first.
 
-        The stepper "native" moves the auxiliary runs and here also the native twin.
+        The stepper "native" advances the native twin and the auxiliary runs.
         """
         twin, *beside = schedules
         method = BY_NAME[proposal.integrator]
@@ -196,8 +198,8 @@ class TimeSteppingEngine(Engine):
     ) -> Proposal | None:
         """Propose the longest step that the error allows; None if little is gained.
 
-        Auxiliary runs with four times the step must stay stable, because they show the order of
-        convergence. A given step is not changed.
+        Auxiliary runs with four times the step must remain stable, because they show the order of
+        convergence. A step that the user gave is not changed.
         """
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
@@ -294,7 +296,7 @@ class CompiledSteps(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Return the expected rounding error: a random walk, and the loss of a plain force.
 
-        The rounding of the phase is about a quarter of the bound in `native_floor`.
+        The phase error is assumed to be a quarter of the bound in `native_floor`.
         """
         walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in PLAIN:
