@@ -21,13 +21,14 @@ class March(NamedTuple):
     run : function
         Compiled loop, see `kernels.sample_loop`.
     make_work : function
-        Allocates the scratch arrays of one thread for its chains and the method.
+        Function that allocates the scratch arrays of one thread for its chains and the method.
     method : tuple
-        Coefficients, and arrays that depend on steps and chains; an argument of `run`.
+        Coefficients of the method, and arrays that depend on steps and chains; an argument of
+        `run`.
     history : int
         Number of stored values of each grain from earlier steps.
     shared : bool
-        Whether threads can share a chain.
+        Whether several threads can divide one chain among them.
     by_step : function, optional
         Compiled loop that records the steps of a chain; see `kernels.dop853.march_by_step`.
     """
