@@ -42,7 +42,7 @@ from .splittings import Splitting
 class Checkpoints(NamedTuple):
     """Distances of checkpoints.
 
-    A row is one evaluation of the forces: the state after a stage of a step.
+    A row is a kick and a drift, see `kernels.adjoint`.
 
     Attributes
     ----------
@@ -150,8 +150,9 @@ def make_aligned(rows: int, width: int) -> Array:
 def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
     """Return the gradient over the constants and rest forces of all contacts, (N+1,) arrays.
 
-    `by_power` and `by_force` are the sums p and f of `kernels.adjoint` over all evaluations. The
-    derivatives by the constants are taken at constant forces at rest.
+    `by_power` and `by_force` are the sums over all evaluations of y p and y f. Here y is the
+    derivative by the force of a contact, and `kernels.adjoint` defines p and f. The derivatives by
+    the constants are taken at constant forces at rest.
     """
     by_constant = by_force - contacts.force * by_power
     none = np.zeros(by_power.size)
