@@ -24,20 +24,22 @@ class DumpChecks(NamedTuple):
         Largest difference of the first frame from the initial state, over the largest value in the
         dump.
     overlap : float
-        Largest difference of an overlap in the first frame, over that overlap and the motion.
+        Largest difference of an overlap in the first frame, over the sum of the overlap at rest and
+        twice the largest displacement.
     distance : float
-        Relative difference of distances above which they are named, and not overlaps.
+        Relative difference of a distance between neighbours above which a message states the
+        distances instead of the overlaps.
     grain : float
-        Largest relative difference of a radius or a mass: six digits, as LAMMPS writes them unless
-        told otherwise, leave half of it.
+        Largest relative difference of a radius or a mass. The six digits that LAMMPS writes by
+        default cause half of this difference.
     clock : float
         Largest difference of the time of a frame, over the duration.
     course : float
-        Largest relative difference between changes of the motion and what its rates make of them,
-        beyond what steps and samples leave open.
+        Largest relative difference between the change of a displacement or velocity and the time
+        integral of its rate, in addition to the errors of time steps and sampling.
     gauge : float
-        Largest diameter of grains that are drawn smaller than they are, over the largest overlap:
-        ten times what decks of ours take at most.
+        Largest diameter of grains that are drawn smaller than they are, over the largest overlap.
+        It is ten times the largest ratio in decks that lmpchain writes.
     levels : int
         Smallest number of units in the last digit of a height that the motion must span.
     """
@@ -55,22 +57,24 @@ class DumpChecks(NamedTuple):
 class SampledMotion(NamedTuple):
     """Sampling limits within which changes of the motion can be compared with its rates.
 
-    Angles are omega h / 2, half of what the fastest motion turns through from frame to frame.
+    Angles are omega h / 2: half the phase of the fastest motion omega from one frame to the next.
 
     Attributes
     ----------
     fewest : int
-        Samples from which on integrals over a motion that begins from rest are good.
+        Smallest number of samples for which the time integral of a motion that starts from rest is
+        accurate enough.
     single : float
-        Largest angle at which grains are compared one by one, and not in groups.
+        Largest angle, rad, at which grains are compared one by one. At larger angles, groups of
+        grains are compared.
     group : float
-        Grains of a group over the angle: the mean motion of so many is slow enough.
+        Number of grains in a group, over the angle. The mean motion of such a group is slow enough.
     slowest : float
-        Largest angle of the mean motion of a group.
+        Largest angle of the mean motion of a group, rad.
     leak : float
-        Uncertainty of comparisons of groups, by what faster motion adds at their borders.
+        Relative uncertainty of the comparison of groups, due to faster motion at their borders.
     forces : float
-        Largest angle at which accelerations are compared with forces.
+        Largest angle at which accelerations are compared with forces, rad.
     """
 
     fewest: int = 6
@@ -94,9 +98,11 @@ class DumpedMotion(NamedTuple):
     down : float
         1 if the axis of the column points down, -1 if up.
     order : (N,) array
-        Columns of the dump in the order of the grains.
-    displacement, velocity : (T, N) arrays
-        Motion, m and m/s.
+        Column of the dump for each grain.
+    displacement : (T, N) array
+        Displacements, m, positive downward.
+    velocity : (T, N) array
+        Velocities, m/s, positive downward.
     """
 
     down: float
@@ -111,11 +117,11 @@ class FirstFrame(NamedTuple):
     Attributes
     ----------
     depths : (N,) array
-        Positions in the order of the grains, growing downward, m.
+        Positions of the grains, m, which increase downward.
     slack : float
-        Rounding of a distance between two of them, m.
+        Rounding error of the distance between two grains, m.
     drawn : bool
-        Whether grains may be drawn smaller than they are, as in decks of ours.
+        Whether grains may be drawn smaller than they are, as in decks that lmpchain writes.
     """
 
     depths: Array
@@ -215,7 +221,8 @@ def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
 def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
     """Return the gauge diameter with which all grains are drawn, m; 0 if they have their own.
 
-    Decks of ours draw grains a few overlaps large, where heights would lose digits else.
+    Decks that lmpchain writes may draw grains with a diameter of a few overlaps, because heights of
+    larger grains would lose digits.
     """
     if not first.drawn:
         return 0.0
@@ -261,7 +268,8 @@ def check_grains(
 ) -> None:
     """Raise `InputError` if radii, diameters or masses in a dump differ from the chain.
 
-    The `gauge` is a diameter with which all grains are drawn, m, or 0.
+    `gauge` is the diameter with which all grains are drawn, m; 0 if grains have their own
+    diameters. `order` is the column of the dump for each grain.
     """
     diameters = np.full(order.size, gauge) if gauge else scene.chain.diameters
     for quantity, unit, expected in (
@@ -287,22 +295,25 @@ def check_course(
 ) -> None:
     """Raise `InputError` if the motion is impossible in the scene.
 
-    Displacements must change as velocities say, and velocities as the forces of the chain do, so
-    far as the samples resolve the motion: else the frames are not as far apart as those of the
-    scene, or the grains are others.
+    If the samples resolve the motion, the changes of displacements must equal the integrals of the
+    velocities, and the changes of velocities must equal the integrals of the forces over the
+    masses. Otherwise the time between two frames or the properties of the grains differ from the
+    scene.
 
     Parameters
     ----------
     name : str
-        Of the dump, for messages.
+        Name of the dump, for messages.
     scene : Scene
-    motion : Motion
+        Scene that the dump should belong to.
+    motion : DumpedMotion
+        Motion in the dump.
     steps : int
-        Of the run.
+        Number of time steps of the run.
     digit : float
-        The last digit of a displacement, m.
+        Size of the last digit of a displacement, m.
     rounding : float
-        Of a height in a step, m.
+        Rounding error of a height in a time step, m.
     """
     if scene.samples < SAMPLED.fewest:
         return
@@ -353,9 +364,10 @@ def check_course(
 def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, Array]:
     """Return the momenta of groups of grains that the samples resolve, and their time integrals.
 
-    Forces within a group cancel, so that the momentum that a strike gives it changes slowly: the
-    more grains, the slower. They are (T, B) kg m and kg m/s each; without groups where not even the
-    whole column is slow, or what sets it in motion gives it no momentum.
+    Forces between the grains of a group cancel, so that the momentum of a larger group changes more
+    slowly. The arrays are (T, B), first the integrals, kg m, then the momenta, kg m/s. There are no
+    groups, B = 0, if even the whole column moves too fast or if the column is not struck by an
+    impulse.
     """
     masses = scene.chain.masses
     u = masses * motion.displacement
@@ -373,9 +385,9 @@ def _compare_changes(
 ) -> tuple[float, float]:
     """Return the ratio of the changes of values to the integrated rates, and its error.
 
-    It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
-    fourth order. That differs from a fit to those of second order by more than it is off; what is
-    cut off behind the last `digit` of values adds at random.
+    The ratio is a least-squares fit to all changes from sample to sample, with integrals of fourth
+    order in the sampling interval. Its error is the difference from a fit with integrals of second
+    order, plus the effect of random rounding errors of the size `digit`. Both arrays are (T, B).
     """
     changes = np.diff(values, axis=0)
     coarse = interval * (rates[1:] + rates[:-1]) / 2

@@ -62,7 +62,7 @@ class Frames(NamedTuple):
     periodic : (3,) array of bool
         Whether the box repeats along x, y and z.
     columns : dict
-        (T, N) arrays by name, ordered by atom number, as they are written.
+        Columns of the dump by name, (T, N) arrays ordered by atom number, in the units of the dump.
     units : Units
         Units of the columns.
     """
@@ -127,9 +127,9 @@ def read_frames(
 ) -> Frames:
     """Read the frames of a dump; raise `InputError` if the number of grains differs.
 
-    A run that was stopped and started again writes frames twice, and one that was killed leaves
-    half a frame: of each step, the frame that was written last is taken, and what is not whole is
-    left out. Of a dump with more than `most` frames no more are read.
+    A run that was stopped and restarted may write the frame of a step twice; the last one is used.
+    Incomplete frames, which a killed run leaves, are ignored. If a dump has more than `most`
+    frames, `InputError` is raised.
     """
     name = str(path)
     if not path.is_file():

@@ -35,13 +35,14 @@ def scene_of_run(
     paths : list of paths
         A dump, an input file or a data file; or an input file and its dump.
     options : RunOptions, optional
+        Options of the run, which complete or replace values from the files.
     units : str or (length, time, mass), optional
-        As for `Trajectory.from_dump`.
+        Unit style of LAMMPS, or its units, as in `Trajectory.from_dump`.
 
     Raises
     ------
     InputError
-        If the files are not understood, or something is missing.
+        If the files cannot be interpreted, or if values are missing.
     """
     dumps, inputs = _sorted_files(paths)
     # A dump that does not name its units uses those of its input.

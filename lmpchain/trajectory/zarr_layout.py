@@ -1,7 +1,7 @@
 """Layout of a run folder's arrays in their Zarr store, and its check.
 
-The check reads plain JSON and file names only: no codec is made and no chunk opened before it has
-passed.
+The check reads only plain JSON and file names. No codec is created and no chunk is opened before
+the check has passed.
 """
 
 from __future__ import annotations
@@ -50,11 +50,12 @@ class ChunkSizes(NamedTuple):
     Attributes
     ----------
     samples : int
-        Number in a shard, or a multiple that fills a chunk.
+        Number of samples in a shard. If a chain has few grains, a multiple of it fills the chunks.
     grains : int
-        Largest number in a chunk: a grain's trace and a snapshot are then read in some 20 ms.
+        Largest number of grains in a chunk. With this size, the trace of a grain or a snapshot is
+        read in about 20 ms.
     times : int
-        Smallest number in a chunk.
+        Smallest number of times in a chunk.
     """
 
     samples: int = 16
