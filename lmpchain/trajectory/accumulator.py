@@ -42,7 +42,8 @@ class Accumulator:
     linear : bool
         Whether the samples solve the linearised equation of motion.
     column : (N+2,) array
-        Column of each body in the samples, or -1; see `between.derivatives.SampledBlock`.
+        Column of each body in the samples, or a negative number; see
+        `between.derivatives.SampledBlock`.
     lawful : (N+2,) array of bool
         Whether the acceleration of each body is computed from the contact law.
     grains : (G,) array

@@ -85,15 +85,17 @@ class Arrays:
 def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None:
     """Return the arrays of a binary file, or a worksheet as text; None for plain text.
 
-    Nothing in a file is executed: NumPy's objects, MATLAB's objects and functions, and links of
-    HDF5 to other files are left out.
+    No content of a file is executed: objects of NumPy, objects and functions of MATLAB, and links
+    of HDF5 to other files are ignored.
 
     Parameters
     ----------
     path : Path
+        Path of the file, for its type and for messages.
     content : bytes
+        Content of the file.
     largest : int
-        Bytes that the arrays may fill in memory.
+        Largest size of the arrays in memory, bytes.
 
     Raises
     ------

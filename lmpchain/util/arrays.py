@@ -47,7 +47,7 @@ def numbers(value: Any, key: str = "") -> Array:
     Raises
     ------
     InputError
-        With this key, unless they are numbers.
+        If the values are not numbers. The message begins with `key`.
 
     Examples
     --------

@@ -40,8 +40,8 @@ LARGEST_JSON = 2**30  # Largest size of a file that describes a store, a run or 
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind
-    in a folder, the next process removes that writes there.
+    The file and its name are flushed to the disk. Any `OSError` is raised unchanged. Temporary
+    files of killed processes are removed by the next process that writes to the same folder.
     """
     _sweep(path.parent.absolute())
     # The name contains the writer, so that leftovers of killed processes can be identified.
@@ -123,8 +123,9 @@ def check_tree(folder: Path) -> None:
 def is_foreign(path: Path) -> bool:
     """Return whether a file exists that lmpchain did not write, or that was changed since.
 
-    A link is foreign, because a user made it. An empty file is not, because nothing is lost. Where
-    the file system stores no extended attributes, only files with a seal are recognised.
+    A link is foreign, because a user made it. An empty file is not, because nothing is lost if it
+    is replaced. On file systems without extended attributes, only files with a seal are recognised
+    as files of lmpchain.
     """
     if not os.path.lexists(path):
         return False
@@ -166,7 +167,7 @@ def write_aside(path: str | PathLike[str], overwrite: bool = False) -> Iterator[
     Raises
     ------
     InputError
-        If `path` cannot be written, or is foreign and `overwrite` is false.
+        If `path` cannot be written, or if it is a foreign file and `overwrite` is false.
     """
     path = expanded(path)
     try:
@@ -191,8 +192,8 @@ def seal(content: Any) -> bytes:
 def check_seal(path: Path) -> None:
     """Raise `ValueError` unless the content of a file matches the seal at its end.
 
-    HDF5 may search damaged files without end, and cannot be stopped then: what bears no seal never
-    reaches it.
+    Files without a valid seal must not be opened by HDF5, which may search damaged files endlessly
+    and cannot be interrupted.
     """
     length = len(seal(b""))
     # An empty file cannot be mapped.
@@ -319,7 +320,8 @@ def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
     Raises
     ------
     InputError
-        If a file, link or device of that name is not lmpchain's: a lock would empty it.
+        If a file, link or device with the name of the lock was not made by lmpchain, because a lock
+        would delete its content.
     """
     from filelock import FileLock, SoftFileLock, Timeout
 
@@ -351,7 +353,8 @@ def has_locks(folder: Path) -> bool:
 def describe_holder(folder: Path) -> str:
     """Return the process that holds a folder's lock as text, if the lock names it.
 
-    Only locks on file systems without `flock` name it, and they outlive a killed process.
+    Only a lock on a file system without `flock` names the process. Such a lock remains if the
+    process is killed.
     """
     try:
         number, host, *_ = (folder / LOCK).read_text(encoding="utf-8").split("\n")

@@ -32,6 +32,7 @@ class TableLayout(NamedTuple):
     delimiter : str
         Separator of columns; a blank stands for any number of blanks.
     decimal : "." or ","
+        Decimal separator of numbers.
     """
 
     delimiter: str
@@ -95,7 +96,14 @@ NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 class ColumnHeader(NamedTuple):
     """Name and unit of a column from its header; empty if the header has none.
 
-    The cell is the text of the header with both of them.
+    Attributes
+    ----------
+    name : str
+        Name of the quantity.
+    unit : str
+        Unit of the quantity.
+    cell : str
+        Whole text of the header, with name and unit.
     """
 
     name: str
@@ -114,20 +122,21 @@ class NumberTable:
     Attributes
     ----------
     path : Path
-    columns : list of Column
-        Of all, up to the last one of numbers.
+        Path of the file.
+    columns : list of ColumnHeader
+        Headers of all columns up to the last column of numbers.
     numeric : tuple of int
-        Places of the columns of numbers.
+        Indices of the columns of numbers.
     facts : dict
-        What the lines above or beside the table say about each column of numbers.
+        Values by name and column, from the lines above or beside the table.
     numbers : sequence of int
-        Numbers in the file of its lines, or of the rows of its arrays.
+        Line number in the file of each row, or row number in the arrays.
     lines : list of str
-        Text of the table; empty if a library read it.
-    layout : Layout
-        How its lines are written.
+        Lines of the table as text; empty if a library read the file.
+    layout : TableLayout
+        Delimiter and decimal separator of the lines.
     arrays : (R, C) array, optional
-        All columns, where a library read them.
+        All columns, if a library read the file.
     """
 
     path: Path
@@ -195,7 +204,8 @@ class NumberTable:
     def unit(self, place: int, *names: str) -> str:
         """Return the unit of a column from its header, or from the file under these names.
 
-        A text that names no unit, such as a remark in brackets, is returned if there is no other.
+        If there is no known unit, another text in the place of a unit is returned, for example a
+        remark in brackets.
         """
         texts = [self.columns[place].unit, self.word(place, *names)]
         return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
@@ -213,15 +223,16 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
     Parameters
     ----------
     path : Path
+        Path of the file.
     skip : int
-        Lines, or rows, at the beginning that are not looked at.
+        Number of lines, or of rows, at the beginning that are ignored.
     fewest : int
-        Columns of numbers that are looked for.
+        Smallest number of columns of numbers in the table.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no such table.
+        If the file cannot be read, or does not contain such a table.
 
     Examples
     --------
@@ -383,7 +394,8 @@ def _check_above(
 ) -> None:
     """Raise `InputError` if lines above a table contain rows of the same form.
 
-    Directly above it is a header, without numbers in its columns.
+    The line directly above the table must be a header, which has no numbers in the columns of the
+    table.
     """
     places = set(numeric)
     rows = [_numbers_and_words(layout, line) for _, line in above]
@@ -452,8 +464,8 @@ def _facts(
 def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
     """Store a fact from a line above a table: a name and a value, or a value for each column.
 
-    Values stand above their columns, or one cell later if the first column is one of values. One
-    value alone holds for all columns.
+    The first cell is the name. Each following value is above its column, or one cell to the right
+    if the first column of the table contains numbers. A single value belongs to all columns.
     """
     for cell in cells:
         # The text has a colon, or a name and a number as Rigol writes behind the column names.

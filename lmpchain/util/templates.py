@@ -58,8 +58,8 @@ class _Sandbox(ImmutableSandboxedEnvironment):
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     """Fill in a template of the package, with HTML escapes; raise an error for a missing value.
 
-    Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
-    nothing is read.
+    The filter `exact` writes a number with all its digits. Templates cannot read attributes of
+    objects of the types `closed`.
     """
     return "".join(render_pieces(name, closed, **values))
 
@@ -79,12 +79,13 @@ def _environment(closed: tuple[type, ...], autoescape: bool) -> _Sandbox:
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     """Fill in a template of the user, which may include templates of the package.
 
-    Objects of the types `closed` are not readable in it.
+    The template cannot read attributes of objects of the types `closed`.
 
     Raises
     ------
     InputError
-        Under `key`, if it names what there is not, or does what it may not.
+        If the template names an unknown value, is invalid or does something that is not allowed.
+        The message begins with `key`.
     """
     environment = _Sandbox(closed)
     values = {"version": version("lmpchain"), **values}

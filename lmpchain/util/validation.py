@@ -24,7 +24,7 @@ NOT_GIVEN: Any = None  # Default of array fields that are computed if they are n
 class Checked(Shown, BaseModel):
     """A frozen value that raises `InputError` with all faults at construction.
 
-    Use `replace` for a changed copy, which is checked, too.
+    The method `replace` returns a changed copy, which is also checked.
     """
 
     model_config = ConfigDict(
@@ -111,7 +111,7 @@ class Checked(Shown, BaseModel):
         Raises
         ------
         InputError
-            With every fault of the copy.
+            If the copy is invalid. The error contains all faults.
         """
         fields = self.given() | changes
         return type(self)(**{key: value for key, value in fields.items() if value is not None})
@@ -199,7 +199,7 @@ Made = TypeVar("Made")
 def make_unchecked(kind: type[Value], **fields: Any) -> Value:
     """Return a value from arguments that are known to be valid, without checks.
 
-    Pydantic's own function takes ten times as long.
+    The corresponding function of pydantic takes ten times as long.
     """
     values = {kind.arguments[key]: value for key, value in fields.items()}
     defaults = {
