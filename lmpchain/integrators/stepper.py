@@ -27,7 +27,7 @@ from .method import March, Method
 from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
-UNFIT = "the stored state does not fit"
+UNFIT = "the stored state does not belong to this run"
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:

@@ -110,7 +110,7 @@ class Accumulator:
             # These two arrays grow. The shapes of the others reveal a state of a different scene.
             fixed = start.keys() - {"log", "before"}
             if any(self.state[name].shape != start[name].shape for name in fixed):
-                raise ValueError("the state that was kept does not fit")
+                raise ValueError("the stored state does not belong to this scene")
 
     def take(self, first: int, u: Array, v: Array) -> None:
         """Add the samples of a block, (B, C) each, beginning with sample number `first`."""

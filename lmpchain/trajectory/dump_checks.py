@@ -139,22 +139,22 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
         cure = "run LAMMPS to its end"
         if len(steps) > 1:
             cure = (
-                "set both in the scene, if its frames are as far apart as the scene's samples: "
-                f"samples = {len(steps)}, duration = {duration:.6g}; or {cure}"
+                "if the frames are as far apart as the samples of the scene, set "
+                f"samples = {len(steps)} and duration = {duration:.6g} in the scene; or {cure}"
             )
         raise InputError.at(
             name,
-            f"has {len(steps)} whole frames, the scene {samples} samples over a duration of "
-            f"{scene.duration:.6g} s: {cure}",
+            f"has {len(steps)} whole frames, but the scene has {samples} samples over a duration "
+            f"of {scene.duration:.6g} s: {cure}",
         )
     if not all(np.isfinite(values).all() for values in frames.columns.values()):
         raise InputError.at(
-            name, "holds numbers that are not finite: the run broke down; use a shorter step"
+            name, "contains numbers that are not finite, from a breakdown: use a shorter step"
         )
     intervals = np.diff(steps)
     if (intervals != intervals[0]).any():
         raise InputError.at(
-            name, "its frames are not equally far apart: dump every so many steps, from the start"
+            name, "its frames are not equally far apart: dump every N steps, from the start"
         )
     if np.isnan(frames.times).all():
         return
@@ -164,8 +164,8 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
         raise InputError.at(
             name,
             f"its frames are {times[-1] / scene.intervals:.6g} s apart by ITEM: TIME or v_time, "
-            f"the samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
-            f"{CURE}",
+            f"but the samples of the scene are {interval:.6g} s apart: set the duration of the "
+            f"scene to {times[-1]:.6g} s, or {CURE}",
         )
 
 
@@ -176,8 +176,8 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
     if frames.periodic[number] and (jumps > frames.sides[1:, number, None] / 2).any():
         raise InputError.at(
             name,
-            f"its positions {axis} jump across the periodic box: dump xu yu zu, or the image flags "
-            "ix iy iz beside x y z",
+            f"its positions {axis} jump across the periodic box: dump xu yu zu, or x y z with the "
+            "image flags ix iy iz",
         )
 
 
@@ -203,10 +203,10 @@ def _find_start(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
         if (difference > CHECKS.start * np.abs(values).max() + slack).any():
             n = int(difference.argmax())
             most = int(np.abs(begin).argmax())
-            other = "" if most == n else f"; in the dump grain {most + 1} has {begin[most]:.6g}"
+            other = "" if most == n else f"; grain {most + 1} begins with {begin[most]:.6g}"
             return (
-                f"grain {n + 1} begins with a {quantity} of {begin[n]:.6g} {unit}, in the scene "
-                f"{start[n]:.6g}{other}: {CURE}"
+                f"grain {n + 1} begins with a {quantity} of {begin[n]:.6g} {unit}, but with "
+                f"{start[n]:.6g} in the scene{other}: {CURE}"
             )
     return ""
 
@@ -250,15 +250,15 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
     # A smaller difference would not be visible in six digits of a distance.
     if abs(gaps[n] - expected[n]) > CHECKS.distance * lengths[n]:
         distance = (
-            f"{pair} are {gaps[n]:.6g} m apart in the first frame, in the scene {expected[n]:.6g}: "
-            f"{CURE}, and the dump in units si, with xu yu zu where the box is periodic; or make "
-            "the scene from the dump, lmpchain new --from"
+            f"{pair} are {gaps[n]:.6g} m apart in the first frame, but {expected[n]:.6g} m in the "
+            f"scene: {CURE}, and the dump in units si, with xu yu zu if the box is periodic; or "
+            "make the scene from the dump with lmpchain new --from"
         )
         return distance, ""
     overlap = (
-        f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, in the scene "
-        f"{lengths[n] - expected[n]:.6g}: {CURE}, with its diameter, material, load and gravity; "
-        "or make the scene from the dump, lmpchain new --from"
+        f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, but by "
+        f"{lengths[n] - expected[n]:.6g} m in the scene: {CURE}, with its diameter, material, load "
+        "and gravity; or make the scene from the dump with lmpchain new --from"
     )
     return "", overlap
 
@@ -285,8 +285,8 @@ def check_grains(
         if off[n] > CHECKS.grain:
             raise InputError.at(
                 name,
-                f"grain {n + 1} has a {quantity} of {values[n]:.6g} {unit}, in the scene "
-                f"{expected[n]:.6g}: {CURE}",
+                f"grain {n + 1} has a {quantity} of {values[n]:.6g} {unit}, but {expected[n]:.6g} "
+                f"{unit} in the scene: {CURE}",
             )
 
 
@@ -339,11 +339,11 @@ def check_course(
         *sums, interval, last if single else last * masses.max() * masses.size
     )
     if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):
-        cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
+        cure = f"{CURE}, with its duration and as many samples as it has frames"
         raise InputError.at(
             name,
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
-            f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
+            f"velocities predict for {interval:.6g} s, the sampling interval of the scene: {cure}",
         )
     # Damping forces also depend on velocities, and ground forces may depend on the time.
     if angle > SAMPLED.forces or not scene.chain.conservative:
@@ -356,7 +356,7 @@ def check_course(
     if _excess(ratio, doubt) > slip + angle**3 / 2 + noise:
         raise InputError.at(
             name,
-            f"its grains are accelerated {ratio:.3g} times as much as by the forces of the scene: "
+            f"its accelerations are {ratio:.3g} times as large as the forces of the scene predict: "
             f"{CURE}, with its diameter, material, load and duration",
         )
 

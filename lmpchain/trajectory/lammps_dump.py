@@ -66,7 +66,7 @@ def read_dump(
     name = str(path)
     if axis not in (None, *AXES):
         raise InputError.at(
-            "axis", f"must be x, y or z, along which the column stands (got {shown(axis)})"
+            "axis", f"must be x, y or z, the axis of the column (got {shown(axis)})"
         )
     rest = None if equilibrium is None else _check_rest(equilibrium, scene.chain.grains)
     frames = read_frames(path, scene.chain.grains, most=2 * scene.samples, units=units)
@@ -76,7 +76,7 @@ def read_dump(
     columns = frames.in_si()
     if f"v{axis}" not in columns:
         raise InputError.at(
-            name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
+            name, f"has no column v{axis}, but its grains are in line along {axis}: {COLUMNS}"
         )
     # The numbers of the file are used, because sums with box lengths have different digits.
     written = frames.columns[frames.position_columns[AXES.index(axis)]]
@@ -93,7 +93,7 @@ def read_dump(
     mover = motion.order[int(np.abs(motion.velocity).sum(0).argmax())]
     if v_phi is None:
         _check_digits(name, written[:, mover], length, float(np.ptp(z[:, mover])))
-        origin = f"heights less those {'at first' if rest is None else 'given'}"
+        origin = f"heights minus {'first' if rest is None else 'given'} heights"
     else:
         origin = "v_phi"
     speeds = frames.columns[f"v{axis}"][:, mover]
@@ -171,7 +171,7 @@ def _find_axis(name: str, frames: Frames) -> str:
     if not spread[longest] > 2 * sorted(spread)[-2]:
         raise InputError.at(
             "axis",
-            f"{name}: its grains stand along none of x, y and z: name the axis of the column",
+            f"{name}: its grains are not in line along x, y or z: give the axis of the column",
         )
     return AXES[longest]
 

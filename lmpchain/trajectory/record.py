@@ -80,7 +80,7 @@ class ErrorEstimate:
         if self.total == 0:
             return ", because no recorded grain can move"
         if LARGEST_ERROR <= self.total < math.inf:
-            return ", the largest there is: nothing is known of the answer"
+            return ", the largest possible value: nothing is known about the solution"
         return ""
 
 
@@ -259,7 +259,7 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
 def read_scene(attributes: Mapping[str, Any]) -> Scene:
     """Return the scene in the metadata of a file; raise `ValueError` if the metadata has none."""
     if attributes["lmpchain_format"] != FORMAT:
-        raise ValueError("it is of another version of lmpchain")
+        raise ValueError("it was written by another version of lmpchain")
     return Scene.from_text(attributes["scene"])
 
 
@@ -305,11 +305,11 @@ def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate must be a non-negative number")
     if not all(isinstance(cost[name], kinds[kind]) for name, kind in get_type_hints(Cost).items()):
-        raise ValueError("its cost is not in numbers")
+        raise ValueError("its cost does not consist of numbers")
     if not isinstance(engine, str) or not isinstance(equation, int | float):
-        raise ValueError("its engine or equation is none")
+        raise ValueError("its engine or equation is invalid")
     if not all(isinstance(value, str) for value in dict(provenance).values()):
-        raise ValueError("its provenance is not in words")
+        raise ValueError("its provenance does not consist of text")
     return {
         "engine": engine,
         "equation": int(equation),

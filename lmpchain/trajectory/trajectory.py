@@ -250,13 +250,13 @@ class Trajectory(Shown, Record, Tabular):
         folder = os.path.isdir(path)
         if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError.at(
-                str(path), "is a folder without a run in it, or with one that has no samples yet"
+                str(path), "is a folder that contains no run, or a run without samples so far"
             )
         if not folder and not os.path.isfile(path):
             device = os.path.lexists(path)
             raise InputError.at(
                 str(path),
-                "is no file, but a device or a pipe" if device else "there is no such file",
+                "is a device or a pipe, not a file" if device else "there is no such file",
             )
         if not folder and (fault := describe_other_format(path)):
             raise InputError.at(str(path), fault)
@@ -266,9 +266,9 @@ class Trajectory(Shown, Record, Tabular):
             )
             time = arrays["time"]
             if not np.array_equal(time, scene.time[: time.size]):
-                raise ValueError("its times are not those of its scene")
+                raise ValueError("its times differ from those of its scene")
             if not np.array_equal(arrays["grain"], scene.recorded):
-                raise ValueError("its grains are not those of its scene")
+                raise ValueError("its grains differ from those of its scene")
             return cls(
                 scene=scene,
                 time=time,

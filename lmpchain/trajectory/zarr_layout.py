@@ -105,7 +105,7 @@ def check_layout(store: Path, scene: Scene) -> None:
     sizes = stores(scene, names)
     chunk = sizes["chunk"]
     if metadata(store).get("node_type") != "group" or names - arrays.keys():
-        raise ValueError("it is no store of lmpchain, or holds more than that")
+        raise ValueError("it was not written by lmpchain, or contains further data")
     for name, shape in arrays.items():
         array = metadata(store / name)
         expected = {
@@ -118,7 +118,7 @@ def check_layout(store: Path, scene: Scene) -> None:
         }
         for key, value in expected.items():
             if array.get(key) != value:
-                raise ValueError(f"the {key} of {name} is not that of its scene")
+                raise ValueError(f"the {key} of {name} differs from that of its scene")
         if array.keys() - KEYS or array.get("storage_transformers"):
             raise ValueError(f"{name} is stored in a way that lmpchain does not use")
         nested = array["codecs"]
@@ -141,7 +141,7 @@ def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
         # The header of blosc contains the unpacked size.
         claim = int.from_bytes(head[4:], "little") if blosc else 8 * length
         if claim != 8 * length or claim > MOST_SHRUNK * path.stat().st_size:
-            raise ValueError("it claims to hold more than it does")
+            raise ValueError("it declares more numbers than it can contain")
 
 
 def _configure(name: str, **configuration: Any) -> dict[str, Any]:
@@ -163,7 +163,7 @@ def codec_names_in_shards(codecs: Any, chunk: Piece) -> list[str]:
     (outer,) = codecs
     inside = outer["configuration"]
     if outer["name"] != "sharding_indexed" or inside["chunk_shape"] != list(chunk):
-        raise ValueError("it is not in shards of lmpchain")
+        raise ValueError("its shards differ from those that lmpchain writes")
     if codec_names(inside["index_codecs"]) != INDEX or inside.get("index_location", "end") != "end":
-        raise ValueError("it is not in shards of lmpchain")
+        raise ValueError("its shards differ from those that lmpchain writes")
     return codec_names(inside["codecs"])

@@ -197,7 +197,7 @@ def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     finished = "solver_error" in attributes
     complete = int(np.isfinite(data["time"].to_numpy()).sum())
     if finished and complete < scene.samples:
-        raise ValueError("the run was finished, but samples are not there")
+        raise ValueError("the run was finished, but samples are missing")
     data = data.isel(time=slice(0, complete))
     names = ["time", "grain"]
     if finished:
@@ -256,7 +256,7 @@ class OnDisk(NDArrayOperatorsMixin):
         else:
             if np.isfinite(values).all():
                 return values
-            fault = "samples are not there"
+            fault = "samples are missing"
         raise InputError.at(NAME, f"was damaged and cannot be read: {fault}; run the scene anew")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:

@@ -273,7 +273,7 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
     """Return the name, times, values and unit of a record of dataset 58."""
     head = lines[5]
     if int(head[:5]) != TIME_RESPONSE:
-        raise ValueError(f"its function of type {int(head[:5])} is no time response (type 1)")
+        raise ValueError(f"its function of type {int(head[:5])} is not a time response (type 1)")
     kind, count, even = (int(lines[6][place : place + 10]) for place in (0, 10, 20))
     begin, step = (float(lines[6][place : place + 13]) for place in (30, 43))
     if (kind, even) not in WIDTHS:

@@ -49,7 +49,7 @@ Flags.__eq__ = _equal_flags  # type: ignore[assignment,method-assign]
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     # The kernels use records that Python does not have.
-    warn("NUMBA_DISABLE_JIT is ignored: the kernels run compiled only; unset it")
+    warn("NUMBA_DISABLE_JIT is ignored, because kernels must be compiled: unset it")
     numba.config.DISABLE_JIT = 0  # type: ignore[attr-defined]
 
 BLAS = "scipy.linalg.cython_blas"
@@ -250,7 +250,7 @@ class _KeptFile(IndexDataCacheFile):
         path = Path(self._data_path(name))
         content = path.read_bytes()
         if sha256(content[DIGEST:]).digest() != content[:DIGEST]:
-            _complain(path, "it is not as it was written")
+            _complain(path, "it was changed after it was written")
             return None
         return pickle.loads(content[DIGEST:])
 
@@ -289,8 +289,8 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
         _complained.add(folder)
         why = getattr(reason, "strerror", None) or reason or type(reason).__name__
         warn(
-            f"{path}: compiled code is not kept there ({why}): it is compiled anew, which takes "
-            f"minutes; make room in {folder}, remove what is damaged, or set NUMBA_CACHE_DIR",
+            f"{path}: compiled code cannot be used or stored there ({why}), and compiling it takes "
+            f"minutes: free space in {folder}, remove damaged files, or set NUMBA_CACHE_DIR",
             stacklevel=2,
         )
 
@@ -342,7 +342,7 @@ def compiled_once(
             )
             file.__class__ = _KeptFile
         except RuntimeError:
-            when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
+            when = "in every process, because no folder is writable (see lmpchain doctor)"
             dispatcher = compiler()(function)
         _jobs[function] = _Job(f"compiling {what}, {when}: about {seconds} s", seconds)
         return dispatcher

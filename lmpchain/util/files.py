@@ -97,7 +97,7 @@ def check_readable(path: Path, largest: int) -> None:
     """Raise `OSError` unless a path is a regular file within a size limit, bytes."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
+        raise OSError(errno.EINVAL, "is not a file, but a folder, a device or a pipe")
     if status.st_size > largest:
         raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
 
@@ -116,7 +116,7 @@ def check_tree(folder: Path) -> None:
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 raise OSError(
                     errno.EINVAL,
-                    f"{name} there is a link, a device or a pipe, which lmpchain never writes",
+                    f"{name} in it is a link, a device or a pipe, which lmpchain never writes",
                 )
 
 
@@ -205,7 +205,7 @@ def check_seal(path: Path) -> None:
     if not end.startswith(SEAL):
         raise ValueError(UNSEALED)
     if end != seal(content[:-length]):
-        raise ValueError("it is not as it was written: copy it again, or save it anew")
+        raise ValueError("it was changed after it was written: copy it again, or save it anew")
 
 
 def sealed_json(record: Mapping[str, Any]) -> str:
@@ -246,12 +246,12 @@ def unpack_one(path: Path, name: str) -> np.ndarray:
 def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
     # A small file could unpack to more than the memory.
     if item.compress_type != zipfile.ZIP_STORED:
-        raise ValueError("it holds compressed arrays")
+        raise ValueError("it contains compressed arrays")
     data = BytesIO(packed.read(item))
     np.lib.format.read_magic(data)
     shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
     if dtype.hasobject or columns_first:
-        raise ValueError("it holds arrays that are not plain")
+        raise ValueError("it contains arrays that are not plain")
     return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
@@ -288,7 +288,7 @@ def make_folder(name: str | PathLike[str]) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError.at(
-            str(path), f"is no folder and cannot be made one: {error.strerror}"
+            str(path), f"is not a folder, and cannot be created: {error.strerror}"
         ) from None
     return path
 
@@ -328,7 +328,7 @@ def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
     path = folder / LOCK
     if not is_lock(path):
         raise InputError.at(
-            str(path), "is not lmpchain's, but a link, a device or a file with content: move it"
+            str(path), "is not a lock of lmpchain, but a link, a device or a file of yours: move it"
         )
     lock = (FileLock if has_locks(folder) else SoftFileLock)(path, timeout=patience_s)
     try:

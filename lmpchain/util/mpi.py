@@ -81,8 +81,8 @@ def join() -> Any:
     world = library().COMM_WORLD
     if world.size != count:
         raise EngineUnavailable(
-            f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to "
-            f"another MPI than LAMMPS does; use {launcher()}"
+            f"mpirun has started {count} processes, but MPI finds {world.size}, because mpirun and "
+            f"LAMMPS use different MPI libraries: use {launcher()}"
         )
     settle(world)
     _joined[:] = [world]

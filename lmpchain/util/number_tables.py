@@ -155,7 +155,7 @@ class NumberTable:
             if (wrong := np.argwhere(~np.isfinite(values))).size:
                 row, place = wrong[0]
                 cell = f"row {row + 1} of {self.describe(places[place])}"
-                fault = f"{values[row, place]} in {cell} is no number: mend it or leave it out"
+                fault = f"{values[row, place]} in {cell} is not a number: correct or remove it"
                 raise InputError.at("file", f"{self.path}: {fault}")
             return values
         layout = self.layout
@@ -278,7 +278,7 @@ def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable
     """Return a table of the most equally long arrays of a file, or of the longest one."""
     lengths = Counter(len(array.values) for array in arrays.columns if len(array.values) > skip)
     if not lengths:
-        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+        raise InputError.at("file", f"{path} contains no table of numbers: name another file")
     length = max(lengths, key=lambda length: (lengths[length] >= fewest, length))
     chosen = [array for array in arrays.columns if len(array.values) == length]
     columns = []
@@ -315,7 +315,7 @@ def _read_text(path: Path) -> str | Arrays:
         text = content.decode("latin-1")
     if "\0" in text:
         cure = f"save it as text (CSV), or read it in Python and {BY_POINTS}"
-        raise InputError.at("file", f"{path} is no text: {cure}")
+        raise InputError.at("file", f"{path} is not a text file: {cure}")
     return text
 
 
@@ -344,7 +344,7 @@ def _recognise(
                 best = score
                 recognised = layout, numeric
     if recognised is None:
-        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+        raise InputError.at("file", f"{path} contains no table of numbers: name another file")
     return recognised
 
 
@@ -412,8 +412,8 @@ def _no_number(
     cells = layout.cells(line[1])
     texts = [(place, cells[place] if place < len(cells) else "") for place in places]
     place, text = next((place, text) for place, text in texts if not layout.is_number(text))
-    cure = "mend it or take the line out (lines above the table: skip = N)"
-    message = f"{shown(text)} in column {place + 1} is no number: {cure}"
+    cure = "correct it or remove the line (lines above the table: skip = N)"
+    message = f"{shown(text)} in column {place + 1} is not a number: {cure}"
     return InputError.at("file", f"{path}, line {line[0]}: {message}")
 
 
@@ -432,7 +432,7 @@ def _header(
         units = [match[2] for match in BRACKETS.finditer(above[0]) if unit_of(match[2])]
         if units:
             line = f"the line {shown(above[0])} has units, but not a name for each column"
-            cure = "leave it out by skip = N, and give columns, time_scale and scale"
+            cure = "skip it with skip = N, and give columns, time_scale and scale"
             raise InputError.at("file", f"{path}: {line}: {cure}")
     return header
 

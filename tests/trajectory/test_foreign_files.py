@@ -336,7 +336,7 @@ def test_the_state_of_a_checkpoint_must_match_its_run(stopped: Path, what: str):
     packed = io.BytesIO()
     np.savez(packed, **arrays)
     with_checkpoint(stopped, packed.getvalue())
-    with pytest.raises(InputError, match="checkpoint: does not fit"):
+    with pytest.raises(InputError, match="checkpoint: does not belong"):
         resume(stopped)
 
 

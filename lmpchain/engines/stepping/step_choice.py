@@ -186,12 +186,12 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     stable = method.stability_limit
     edge = scene.chain.fastest_rate
     if step * edge > stable:
-        why = f"where {method.name} stops being stable on this chain (got {step:g})"
+        why = f"the stability limit of {method.name} on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
     interval = scene.sampling_interval
     if not interval / step < MOST_STEPS:
         least = f"longer than {interval / MOST_STEPS:.1g} s"
-        raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
+        raise InputError.at("step", f"must be {least}, to limit their number (got {step:g})")
     # A step that divides the interval up to rounding is taken as it is.
     steps = math.ceil(interval / step * (1 - 1e-12))
     return Steps.spread(interval, steps)

@@ -133,7 +133,7 @@ class TimeSteppingEngine(Engine):
         # Years of work come from a wrong unit, such as seconds in place of microseconds.
         if cost_s > LONGEST_RUN_S:
             years = cost_s / 3.15e7
-            cure = "shorten it, or ask for less accuracy"
+            cure = "shorten it, or use a larger tolerance"
             raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
         return Proposal(
             engine=self.name,
@@ -227,7 +227,7 @@ class TimeSteppingEngine(Engine):
     ) -> SteppingRun:
         """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
-            raise ValueError("a batch needs chains of one kind and length, recorded alike")
+            raise ValueError("the scenes of a batch must have similar chains and equal recording")
         began = clock()
         method = BY_NAME[proposal.integrator]
         asked = scenes[0]
@@ -250,7 +250,7 @@ class TimeSteppingEngine(Engine):
             # Only a stored state can be the cause.
             if state is None or isinstance(error, InputError):
                 raise
-            why = "does not fit its run, or was changed: run the scene anew"
+            why = "does not belong to its run, or was changed: run the scene anew"
             raise InputError.at("checkpoint", why) from error
 
 
@@ -281,11 +281,11 @@ class CompiledSteps(TimeSteppingEngine):
             evaluations = steps.total(scene.intervals) * method.evaluations
             floor = native_floor(evaluations, scene.total_phase)
             if floor > tolerance:
-                cure = "ask for less"
+                cure = "use a larger tolerance"
                 if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
                     cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
                 raise ToleranceNotMet(
-                    f"round-off alone may make an error of {floor:.1g}, above the tolerance: {cure}"
+                    f"the round-off error may reach {floor:.1g}, above the tolerance: {cure}"
                 )
         return proposal
 
