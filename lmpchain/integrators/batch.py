@@ -63,7 +63,7 @@ class ChainBatch:
     plain : list of R bool
         Whether the form of the force has a rounding error of one ulp of the force at rest.
     opening_power : float
-        Exponent of the overlap with which the force sets in where a contact closes.
+        Exponent of the contact force as a function of the overlap just after a contact closes.
     """
 
     def __init__(

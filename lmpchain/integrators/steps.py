@@ -168,7 +168,7 @@ class OpeningSteps:
         Ratio h' / h at the time 1 / omega from the opening of the most important contact. It is so
         small that the shorter steps have no larger errors than the other steps.
     coarse : float
-        The same ratio for coarse steps near openings.
+        Ratio h' / h at the same time if steps near openings are coarse.
     crossing : float
         Value of omega h' / (omega h)^((order + 1) / (delta + 1)) for the step h' that crosses an
         opening, at delta = 1.5. For other exponents delta, the step has the same error.

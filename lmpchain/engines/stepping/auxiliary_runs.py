@@ -104,7 +104,8 @@ class OpeningOrder:
         Ratio of the step of the auxiliary run for scattered errors to the step of the answer, for
         a force without a kink at an opening.
     nearby_kinked : float
-        The same ratio for a force with a kink at an opening.
+        Ratio of the step of this auxiliary run to the step of the answer, for a force with a kink
+        at an opening.
     """
 
     near: float = -0.5

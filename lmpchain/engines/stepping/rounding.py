@@ -63,8 +63,8 @@ def accumulate(evaluations: float, flights: float = 0.0) -> float:
     While grains touch, the error is a random walk of n evaluations, sqrt(n). A grain that is pushed
     during the fraction 1/k of the run has a velocity error of sqrt(n/k); if it then flies freely,
     it flies k times as far, and the error of its position grows to sqrt(n k). Equal steps also
-    round the position of a flying grain to one side at each evaluation. A flight over k largest
-    displacements adds up `ROUNDING.drift` n / k.
+    round the position of a flying grain to one side. A flight lasts for n / k evaluations, and
+    these rounding errors add up to `ROUNDING.drift` n / k.
 
     Parameters
     ----------

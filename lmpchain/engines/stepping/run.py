@@ -137,7 +137,7 @@ class SteppingRun(Run):
     def _end_of_block(self, final: int) -> int:
         """Return the last sample of the next block.
 
-        Blocks end where all runs land on a sample together.
+        A block ends at a sample on which steps of all runs end.
         """
         begin = max(self._sample, 0)
         fit = min(self._longest_block, int(BLOCK_S / self._sample_s))

@@ -299,7 +299,7 @@ def _pass_samples(
     """Return steps that pass over samples.
 
     Return None if interpolated samples would be inaccurate, if they would not fit into memory, or
-    if there would be none.
+    if steps would end on every sample.
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # Number of steps per sample.

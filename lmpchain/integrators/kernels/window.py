@@ -30,8 +30,8 @@ class WindowLooks(NamedTuple):
         Phase omega t from one of the first observations to the next. The observed peak of the
         fastest mode is at most 12 % too small.
     settled : int
-        Inverse of the fraction of the steps so far after which a later observation is due. Later
-        observations may be rarer, because new extremes are rare then.
+        Later observations are separated by 1 / `settled` of the number of steps so far, because new
+        extremes are rare then.
     longest : float
         Largest number of steps between two observations, so that integers do not overflow.
     """

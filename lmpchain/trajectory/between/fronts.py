@@ -366,7 +366,7 @@ def fronts(
     derived : (G, 3, R) array
         Accelerations, jerks and errors, as `derivatives.derive` returns them.
     events, latest, largest, start, rules
-        The same arguments as those of `arrivals`.
+        Events, largest sizes, sizes at t = 0 and definition of a front, as in `arrivals`.
     """
     out = np.full((grains.size, 6), np.nan)
     few = np.zeros(events.size + 1, EVENT)
