@@ -139,8 +139,8 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
         cure = "run LAMMPS to its end"
         if len(steps) > 1:
             cure = (
-                "if the frames are as far apart as the samples of the scene, set "
-                f"samples = {len(steps)} and duration = {duration:.6g} in the scene; or {cure}"
+                f"set samples = {len(steps)}, duration = {duration:.6g} in the scene, if its "
+                f"samples are as far apart as the frames; or {cure}"
             )
         raise InputError.at(
             name,

@@ -153,7 +153,7 @@ def test_a_dump_with_another_initial_state_is_rejected(tmp_path: Path, off: floa
 def test_frames_agree_with_the_samples(tmp_path: Path):
     path = dump(tmp_path / "run.dump", steps=(0, 50, 100))
     assert fault(path).startswith(
-        "has 3 whole frames, but the scene has 4 samples over a duration of 0.0003 s: if the frames"
+        "has 3 whole frames, but the scene has 4 samples over a duration of 0.0003 s: set samples"
     )
     for steps in ((0, 50, 100, 151), (0, 51, 100, 150)):
         assert fault(dump(path, steps=steps)).startswith("its frames are not equally far apart")

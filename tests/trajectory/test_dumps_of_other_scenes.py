@@ -211,9 +211,12 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "other order": (lambda frames: [f.columns.reverse() for f in frames] and None, ""),
     "with its times": (timed(2e-7), ""),
     "with later times": (timed(2e-7, start=3.0), "samples of the scene|^$"),
-    "with times of half the length": (timed(1e-7), "1e-07 s apart by ITEM: TIME or .* scene 2e-07"),
-    "with times in us": (timed(0.2), "0.2 s apart by ITEM: TIME or .* scene 2e-07"),
-    "with times a little longer": (timed(2.001e-7), "apart by ITEM: TIME.*set its duration to"),
+    "with times of half the length": (
+        timed(1e-7),
+        "1e-07 s apart by .* scene are 2e-07",
+    ),
+    "with times in us": (timed(0.2), "0.2 s apart by ITEM: TIME or .* scene are 2e-07"),
+    "with times a little longer": (timed(2.001e-7), "apart by ITEM: TIME.*set the duration of"),
     "with a word as time": (odd_times, "ITEM: TIME must be a number of seconds .got noon."),
     "with a time lost": (lost_time, "by ITEM: TIME"),
     "with uneven times": (uneven_times, "by ITEM: TIME"),
@@ -354,11 +357,11 @@ SCENES: dict[str, tuple[Scene, str]] = {
     "another exponent": (other({"exponent": 1.4}), "overlap by"),
     "half the duration": (
         other(duration=4e-6),
-        "change 2 times .* 1e-07 s, the scene's time|2e-07 s apart by .* scene 1e-07",
+        "change 2 times .* 1e-07 s, the sampling|2e-07 s apart by .* scene are 1e-07",
     ),
     "twice the duration": (
         other(duration=16e-6),
-        "change 0.5 times .* 4e-07 s, the scene's|2e-07 s apart by .* 4e-07",
+        "change 0.5 times .* 4e-07 s, the sampling|2e-07 s apart by .* 4e-07",
     ),
     "a tenth longer": (
         other(duration=8.8e-6),
