@@ -60,7 +60,7 @@ class Method(Protocol):
     def spread(self) -> float:
         """Amplification of independent errors of the force evaluations in a step (1: none).
 
-        Measured by analysis/calibration/roundoff.py.
+        The value is measured by analysis/calibration/roundoff.py.
         """
 
     @property
@@ -71,7 +71,7 @@ class Method(Protocol):
     def error_constant(self) -> float:
         """Relative error at omega h = 1 for omega T = 60.
 
-        Measured by analysis/calibration/error_constants.py.
+        The value is measured by analysis/calibration/error_constants.py.
         """
 
     @property

@@ -166,7 +166,7 @@ class NativeStepper:
     def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
         """Return the work of each thread: arguments of the march, first chain, and end of chains.
 
-        The number of `shares` is the number of parts into which the batch is divided.
+        `shares` is the number of parts into which the chains of the batch are divided.
         """
         scene = self.chains.scenes[0]
         borders = [share * self._size // shares for share in range(shares + 1)]

@@ -93,7 +93,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
     Parameters
     ----------
     ends : list of (height, name, colour)
-        Heights in units of the vertical axis.
+        Height of the end of each curve, in units of the vertical axis, and its name and colour.
     """
     # This call fixes the limits, on which positions depend.
     ax.get_ylim()

@@ -76,7 +76,7 @@ from ...util.arrays import Array
 class OpeningOrder:
     """Effect of contact openings on the order of a method.
 
-    Measured by analysis/calibration/richardson_estimate.py.
+    The values are measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
@@ -338,7 +338,7 @@ def recurs(scene: Scene) -> bool:
 class Trust:
     """Trust in the differences between runs.
 
-    Measured by analysis/calibration/richardson_estimate.py.
+    The values are measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------

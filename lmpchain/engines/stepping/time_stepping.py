@@ -96,7 +96,7 @@ class TimeSteppingEngine(Engine):
     ) -> Stepper:
         """Return the stepper of the main run at t = 0 or at a stored state.
 
-        A native stepper also moves the auxiliary runs.
+        A native stepper also advances the auxiliary runs.
         """
 
     def steppers(
