@@ -288,7 +288,7 @@ def make_folder(name: str | PathLike[str]) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError.at(
-            str(path), f"is not a folder, and cannot be created: {error.strerror}"
+            str(path), f"is not a folder and cannot be made one: {error.strerror}"
         ) from None
     return path
 

@@ -202,7 +202,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
     )  # fmt: skip
     for other in unlike_ones:
         assert kind(other) != kind(SCENE)
-        with pytest.raises(ValueError, match="the scenes of a batch must have similar chains"):
+        with pytest.raises(ValueError, match="a batch needs chains of the same kind and length"):
             engine.start([SCENE, other], candidate)
     key = engine.batch_key(SCENE, candidate)
     for changed in (

@@ -684,9 +684,9 @@ def spoil(dump: Path, what: str) -> Path:
         ("words", "cannot be read as a dump"),
         ("no velocities", "no column vz"),
         ("no numbers", "not finite"),
-        ("no dump", "no LAMMPS dump"),
+        ("no dump", "not a LAMMPS dump"),
         ("only a head", "cut short"),
-        ("empty", "no LAMMPS dump"),
+        ("empty", "not a LAMMPS dump"),
     ],
 )
 def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: str):

@@ -162,7 +162,7 @@ def test_a_folder_is_made_with_its_parents(tmp_path: Path):
     (folder / "file").touch()
     with pytest.raises(InputError) as caught:
         make_folder(folder / "file")
-    fault = "is not a folder, and cannot be created: File exists"
+    fault = "is not a folder and cannot be made one: File exists"
     assert caught.value.faults == [(str(folder / "file"), fault)]
 
 

@@ -191,7 +191,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     interval = scene.sampling_interval
     if not interval / step < MOST_STEPS:
         least = f"longer than {interval / MOST_STEPS:.1g} s"
-        raise InputError.at("step", f"must be {least}, to limit their number (got {step:g})")
+        raise InputError.at("step", f"must be {least}, or steps cannot be counted (got {step:g})")
     # A step that divides the interval up to rounding is taken as it is.
     steps = math.ceil(interval / step * (1 - 1e-12))
     return Steps.spread(interval, steps)

@@ -227,7 +227,7 @@ class TimeSteppingEngine(Engine):
     ) -> SteppingRun:
         """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
-            raise ValueError("the scenes of a batch must have similar chains and equal recording")
+            raise ValueError("a batch needs chains of the same kind and length, and equal recording")
         began = clock()
         method = BY_NAME[proposal.integrator]
         asked = scenes[0]
@@ -285,7 +285,7 @@ class CompiledSteps(TimeSteppingEngine):
                 if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
                     cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
                 raise ToleranceNotMet(
-                    f"the round-off error may reach {floor:.1g}, above the tolerance: {cure}"
+                    f"round-off alone may make an error of {floor:.1g}, above the tolerance: {cure}"
                 )
         return proposal
 
