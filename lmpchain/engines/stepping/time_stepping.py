@@ -227,7 +227,9 @@ class TimeSteppingEngine(Engine):
     ) -> SteppingRun:
         """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
-            raise ValueError("a batch needs chains of the same kind and length, and equal recording")
+            raise ValueError(
+                "a batch needs chains of the same kind and length, and equal recording"
+            )
         began = clock()
         method = BY_NAME[proposal.integrator]
         asked = scenes[0]
