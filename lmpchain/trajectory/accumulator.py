@@ -207,7 +207,7 @@ class Accumulator:
     def fronts(self, fraction: float, error: float, fall: float, width: bool) -> Array:
         """Return the time, height and width of the front and their errors, (G, 6).
 
-        `take_all` must be called first.
+        `take_all` must be called first. The parameters are fields of `between.fronts.Rules`.
         """
         rules = self._rules(fraction, error, fall, width)
         motion = (self._block, self._grains, self._derived)

@@ -181,7 +181,7 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     Raises
     ------
     InputError
-        If the method is unstable at the given step.
+        If the method is unstable at the given step, or if the step is too short to count steps.
     """
     stable = method.stability_limit
     edge = scene.chain.fastest_rate
