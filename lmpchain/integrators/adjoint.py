@@ -1,18 +1,18 @@
 """Exact derivatives of a run by a kick-drift splitting: discrete adjoint and tangent.
 
 The run is a sequence of kicks and drifts, and the adjoint propagates derivatives with respect to
-the observed motion backward through them. The result is the derivative of the numbers of the run,
-exact up to rounding, and therefore that of the solution up to the error of the steps. For delta > 1
-the force and stiffness of a contact that opens or closes are continuous. For delta = 1 the
-stiffness jumps: the result is the derivative for contacts that open and close at the same
-evaluations. It is that of the run unless an evaluation falls exactly on an opening, and converges
-to that of the solution at first order in the step.
+the observed motion backward through them. The result is the derivative of the computed motion,
+exact up to rounding, and it differs from the derivative of the exact solution by the error of the
+steps. For delta > 1 the force and stiffness of a contact that opens or closes are continuous. For
+delta = 1 the stiffness jumps: the result is the derivative for contacts that open and close at the
+same evaluations. This is the derivative of the computed motion unless an evaluation falls exactly
+on an opening. It converges to the derivative of the exact solution at first order in the step.
 
-The run is made by the loops of the native engine and stores checkpoints. If all contacts are
-pressed at rest, and delta is 3/2 or the wave so weak that a series suffices, the backward pass
-undoes the steps between two checkpoints while it propagates adjoints. Otherwise it repeats these
-steps and stores one number for each contact and evaluation, within the cache, because rounding
-would open or close touching contacts if the steps were undone.
+The loops of the native engine compute the run and store checkpoints. If all contacts are pressed at
+rest and never open, and delta is 3/2 or the wave is so weak that a series suffices, the backward
+pass undoes the steps between two checkpoints while it propagates adjoints. Otherwise rounding would
+open or close contacts if the steps were undone. The backward pass then repeats these steps and
+stores one number for each contact and evaluation, which fit into the cache.
 """
 
 from __future__ import annotations
@@ -42,19 +42,21 @@ from .splittings import Splitting
 class Checkpoints(NamedTuple):
     """Distances of checkpoints.
 
+    A row is a kick and a drift, see `kernels.adjoint`.
+
     Attributes
     ----------
     kept_bytes : int
-        Memory for the rows between two checkpoints, about the size of the cache.
+        Memory for the rows between two checkpoints, about the size of the cache, bytes.
     fewest_rows : int
         Smallest number of rows between two checkpoints.
     undone_rows : int
-        Number of rows that are undone from a checkpoint. With 8 to 512 rows, derivatives agree to
-        7e-14.
+        Number of rows between two checkpoints if steps are undone. With 8 to 512 rows, derivatives
+        agree to 7e-14.
     total_bytes : int
-        Memory for all checkpoints.
+        Memory for all checkpoints, bytes.
     rows_of_call : int
-        Rows in a call of the compiled loops if a force or motion is imposed.
+        Number of rows in a call of the compiled loops if a force or motion is imposed.
     """
 
     kept_bytes: int = 2**19
@@ -67,7 +69,8 @@ class Checkpoints(NamedTuple):
 class Pages(NamedTuple):
     """Distance of rows of the backward pass in numbers, modulo a page.
 
-    A load waits for a store to the same place of another page, which the distance avoids.
+    A load from memory is delayed by a store to the same offset in another page. The distance
+    `stride` avoids equal offsets; `size` is the length of a page.
     """
 
     size: int = 512
@@ -88,18 +91,22 @@ class Inputs(NamedTuple):
     Attributes
     ----------
     masses : (N,) array
-        Masses, kg, at constant forces at rest.
+        Masses, kg. A derivative by a mass is taken at constant forces at rest.
     constants : (N+1,) array
-        K_n of all contacts, those with walls included, at constant forces at rest.
+        Constants K_n of all contacts, including those with walls, N/m^delta. A derivative by a
+        constant is taken at constant forces at rest.
     forces : (N+1,) array
-        Force of every contact at rest, N; 0 for contacts without such a force.
-    displacement, velocity : (N,) arrays
-        Displacement and velocity of every grain at t = 0, m and m/s.
+        Force of every contact at rest, N; 0 for contacts that carry no force at rest.
+    displacement : (N,) array
+        Displacement of every grain at t = 0, m.
+    velocity : (N,) array
+        Velocity of every grain at t = 0, m/s.
     drive : (P,) array
         Amplitude and frequency of a drive or a force, or its samples.
-    viscosity, drag : (N+1,) and (N,) arrays
-        A of all contacts, s, and gamma of every grain, 1/s; 0 for a run by a splitting, which has
-        no damping.
+    viscosity : (N+1,) array
+        Viscosity A of all contacts, s; 0 for a run by a splitting, which has no damping.
+    drag : (N,) array
+        Drag gamma of every grain, 1/s; 0 for a run by a splitting, which has no damping.
     """
 
     masses: Array
@@ -121,9 +128,11 @@ class Call(NamedTuple):
     Attributes
     ----------
     pieces : (2,) array
-        First piece, and the one behind the last.
-    row, rows : int
-        First row, and number of rows.
+        Number of the first piece, and number of the last piece plus 1.
+    row : int
+        Number of the first row.
+    rows : int
+        Number of rows.
     """
 
     pieces: NDArray[np.intp]
@@ -141,8 +150,9 @@ def make_aligned(rows: int, width: int) -> Array:
 def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[Array, Array]:
     """Return the gradient over the constants and rest forces of all contacts, (N+1,) arrays.
 
-    They follow from the sums over p and f, see `kernels.adjoint`; those by constants are at a
-    constant force at rest.
+    `by_power` and `by_force` are the sums over all evaluations of y p and y f. Here y is the
+    derivative by the force of a contact, and `kernels.adjoint` defines p and f. The derivatives by
+    the constants are taken at constant forces at rest.
     """
     by_constant = by_force - contacts.force * by_power
     none = np.zeros(by_power.size)
@@ -155,8 +165,8 @@ def by_contacts(contacts: Contacts, by_power: Array, by_force: Array) -> tuple[A
 def economise(exponent: float, reach: float) -> Array:
     """Return a polynomial for ((1 + s)^exponent - 1) / s, |s| <= reach: (4,) or (6,) coefficients.
 
-    It is the economised binomial series. For delta = 3/2, four coefficients are exact up to 3e-4,
-    six up to 0.007, and six have an error of 4e-15 at 0.0126.
+    The polynomial is the economised binomial series. For delta = 3/2, four coefficients are exact
+    up to |s| = 3e-4 and six up to 0.007. Six coefficients have an error of 4e-15 at |s| = 0.0126.
     """
     k = np.arange(12)
     reach = min(max(reach, 1e-6), 0.02)
@@ -173,14 +183,16 @@ class DifferentiableRun(ObservedRun):
     Parameters
     ----------
     scene : Scene
+        Scene of the run.
     method : Splitting
+        Integration method.
     step : float, or sequence of `looks` arrays
-        Longest step, s: the largest step that divides the time between two observations is used.
-        Or all steps between two observations.
+        Longest step, s, of a run with equal steps, which divide the time between two observations.
+        A sequence of arrays prescribes all steps between successive observations, s.
     looks : int
-        Number of equal parts of the duration, at whose ends grains are observed.
+        Number of equal parts of the duration. Grains are observed at the end of each part.
     grains : (G,) array
-        Numbers of the observed grains.
+        Numbers of the observed grains, from 1.
 
     Attributes
     ----------
@@ -188,8 +200,10 @@ class DifferentiableRun(ObservedRun):
         Times of the observations, from 0 to the duration, s.
     step : float
         Longest step, s.
-    displacement, velocity : (looks+1, G) arrays
-        Observed motion, m and m/s.
+    displacement : (looks+1, G) array
+        Displacement of the observed grains, m.
+    velocity : (looks+1, G) array
+        Velocity of the observed grains, m/s.
     """
 
     def __init__(
@@ -292,12 +306,13 @@ class DifferentiableRun(ObservedRun):
 
         Parameters
         ----------
-        displacement, velocity : (looks+1, G) arrays
-            Derivatives of the result with respect to each observed displacement, 1/m, and velocity,
-            s/m.
+        displacement : (looks+1, G) array
+            Derivative of the result with respect to each observed displacement, 1/m.
+        velocity : (looks+1, G) array
+            Derivative of the result with respect to each observed velocity, s/m.
         everywhere : bool
             Whether to compute derivatives by displacement and velocity at t = 0 also for grains
-            that never move. Otherwise the backward pass stays within the light cone of the run.
+            that never move. Otherwise the backward pass is limited to the light cone of the run.
         """
         chain = self.scene.chain
         grains = chain.grains

@@ -1,8 +1,8 @@
 """Exact derivatives of a damped chain's run by DOP853: discrete adjoint and tangent.
 
-As in `adjoint`, the result is the derivative of the numbers of the run, exact up to rounding. The
-run stores checkpoints, from which the backward pass repeats the stages of a few steps and then
-propagates adjoints backward through them.
+As in `adjoint`, the result is the derivative of the computed motion, exact up to rounding. The run
+stores checkpoints, from which the backward pass repeats the stages of a few steps and then
+propagates adjoints backward through these stages.
 """
 
 from __future__ import annotations
@@ -35,15 +35,16 @@ class Dop853Checkpoints(NamedTuple):
     Attributes
     ----------
     kept_bytes : int
-        Memory for the stages of the steps between two checkpoints, about the size of the cache.
+        Memory for the stages of the steps between two checkpoints, about the size of the cache,
+        bytes.
     fewest_steps : int
         Smallest number of steps between two checkpoints.
     total_bytes : int
-        Memory for all checkpoints, roughly.
+        Approximate memory for all checkpoints, bytes.
     noted_bytes : int
-        Memory for the checkpoints of one call of the march.
+        Memory for the checkpoints of one call of the compiled march, bytes.
     steps_of_call : int
-        Steps in a call of the compiled loops if a force or motion is imposed.
+        Number of steps in a call of the compiled loops if a force or motion is imposed.
     """
 
     kept_bytes: int = 2**19
@@ -62,10 +63,12 @@ class Followed(NamedTuple):
     Attributes
     ----------
     steps : list of arrays
-        Step lengths, s.
+        Lengths of the steps between successive observations, s; one array for each observation
+        after t = 0.
     pieces : kernels.Dop853Pieces
+        Pieces of the run between checkpoints, with the checkpoints.
     values : (2, looks+1, G) array
-        Displacements, m, and velocities, m/s.
+        Displacements, m, and velocities, m/s, of the observed grains.
     """
 
     steps: list[Array]
@@ -125,8 +128,9 @@ def follow(
 class DifferentiableDampedRun(ObservedRun):
     """A run of a damped chain by DOP853 with exact derivatives at constant steps.
 
-    Parameters, attributes and methods are those of `adjoint.DifferentiableRun`. With `adaptive`,
-    steps are shorter near the opening and closing of contacts.
+    See `adjoint.DifferentiableRun` for the parameters, attributes and methods. With `adaptive`,
+    steps are shorter near the opening and closing of contacts, and derivatives are taken at
+    constant steps.
     """
 
     def __init__(
@@ -223,7 +227,7 @@ class DifferentiableDampedRun(ObservedRun):
     def pull(self, displacement: Array, velocity: Array, everywhere: bool = True) -> Inputs:
         """Return the gradient of a result over all inputs, given that over the observed motion.
 
-        See `adjoint.DifferentiableRun.pull`.
+        See `adjoint.DifferentiableRun.pull` for the parameters.
         """
         chain = self.scene.chain
         looks = np.array([displacement, velocity], dtype=float)

@@ -43,11 +43,12 @@ class ChainBatch:
     Parameters
     ----------
     scenes : sequence of R scenes
-        Scenes of one kind and length.
+        Scenes that differ only in numbers: chains of the same type and number of grains N.
     force : "auto", "exact" or "plain"
-        Form of the force, see `Native`.
+        Form in which the contact force is evaluated, see `Native`.
     initial : pair of (R, N) arrays, optional
-        Displacement, m, and velocity, m/s, of every grain at t = 0; by default those of the scenes.
+        Displacement, m, and velocity, m/s, of every grain at t = 0; by default the initial values
+        of the scenes.
 
     Attributes
     ----------
@@ -56,13 +57,13 @@ class ChainBatch:
     masses : (R, N) array
         Masses, kg.
     contacts : Contacts
-        Contacts of all chains, (R, N+1) arrays.
+        Contacts of all chains, as (R, N+1) arrays.
     initial : pair of (R, N) arrays
         Displacement, m, and velocity, m/s, of every grain at t = 0.
     plain : list of R bool
-        Whether the form of the force loses an ulp of the force at rest.
+        Whether the form of the force has a rounding error of one ulp of the force at rest.
     opening_power : float
-        Onset power of the force as a function of the overlap.
+        Exponent of the contact force as a function of the overlap just after a contact closes.
     """
 
     def __init__(
@@ -212,7 +213,8 @@ class ChainBatch:
     ) -> tuple[Array, Array]:
         """Return `opening_length` and `opening_weight` of kinks at a distance from rest, m.
 
-        Forces bend there by `bent`, N, over the scale of the motion, and move a body of 1/mobility.
+        `bent` is the change of the force slope at a kink, times the scale of the motion, N.
+        `mobility` is the inverse mass of the lighter grain that the force moves, 1/kg.
         """
         scale = self.arrays.scale[reals]
         # A distance of 0 has no inverse, and shorter ones have no effect.
@@ -236,8 +238,8 @@ class ChainBatch:
     def place(self, u: Array, v: Array, copies: int = 1) -> tuple[Array, Array, NDArray[Any]]:
         """Return rows of bodies, (copies R, W) m and m/s, and their state at sample 0, (copies R,).
 
-        u and v are displacements and velocities of grains, (copies, R, N), or (1, R, N) for all
-        copies. The window of a long chain contains the grains that move.
+        u and v are displacements, m, and velocities, m/s, of all grains, (copies, R, N), or
+        (1, R, N) for equal copies. The window of a long chain contains only the grains that move.
         """
         # With a ground a wave may grow unnoticed, so all grains are in the window.
         longest = WINDOW_MIN if self.scenes[0].chain.ground is None else sys.maxsize
@@ -246,7 +248,7 @@ class ChainBatch:
     def _damping(self) -> tuple[bool, Array, Array]:
         """Return whether chains are damped, viscosities, (R, N+1) s, and drag, (R, N) 1/s.
 
-        The arrays are (R, 0) without damping.
+        The arrays have the shape (R, 0) if no chain is damped.
         """
         chains = [scene.chain for scene in self.scenes]
         if not any([chain.damped for chain in chains]):
@@ -288,7 +290,7 @@ def _nothing_imposed(
 ) -> tuple[bool, NDArray[Any], NDArray[Any], Array, Array, NDArray[Any]]:
     """Return the fields of `ChainBatch._impose` without a force or motion after t = 0.
 
-    The arrays are shared, because no loop writes to them.
+    Batches may share these arrays, because the compiled loops do not write to them.
     """
     # No body is forced: the last body precedes the first one.
     reach = np.array([[PAD - 1 + grains, PAD]] * size)
@@ -299,9 +301,10 @@ def _nothing_imposed(
 def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array, Array, Array]:
     """Return the overlap (m), force (N), constant and stiffness (N/m) at rest, (R, N+1) each.
 
-    Contacts that only touch among pressed contacts get the overlap `TOUCHING` and no stiffness,
-    because the compiled forms of the force need a length. The difference from the law without load
-    is below rounding. A wall that touches the top of a chain of `powers` has a form of its own.
+    In a chain with pressed contacts, contacts that touch without a force get the overlap `TOUCHING`
+    and no stiffness, because the compiled forms of the force require a length scale. The error of
+    their force is below rounding. If the law is a power (`powers`), a wall that touches the first
+    grain without a force is excluded: the loops treat it separately.
     """
     constant, force, overlap, stiffness = contacts.arrays
     if powers and not loose and not _touches_base(contacts):
@@ -327,7 +330,7 @@ def _at_rest(contacts: Contacts, loose: int, powers: bool) -> tuple[Array, Array
 def _touches_base(contacts: Contacts) -> bool:
     """Return whether the last grain touches a wall that carries nothing at rest.
 
-    Of the chains upside down, those with a wall that touched grain 1 have such a wall.
+    A chain that was turned upside down has such a wall if a wall touched its first grain before.
     """
     carries_nothing = (contacts.constant[..., -1] > 0) & (contacts.force[..., -1] == 0)
     return bool(carries_nothing.any())
@@ -411,7 +414,8 @@ def weakest(exponent: float) -> float:
 def force_form(scene: Scene, force: str = "auto") -> int:
     """Return the form of the force: "plain" is fastest, "exact" is accurate for weak waves.
 
-    The error of the plain form is an ulp of the force at rest, which is negligible in strong waves.
+    The error of the plain form is one ulp of the force at rest, which is negligible in strong
+    waves. "auto" selects a form by the largest strain of the scene.
     """
     exponent = scene.chain.law.power
     if exponent is None:

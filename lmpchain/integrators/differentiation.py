@@ -36,7 +36,7 @@ def differentiable(
 ) -> AnyRun:
     """Return a differentiable run by this method; see `adjoint.DifferentiableRun`.
 
-    With `adaptive` steps are shorter near the opening and closing of contacts.
+    With `adaptive`, steps are shorter near the opening and closing of contacts.
     """
     if isinstance(method, DormandPrince):
         return DifferentiableDampedRun(scene, method, step, looks, grains, adaptive)

@@ -4,10 +4,11 @@ Richardson's formula: with steps h and q h a method of order p gives answers tha
 
     x(q h) - x(h) = (q^p - 1) C h^p + ...,    so    |x(h) - x| = |x(q h) - x(h)| / |q^p - 1|.
 
-Here the difference is not divided, because the order is lost if a contact opens. The difference
-itself, times `SAFETY`, is the bound. L. F. Richardson, Phil. Trans. R. Soc. A 210, 307
-(1911); E. Hairer, S. P. Norsett and G. Wanner, Solving Ordinary Differential Equations I, section
-II.4.
+This module does not divide the difference by |q^p - 1|, because the order is lower than p if a
+contact opens. The error estimate is the difference times `SAFETY`.
+
+Sources: L. F. Richardson, Phil. Trans. R. Soc. A 210, 307 (1911); E. Hairer, S. P. Norsett and
+G. Wanner, Solving Ordinary Differential Equations I, section II.4.
 """
 
 from __future__ import annotations
@@ -27,8 +28,9 @@ class HalvedAnswer(NamedTuple, Generic[Answer]):
     Attributes
     ----------
     answer : any
+        Result of the computation with these steps.
     excess : float
-        Ratio of the error, which is `SAFETY` times a difference, to the allowed error.
+        Ratio of the estimated error, which is `SAFETY` times a difference, to the allowed error.
     """
 
     answer: Answer
@@ -38,14 +40,15 @@ class HalvedAnswer(NamedTuple, Generic[Answer]):
 def halve(solve: Callable[[int], HalvedAnswer[Answer]], most: int) -> HalvedAnswer[Answer]:
     """Halve the steps until the error is allowed, and return the most accurate result.
 
-    Rounding or chaos may leave a larger error in all answers.
+    If rounding errors or chaos dominate, the error of the returned result may exceed the allowed
+    error.
 
     Parameters
     ----------
     solve : function
-        Returns the answer for a number of halvings, from 0.
+        Function that returns the result for a number of halvings of the first step, from 0.
     most : int
-        Largest number of answers.
+        Largest number of calls of `solve`.
 
     Examples
     --------

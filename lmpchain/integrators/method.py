@@ -21,13 +21,14 @@ class March(NamedTuple):
     run : function
         Compiled loop, see `kernels.sample_loop`.
     make_work : function
-        Allocates the scratch arrays of one thread for its chains and the method.
+        Function that allocates the scratch arrays of one thread for its chains and the method.
     method : tuple
-        Coefficients, and arrays that depend on steps and chains; an argument of `run`.
+        Coefficients of the method, and arrays that depend on steps and chains; an argument of
+        `run`.
     history : int
         Number of stored values of each grain from earlier steps.
     shared : bool
-        Whether threads can share a chain.
+        Whether several threads can divide one chain among them.
     by_step : function, optional
         Compiled loop that records the steps of a chain; see `kernels.dop853.march_by_step`.
     """
@@ -59,7 +60,7 @@ class Method(Protocol):
     def spread(self) -> float:
         """Amplification of independent errors of the force evaluations in a step (1: none).
 
-        Measured by analysis/calibration/roundoff.py.
+        The value is measured by analysis/calibration/roundoff.py.
         """
 
     @property
@@ -70,7 +71,7 @@ class Method(Protocol):
     def error_constant(self) -> float:
         """Relative error at omega h = 1 for omega T = 60.
 
-        Measured by analysis/calibration/error_constants.py.
+        The value is measured by analysis/calibration/error_constants.py.
         """
 
     @property

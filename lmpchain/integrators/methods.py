@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 class LaggedVerlet:
     """Velocity Verlet for damped chains as in `fix nve` of LAMMPS.
 
-    Forces depend on the velocity v + lead h a, predicted from the last step. With a lead of 1/2 the
-    forces at the end of a step use the velocity of its middle, and the order is 1. "verlet" has a
-    lead of 1 in damped chains, and the order 2.
+    Forces depend on the predicted velocity v + lead h a, with v and a at the start of the step.
+    With a lead of 1/2, the forces at the end of a step use the velocity of the middle of the step,
+    and the order is 1. In damped chains, "verlet" has a lead of 1 and the order 2.
     """
 
     name: str = "lagged-verlet"
@@ -43,7 +43,8 @@ class LaggedVerlet:
     def stability_limit(self) -> float:
         """Largest stable omega h of an undamped oscillator.
 
-        Damping lowers it: at the largest h, (omega h)^2 + 2 (A omega^2 + gamma) h = 4.
+        Damping lowers the limit. The largest stable h then satisfies
+        (omega h)^2 + 2 (A omega^2 + gamma) h = 4.
         """
         return VERLET.stability_limit
 

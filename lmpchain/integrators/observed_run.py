@@ -33,8 +33,9 @@ def hold_steps(
     Parameters
     ----------
     scene : Scene
+        Scene of the run.
     step : float or list of `looks` arrays
-        Longest length of equal steps, s, or the steps between two observations, s.
+        Longest length of equal steps, s, or the steps between successive observations, s.
     looks : int
         Number of observations after t = 0.
 
@@ -42,8 +43,10 @@ def hold_steps(
     -------
     time : (looks+1,) array
         Times of the observations, from 0 to the duration, s.
-    lengths, begins : (K,) arrays
-        Length and beginning of each step, s.
+    lengths : (K,) array
+        Length of each step, s.
+    begins : (K,) array
+        Time at which each step begins, s.
     before : (looks+1,) array
         Number of steps before each observation.
     """
@@ -74,8 +77,9 @@ def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> lis
     Parameters
     ----------
     scene : Scene
+        Scene of the run.
     method : Splitting
-        Its order must be above 2.
+        Integration method of order above 2.
     step : float
         Longest step, s.
     looks : int
@@ -84,7 +88,7 @@ def adaptive_steps(scene: Scene, method: Method, step: float, looks: int) -> lis
     Returns
     -------
     list of `looks` arrays
-        Steps of each part, s.
+        Lengths of the steps in each part, s.
     """
     schedule = schedule_of(scene, step, looks, True)
     run = NativeStepper(ChainBatch([scene.replace(samples=looks + 1)]), method, schedule, {})
@@ -105,8 +109,15 @@ class ImposedCourse:
 
     Attributes
     ----------
+    waveform : Waveform
+        Imposed displacement, m, or force, N, as a function of time.
+    frequency : float
+        Frequency of a sine, Hz.
+    excitation : Drive or Force
+        Excitation that imposes the motion or force.
     size : int
-        Number of parameters: 2, or the number of samples, or 1 for the speed of a piston.
+        Number P of parameters: 2 for the amplitude and frequency of a sine, 1 for the speed of a
+        piston, else the number of samples.
     """
 
     def __init__(self, excitation: Drive | Force):
@@ -179,7 +190,8 @@ def acting(scene: Scene) -> ImposedCourse | None:
 class ObservedRun:
     """A chain in the memory layout of a run with prescribed steps, and its observed grains.
 
-    Parameters and attributes are those of `adjoint.DifferentiableRun`.
+    See `adjoint.DifferentiableRun` for the parameters and attributes. The attributes `steps` and
+    `imposed` are the number of steps and the imposed motion or force, which may be None.
     """
 
     _times: Callable[..., Array]  # Function that returns the times of rows, s.

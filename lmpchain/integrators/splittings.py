@@ -1,8 +1,9 @@
 """Kick-drift splittings, used by the native engine and by LAMMPS.
 
-One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h, where
-a kick changes velocities by the acceleration and a drift moves grains by their velocity. All
-splittings are symmetric, and therefore explicit, time-reversible and symplectic.
+One step of length h is: kick b_1 h, drift a_1 h, kick b_2 h, ... drift a_S h, kick b_(S+1) h. A
+kick of length t adds the acceleration times t to the velocities, and a drift adds the velocity
+times t to the displacements. All splittings are explicit and symplectic, and time-reversible
+because they are symmetric.
 """
 
 from __future__ import annotations
@@ -31,19 +32,26 @@ class Splitting:
     Attributes
     ----------
     name : str
+        Name of the method in options and in results.
     order : int
         Order of convergence while no contact opens.
-    kicks, drifts : tuples of float
-        b_1 ... b_(S+1) and a_1 ... a_S as fractions of the step.
-    substeps : tuple of float
-        Lengths of the velocity Verlet steps of a composition; empty otherwise.
-    damping : tuple of bool
-        See `Method.damping`. Velocity Verlet solves damped chains with a lead of 1, see
-        `methods.LaggedVerlet`: Groot and Warren, J. Chem. Phys. 107, 4423 (1997), lambda = 1,
-        which is `fix mvv/dpd 1.0` of LAMMPS.
+    kicks : tuple of float
+        Lengths b_1 ... b_(S+1) of the kicks, as fractions of the step.
+    drifts : tuple of float
+        Lengths a_1 ... a_S of the drifts, as fractions of the step.
     error_constant : float
-        Relative error at ``omega h = 1`` of the paper's scene, where ``omega T`` is 60:
-        analysis/calibration/error_constants.py.
+        Relative error at ``omega h = 1`` in the paper's scene, where ``omega T`` is 60 (measured by
+        analysis/calibration/error_constants.py).
+    reference : str
+        Source of the coefficients.
+    substeps : tuple of float
+        Lengths of the velocity Verlet steps of a composition, as fractions of the step; empty for
+        other splittings.
+    damping : tuple of bool
+        Whether the method solves damped chains (True) or chains without damping (False). Velocity
+        Verlet solves damped chains with a lead of 1, see `methods.LaggedVerlet`; this is the method
+        of Groot and Warren, J. Chem. Phys. 107, 4423 (1997), with lambda = 1, and of
+        `fix mvv/dpd 1.0` in LAMMPS.
     """
 
     name: str

@@ -27,7 +27,7 @@ from .method import March, Method
 from .steps import Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
-UNFIT = "the stored state does not fit"
+UNFIT = "the stored state does not belong to this run"
 
 
 def room_for(*shape: int) -> tuple[Array, Array]:
@@ -58,7 +58,8 @@ class Stepper(Protocol):
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Advance to the sample `until`, or by about `max_steps` steps; return the number of steps.
 
-        Samples from `offset` on are written to u and v, (R, B, N) m and m/s, made by `room_for`.
+        Samples from `offset` on are written to u and v, (R, B, N) m and m/s, which `room_for`
+        allocated.
         """
 
     @property
@@ -79,25 +80,29 @@ class Stepper(Protocol):
 class NativeStepper:
     """A batch of chains in displacements from equilibrium, distributed over threads.
 
-    Long chains that are fewer than the threads are shared one by one. Auxiliary runs of the same
-    chains, with other steps of the same method, are moved in the same compiled call.
+    If there are fewer long chains than threads, all threads share one chain after the other. The
+    same compiled call advances the chains and their auxiliary runs, which have other steps.
 
     Parameters
     ----------
     chains : ChainBatch
+        Chains to advance.
     method : Method
+        Integration method of all runs.
     schedule : Steps
+        Steps of the main run.
     state : mapping
-        Empty, or a state of `state`.
+        Arrays that the method `state` returned, or an empty mapping to start at t = 0.
     threads : int
+        Number of threads.
     auxiliary : sequence of S Steps
         Steps of the auxiliary runs.
 
     Attributes
     ----------
     balance : (S + 1, R, T, 2) array
-        Dissipated energy and work at the samples, J, see `layout.STATE`. By default it has T = 0,
-        and none are stored.
+        Dissipated energy and work of the forcing at the samples, J, see `layout.STATE`. By default
+        T = 0, and no energies are stored.
     """
 
     ranks = 1
@@ -161,7 +166,7 @@ class NativeStepper:
     def _share_out(self, march: March, shares: int) -> list[tuple[tuple[Any, ...], int, int]]:
         """Return the work of each thread: arguments of the march, first chain, and end of chains.
 
-        `shares` threads divide the chains among them.
+        `shares` is the number of parts into which the chains of the batch are divided.
         """
         scene = self.chains.scenes[0]
         borders = [share * self._size // shares for share in range(shares + 1)]
@@ -198,8 +203,8 @@ class NativeStepper:
     ) -> int:
         """Advance to the sample `until`, or by `max_steps` in each thread.
 
-        Samples from `offset` on are written to u and v, (R, B, N) m and m/s; those of auxiliary
-        runs to `beside`, (S, R, B, N).
+        Samples of the main run from `offset` on are written to u and v, (R, B, N) m and m/s.
+        Samples of the auxiliary runs are written to `beside`, (S, R, B, N) each.
         """
         fields = Fields(u, v, *beside, offset, self.balance)
         if not self._pool:
@@ -232,7 +237,7 @@ class NativeStepper:
     def fill_by_step(self, u: Array, v: Array, offset: int, until: int, noted: Noted) -> int:
         """Advance one chain as `fill` does, record its steps, and return their number.
 
-        The method must be DOP853.
+        The method must be DOP853. The steps and checkpoints are written to `noted`.
         """
         assert self._by_step
         moved, begin, _ = self._shares[0]
@@ -283,8 +288,8 @@ class NativeStepper:
     def largest(self) -> Array:
         """Return the largest displacement and speed of any grain in the main run, (R, 2) m and m/s.
 
-        They are measured after steps: at first once in a radian of the fastest motion, later less
-        often.
+        Both are evaluated only at the ends of steps: at first once in every radian of the fastest
+        motion, later less often.
         """
         state = self._state[: self._size]
         # The function np.stack would take four times as long.

@@ -25,22 +25,24 @@ MANY_STEPS = 32
 class Steps(NamedTuple):
     """The steps of a run from one recorded sample on which a step ends to the next.
 
+    A landing is a sample on which a step ends.
+
     Attributes
     ----------
     per_landing : int
-        Steps from one landing to the next, if all are equal.
+        Number of steps from one landing to the next, if all steps are equal.
     stride : int
-        Samples from one landing to the next; samples between them are interpolated.
+        Number of samples from one landing to the next.
     step : float
         Largest step size, s.
     adaptive : bool
-        Whether steps are shorter where a contact is about to open or has just closed.
+        Whether steps are shorter when a contact is about to open or has just closed.
     ratio : float
-        Ratio of the step to that of the answer.
+        Ratio of the step to the step of the main run.
     coarse_openings : bool
-        Whether steps near openings are too long to keep the order of the method there.
+        Whether steps near openings are so long that the method has a lower order there.
     dense : int
-        Every `dense`-th sample between two landings is interpolated; 0: none.
+        Every `dense`-th sample between two landings is interpolated; 0 if none is.
     """
 
     per_landing: int
@@ -80,9 +82,10 @@ class Steps(NamedTuple):
     def longer(self, ratio: float) -> Steps:
         """Return the steps of an auxiliary run, longer by this ratio.
 
-        If the answer interpolates samples, the auxiliary run interpolates every 4th, 2nd or each of
-        them, because they are only compared. Otherwise, with many steps a sample, it lands on every
-        sample. With few, its landings are as much further apart as its steps are longer.
+        If the main run interpolates samples, the auxiliary run interpolates only every 4th or every
+        2nd sample if its steps are long, because these samples are only compared. Otherwise it
+        lands on every sample if the main run has `MANY_STEPS` steps a sample. With fewer steps, the
+        distance of its landings is a multiple of a sample that its longer steps divide.
         """
         steps = math.ceil(self.per_landing / ratio)
         longer = self._replace(
@@ -121,9 +124,10 @@ class Steps(NamedTuple):
         return -(-self.per_landing * samples // self.stride)
 
     def longest_between(self, begin: Array, end: Array) -> Array:
-        """Return the longest step between two corners, (C,) s, at which steps end as at landings.
+        """Return the longest step between two kinks, (C,) s, at which steps end as at landings.
 
-        The steps between a corner and a landing are equal, and as few as their length allows.
+        `begin` and `end` are the times of the two kinks, (C,) s. The steps between a kink and a
+        landing are equal, and as few as the largest step size allows.
         """
         landing = self.per_landing * self.step
         first = np.minimum(np.ceil(begin / landing) * landing, end)
@@ -156,17 +160,21 @@ def clocks(schedules: Sequence[Steps], interval: float, final: int) -> NDArray[A
 class OpeningSteps:
     """Lengths of steps near an opening (see analysis/calibration/adaptive_steps.py).
 
+    The longest step is h, and a shortened step is h'.
+
     Attributes
     ----------
-    shortened, coarse : float
-        Ratio h' / h at the time 1 / omega from the opening of the most important contact: so small
-        that the shorter steps have no larger errors than the others; and for coarse steps.
+    shortened : float
+        Ratio h' / h at the time 1 / omega from the opening of the most important contact. It is so
+        small that the shorter steps have no larger errors than the other steps.
+    coarse : float
+        Ratio h' / h at the same time if steps near openings are coarse.
     crossing : float
-        omega h' / (omega h)^((order + 1) / (delta + 1)) of the step that crosses the opening, for
-        delta = 1.5; for other exponents, the step with the same error.
+        Value of omega h' / (omega h)^((order + 1) / (delta + 1)) for the step h' that crosses an
+        opening, at delta = 1.5. For other exponents delta, the step has the same error.
     least_crossing : float
-        Smallest omega h' over the (delta + 1)th root of EPSILON. The error of a shorter step is
-        below rounding.
+        Smallest phase step omega h' across an opening, over the (delta + 1)th root of EPSILON. The
+        error of a shorter step is below rounding.
     """
 
     shortened: float = 0.2

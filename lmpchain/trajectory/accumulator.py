@@ -32,30 +32,32 @@ def viscous_contact(chain: Chain, number: int) -> ViscousContact:
 class Accumulator:
     """The largest sizes and the maxima of grains, and the largest forces of contacts.
 
-    Samples are added block by block with `take`, or all at once with `take_all`.
+    The size of a displacement or velocity is its magnitude. Samples are added block by block with
+    `take`, or all at once with `take_all`.
 
     Parameters
     ----------
     scene : Scene
         Scene of the samples.
     linear : bool
-        Whether its forces are those of the linearised chain.
+        Whether the samples solve the linearised equation of motion.
     column : (N+2,) array
-        Column of each body in the samples, or a mark; see `between.derivatives.SampledBlock`.
+        Column of each body in the samples, or a negative number; see
+        `between.derivatives.SampledBlock`.
     lawful : (N+2,) array of bool
-        Whether the law gives the acceleration of a body.
+        Whether the acceleration of each body is computed from the contact law.
     grains : (G,) array
         Numbers of the grains that are followed.
     fields : collection of str
-        Fields for which the largest sizes are computed.
+        "displacement" and "velocity", or one of them: the fields whose largest sizes are computed.
     tracked : str, optional
-        One of these fields, for which fronts are computed.
+        One of these fields, from which fronts are computed.
     contacts : sequence of int
-        Contacts for which the largest force is computed.
+        Numbers of the contacts for which the largest force is computed.
     ceiling : (G, T-1) or (1, T-1) or (1, 0) array, optional
-        Bounds on speeds between samples; see `between.maxima.follow`.
+        Upper bounds on speeds between samples, m/s; see `between.maxima.follow`.
     state : mapping, optional
-        Arrays that `state` of an earlier accumulator holds.
+        The attribute `state` of an earlier accumulator, which this one continues.
 
     Attributes
     ----------
@@ -108,7 +110,7 @@ class Accumulator:
             # These two arrays grow. The shapes of the others reveal a state of a different scene.
             fixed = start.keys() - {"log", "before"}
             if any(self.state[name].shape != start[name].shape for name in fixed):
-                raise ValueError("the state that was kept does not fit")
+                raise ValueError("the stored state does not belong to this scene")
 
     def take(self, first: int, u: Array, v: Array) -> None:
         """Add the samples of a block, (B, C) each, beginning with sample number `first`."""
@@ -174,7 +176,8 @@ class Accumulator:
     def relative(self, number: int, first: int, u: Array, v: Array) -> Array:
         """Return the change of an overlap since rest and its rate at samples, (2, B).
 
-        The samples (B, C) begin with sample number `first`.
+        The contact `number` connects the bodies `number` and `number` + 1. The samples u, m, and v,
+        m/s, (B, C), begin with sample number `first`.
         """
         imposed = imposed_on(self.scene, self.step, first, len(u))
 
@@ -204,7 +207,7 @@ class Accumulator:
     def fronts(self, fraction: float, error: float, fall: float, width: bool) -> Array:
         """Return the time, height and width of the front and their errors, (G, 6).
 
-        `take_all` must be called first.
+        `take_all` must be called first. The parameters are fields of `between.fronts.Rules`.
         """
         rules = self._rules(fraction, error, fall, width)
         motion = (self._block, self._grains, self._derived)

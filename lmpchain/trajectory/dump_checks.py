@@ -24,20 +24,22 @@ class DumpChecks(NamedTuple):
         Largest difference of the first frame from the initial state, over the largest value in the
         dump.
     overlap : float
-        Largest difference of an overlap in the first frame, over that overlap and the motion.
+        Largest difference of an overlap in the first frame, over the sum of the overlap at rest and
+        twice the largest displacement.
     distance : float
-        Relative difference of distances above which they are named, and not overlaps.
+        Relative difference of a distance between neighbours above which a message states the
+        distances instead of the overlaps.
     grain : float
-        Largest relative difference of a radius or a mass: six digits, as LAMMPS writes them unless
-        told otherwise, leave half of it.
+        Largest relative difference of a radius or a mass. The six digits that LAMMPS writes by
+        default cause half of this difference.
     clock : float
         Largest difference of the time of a frame, over the duration.
     course : float
-        Largest relative difference between changes of the motion and what its rates make of them,
-        beyond what steps and samples leave open.
+        Largest relative difference between the change of a displacement or velocity and the time
+        integral of its rate, in addition to the errors of time steps and sampling.
     gauge : float
-        Largest diameter of grains that are drawn smaller than they are, over the largest overlap:
-        ten times what decks of ours take at most.
+        Largest diameter of grains that are drawn smaller than they are, over the largest overlap.
+        It is ten times the largest ratio in decks that lmpchain writes.
     levels : int
         Smallest number of units in the last digit of a height that the motion must span.
     """
@@ -55,22 +57,24 @@ class DumpChecks(NamedTuple):
 class SampledMotion(NamedTuple):
     """Sampling limits within which changes of the motion can be compared with its rates.
 
-    Angles are omega h / 2, half of what the fastest motion turns through from frame to frame.
+    Angles are omega h / 2: half the phase of the fastest motion omega from one frame to the next.
 
     Attributes
     ----------
     fewest : int
-        Samples from which on integrals over a motion that begins from rest are good.
+        Smallest number of samples for which the time integral of a motion that starts from rest is
+        accurate enough.
     single : float
-        Largest angle at which grains are compared one by one, and not in groups.
+        Largest angle, rad, at which grains are compared one by one. At larger angles, groups of
+        grains are compared.
     group : float
-        Grains of a group over the angle: the mean motion of so many is slow enough.
+        Number of grains in a group, over the angle. The mean motion of such a group is slow enough.
     slowest : float
-        Largest angle of the mean motion of a group.
+        Largest angle of the mean motion of a group, rad.
     leak : float
-        Uncertainty of comparisons of groups, by what faster motion adds at their borders.
+        Relative uncertainty of the comparison of groups, due to faster motion at their borders.
     forces : float
-        Largest angle at which accelerations are compared with forces.
+        Largest angle at which accelerations are compared with forces, rad.
     """
 
     fewest: int = 6
@@ -94,9 +98,11 @@ class DumpedMotion(NamedTuple):
     down : float
         1 if the axis of the column points down, -1 if up.
     order : (N,) array
-        Columns of the dump in the order of the grains.
-    displacement, velocity : (T, N) arrays
-        Motion, m and m/s.
+        Column of the dump for each grain.
+    displacement : (T, N) array
+        Displacements, m, positive downward.
+    velocity : (T, N) array
+        Velocities, m/s, positive downward.
     """
 
     down: float
@@ -111,11 +117,11 @@ class FirstFrame(NamedTuple):
     Attributes
     ----------
     depths : (N,) array
-        Positions in the order of the grains, growing downward, m.
+        Positions of the grains, m, which increase downward.
     slack : float
-        Rounding of a distance between two of them, m.
+        Rounding error of the distance between two grains, m.
     drawn : bool
-        Whether grains may be drawn smaller than they are, as in decks of ours.
+        Whether grains may be drawn smaller than they are, as in decks that lmpchain writes.
     """
 
     depths: Array
@@ -133,22 +139,22 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
         cure = "run LAMMPS to its end"
         if len(steps) > 1:
             cure = (
-                "set both in the scene, if its frames are as far apart as the scene's samples: "
-                f"samples = {len(steps)}, duration = {duration:.6g}; or {cure}"
+                f"set samples = {len(steps)}, duration = {duration:.6g} in the scene, if its "
+                f"samples are as far apart as the frames; or {cure}"
             )
         raise InputError.at(
             name,
-            f"has {len(steps)} whole frames, the scene {samples} samples over a duration of "
-            f"{scene.duration:.6g} s: {cure}",
+            f"has {len(steps)} whole frames, but the scene has {samples} samples over a duration "
+            f"of {scene.duration:.6g} s: {cure}",
         )
     if not all(np.isfinite(values).all() for values in frames.columns.values()):
         raise InputError.at(
-            name, "holds numbers that are not finite: the run broke down; use a shorter step"
+            name, "contains numbers that are not finite, from a breakdown: use a shorter step"
         )
     intervals = np.diff(steps)
     if (intervals != intervals[0]).any():
         raise InputError.at(
-            name, "its frames are not equally far apart: dump every so many steps, from the start"
+            name, "its frames are not equally far apart: dump every N steps, from the start"
         )
     if np.isnan(frames.times).all():
         return
@@ -158,8 +164,8 @@ def check_frames(name: str, scene: Scene, frames: Frames) -> None:
         raise InputError.at(
             name,
             f"its frames are {times[-1] / scene.intervals:.6g} s apart by ITEM: TIME or v_time, "
-            f"the samples of the scene {interval:.6g}: set its duration to {times[-1]:.6g} s, or "
-            f"{CURE}",
+            f"but the samples of the scene are {interval:.6g} s apart: set the duration of the "
+            f"scene to {times[-1]:.6g} s, or {CURE}",
         )
 
 
@@ -170,8 +176,8 @@ def check_jumps(name: str, frames: Frames, axis: str) -> None:
     if frames.periodic[number] and (jumps > frames.sides[1:, number, None] / 2).any():
         raise InputError.at(
             name,
-            f"its positions {axis} jump across the periodic box: dump xu yu zu, or the image flags "
-            "ix iy iz beside x y z",
+            f"its positions {axis} jump across the periodic box: dump xu yu zu, or x y z with the "
+            "image flags ix iy iz",
         )
 
 
@@ -197,10 +203,10 @@ def _find_start(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> str:
         if (difference > CHECKS.start * np.abs(values).max() + slack).any():
             n = int(difference.argmax())
             most = int(np.abs(begin).argmax())
-            other = "" if most == n else f"; in the dump grain {most + 1} has {begin[most]:.6g}"
+            other = "" if most == n else f"; grain {most + 1} begins with {begin[most]:.6g}"
             return (
-                f"grain {n + 1} begins with a {quantity} of {begin[n]:.6g} {unit}, in the scene "
-                f"{start[n]:.6g}{other}: {CURE}"
+                f"grain {n + 1} begins with a {quantity} of {begin[n]:.6g} {unit}, but with "
+                f"{start[n]:.6g} in the scene{other}: {CURE}"
             )
     return ""
 
@@ -215,7 +221,8 @@ def _gap_limits(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> Array:
 def drawn_diameter(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> float:
     """Return the gauge diameter with which all grains are drawn, m; 0 if they have their own.
 
-    Decks of ours draw grains a few overlaps large, where heights would lose digits else.
+    Decks that lmpchain writes may draw grains with a diameter of a few overlaps, because heights of
+    larger grains would lose digits.
     """
     if not first.drawn:
         return 0.0
@@ -243,15 +250,15 @@ def _find_gap(scene: Scene, motion: DumpedMotion, first: FirstFrame) -> tuple[st
     # A smaller difference would not be visible in six digits of a distance.
     if abs(gaps[n] - expected[n]) > CHECKS.distance * lengths[n]:
         distance = (
-            f"{pair} are {gaps[n]:.6g} m apart in the first frame, in the scene {expected[n]:.6g}: "
-            f"{CURE}, and the dump in units si, with xu yu zu where the box is periodic; or make "
-            "the scene from the dump, lmpchain new --from"
+            f"{pair} are {gaps[n]:.6g} m apart in the first frame, but {expected[n]:.6g} m in the "
+            f"scene: {CURE}, and the dump in units si, with xu yu zu if the box is periodic; or "
+            "make the scene from the dump with lmpchain new --from"
         )
         return distance, ""
     overlap = (
-        f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, in the scene "
-        f"{lengths[n] - expected[n]:.6g}: {CURE}, with its diameter, material, load and gravity; "
-        "or make the scene from the dump, lmpchain new --from"
+        f"{pair} overlap by {lengths[n] - gaps[n]:.6g} m in the first frame, but by "
+        f"{lengths[n] - expected[n]:.6g} m in the scene: {CURE}, with its diameter, material, load "
+        "and gravity; or make the scene from the dump with lmpchain new --from"
     )
     return "", overlap
 
@@ -261,7 +268,8 @@ def check_grains(
 ) -> None:
     """Raise `InputError` if radii, diameters or masses in a dump differ from the chain.
 
-    The `gauge` is a diameter with which all grains are drawn, m, or 0.
+    `gauge` is the diameter with which all grains are drawn, m; 0 if grains have their own
+    diameters. `order` is the column of the dump for each grain.
     """
     diameters = np.full(order.size, gauge) if gauge else scene.chain.diameters
     for quantity, unit, expected in (
@@ -277,8 +285,8 @@ def check_grains(
         if off[n] > CHECKS.grain:
             raise InputError.at(
                 name,
-                f"grain {n + 1} has a {quantity} of {values[n]:.6g} {unit}, in the scene "
-                f"{expected[n]:.6g}: {CURE}",
+                f"grain {n + 1} has a {quantity} of {values[n]:.6g} {unit}, but {expected[n]:.6g} "
+                f"{unit} in the scene: {CURE}",
             )
 
 
@@ -287,22 +295,25 @@ def check_course(
 ) -> None:
     """Raise `InputError` if the motion is impossible in the scene.
 
-    Displacements must change as velocities say, and velocities as the forces of the chain do, so
-    far as the samples resolve the motion: else the frames are not as far apart as those of the
-    scene, or the grains are others.
+    If the samples resolve the motion, the changes of displacements must equal the integrals of the
+    velocities, and the changes of velocities must equal the integrals of the forces over the
+    masses. Otherwise the time between two frames or the properties of the grains differ from the
+    scene.
 
     Parameters
     ----------
     name : str
-        Of the dump, for messages.
+        Name of the dump, for messages.
     scene : Scene
-    motion : Motion
+        Scene that the dump should belong to.
+    motion : DumpedMotion
+        Motion in the dump.
     steps : int
-        Of the run.
+        Number of time steps of the run.
     digit : float
-        The last digit of a displacement, m.
+        Size of the last digit of a displacement, m.
     rounding : float
-        Of a height in a step, m.
+        Rounding error of a height in a time step, m.
     """
     if scene.samples < SAMPLED.fewest:
         return
@@ -328,11 +339,11 @@ def check_course(
         *sums, interval, last if single else last * masses.max() * masses.size
     )
     if _excess(ratio, doubt) > slip + (angle**3 / 2 if single else SAMPLED.leak):
-        cure = f"{CURE}: one with its duration, and with as many samples as it has frames"
+        cure = f"{CURE}, with its duration and as many samples as it has frames"
         raise InputError.at(
             name,
             f"its displacements change {ratio:.3g} times as much from frame to frame as its "
-            f"velocities in {interval:.6g} s, the scene's time between two samples: {cure}",
+            f"velocities predict for {interval:.6g} s, the sampling interval of the scene: {cure}",
         )
     # Damping forces also depend on velocities, and ground forces may depend on the time.
     if angle > SAMPLED.forces or not scene.chain.conservative:
@@ -345,7 +356,7 @@ def check_course(
     if _excess(ratio, doubt) > slip + angle**3 / 2 + noise:
         raise InputError.at(
             name,
-            f"its grains are accelerated {ratio:.3g} times as much as by the forces of the scene: "
+            f"its accelerations are {ratio:.3g} times as large as the forces of the scene predict: "
             f"{CURE}, with its diameter, material, load and duration",
         )
 
@@ -353,9 +364,10 @@ def check_course(
 def _grouped(scene: Scene, motion: DumpedMotion, angle: float) -> tuple[Array, Array]:
     """Return the momenta of groups of grains that the samples resolve, and their time integrals.
 
-    Forces within a group cancel, so that the momentum that a strike gives it changes slowly: the
-    more grains, the slower. They are (T, B) kg m and kg m/s each; without groups where not even the
-    whole column is slow, or what sets it in motion gives it no momentum.
+    Forces between the grains of a group cancel, so that the momentum of a larger group changes more
+    slowly. The arrays are (T, B), first the integrals, kg m, then the momenta, kg m/s. There are no
+    groups, B = 0, if even the whole column moves too fast or if the column is not struck by an
+    impulse.
     """
     masses = scene.chain.masses
     u = masses * motion.displacement
@@ -373,9 +385,9 @@ def _compare_changes(
 ) -> tuple[float, float]:
     """Return the ratio of the changes of values to the integrated rates, and its error.
 
-    It is fitted by least squares to all changes from sample to sample, (T, B): to integrals of
-    fourth order. That differs from a fit to those of second order by more than it is off; what is
-    cut off behind the last `digit` of values adds at random.
+    The ratio is a least-squares fit to all changes from sample to sample, with integrals of fourth
+    order in the sampling interval. Its error is the difference from a fit with integrals of second
+    order, plus the effect of random rounding errors of the size `digit`. Both arrays are (T, B).
     """
     changes = np.diff(values, axis=0)
     coarse = interval * (rates[1:] + rates[:-1]) / 2

@@ -62,7 +62,7 @@ class Frames(NamedTuple):
     periodic : (3,) array of bool
         Whether the box repeats along x, y and z.
     columns : dict
-        (T, N) arrays by name, ordered by atom number, as they are written.
+        Columns of the dump by name, (T, N) arrays ordered by atom number, in the units of the dump.
     units : Units
         Units of the columns.
     """
@@ -127,9 +127,9 @@ def read_frames(
 ) -> Frames:
     """Read the frames of a dump; raise `InputError` if the number of grains differs.
 
-    A run that was stopped and started again writes frames twice, and one that was killed leaves
-    half a frame: of each step, the frame that was written last is taken, and what is not whole is
-    left out. Of a dump with more than `most` frames no more are read.
+    A run that was stopped and restarted may write the frame of a step twice; the last one is used.
+    Incomplete frames, which a killed run leaves, are ignored. If a dump has more than `most`
+    frames, `InputError` is raised.
     """
     name = str(path)
     if not path.is_file():
@@ -138,7 +138,7 @@ def read_frames(
             "is a folder; name the dump in it" if path.is_dir() else "there is no such file",
         )
     if not is_dump(path):
-        fault = "is no LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
+        fault = "is not a LAMMPS dump in text: write one with lmpchain deck, or by dump custom"
         raise InputError.at(name, describe_other_format(path) or fault)
     try:
         with _open(path) as opened:
@@ -179,7 +179,7 @@ def _lines(name: str, opened: IO[bytes]) -> Iterator[bytes]:
         if not line.endswith(b"\n"):
             if len(line) == LONGEST_LINE:
                 raise InputError.at(
-                    name, f"has a line of more than {LONGEST_LINE} letters: write it anew"
+                    name, f"has a line of more than {LONGEST_LINE} characters: write it anew"
                 )
             raise InputError.at(name, "is cut short within a line: run LAMMPS to its end")
         yield line
@@ -254,8 +254,8 @@ def _is_whole(name: str, frame: _Frame, grains: int) -> bool:
     if atoms != grains:
         raise InputError.at(
             name,
-            f"has {atoms} atoms, the scene {grains} grains (step {_count(lines[STEP])}): give the "
-            "scene it was made for",
+            f"has {atoms} atoms, but the scene has {grains} grains (step {_count(lines[STEP])}): "
+            "give the scene that the dump was made for",
         )
     return len(lines) == HEADER + grains
 
@@ -278,8 +278,8 @@ def _gather(name: str, frames: Iterator[_Frame], grains: int, most: int) -> Fram
         if words != header:
             raise InputError.at(
                 name,
-                f"ITEM: ATOMS names other columns at step {step} than at first: dump the same "
-                "columns all along",
+                f"ITEM: ATOMS names other columns at step {step} than in the first frame: dump the "
+                "same columns in all frames",
             )
         atoms = np.loadtxt(lines[HEADER:], usecols=indices, ndmin=2, comments=None)
         if len(atoms) != grains:
@@ -346,8 +346,8 @@ def _box_sides(name: str, lines: Sequence[bytes]) -> Array:
     if bounds.shape not in ((3, 2), (3, 3)) or bounds[:, 2:].any():
         raise InputError.at(
             name,
-            "ITEM: BOX BOUNDS must be two numbers a line, as of a box at right angles: run LAMMPS "
-            "in such a box",
+            "ITEM: BOX BOUNDS must have two numbers in each line, as for a rectangular box: run "
+            "LAMMPS in such a box",
         )
     return np.asarray(bounds[:, 1] - bounds[:, 0])
 
@@ -356,7 +356,7 @@ def _sort(atoms: Array) -> Array:
     """Return the columns of a frame after the atom numbers, sorted by them, (C-1, N)."""
     numbers = atoms[:, 0]
     if not (np.abs(numbers) < MOST_ATOMS).all():
-        raise ValueError("an atom has no number")
+        raise ValueError("an atom has no valid number")
     order = np.argsort(numbers)
     if (np.diff(numbers[order]) <= 0).any():
         raise ValueError("two atoms have the same number")

@@ -35,13 +35,14 @@ def scene_of_run(
     paths : list of paths
         A dump, an input file or a data file; or an input file and its dump.
     options : RunOptions, optional
+        Options of the run, which complete or replace values from the files.
     units : str or (length, time, mass), optional
-        As for `Trajectory.from_dump`.
+        Unit style of LAMMPS, or its units, as in `Trajectory.from_dump`.
 
     Raises
     ------
     InputError
-        If the files are not understood, or something is missing.
+        If the files cannot be interpreted, or if values are missing.
     """
     dumps, inputs = _sorted_files(paths)
     # A dump that does not name its units uses those of its input.
@@ -77,10 +78,10 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     frames = read_frames(path, count, most=MOST_FRAMES, units=units)
     steps = frames.steps
     if len(steps) < 2:
-        raise InputError.at(name, "has one frame: a scene needs its time, so dump two or more")
+        raise InputError.at(name, "has only one frame, and so no duration: dump two or more")
     if np.ptp(np.diff(steps)):
         raise InputError.at(
-            name, "its frames are not equally far apart: dump every so many steps, from the start"
+            name, "its frames are not equally far apart: dump every N steps, from the start"
         )
     columns = frames.in_si()
     missing = [f"v{axis}" for axis in AXES if f"v{axis}" not in columns]
@@ -89,11 +90,11 @@ def read_grains(path: Path, units: str | Sequence[float] | None = None) -> RunGr
     velocities = np.stack([columns.get(f"v{axis}", zero) for axis in AXES], axis=-1)
     if not all(np.isfinite(values).all() for values in frames.columns.values()):
         raise InputError.at(
-            name, "holds numbers that are not finite: the run broke down; use a shorter step"
+            name, "contains numbers that are not finite, from a breakdown: use a shorter step"
         )
     along = int(np.argmax(np.ptp(positions[0], axis=0)))
     if f"v{AXES[along]}" in missing:
-        raise InputError.at(name, f"has no column v{AXES[along]}, though its grains stand along it")
+        raise InputError.at(name, f"has no column v{AXES[along]}, the velocity along the chain")
     _check_motion(name, positions, velocities, along)
     unknown = np.full((1, count), math.nan)
     diameters = columns.get("diameter", 2 * columns.get("radius", unknown))[0]
@@ -129,8 +130,8 @@ def _check_motion(name: str, positions: Array, velocities: Array, along: int) ->
     if speed[0] <= STARTED * speed.max() and speed.max() > 0:
         raise InputError.at(
             name,
-            "nothing moves in the first frame, but later: dump from the strike on, after the "
-            "command velocity; a drive or a force is written as [excitation] of a scene",
+            "grains move, but not in the first frame: begin the dump at the strike, after the "
+            "command velocity; write a drive or a force in [excitation] of a scene",
         )
     across = [axis for axis in range(3) if axis != along]
     sideways = np.abs(positions[..., across] - positions[0][:, across]).max(axis=(0, 2))
@@ -139,8 +140,8 @@ def _check_motion(name: str, positions: Array, velocities: Array, along: int) ->
     if sideways.max() > 1e-6 * moved + slack:
         raise InputError.at(
             name,
-            f"a grain moves sideways by {sideways.max():.3g} m: the column buckles or rotates, and "
-            "a scene has no friction",
+            f"a grain moves sideways by {sideways.max():.3g} m: the column buckles or rotates, but "
+            "a scene has motion along the column only",
         )
 
 

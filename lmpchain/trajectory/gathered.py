@@ -61,7 +61,7 @@ def file_name(name: str) -> str:
 def arrays(scene: Scene) -> dict[str, ArrayLayout]:
     """Return the arrays that a scene accumulates, by name in `Trajectory.gathered`.
 
-    The arrays of `energies` may be missing.
+    A run may lack the arrays that `energies` lists, because some engines do not accumulate them.
     """
     layouts: dict[str, ArrayLayout] = {}
     sizes = {"grain": scene.count(scene.chain), TIME: scene.fine.samples}

@@ -32,12 +32,14 @@ class _Column(NamedTuple):
 
     Attributes
     ----------
-    z, vz : (T, N) arrays
-        Positions, m, and velocities, m/s.
+    z : (T, N) array
+        Positions, m.
+    vz : (T, N) array
+        Velocities, m/s.
     v_phi : (T, N) array or None
-        Displacements, m, where the dump has them.
+        Displacements, m; None if the dump does not contain them.
     slack : float
-        Rounding of a distance between two grains, m.
+        Rounding error of the distance between two grains, m.
     """
 
     z: Array
@@ -58,13 +60,13 @@ def read_dump(
     Raises
     ------
     InputError
-        If it cannot be read, or is not of this scene.
+        If the dump cannot be read, or does not belong to the scene.
     """
     path = expanded(path)
     name = str(path)
     if axis not in (None, *AXES):
         raise InputError.at(
-            "axis", f"must be x, y or z, along which the column stands (got {shown(axis)})"
+            "axis", f"must be x, y or z, the axis of the column (got {shown(axis)})"
         )
     rest = None if equilibrium is None else _check_rest(equilibrium, scene.chain.grains)
     frames = read_frames(path, scene.chain.grains, most=2 * scene.samples, units=units)
@@ -74,7 +76,7 @@ def read_dump(
     columns = frames.in_si()
     if f"v{axis}" not in columns:
         raise InputError.at(
-            name, f"has no column v{axis}, though the column stands along {axis}: {COLUMNS}"
+            name, f"has no column v{axis}, but its grains are in line along {axis}: {COLUMNS}"
         )
     # The numbers of the file are used, because sums with box lengths have different digits.
     written = frames.columns[frames.position_columns[AXES.index(axis)]]
@@ -91,7 +93,7 @@ def read_dump(
     mover = motion.order[int(np.abs(motion.velocity).sum(0).argmax())]
     if v_phi is None:
         _check_digits(name, written[:, mover], length, float(np.ptp(z[:, mover])))
-        origin = f"heights less those {'at first' if rest is None else 'given'}"
+        origin = f"heights minus {'first' if rest is None else 'given'} heights"
     else:
         origin = "v_phi"
     speeds = frames.columns[f"v{axis}"][:, mover]
@@ -169,7 +171,7 @@ def _find_axis(name: str, frames: Frames) -> str:
     if not spread[longest] > 2 * sorted(spread)[-2]:
         raise InputError.at(
             "axis",
-            f"{name}: its grains stand along none of x, y and z: name the axis of the column",
+            f"{name}: its grains are not in line along x, y or z: give the axis of the column",
         )
     return AXES[longest]
 
@@ -204,8 +206,9 @@ def _check_rest(equilibrium: Sequence[float] | Array, grains: int) -> Array:
 def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
     """Return the directions -1 (z points up) and 1 (down), the likelier one first.
 
-    The overlaps say so, as they grow with the weight above: the gaps between centres, less what
-    grains, overlaps and the start of the scene make of them, must be alike.
+    The overlaps decide, because they increase with the weight above. The differences between the
+    measured distances of centres and those of the first sample of the scene vary least along the
+    column in the right direction.
     """
     if rest is not None:
         return [1.0 if rest[-1] > rest[0] else -1.0]
@@ -217,7 +220,8 @@ def _directions(scene: Scene, z: Array, rest: Array | None) -> list[float]:
 def last_digit(values: Array) -> float:
     """Return the size of the last digit of the largest number.
 
-    Numbers of single precision have its digits, however many were written.
+    If all numbers are in single precision, the spacing of single precision is returned, even if
+    more digits were written.
     """
     largest = float(np.abs(values).max())
     numbers = values.tolist()
@@ -231,7 +235,7 @@ def last_digit(values: Array) -> float:
 def _check_digits(name: str, heights: Array, unit: float, motion: float) -> None:
     """Raise `InputError` if the digits of heights, (T,), are too few to resolve a motion, m.
 
-    The `unit` of the heights is in m.
+    `unit` is the unit of the heights, m.
     """
     digit = last_digit(heights)
     if heights.any() and motion < CHECKS.levels * unit * digit:

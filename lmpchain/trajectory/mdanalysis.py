@@ -18,7 +18,7 @@ class SampleReader(ProtoReader):
     Parameters
     ----------
     record : Record
-        Only the sample at hand is taken from its arrays, so those may stay on disk.
+        Trajectory to read. Only one sample at a time is read, so that its arrays may be on disk.
     """
 
     def __init__(self, record: Record):

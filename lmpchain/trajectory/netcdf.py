@@ -73,17 +73,17 @@ def _array(file: h5py.File, name: str, shape: tuple[int, ...]) -> Array:
 
     # A link may refer to any other file of the user.
     if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-        raise ValueError(f"its {name} is not in the file, or a link")
+        raise ValueError(f"its {name} is missing, or a link")
     array = file[name]
     data_type = DATA_TYPES.get(name, "float64")
     if not isinstance(array, h5py.Dataset) or array.dtype != data_type:
-        raise ValueError(f"its {name} are not numbers of the kind {data_type}")
+        raise ValueError(f"its {name} does not consist of numbers of the type {data_type}")
     # Chunks may be compressed, and external files may belong to another user.
     layout = array.id.get_create_plist().get_layout()
     if layout not in (h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS) or array.external:
-        raise ValueError(f"its {name} does not lie in the file in one piece, as lmpchain writes it")
+        raise ValueError(f"its {name} is not stored as one block, as lmpchain writes it")
     if array.shape != shape:
-        raise ValueError(f"its {name} has the shape {array.shape}, its scene {shape}")
+        raise ValueError(f"its {name} has the shape {array.shape}, but its scene requires {shape}")
     # A small file could declare an array that fills the memory.
     if array.id.get_storage_size() != array.nbytes:
         raise ValueError(f"its {name} is not stored in the file")

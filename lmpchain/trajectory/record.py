@@ -47,22 +47,23 @@ LABELS: dict[str, dict[str, Any]] = {
 class ErrorEstimate:
     """Estimated relative error against the exact solution of Eq. (1): model and solver.
 
-    The error is the larger of those of displacement and velocity, each max|x - x_true| over all
-    samples and grains over the largest ``|x_true|`` of any grain of the chain at any time of the
-    run, between the samples too. However little moves, the largest motion is the unit. If nothing
-    is set in motion, the units are the overlap of the first contact at rest and its speed in the
-    unit of time, or 1 m and 1 m/s without an overlap.
+    The error of the displacement is the largest ``|x - x_true|`` of all samples and grains, divided
+    by the largest ``|x_true|`` of any grain at any time of the run, also between samples. The error
+    of the velocity is defined in the same way, and the estimate is the larger of the two errors. If
+    nothing moves, displacements are divided by the overlap of the first contact at rest, and
+    velocities by this overlap times the frequency of the first grain; by 1 m and 1 m/s if there is
+    no overlap.
 
-    The estimate is at most 2, because two motions differ by at most twice the larger one: 2 means
-    that nothing is known of the answer. It is 0 only if no recorded grain can move, and infinite
-    only if no error was estimated.
+    The estimate is at most 2, because two motions differ by at most twice the larger one. An
+    estimate of 2 means that the solution may be completely wrong. The estimate is 0 only if no
+    recorded grain can move, and infinite only if no error was estimated.
 
     Attributes
     ----------
     model : float
-        Error of the equation solved, 0 for Eq. (1).
+        Error of the equation that was solved; 0 for Eq. (1).
     solver : float
-        Error of its numerical solution: time step and round-off.
+        Error of the numerical solution of this equation, by time steps and round-off.
     """
 
     model: float
@@ -79,16 +80,38 @@ class ErrorEstimate:
         if self.total == 0:
             return ", because no recorded grain can move"
         if LARGEST_ERROR <= self.total < math.inf:
-            return ", the largest there is: nothing is known of the answer"
+            return ", the largest possible value: nothing is known about the solution"
         return ""
 
 
 class Cost(NamedTuple):
     """Computing time, steps and force evaluations of a trajectory.
 
-    What is compiled, once on a machine, or loaded from what was compiled there before, is counted
-    as `compile_s` alone. The native engine moves an answer together with the runs that show its
-    error; that time is shared out by steps.
+    The native engine advances the main run together with its auxiliary runs. Their common time is
+    divided into `integration_s` and `estimate_s` in proportion to the numbers of steps.
+
+    Attributes
+    ----------
+    integration_s : float
+        Wall time of the main run, s.
+    estimate_s : float
+        Wall time of the error estimate, s.
+    setup_s : float
+        Wall time before the first step, s.
+    steps : int
+        Number of steps of the main run.
+    force_evaluations : int
+        Number of evaluations of all forces in the main run.
+    active_grains : int
+        Number of grains that were computed.
+    integrator : str
+        Name of the integration method.
+    step_s : float
+        Largest step, s.
+    ranks : int
+        Number of processes.
+    compile_s : float
+        Wall time of compiling machine code or loading it, s. No other time includes it.
     """
 
     integration_s: float
@@ -133,9 +156,21 @@ def steps_over(count: int, step: float, duration: float) -> str:
 class Block(NamedTuple):
     """A block of the solution: realisations, samples and recorded grains.
 
-    `columns` are the recorded grains that it holds; the others are still at equilibrium. A block
-    without samples lets the caller show progress or stop while the engine is at work, and if it is
-    `resumable`, keep the state of the run.
+    A block without samples allows the caller to show progress or to stop the engine.
+
+    Attributes
+    ----------
+    samples : slice
+        Numbers of the samples.
+    displacement : (R, B, C) array
+        Displacements of R realisations, m.
+    velocity : (R, B, C) array
+        Velocities of R realisations, m/s.
+    columns : slice or array
+        Columns of the C grains among all recorded grains. The other recorded grains are still at
+        rest.
+    resumable : bool
+        Whether the caller may store the state of the run after a block without samples.
     """
 
     samples: slice
@@ -224,14 +259,14 @@ def verdict(error: ErrorEstimate, cost: Cost) -> dict[str, Any]:
 def read_scene(attributes: Mapping[str, Any]) -> Scene:
     """Return the scene in the metadata of a file; raise `ValueError` if the metadata has none."""
     if attributes["lmpchain_format"] != FORMAT:
-        raise ValueError("it is of another version of lmpchain")
+        raise ValueError("it was written by another version of lmpchain")
     return Scene.from_text(attributes["scene"])
 
 
 def shapes(scene: Scene, present: Collection[str]) -> dict[str, tuple[int, ...]]:
     """Return the shapes of the arrays of a scene by name, without allocating them.
 
-    Energies are among them if a file has them: their names are then `present`.
+    Arrays of energies are included only if `present`, the names in the file, contains them.
     """
     samples = scene.samples
     grains = scene.count(scene.chain)
@@ -270,11 +305,11 @@ def read_result(attributes: Mapping[str, Any]) -> dict[str, Any]:
     if not (error.model >= 0 and error.solver >= 0):
         raise ValueError("its error estimate must be a non-negative number")
     if not all(isinstance(cost[name], kinds[kind]) for name, kind in get_type_hints(Cost).items()):
-        raise ValueError("its cost is not in numbers")
+        raise ValueError("its cost does not consist of numbers")
     if not isinstance(engine, str) or not isinstance(equation, int | float):
-        raise ValueError("its engine or equation is none")
+        raise ValueError("its engine or equation is invalid")
     if not all(isinstance(value, str) for value in dict(provenance).values()):
-        raise ValueError("its provenance is not in words")
+        raise ValueError("its provenance does not consist of text")
     return {
         "engine": engine,
         "equation": int(equation),

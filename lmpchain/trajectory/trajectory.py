@@ -33,24 +33,31 @@ class Trajectory(Shown, Record, Tabular):
     Attributes
     ----------
     scene : Scene
+        Scene that was solved.
     engine : str
+        Name of the engine.
     equation : int
-        Number in the paper of the equation solved.
+        Number in the paper of the equation that was solved.
     time : (T,) array
-        Times, s.
+        Times of the samples, s.
     grains : (G,) array
         Numbers of the recorded grains, from 1 at the top.
-    displacement, velocity : (T, G) arrays
-        Motion from equilibrium, positive downward; m and m/s.
+    displacement : (T, G) array
+        Displacement of the grains from equilibrium, positive downward, m.
+    velocity : (T, G) array
+        Velocity of the grains, positive downward, m/s.
     error_estimate : ErrorEstimate
+        Estimated error of displacements and velocities.
     cost : Cost
+        Computing time and number of steps.
     provenance : dict
-        Choices that shaped the solution, and versions.
+        Choices that affect the solution, and versions of the software.
     gathered : dict
-        The `quantities` of the scene by name, and their errors, by name with "_error":
-        (G,) arrays of grains, numbers of contacts, and forces over "fine_time", (D,). Of a chain
-        with damping, runs that move by steps add "dissipated" and, with a force or drive, "drive",
-        (T,) J: see `measure.energy.ledger`.
+        Values of the `quantities` of the scene by name, and their errors under the same names with
+        "_error". Quantities of grains are (G,) arrays, quantities of contacts are numbers, and
+        forces over time are (D,) arrays at the times "fine_time". For a damped chain, engines with
+        time steps add "dissipated" and, with a force or drive, "drive", (T,) arrays in J; see
+        `measure.energy.ledger`.
     """
 
     _units: ClassVar[dict[str, str]] = {"time": "s", "displacement": "m", "velocity": "m/s"}
@@ -94,14 +101,15 @@ class Trajectory(Shown, Record, Tabular):
     ) -> Axes:
         """Draw the motion over time and depth, downward in red, upward in blue; return the axes.
 
-        The colours saturate at the median of the largest sizes of the grains that move, so that the
-        wave can be seen where it has become weak.
+        The colours saturate at the median of the largest values of the grains that move, so that
+        the wave remains visible after it has become weak.
 
         Parameters
         ----------
         ax : axes, optional
-            By default those of a new figure.
+            Axes to draw in; by default those of a new figure.
         field : "velocity" or "displacement"
+            Field to draw.
         """
         from .picture import draw_motion
 
@@ -130,13 +138,17 @@ class Trajectory(Shown, Record, Tabular):
     def to_extxyz(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write extended XYZ for OVITO, ASE and others: one text file with a frame per sample.
 
-        The columns are species (X), pos and velo in m and m/s with z up and grain 1 at rest at z =
-        0 (as in a deck), id (number of the grain), radius in m, masses in kg, displacement in m,
-        from equilibrium and positive downward, and momenta in kg m/s; every number is written with
-        all its digits. OVITO takes velocities from velo. ASE takes them from momenta and masses:
-        `get_velocities` returns m/s, as all of the file is in SI units, and not in those of ASE.
-        The other columns are in its `arrays`. The file is written atomically. A file that lmpchain
-        did not write is replaced only if `overwrite` is true.
+        The columns are species (X), pos (m) and velo (m/s), id (number of the grain), radius (m),
+        masses (kg), displacement (m, from equilibrium, positive downward), and momenta (kg m/s).
+        The z axis points up, and grain 1 is at z = 0 at rest, as in a deck. Every number is written
+        with all its digits.
+
+        OVITO reads velocities from velo. ASE computes them from momenta and masses, so that
+        `get_velocities` returns m/s; all values are in SI units, not in the units of ASE. The other
+        columns are in the `arrays` of an ASE frame.
+
+        The file is written atomically. A file that lmpchain did not write is replaced only if
+        `overwrite` is true; otherwise `InputError` is raised.
         """
         from .other_formats import write_extxyz
 
@@ -145,12 +157,12 @@ class Trajectory(Shown, Record, Tabular):
     def universe(self) -> Universe:
         """Return an MDAnalysis Universe of the recorded grains, in SI units, read on demand.
 
-        MDAnalysis holds positions and velocities in single precision, in which a height of 0.1 m
-        has steps of 7e-9 m and most waves are lost. They are there to draw and select (z up, grain
-        1 at rest at z = 0). To measure, take the columns that the time step carries besides, in
-        double precision and as in this trajectory: `ts.data`, as MDAnalysis does with columns of a
-        LAMMPS dump. Atoms have `ids` (numbers of the grains), `masses` (kg) and `radii` (m); times
-        are in s.
+        MDAnalysis stores positions and velocities in single precision. Single precision resolves a
+        height of 0.1 m to 7e-9 m, and most waves are smaller. Use these positions only to draw and
+        to select grains; the z axis points up, and grain 1 is at z = 0 at rest. For measurements,
+        use the displacement and velocity in `ts.data`, which are in double precision and equal to
+        this trajectory. Atoms have `ids` (numbers of the grains), `masses` (kg) and `radii` (m);
+        times are in s.
 
         Examples
         --------
@@ -179,41 +191,45 @@ class Trajectory(Shown, Record, Tabular):
     ) -> Trajectory:
         """Read a LAMMPS dump of `lmpchain deck` or another deck as the trajectory of a scene.
 
-        Grains are numbered by their heights in the first frame, from the top, whatever the numbers
-        of their atoms. The column stands along the axis on which they are farthest apart; the gaps
-        between them, which the weight narrows, and their velocities tell whether that axis points
-        up or down. Displacements are the column v_phi where there is one (with z, it points up).
-        Else they are how far a grain has fallen from its height at rest; heights leave fewer
-        digits, and `provenance["precision"]` says what they leave unknown. The error is unknown:
-        its estimate is infinite.
+        Grains are numbered from the top by their heights in the first frame; the numbers of atoms
+        do not matter. The axis of the column is the one along which the grains are farthest apart.
+        Its direction, up or down, follows from the distances between grains, which decrease with
+        the weight above, and from the velocities.
 
-        Frames that a restarted run wrote twice are read once, the last time; a frame that a kill
-        cut short, not at all. A dump of another scene is refused: distances, overlaps, velocities,
-        radii and masses of the first frame must be those of the chain, and where samples resolve
-        the motion, displacements must change as velocities say, and velocities as forces do.
+        Displacements are read from the column v_phi if there is one; with z, it points up.
+        Otherwise they are the differences of the heights from the heights at rest. Heights have
+        fewer significant digits, and `provenance["precision"]` states the resulting uncertainty.
+        The error of the trajectory is unknown, and its estimate is infinite.
+
+        If a restarted run wrote a frame twice, the last one is used. Incomplete frames are ignored.
+        A dump of another scene is rejected: distances, overlaps, velocities, radii and masses in
+        the first frame must agree with the scene. If the samples resolve the motion, changes of
+        displacements must also agree with the velocities, and changes of velocities with the
+        forces.
 
         Parameters
         ----------
         path : path
-            A text dump, or one compressed by gzip (.gz), with the columns id x y z, or
-            id xu yu zu, and vz (vx, vy for a column along x, y), and v_phi if it can be had, in any
-            order; a frame a sample of the scene. Of a periodic box, xu yu zu or image flags ix iy
-            iz beside x y z; the lines of dump_modify units and time are read, too.
+            A text dump, possibly compressed by gzip (.gz), with one frame for each sample of the
+            scene. The columns id, x y z or xu yu zu, and vz are required, in any order; vx or vy
+            replaces vz if the column stands along x or y. The column v_phi is recommended. In a
+            periodic box, write xu yu zu, or the image flags ix iy iz with x y z. The lines that
+            dump_modify units and time add are read, too.
         scene : Scene
-            The one that the dump was made for.
+            Scene for which the dump was made.
         equilibrium : (N,) array, optional
-            Heights z of the grains at rest, m, from the top. By default they follow from the first
-            frame, which differs from rest by the displacement that the scene starts with.
+            Heights z of the grains at rest, m, from the top. By default they are computed from the
+            first frame, which differs from rest by the initial displacements of the scene.
         axis : "x", "y" or "z", optional
-            Along which the column stands, if the first frame does not say it.
+            Axis of the column; needed only if the first frame does not determine it.
         units : str or (length, time, mass), optional
-            The unit style of LAMMPS, or its units in m, s and kg (of lj, which has no scale of its
-            own). By default what the dump says, or si.
+            Unit style of LAMMPS, or the units in m, s and kg, which are needed for the style lj. By
+            default the units that the dump states, or si.
 
         Raises
         ------
         InputError
-            If it cannot be read, or is not of this scene.
+            If the dump cannot be read, or does not belong to the scene.
         """
         from .lammps_dump import read_dump
 
@@ -223,9 +239,9 @@ class Trajectory(Shown, Record, Tabular):
     def load(cls, path: str | PathLike[str]) -> Trajectory:
         """Read a file written by `save`, or a run folder; raise `InputError` for other files.
 
-        The arrays of a run folder stay on the disk and are read on demand. Of an unfinished run,
-        the complete samples are returned with the error estimate so far, relative to the motion so
-        far, or infinite if that is not known.
+        The arrays of a run folder remain on disk and are read on demand. For an unfinished run, the
+        complete samples are returned. The error estimate is then the one so far, relative to the
+        motion so far, or infinite if there is none.
         """
         from . import netcdf, zarr_store
 
@@ -234,13 +250,13 @@ class Trajectory(Shown, Record, Tabular):
         folder = os.path.isdir(path)
         if folder and not (path / zarr_store.NAME).is_dir():
             raise InputError.at(
-                str(path), "is a folder without a run in it, or with one that has no samples yet"
+                str(path), "is a folder that contains no run, or a run without samples so far"
             )
         if not folder and not os.path.isfile(path):
             device = os.path.lexists(path)
             raise InputError.at(
                 str(path),
-                "is no file, but a device or a pipe" if device else "there is no such file",
+                "is a device or a pipe, not a file" if device else "there is no such file",
             )
         if not folder and (fault := describe_other_format(path)):
             raise InputError.at(str(path), fault)
@@ -250,9 +266,9 @@ class Trajectory(Shown, Record, Tabular):
             )
             time = arrays["time"]
             if not np.array_equal(time, scene.time[: time.size]):
-                raise ValueError("its times are not those of its scene")
+                raise ValueError("its times differ from those of its scene")
             if not np.array_equal(arrays["grain"], scene.recorded):
-                raise ValueError("its grains are not those of its scene")
+                raise ValueError("its grains differ from those of its scene")
             return cls(
                 scene=scene,
                 time=time,

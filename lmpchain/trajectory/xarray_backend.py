@@ -25,9 +25,10 @@ DECODERS = (
 class RunFolderBackend(BackendEntrypoint):
     """Backend that opens a folder of `lmpchain run -o folder/`, even during the run.
 
-    The dataset is that of `Trajectory.to_xarray`: displacement (m) and velocity (m/s) of (time,
-    grain), with the scene, the engine and the error estimate as attributes; arrays stay on the disk
-    until they are used. The package's entry points register this class with xarray.
+    The dataset is the same as that of `Trajectory.to_xarray`. It contains the displacement (m) and
+    the velocity (m/s) over time and grain; the scene, the engine and the error estimate are
+    attributes. Arrays remain on disk until they are used. The entry points of the package register
+    this class with xarray.
     """
 
     description = "Open run folders of lmpchain"
@@ -42,8 +43,8 @@ class RunFolderBackend(BackendEntrypoint):
     ) -> xarray.Dataset:
         """Return the dataset of a run folder without the dropped variables.
 
-        The `decoders` of xarray change nothing: values are stored as they are, and times are
-        numbers of seconds.
+        The `decoders` of xarray are accepted but have no effect, because values are not encoded and
+        times are numbers of seconds.
         """
         if unknown := decoders.keys() - DECODERS:
             raise TypeError(f"lmpchain has no option {', '.join(sorted(unknown))}")

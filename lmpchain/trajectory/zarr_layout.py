@@ -1,7 +1,7 @@
 """Layout of a run folder's arrays in their Zarr store, and its check.
 
-The check reads plain JSON and file names only: no codec is made and no chunk opened before it has
-passed.
+The check reads only plain JSON and file names. No codec is created and no chunk is opened before
+the check has passed.
 """
 
 from __future__ import annotations
@@ -50,11 +50,12 @@ class ChunkSizes(NamedTuple):
     Attributes
     ----------
     samples : int
-        Number in a shard, or a multiple that fills a chunk.
+        Number of samples in a shard. If a chain has few grains, a multiple of it fills the chunks.
     grains : int
-        Largest number in a chunk: a grain's trace and a snapshot are then read in some 20 ms.
+        Largest number of grains in a chunk. With this size, the trace of a grain or a snapshot is
+        read in about 20 ms.
     times : int
-        Smallest number in a chunk.
+        Smallest number of times in a chunk.
     """
 
     samples: int = 16
@@ -104,7 +105,7 @@ def check_layout(store: Path, scene: Scene) -> None:
     sizes = stores(scene, names)
     chunk = sizes["chunk"]
     if metadata(store).get("node_type") != "group" or names - arrays.keys():
-        raise ValueError("it is no store of lmpchain, or holds more than that")
+        raise ValueError("it was not written by lmpchain, or contains further data")
     for name, shape in arrays.items():
         array = metadata(store / name)
         expected = {
@@ -117,7 +118,7 @@ def check_layout(store: Path, scene: Scene) -> None:
         }
         for key, value in expected.items():
             if array.get(key) != value:
-                raise ValueError(f"the {key} of {name} is not that of its scene")
+                raise ValueError(f"the {key} of {name} differs from that of its scene")
         if array.keys() - KEYS or array.get("storage_transformers"):
             raise ValueError(f"{name} is stored in a way that lmpchain does not use")
         nested = array["codecs"]
@@ -140,7 +141,7 @@ def _check_claims(chunks: Path, length: int, blosc: bool) -> None:
         # The header of blosc contains the unpacked size.
         claim = int.from_bytes(head[4:], "little") if blosc else 8 * length
         if claim != 8 * length or claim > MOST_SHRUNK * path.stat().st_size:
-            raise ValueError("it claims to hold more than it does")
+            raise ValueError("it declares more numbers than it can contain")
 
 
 def _configure(name: str, **configuration: Any) -> dict[str, Any]:
@@ -162,7 +163,7 @@ def codec_names_in_shards(codecs: Any, chunk: Piece) -> list[str]:
     (outer,) = codecs
     inside = outer["configuration"]
     if outer["name"] != "sharding_indexed" or inside["chunk_shape"] != list(chunk):
-        raise ValueError("it is not in shards of lmpchain")
+        raise ValueError("its shards differ from those that lmpchain writes")
     if codec_names(inside["index_codecs"]) != INDEX or inside.get("index_location", "end") != "end":
-        raise ValueError("it is not in shards of lmpchain")
+        raise ValueError("its shards differ from those that lmpchain writes")
     return codec_names(inside["codecs"])

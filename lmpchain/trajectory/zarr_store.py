@@ -1,8 +1,8 @@
 """Trajectories as Zarr stores that can be read while they grow, in whole shards.
 
-The length of every array is fixed beforehand, and its values are NaN until they are known. A sample
-is complete when its time is there, which is written last. Zarr moves every file into place, so a
-kill leaves none half written.
+The length of every array is fixed beforehand, and all values are NaN until they are written. The
+time of a sample is written last, so that a sample with a time is complete. Zarr writes every file
+under another name and renames it, so that a killed run leaves no incomplete file.
 """
 
 from __future__ import annotations
@@ -68,7 +68,8 @@ def _consolidate(store: Path) -> None:
     """Copy the metadata of all arrays to the group, where xarray looks first.
 
     `zarr.consolidate_metadata` does the same, but warns that such metadata are not a standard yet.
-    Suppressing the warning needs Python's filters, which all threads share.
+    The warning cannot be suppressed in one thread only, because all threads share the filters of
+    Python.
     """
     described = {
         path.parent.name: json.loads(path.read_bytes()) for path in store.glob("*/zarr.json")
@@ -174,9 +175,9 @@ def usable(folder: Path, scene: Scene, samples: Any) -> bool:
 def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     """Return metadata, scene and arrays of the complete samples; fields are read on demand.
 
-    For an unfinished run, the error is the estimate so far, or infinite if more samples are
-    there than it is of. Foreign or damaged stores raise whatever comes first, before any of their
-    arrays is opened.
+    For an unfinished run, the error is the last stored estimate, or infinite if samples were
+    written after it. If the store is damaged or was not written by lmpchain, an exception of any
+    kind is raised before any array is opened.
     """
     import xarray
 
@@ -196,7 +197,7 @@ def read_zarr(folder: Path) -> tuple[dict[str, Any], Scene, dict[str, Any]]:
     finished = "solver_error" in attributes
     complete = int(np.isfinite(data["time"].to_numpy()).sum())
     if finished and complete < scene.samples:
-        raise ValueError("the run was finished, but samples are not there")
+        raise ValueError("the run was finished, but samples are missing")
     data = data.isel(time=slice(0, complete))
     names = ["time", "grain"]
     if finished:
@@ -222,7 +223,7 @@ def _error_so_far(attributes: Mapping[str, Any], samples: int) -> ErrorEstimate:
 class OnDisk(NDArrayOperatorsMixin):
     """An array on disk with the interface of a NumPy array, read on demand.
 
-    Anything else that numpy can do with an array reads all of it.
+    Indexing reads only the selected values. All other operations of NumPy read the whole array.
     """
 
     def __init__(self, variable: xarray.Variable):
@@ -255,7 +256,7 @@ class OnDisk(NDArrayOperatorsMixin):
         else:
             if np.isfinite(values).all():
                 return values
-            fault = "samples are not there"
+            fault = "samples are missing"
         raise InputError.at(NAME, f"was damaged and cannot be read: {fault}; run the scene anew")
 
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:

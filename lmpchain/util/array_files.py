@@ -85,15 +85,17 @@ class Arrays:
 def read_arrays(path: Path, content: bytes, largest: int) -> Arrays | str | None:
     """Return the arrays of a binary file, or a worksheet as text; None for plain text.
 
-    Nothing in a file is executed: NumPy's objects, MATLAB's objects and functions, and links of
-    HDF5 to other files are left out.
+    No content of a file is executed: objects of NumPy, objects and functions of MATLAB, and links
+    of HDF5 to other files are ignored.
 
     Parameters
     ----------
     path : Path
+        Path of the file, for its type and for messages.
     content : bytes
+        Content of the file.
     largest : int
-        Bytes that the arrays may fill in memory.
+        Largest size of the arrays in memory, bytes.
 
     Raises
     ------
@@ -271,7 +273,7 @@ def _time_response(lines: list[str]) -> tuple[str, Array, Array, str]:
     """Return the name, times, values and unit of a record of dataset 58."""
     head = lines[5]
     if int(head[:5]) != TIME_RESPONSE:
-        raise ValueError(f"its function of type {int(head[:5])} is no time response (type 1)")
+        raise ValueError(f"its function of type {int(head[:5])} is not a time response (type 1)")
     kind, count, even = (int(lines[6][place : place + 10]) for place in (0, 10, 20))
     begin, step = (float(lines[6][place : place + 13]) for place in (30, 43))
     if (kind, even) not in WIDTHS:

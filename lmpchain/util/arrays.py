@@ -24,7 +24,7 @@ NO_NUMBERS = {
     "T": "text: read it with float first",
     "M": "dates: give the seconds since the strike",
     "m": "time spans: give seconds",
-    "c": "complex ones: give their real parts or their sizes",
+    "c": "complex numbers: give their real parts or their magnitudes",
 }
 
 
@@ -47,7 +47,7 @@ def numbers(value: Any, key: str = "") -> Array:
     Raises
     ------
     InputError
-        With this key, unless they are numbers.
+        If the values are not numbers. The message begins with `key`.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def numbers(value: Any, key: str = "") -> Array:
     except OverflowError:
         raise InputError.at(key, "must be numbers below 1.8e308") from None
     except (TypeError, ValueError):
-        raise InputError.at(key, "must be numbers, in rows of one length") from None
+        raise InputError.at(key, "must be numbers, in rows of equal length") from None
 
 
 def whole_numbers(value: Any, key: str = "") -> NDArray[np.int64]:

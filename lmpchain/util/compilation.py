@@ -49,7 +49,7 @@ Flags.__eq__ = _equal_flags  # type: ignore[assignment,method-assign]
 
 if numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
     # The kernels use records that Python does not have.
-    warn("NUMBA_DISABLE_JIT is ignored: the kernels run compiled only; unset it")
+    warn("NUMBA_DISABLE_JIT is ignored, because kernels must be compiled: unset it")
     numba.config.DISABLE_JIT = 0  # type: ignore[attr-defined]
 
 BLAS = "scipy.linalg.cython_blas"
@@ -84,7 +84,7 @@ DIGEST = sha256().digest_size
 class _Announcer(Listener):
     """Announcer of long compilations; loading a cached result is silent.
 
-    Meanwhile, garbage is collected less often.
+    During a compilation, Python collects garbage less often, which saves time.
     """
 
     def __init__(self) -> None:
@@ -197,8 +197,8 @@ class _Ingredients(JITCodeLibrary):
 class Ingredient(Compiler):
     """Compiler for functions that only compiled functions call, for `numba.njit`.
 
-    Numba would optimise and emit each function separately as well, a ninth of the total time, and
-    make wrappers by which Python and C could call it.
+    Without this class, Numba would also optimise and emit each function separately, which takes a
+    ninth of the total time, and would create wrappers for calls from Python and C.
     """
 
     def __init__(
@@ -220,7 +220,7 @@ class Ingredient(Compiler):
 class _KeptFile(IndexDataCacheFile):
     """A cache file of compiled code with its hash; a damaged file counts as missing.
 
-    Numba would fail with any error of pickle, or execute code in a manipulated file.
+    The cache of Numba would raise any error of pickle, or execute code from a manipulated file.
     """
 
     def load(self, key: Any) -> Any:
@@ -250,7 +250,7 @@ class _KeptFile(IndexDataCacheFile):
         path = Path(self._data_path(name))
         content = path.read_bytes()
         if sha256(content[DIGEST:]).digest() != content[:DIGEST]:
-            _complain(path, "it is not as it was written")
+            _complain(path, "it was changed after it was written")
             return None
         return pickle.loads(content[DIGEST:])
 
@@ -263,7 +263,8 @@ class _KeptFile(IndexDataCacheFile):
 class _KeptCode(FunctionCache):
     """The cache of a function; functions of one factory are distinguished by their `kind`.
 
-    Numba would distinguish them by their closures, which differ between processes.
+    The cache of Numba distinguishes such functions by their closures, which differ between
+    processes.
     """
 
     kind = ""
@@ -288,8 +289,8 @@ def _complain(path: str | PathLike[str], reason: object) -> None:
         _complained.add(folder)
         why = getattr(reason, "strerror", None) or reason or type(reason).__name__
         warn(
-            f"{path}: compiled code is not kept there ({why}): it is compiled anew, which takes "
-            f"minutes; make room in {folder}, remove what is damaged, or set NUMBA_CACHE_DIR",
+            f"{path}: compiled code cannot be used or stored there ({why}), and compiling it takes "
+            f"minutes: free space in {folder}, remove damaged files, or set NUMBA_CACHE_DIR",
             stacklevel=2,
         )
 
@@ -304,20 +305,22 @@ def compiled_once(
 ) -> Callable[[Callable], Any]:
     """Return a decorator for `numba.njit` with a persistent cache and a message on stderr.
 
-    The result is kept beside the source; if that folder may not be written to, in the user's cache
-    or in NUMBA_CACHE_DIR. It is used until the module changes, or one beside it that it imports.
-    Where nothing can be kept, every process compiles anew; what is damaged is compiled anew, too.
+    The compiled code is stored in the folder of the source, or, if this folder is not writable, in
+    the cache of the user or in NUMBA_CACHE_DIR. It is used until the module changes, or a module of
+    the same folder that it imports. Damaged files are compiled again. If no folder is writable,
+    every process compiles again.
 
     Parameters
     ----------
     what : str
-        What is compiled; functions with the same text are announced once a process.
+        Name of the compiled functions in the message. Functions with the same name are announced
+        once in each process.
     seconds : int
-        About how long all of it takes. What takes less than 3 s is silent.
+        Approximate time for all functions of this name, s. Below 3 s there is no message.
     kind : str, optional
-        Tells functions that one factory makes apart.
+        Text that distinguishes functions of the same factory.
     **options
-        For `numba.njit`.
+        Options of `numba.njit`.
     """
 
     # Kernels are never passed as C functions.
@@ -339,7 +342,7 @@ def compiled_once(
             )
             file.__class__ = _KeptFile
         except RuntimeError:
-            when = "in every process, for there is no folder to keep it in (see lmpchain doctor)"
+            when = "in every process, because no folder is writable (see lmpchain doctor)"
             dispatcher = compiler()(function)
         _jobs[function] = _Job(f"compiling {what}, {when}: about {seconds} s", seconds)
         return dispatcher

@@ -40,8 +40,8 @@ LARGEST_JSON = 2**30  # Largest size of a file that describes a store, a run or 
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path; rename it to `path` on success, remove it on failure.
 
-    File and name are flushed to the disk. Raises `OSError` as it comes. What a kill leaves behind
-    in a folder, the next process removes that writes there.
+    The file and its name are flushed to the disk. Any `OSError` is raised unchanged. Temporary
+    files of killed processes are removed by the next process that writes to the same folder.
     """
     _sweep(path.parent.absolute())
     # The name contains the writer, so that leftovers of killed processes can be identified.
@@ -97,7 +97,7 @@ def check_readable(path: Path, largest: int) -> None:
     """Raise `OSError` unless a path is a regular file within a size limit, bytes."""
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):
-        raise OSError(errno.EINVAL, "is no file, but a folder, a device or a pipe")
+        raise OSError(errno.EINVAL, "is not a file, but a folder, a device or a pipe")
     if status.st_size > largest:
         raise OSError(errno.EFBIG, f"is larger than {largest / 2**20:.0f} MB")
 
@@ -116,15 +116,16 @@ def check_tree(folder: Path) -> None:
             if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
                 raise OSError(
                     errno.EINVAL,
-                    f"{name} there is a link, a device or a pipe, which lmpchain never writes",
+                    f"{name} in it is a link, a device or a pipe, which lmpchain never writes",
                 )
 
 
 def is_foreign(path: Path) -> bool:
     """Return whether a file exists that lmpchain did not write, or that was changed since.
 
-    A link is foreign, because a user made it. An empty file is not, because nothing is lost. Where
-    the file system stores no extended attributes, only files with a seal are recognised.
+    A link is foreign, because a user made it. An empty file is not, because nothing is lost if it
+    is replaced. On file systems without extended attributes, only files with a seal are recognised
+    as files of lmpchain.
     """
     if not os.path.lexists(path):
         return False
@@ -166,7 +167,7 @@ def write_aside(path: str | PathLike[str], overwrite: bool = False) -> Iterator[
     Raises
     ------
     InputError
-        If `path` cannot be written, or is foreign and `overwrite` is false.
+        If `path` cannot be written, or if it is a foreign file and `overwrite` is false.
     """
     path = expanded(path)
     try:
@@ -191,8 +192,8 @@ def seal(content: Any) -> bytes:
 def check_seal(path: Path) -> None:
     """Raise `ValueError` unless the content of a file matches the seal at its end.
 
-    HDF5 may search damaged files without end, and cannot be stopped then: what bears no seal never
-    reaches it.
+    Files without a valid seal must not be opened by HDF5, which may search damaged files endlessly
+    and cannot be interrupted.
     """
     length = len(seal(b""))
     # An empty file cannot be mapped.
@@ -204,7 +205,7 @@ def check_seal(path: Path) -> None:
     if not end.startswith(SEAL):
         raise ValueError(UNSEALED)
     if end != seal(content[:-length]):
-        raise ValueError("it is not as it was written: copy it again, or save it anew")
+        raise ValueError("it was changed after it was written: copy it again, or save it anew")
 
 
 def sealed_json(record: Mapping[str, Any]) -> str:
@@ -245,12 +246,12 @@ def unpack_one(path: Path, name: str) -> np.ndarray:
 def _plain_array(packed: zipfile.ZipFile, item: zipfile.ZipInfo) -> np.ndarray:
     # A small file could unpack to more than the memory.
     if item.compress_type != zipfile.ZIP_STORED:
-        raise ValueError("it holds compressed arrays")
+        raise ValueError("it contains compressed arrays")
     data = BytesIO(packed.read(item))
     np.lib.format.read_magic(data)
     shape, columns_first, dtype = np.lib.format.read_array_header_1_0(data)
     if dtype.hasobject or columns_first:
-        raise ValueError("it holds arrays that are not plain")
+        raise ValueError("it contains arrays that are not plain")
     return np.frombuffer(data.read(), dtype).reshape(shape).copy()
 
 
@@ -287,7 +288,7 @@ def make_folder(name: str | PathLike[str]) -> Path:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError.at(
-            str(path), f"is no folder and cannot be made one: {error.strerror}"
+            str(path), f"is not a folder and cannot be made one: {error.strerror}"
         ) from None
     return path
 
@@ -319,14 +320,15 @@ def take_lock(folder: Path, patience_s: float = 0.0) -> BaseFileLock | None:
     Raises
     ------
     InputError
-        If a file, link or device of that name is not lmpchain's: a lock would empty it.
+        If a file, link or device with the name of the lock was not made by lmpchain, because a lock
+        would delete its content.
     """
     from filelock import FileLock, SoftFileLock, Timeout
 
     path = folder / LOCK
     if not is_lock(path):
         raise InputError.at(
-            str(path), "is not lmpchain's, but a link, a device or a file with content: move it"
+            str(path), "is not a lock of lmpchain, but a link, a device or a file of yours: move it"
         )
     lock = (FileLock if has_locks(folder) else SoftFileLock)(path, timeout=patience_s)
     try:
@@ -351,7 +353,8 @@ def has_locks(folder: Path) -> bool:
 def describe_holder(folder: Path) -> str:
     """Return the process that holds a folder's lock as text, if the lock names it.
 
-    Only locks on file systems without `flock` name it, and they outlive a killed process.
+    Only a lock on a file system without `flock` names the process. Such a lock remains if the
+    process is killed.
     """
     try:
         number, host, *_ = (folder / LOCK).read_text(encoding="utf-8").split("\n")

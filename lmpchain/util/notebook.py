@@ -126,7 +126,8 @@ def _brief_group(values: Any, letters: int) -> str:
 def parse_meanings(text: str) -> dict[str, str]:
     """Return the meaning of each attribute or parameter in the docstring of a class.
 
-    Names that share a meaning get their share of it, between semicolons, or the first one gets all.
+    If an entry has several names, each name gets one of the parts between semicolons. If there are
+    not as many parts as names, the first name gets the whole text.
 
     Examples
     --------

@@ -32,6 +32,7 @@ class TableLayout(NamedTuple):
     delimiter : str
         Separator of columns; a blank stands for any number of blanks.
     decimal : "." or ","
+        Decimal separator of numbers.
     """
 
     delimiter: str
@@ -95,7 +96,14 @@ NAME_AND_UNIT = re.compile(r"[^\s\[(]+(?:\s*[\[(][^\])]*[\])])?")
 class ColumnHeader(NamedTuple):
     """Name and unit of a column from its header; empty if the header has none.
 
-    The cell is the text of the header with both of them.
+    Attributes
+    ----------
+    name : str
+        Name of the quantity.
+    unit : str
+        Unit of the quantity.
+    cell : str
+        Whole text of the header, with name and unit.
     """
 
     name: str
@@ -114,20 +122,21 @@ class NumberTable:
     Attributes
     ----------
     path : Path
-    columns : list of Column
-        Of all, up to the last one of numbers.
+        Path of the file.
+    columns : list of ColumnHeader
+        Headers of all columns up to the last column of numbers.
     numeric : tuple of int
-        Places of the columns of numbers.
+        Indices of the columns of numbers.
     facts : dict
-        What the lines above or beside the table say about each column of numbers.
+        Values by name and column, from the lines above or beside the table.
     numbers : sequence of int
-        Numbers in the file of its lines, or of the rows of its arrays.
+        Line number in the file of each row, or row number in the arrays.
     lines : list of str
-        Text of the table; empty if a library read it.
-    layout : Layout
-        How its lines are written.
+        Lines of the table as text; empty if a library read the file.
+    layout : TableLayout
+        Delimiter and decimal separator of the lines.
     arrays : (R, C) array, optional
-        All columns, where a library read them.
+        All columns, if a library read the file.
     """
 
     path: Path
@@ -146,7 +155,7 @@ class NumberTable:
             if (wrong := np.argwhere(~np.isfinite(values))).size:
                 row, place = wrong[0]
                 cell = f"row {row + 1} of {self.describe(places[place])}"
-                fault = f"{values[row, place]} in {cell} is no number: mend it or leave it out"
+                fault = f"{values[row, place]} in {cell} is not a number: correct or remove it"
                 raise InputError.at("file", f"{self.path}: {fault}")
             return values
         layout = self.layout
@@ -195,7 +204,8 @@ class NumberTable:
     def unit(self, place: int, *names: str) -> str:
         """Return the unit of a column from its header, or from the file under these names.
 
-        A text that names no unit, such as a remark in brackets, is returned if there is no other.
+        If there is no known unit, another text in the place of a unit is returned, for example a
+        remark in brackets.
         """
         texts = [self.columns[place].unit, self.word(place, *names)]
         return next(filter(unit_of, texts), "") or next(filter(None, texts), "")
@@ -213,15 +223,16 @@ def read_table(path: Path, skip: int = 0, fewest: int = 1) -> NumberTable:
     Parameters
     ----------
     path : Path
+        Path of the file.
     skip : int
-        Lines, or rows, at the beginning that are not looked at.
+        Number of lines, or of rows, at the beginning that are ignored.
     fewest : int
-        Columns of numbers that are looked for.
+        Smallest number of columns of numbers in the table.
 
     Raises
     ------
     InputError
-        If the file cannot be read, or holds no such table.
+        If the file cannot be read, or does not contain such a table.
 
     Examples
     --------
@@ -267,7 +278,7 @@ def _table_of(path: Path, arrays: Arrays, skip: int, fewest: int) -> NumberTable
     """Return a table of the most equally long arrays of a file, or of the longest one."""
     lengths = Counter(len(array.values) for array in arrays.columns if len(array.values) > skip)
     if not lengths:
-        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+        raise InputError.at("file", f"{path} contains no table of numbers: name another file")
     length = max(lengths, key=lambda length: (lengths[length] >= fewest, length))
     chosen = [array for array in arrays.columns if len(array.values) == length]
     columns = []
@@ -304,7 +315,7 @@ def _read_text(path: Path) -> str | Arrays:
         text = content.decode("latin-1")
     if "\0" in text:
         cure = f"save it as text (CSV), or read it in Python and {BY_POINTS}"
-        raise InputError.at("file", f"{path} is no text: {cure}")
+        raise InputError.at("file", f"{path} is not a text file: {cure}")
     return text
 
 
@@ -333,7 +344,7 @@ def _recognise(
                 best = score
                 recognised = layout, numeric
     if recognised is None:
-        raise InputError.at("file", f"{path} holds no table of numbers: name another file")
+        raise InputError.at("file", f"{path} contains no table of numbers: name another file")
     return recognised
 
 
@@ -383,7 +394,8 @@ def _check_above(
 ) -> None:
     """Raise `InputError` if lines above a table contain rows of the same form.
 
-    Directly above it is a header, without numbers in its columns.
+    The line directly above the table must be a header, which has no numbers in the columns of the
+    table.
     """
     places = set(numeric)
     rows = [_numbers_and_words(layout, line) for _, line in above]
@@ -400,8 +412,8 @@ def _no_number(
     cells = layout.cells(line[1])
     texts = [(place, cells[place] if place < len(cells) else "") for place in places]
     place, text = next((place, text) for place, text in texts if not layout.is_number(text))
-    cure = "mend it or take the line out (lines above the table: skip = N)"
-    message = f"{shown(text)} in column {place + 1} is no number: {cure}"
+    cure = "correct it or remove the line (lines above the table: skip = N)"
+    message = f"{shown(text)} in column {place + 1} is not a number: {cure}"
     return InputError.at("file", f"{path}, line {line[0]}: {message}")
 
 
@@ -420,7 +432,7 @@ def _header(
         units = [match[2] for match in BRACKETS.finditer(above[0]) if unit_of(match[2])]
         if units:
             line = f"the line {shown(above[0])} has units, but not a name for each column"
-            cure = "leave it out by skip = N, and give columns, time_scale and scale"
+            cure = "skip it with skip = N, and give columns, time_scale and scale"
             raise InputError.at("file", f"{path}: {line}: {cure}")
     return header
 
@@ -452,8 +464,8 @@ def _facts(
 def _note_above(facts: Facts, cells: Sequence[str], numeric: Sequence[int]) -> None:
     """Store a fact from a line above a table: a name and a value, or a value for each column.
 
-    Values stand above their columns, or one cell later if the first column is one of values. One
-    value alone holds for all columns.
+    The first cell is the name. Each following value is above its column, or one cell to the right
+    if the first column of the table contains numbers. A single value belongs to all columns.
     """
     for cell in cells:
         # The text has a colon, or a name and a number as Rigol writes behind the column names.

@@ -93,7 +93,7 @@ def label_ends(ax: Axes, ends: Sequence[tuple[float, str, str]]) -> None:
     Parameters
     ----------
     ends : list of (height, name, colour)
-        Heights in units of the vertical axis.
+        Height of the end of each curve, in units of the vertical axis, and its name and colour.
     """
     # This call fixes the limits, on which positions depend.
     ax.get_ylim()
@@ -229,8 +229,8 @@ def window(width: float = 6.4, height: float = 4.2) -> Figure:
 def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
     """Return axes, given or new, in our style, with labels in these units with SI prefixes.
 
-    Those named in `logarithmic`, "x", "y" or "xy", become so: a scale that is set later forgets its
-    unit.
+    `logarithmic` ("x", "y" or "xy") names the logarithmic axes. Their scale must be set here,
+    because matplotlib removes the unit of an axis if its scale is set later.
     """
     from .ticks import UnitFormatter
 
@@ -271,7 +271,7 @@ def set_title(ax: Axes, text: str) -> None:
 def legend(ax: Axes, *handles: Any, below: float | None = None, **keys: Any) -> None:
     """Add a legend of lines and markers, if there are any, with a font that fits the axes.
 
-    It stands under the axes, by this share of their height, if `below` is given.
+    If `below` is given, the legend is placed under the axes, at this fraction of their height.
     """
     if below is not None:
         keys |= {"loc": "upper center", "bbox_to_anchor": (0.5, -below)}
@@ -302,10 +302,12 @@ def chart(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axes:
     Parameters
     ----------
     ax : Axes, optional
-        A new figure by default.
-    x, y : str
-        Labels. A unit in brackets, as in "time [s]", is written with the SI prefix that suits the
-        axis.
+        Axes to draw in; by default those of a new figure.
+    x : str
+        Label of the horizontal axis. A unit in brackets, as in "time [s]", is written with the SI
+        prefix that suits the values.
+    y : str
+        Label of the vertical axis, with a unit in the same form.
     logarithmic : str
         Logarithmic axes: "x", "y" or "xy".
     """
@@ -321,7 +323,7 @@ def finish(ax: Axes, title: str = "", **keys: Any) -> Axes:
     Parameters
     ----------
     ax : Axes
-        Axes of `chart`.
+        Axes that `chart` returned.
     title : str
         Text above the axes.
     **keys
@@ -353,7 +355,7 @@ def draw_map(
 def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None:
     """Add a colour bar beside axes, with letters of equal size.
 
-    The unit of a label in brackets, as in "force [N]", is written with an SI prefix.
+    The unit in brackets in `label`, as in "force [N]", is written with an SI prefix.
     """
     from .ticks import UnitFormatter
 

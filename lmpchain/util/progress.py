@@ -17,19 +17,19 @@ class ProgressBar:
     Parameters
     ----------
     total : float
-        Amount of work; it may be done in fractions.
+        Amount of work.
     text : str
-        What is going on, in front of the bar.
+        Name of the work, in front of the bar.
     unit : str
-        Of the work, such as " samples", with its leading space.
+        Unit of the work, such as " samples", with its leading space.
     done : float
-        Amount that was done before.
+        Amount of work that was done before.
     layout : str
-        What the bar says, in the fields of tqdm: `COUNT`, `PERCENT` or `RATE`.
+        Texts around the bar, as a format of tqdm: `COUNT`, `PERCENT` or `RATE`.
     delay_s : float
-        What ends before that shows nothing, s.
+        Time before the bar appears, s. Shorter work shows no bar.
     shown : bool
-        tqdm is imported only if it is.
+        Whether to show the bar. If it is false, tqdm is not imported.
 
     Examples
     --------

@@ -40,7 +40,7 @@ def now() -> str:
 def command() -> str:
     """Return the command line of this process in plain UTF-8.
 
-    The program is named without its folder, and a long line is truncated.
+    The name of the program does not include its folder, and a long line is truncated.
     """
     program = Path(sys.argv[0]).name
     text = shlex.join([program, *sys.argv[1:]]).encode(errors="replace").decode()

@@ -21,9 +21,12 @@ class NamedColumn(NamedTuple):
 
     Attributes
     ----------
-    name, unit : str
-        No unit for words and numbers without one.
+    name : str
+        Name of the quantity.
+    unit : str
+        Unit of the quantity; empty for text and for numbers without a unit.
     values : (R,) array
+        Values of the quantity in all rows.
     """
 
     name: str
@@ -42,10 +45,11 @@ class Tabular:
     Attributes
     ----------
     _units : dict of str
-        The attributes that are columns and their units, the axis first; {field} stands for that of
-        the attribute `field`.
+        Names of the attributes that are columns, and their units; the axis is first. {field} stands
+        for the unit of the field that the attribute `field` names.
     _numbers : str
-        Attribute with the numbers of what (R, C) arrays have a column for: grains, contacts.
+        Name of the attribute with the numbers of the grains or contacts to which the columns of
+        (R, C) arrays belong.
     """
 
     _units: ClassVar[Mapping[str, str]] = {}
@@ -73,8 +77,8 @@ class Tabular:
     def to_csv(self, path: str | PathLike[str], overwrite: bool = False) -> None:
         """Write a CSV file atomically, with all digits of each number and units in the header.
 
-        `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read it. A file that lmpchain
-        did not write is replaced only if `overwrite` is true.
+        `Force(file=)`, `Drive(file=)` and `design.Traces.from_csv` read such files. A file that
+        lmpchain did not write is replaced only if `overwrite` is true.
 
         Raises
         ------

@@ -58,8 +58,8 @@ class _Sandbox(ImmutableSandboxedEnvironment):
 def render(name: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     """Fill in a template of the package, with HTML escapes; raise an error for a missing value.
 
-    Numbers go through the filter `exact` where every digit counts. Of objects of the types `closed`
-    nothing is read.
+    The filter `exact` writes a number with all its digits. Templates cannot read attributes of
+    objects of the types `closed`.
     """
     return "".join(render_pieces(name, closed, **values))
 
@@ -79,12 +79,13 @@ def _environment(closed: tuple[type, ...], autoescape: bool) -> _Sandbox:
 def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: Any) -> str:
     """Fill in a template of the user, which may include templates of the package.
 
-    Objects of the types `closed` are not readable in it.
+    The template cannot read attributes of objects of the types `closed`.
 
     Raises
     ------
     InputError
-        Under `key`, if it names what there is not, or does what it may not.
+        If the template names an unknown value, is invalid or does something that is not allowed.
+        The message begins with `key`.
     """
     environment = _Sandbox(closed)
     values = {"version": version("lmpchain"), **values}
@@ -96,17 +97,15 @@ def render_text(text: str, key: str, closed: tuple[type, ...] = (), **values: An
                 return environment.from_string(text).render(values)
     except TemplateSyntaxError as error:
         raise InputError.at(
-            key, f"line {error.lineno} is not in the form of Jinja2: {error.message}"
+            key, f"line {error.lineno} is not valid Jinja2: {error.message}"
         ) from None
     except TemplateNotFound as error:
         # Example scenes are not decks.
         names = ", ".join(environment.list_templates(filter_func=lambda name: "/" not in name))
-        raise InputError.at(key, f"can include no {shown(error.name)}; there are {names}") from None
+        raise InputError.at(key, f"cannot include {shown(error.name)}; there are {names}") from None
     except SecurityError:
-        cure = "it may read the values that it is given, and call range and macros of its own"
-        raise InputError.at(
-            key, f"asks for something that is closed to it: {cure}, nothing else"
-        ) from None
+        cure = "it may only read the values that it is given, and call range and its own macros"
+        raise InputError.at(key, f"uses something that templates cannot access: {cure}") from None
     except MemoryError:
         limit = f"needs more than {LARGEST_TEXT >> 20} MB of memory"
         raise InputError.at(key, f"{limit}: make its texts and lists shorter") from None

@@ -14,7 +14,8 @@ ROUND_OFF = 1e-14  # Fraction of the largest tick; smaller ticks are set to 0.
 class UnitFormatter(EngFormatter):
     """Tick formatter with plain numbers and a unit prefix for the axis, as in "energy (µJ)".
 
-    An axis without a label has units at its ticks, as numbers under the pointer have.
+    If the axis has no label, the ticks have the unit. The position of the mouse pointer is always
+    shown with the unit.
     """
 
     axis: Any

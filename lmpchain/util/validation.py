@@ -24,7 +24,7 @@ NOT_GIVEN: Any = None  # Default of array fields that are computed if they are n
 class Checked(Shown, BaseModel):
     """A frozen value that raises `InputError` with all faults at construction.
 
-    Use `replace` for a changed copy, which is checked, too.
+    The method `replace` returns a changed copy, which is also checked.
     """
 
     model_config = ConfigDict(
@@ -71,7 +71,7 @@ class Checked(Shown, BaseModel):
         names = self.arguments
         if values:
             if len(values) > len(names):
-                fault = f"takes {', '.join(names)}: {len(values)} values are too many"
+                fault = f"accepts {', '.join(names)}: {len(values)} values are too many"
                 raise InputError.at("", fault)
             data = dict(zip(names, values, strict=False)) | data
         faults = []
@@ -94,7 +94,7 @@ class Checked(Shown, BaseModel):
     def _unknown(cls, key: str) -> str:
         """Return the fault of a key that is not an argument."""
         if key in cls.elsewhere:
-            return f"is no key here: {cls.elsewhere[key]}"
+            return f"is not a key here: {cls.elsewhere[key]}"
         return unknown_key(key, [*cls.arguments, *cls.other_arguments], cls.elsewhere)
 
     def _remarks(self) -> Iterator[str]:
@@ -111,7 +111,7 @@ class Checked(Shown, BaseModel):
         Raises
         ------
         InputError
-            With every fault of the copy.
+            If the copy is invalid. The error contains all faults.
         """
         fields = self.given() | changes
         return type(self)(**{key: value for key, value in fields.items() if value is not None})
@@ -131,7 +131,7 @@ class Checked(Shown, BaseModel):
         update = options.pop("update", None)
         if any(value is not None for key, value in options.items() if key != "deep"):
             raise InputError.at(
-                "copy", "copies whole values: use .replace(...) for one with other fields"
+                "copy", "copies all fields: use .replace(...) to change some of them"
             )
         return self.model_copy(update=update)
 
@@ -139,7 +139,7 @@ class Checked(Shown, BaseModel):
     def model_construct(cls, *_: Any, **__: Any) -> NoReturn:  # type: ignore[override]
         """Raise `InputError`, because unchecked values are not allowed."""
         raise InputError.at(
-            cls.__name__, f"is not made unchecked: use {cls.__name__}(...), or .replace(...) of one"
+            cls.__name__, f"must be checked: use {cls.__name__}(...), or its method replace"
         )
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -149,7 +149,7 @@ class Checked(Shown, BaseModel):
 
     def __delattr__(self, name: str) -> None:
         raise InputError.at(
-            name, "cannot be taken away: use .replace(...), which returns a checked copy"
+            name, "cannot be deleted: use .replace(...), which returns a checked copy"
         )
 
     def __getstate__(self) -> dict[Any, Any]:
@@ -199,7 +199,7 @@ Made = TypeVar("Made")
 def make_unchecked(kind: type[Value], **fields: Any) -> Value:
     """Return a value from arguments that are known to be valid, without checks.
 
-    Pydantic's own function takes ten times as long.
+    The corresponding function of pydantic takes ten times as long.
     """
     values = {kind.arguments[key]: value for key, value in fields.items()}
     defaults = {

@@ -280,8 +280,8 @@ def test_python_names_the_function_that_replaces_a_cell(tmp_path):
     with pytest.raises(InputError) as caught:
         Chain(grains=4, cell=["steel", "pom"], taper=0.1, diameter=1e-3)
     assert dict(caught.value.faults) == {
-        "cell": "is no key here: use lmpchain.patterns.repeated, or a scene file",
-        "taper": "is no key here: use lmpchain.patterns.tapered or repeated, or a scene file",
+        "cell": "is not a key here: use lmpchain.patterns.repeated, or a scene file",
+        "taper": "is not a key here: use lmpchain.patterns.tapered or repeated, or a scene file",
     }
     with pytest.raises(InputError, match="did you mean 'cell'"):
         from_file(tmp_path, 'cells = ["steel", "pom"]\ndiameter = 1e-3')

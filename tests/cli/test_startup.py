@@ -172,7 +172,7 @@ def test_without_a_cache_folder_every_process_compiles(toy: Path):
     for _ in range(2):
         nowhere = str(toy / "home")
         said = play(toy, HOME=nowhere, XDG_CACHE_HOME=nowhere, NUMBA_CACHE_DIR="")
-        assert "compiling the toys, in every process, for there is no folder to keep it in" in said
+        assert "compiling the toys, in every process, because no folder is writable" in said
         assert said.count("\n") == 2
 
 

@@ -165,7 +165,7 @@ def test_names_that_no_folder_can_bear(name: Any):
 
 def test_a_file_is_not_a_folder(tmp_path: Path):
     (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="is no folder and cannot be made one"):
+    with pytest.raises(InputError, match="is not a folder and cannot be made one"):
         optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path / "file")
 
 

@@ -241,7 +241,7 @@ def test_chaos_is_refused_with_its_predictability_time():
 def test_step_beyond_the_stability_limit_is_an_input_error():
     scene = paper("fig5 g", samples=3)
     for engine in (Native, Lammps):
-        with pytest.raises(InputError, match="stops being stable"):
+        with pytest.raises(InputError, match="stability limit of"):
             simulate(scene, engine=engine(integrator="verlet", step=4e-6))
 
 

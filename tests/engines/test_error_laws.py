@@ -465,7 +465,7 @@ def test_a_given_step_may_be_up_to_the_stability_limit():
     scene = paper("weak", samples=3)
     limit = 2 / scene.chain.band_edge
     with pytest.raises(
-        InputError, match=f"step: must be below {limit:.3g} s, where verlet stops being stable"
+        InputError, match=f"step: must be below {limit:.3g} s, the stability limit of verlet"
     ):
         simulate(scene, Native("verlet", step=1.001 * limit))
     run = simulate(scene, Native("verlet", step=0.999 * limit))

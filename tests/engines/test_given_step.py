@@ -82,7 +82,7 @@ def test_no_estimate_is_above_2():
     fast = 0.3 * 2 / BETWEEN_WALLS.band_edge
     answer, _ = at(1e-6, wide, "native", integrator="rkn4", step=fast)
     assert answer.error_estimate.total == 2.0
-    assert answer.error_estimate.remark.endswith("nothing is known of the answer")
+    assert answer.error_estimate.remark.endswith("nothing is known about the solution")
     estimate = ErrorEstimate(1.5, 1.0)
     assert estimate.total == 2.0
     assert not ErrorEstimate(0.0, 1e-9).remark

@@ -106,7 +106,7 @@ def test_a_run_continues_from_any_block_with_the_same_bits(engine, small_blocks)
         if key == "peaks":
             spoilt = spoilt | {"peaks": np.zeros((2, 2))}
         with pytest.raises(
-            InputError, match="checkpoint: does not fit its run, or was changed: run the scene anew"
+            InputError, match="checkpoint: does not belong to its run, or was changed: run"
         ):
             engine.start([SCENE], candidate, spoilt)
 
@@ -202,9 +202,7 @@ def test_scenes_of_a_batch_are_of_one_kind():
     )  # fmt: skip
     for other in unlike_ones:
         assert kind(other) != kind(SCENE)
-        with pytest.raises(
-            ValueError, match="a batch needs chains of one kind and length, recorded alike"
-        ):
+        with pytest.raises(ValueError, match="a batch needs chains of the same kind and length"):
             engine.start([SCENE, other], candidate)
     key = engine.batch_key(SCENE, candidate)
     for changed in (

@@ -39,5 +39,5 @@ def test_a_run_that_broke_down_continues_with_the_same_bits():
 def test_a_clock_of_nan_is_rejected():
     kept = stepper({}).state()
     kept["state"]["done"][0] = np.nan
-    with pytest.raises(ValueError, match="does not fit"):
+    with pytest.raises(ValueError, match="does not belong"):
         stepper(kept)

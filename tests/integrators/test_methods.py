@@ -309,7 +309,7 @@ def test_states_of_other_shapes_are_rejected():
     whole = kept | {"state": kept["state"]["sample"]}
     history = kept | {"history": np.zeros((2, 1, kept["history"].shape[2]))}
     for wrong in (narrow, fewer, whole, history):
-        with pytest.raises(ValueError, match="does not fit"):
+        with pytest.raises(ValueError, match="does not belong"):
             stepper(state=wrong)
     for place, value in (
         ("first", 4),
@@ -322,7 +322,7 @@ def test_states_of_other_shapes_are_rejected():
     ):
         moved = kept | {"state": kept["state"].copy()}
         moved["state"][place][1] = value
-        with pytest.raises(ValueError, match="does not fit"):
+        with pytest.raises(ValueError, match="does not belong"):
             stepper(state=moved)
 
 

@@ -678,15 +678,15 @@ def spoil(dump: Path, what: str) -> Path:
     ("what", "says"),
     [
         ("cut in a line", "cut short"),
-        ("cut in a frame", "20 whole frames, the scene 21 samples"),
-        ("a frame short", "20 whole frames, the scene 21 samples"),
+        ("cut in a frame", "20 whole frames, but the scene has 21 samples"),
+        ("a frame short", "20 whole frames, but the scene has 21 samples"),
         ("a frame missing", "20 whole frames"),
         ("words", "cannot be read as a dump"),
         ("no velocities", "no column vz"),
         ("no numbers", "not finite"),
-        ("no dump", "no LAMMPS dump"),
+        ("no dump", "not a LAMMPS dump"),
         ("only a head", "cut short"),
-        ("empty", "no LAMMPS dump"),
+        ("empty", "not a LAMMPS dump"),
     ],
 )
 def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: str):
@@ -699,8 +699,8 @@ def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: s
 @pytest.mark.parametrize(
     ("chain", "scene", "says"),
     [
-        ({"grains": 21}, {}, "has 20 atoms, the scene 21 grains .step 0."),
-        ({}, {"samples": 11}, "21 whole frames, the scene 11"),
+        ({"grains": 21}, {}, "has 20 atoms, but the scene has 21 grains .step 0."),
+        ({}, {"samples": 11}, "21 whole frames, but the scene has 11"),
         (
             {},
             {"excitation": Impulse(velocity=1e-5, grain=3)},

@@ -152,7 +152,7 @@ def test_a_strike_after_the_first_frame_is_reported(tmp_path: Path):
     later = LEVEL.replace("velocity        hit", "# velocity").replace("run             3000", "")
     later += "run 100\nvelocity hit set 0.1 0 0\nrun 2900\n"
     dump = run_input(tmp_path, later)
-    with pytest.raises(InputError, match="nothing moves in the first frame, but later: dump from"):
+    with pytest.raises(InputError, match="grains move, but not in the first frame: begin the dump"):
         scene_of_run([dump, tmp_path / "in.own"])
 
 

@@ -231,7 +231,7 @@ def test_traces_of_several_places(tmp_path: Path):
 
 REFUSED = {  # Content of the file, options, key, and a part of the message.
     "nothing": ("", {}, "file", "no table of numbers"),
-    "a picture": ("\x89PNG\0\0", {}, "file", "is no text"),
+    "a picture": ("\x89PNG\0\0", {}, "file", "is not a text file"),
     "two channels": ("t,A,B\n0,1,2\n1,2,3\n", {}, "columns", "is ambiguous"),
     "two forces": ("t,force,force\n0,1,2\n1,2,3\n", {}, "columns", "2 columns force"),
     "no such column": ("t,A\n0,1\n1,2\n", {"columns": [1, 3]}, "columns", "no column 3"),

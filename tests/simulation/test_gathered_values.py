@@ -285,7 +285,7 @@ def test_an_accumulating_run_passes_samples_on_and_keeps_its_state():
     for name, values in one.items():
         assert np.array_equal(values, other[name], equal_nan=True)
     wrong = state | {"gathered.0.fast": np.zeros((3, 2))}
-    with pytest.raises(ValueError, match="the state that was kept does not fit"):
+    with pytest.raises(ValueError, match="the stored state does not belong to this scene"):
         GatheringRun(
             engine.start([part], engine.propose(part, 0.9), own), engine, [scene], [part], wrong
         )

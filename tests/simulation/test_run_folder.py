@@ -238,7 +238,7 @@ def test_xarray_opens_the_store(finished: Path):
 
 
 def test_folders_without_a_run_are_rejected(tmp_path: Path):
-    with pytest.raises(InputError, match="without a run in it"):
+    with pytest.raises(InputError, match="contains no run"):
         Trajectory.load(tmp_path)
     (tmp_path / "trajectory.zarr").mkdir()
     with pytest.raises(InputError, match="not a trajectory"):

@@ -214,7 +214,7 @@ def test_a_lock_may_not_be_a_link(tmp_path):
     (tmp_path / "precious").write_text("precious")
     (tmp_path / "sweep").mkdir()
     (tmp_path / "sweep" / ".lock").symlink_to(tmp_path / "precious")
-    with pytest.raises(InputError, match="is not lmpchain's, but a link"):
+    with pytest.raises(InputError, match="is not a lock of lmpchain, but a link"):
         sweep(ASKED, tmp_path / "sweep")
     assert (tmp_path / "precious").read_text() == "precious"
 

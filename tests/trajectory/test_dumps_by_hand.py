@@ -108,11 +108,11 @@ def test_displacements_follow_from_heights(tmp_path: Path, up: int):
     assert t.grains.tolist() == [4, 2]
     np.testing.assert_allclose(t.displacement, U[:, [3, 1]], rtol=0, atol=4e-18)
     assert np.array_equal(t.velocity, V[:, [3, 1]])
-    assert t.provenance["displacement"] == "heights less those at first"
+    assert t.provenance["displacement"] == "heights minus first heights"
     assert t.provenance["column"] == f"along z, z points {'up' if up > 0 else 'down'}"
     other = Trajectory.from_dump(path, SCENE, up * REST)
     np.testing.assert_allclose(other.displacement, U, rtol=0, atol=4e-18)
-    assert other.provenance["displacement"] == "heights less those given"
+    assert other.provenance["displacement"] == "heights minus given heights"
 
 
 def test_initial_displacements_are_added_to_heights(tmp_path: Path):
@@ -133,7 +133,7 @@ def test_a_dump_of_a_scene_with_another_strike_is_rejected(tmp_path: Path, off: 
         assert np.array_equal(Trajectory.from_dump(path, scene).velocity, V)
         return
     why = fault(path, scene)
-    assert why.startswith("grain 2 begins with a velocity of 0.002 m/s, in the scene 0.00")
+    assert why.startswith("grain 2 begins with a velocity of 0.002 m/s, but with 0.00")
     assert why.endswith("give the scene that the dump was made for")
 
 
@@ -146,14 +146,14 @@ def test_a_dump_with_another_initial_state_is_rejected(tmp_path: Path, off: floa
         assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, u)
     else:
         assert fault(path).startswith(
-            f"grain 4 begins with a displacement of {u[0, 3]:.6g} m, in the scene 0:"
+            f"grain 4 begins with a displacement of {u[0, 3]:.6g} m, but with 0 in the scene:"
         )
 
 
 def test_frames_agree_with_the_samples(tmp_path: Path):
     path = dump(tmp_path / "run.dump", steps=(0, 50, 100))
     assert fault(path).startswith(
-        "has 3 whole frames, the scene 4 samples over a duration of 0.0003 s: set both in the scene"
+        "has 3 whole frames, but the scene has 4 samples over a duration of 0.0003 s: set samples"
     )
     for steps in ((0, 50, 100, 151), (0, 51, 100, 150)):
         assert fault(dump(path, steps=steps)).startswith("its frames are not equally far apart")
@@ -174,14 +174,15 @@ def test_invalid_numbers(tmp_path: Path):
         path = dump(tmp_path / "run.dump", **{"u" if field is U else "v": broken})
         assert (
             fault(path)
-            == "holds numbers that are not finite: the run broke down; use a shorter step"
+            == "contains numbers that are not finite, from a breakdown: use a shorter step"
         )
     twice = dump(tmp_path / "run.dump", numbers=np.array([4, 1, 3, 3, 5]))
     assert "cannot be read as a dump: two atoms have the same number; write it anew" in fault(twice)
     fewer = Scene(**SCENE.given() | {"chain": Chain(grains=4, diameter=1e-3)})
     assert (
         fault(twice, fewer)
-        == "has 5 atoms, the scene 4 grains (step 100): give the scene it was made for"
+        == "has 5 atoms, but the scene has 4 grains (step 100): give the scene that the dump was "
+        "made for"
     )
 
 
@@ -193,7 +194,7 @@ def test_missing_columns(tmp_path: Path):
     assert fault(dump(path, columns="x y vz")).startswith("has no column id, z: ")
     assert fault(dump(path, columns="id xu yu vz")).startswith("has no column x, y, z: ")
     assert fault(dump(path, columns="id x y z vx")).startswith(
-        "has no column vz, though the column stands along z: "
+        "has no column vz, but its grains are in line along z: "
     )
     text = dump(path).read_text()
     path.write_text(text.replace("\n5\nITEM: BOX", "\nfive\nITEM: BOX"))
@@ -201,7 +202,7 @@ def test_missing_columns(tmp_path: Path):
     path.write_text(text[:-1])
     assert fault(path) == "is cut short within a line: run LAMMPS to its end"
     path.write_text("\n" + text)
-    assert "is no LAMMPS dump in text" in fault(path)
+    assert "is not a LAMMPS dump in text" in fault(path)
 
 
 @pytest.mark.parametrize(("share", "good"), [(0.49, True), (0.51, False)])
@@ -215,7 +216,7 @@ def test_the_axis_of_a_column_is_at_least_twice_as_long(tmp_path: Path, share: f
         assert np.array_equal(Trajectory.from_dump(path, SCENE).displacement, U)
         return
     assert fault(path).endswith(
-        "its grains stand along none of x, y and z: name the axis of the column"
+        "its grains are not in line along x, y or z: give the axis of the column"
     )
     assert np.array_equal(Trajectory.from_dump(path, SCENE, axis="z").displacement, U)
 

@@ -200,7 +200,7 @@ def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
     content = bytearray(path.read_bytes())
     content[4:8] = (2**31 - 17).to_bytes(4, "little")  # Number of bytes that Blosc should allocate.
     path.write_bytes(content)
-    assert "more than it" in refused(run, capsys)
+    assert "more numbers than it" in refused(run, capsys)
 
 
 @pytest.mark.parametrize(
@@ -336,7 +336,7 @@ def test_the_state_of_a_checkpoint_must_match_its_run(stopped: Path, what: str):
     packed = io.BytesIO()
     np.savez(packed, **arrays)
     with_checkpoint(stopped, packed.getvalue())
-    with pytest.raises(InputError, match="checkpoint: does not fit"):
+    with pytest.raises(InputError, match="checkpoint: does not belong"):
         resume(stopped)
 
 

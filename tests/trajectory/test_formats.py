@@ -238,8 +238,8 @@ def test_a_dump_of_a_foreign_deck(up: int, dump: str, columns: str, truth, tmp_p
     heights = up * (0.05 - np.append(0, np.cumsum(1e-3 - scene.chain.equilibrium_overlap)))
     given = Trajectory.from_dump(path, scene, heights)
     assert given.displacement == pytest.approx(t.displacement, rel=1e-9, abs=2e-17)
-    assert t.provenance["displacement"] == "heights less those at first"
-    assert given.provenance["displacement"] == "heights less those given"
+    assert t.provenance["displacement"] == "heights minus first heights"
+    assert given.provenance["displacement"] == "heights minus given heights"
     with pytest.raises(InputError, match="begins with a displacement"):
         Trajectory.from_dump(path, scene, heights + 1e-8)
 
@@ -338,7 +338,7 @@ def test_a_column_along_a_diagonal_is_rejected(
     path.write_text(
         re.sub(r"^(\d+) 0 0 (\S+) (\S+)$", r"\1 \2 0 \2 \3", upright.read_text(), flags=re.M)
     )
-    with pytest.raises(InputError, match=r"axis: .*along none of x, y and z"):
+    with pytest.raises(InputError, match=r"axis: .*not in line along x, y or z"):
         Trajectory.from_dump(path, OWN)
     assert np.isfinite(Trajectory.from_dump(path, OWN, axis="z").velocity).all()
     with pytest.raises(InputError, match="axis: must be x, y or z"):
@@ -366,7 +366,7 @@ def test_dumps_of_restarted_runs(upright: Path, tmp_path: Path):
                 [*frames[:kept], frames[kept].replace("\n12\n", "\n11\n", 1), *frames[kept + 1 :]]
             )
         )
-        with pytest.raises(InputError, match="has 11 atoms, the scene 12 grains"):
+        with pytest.raises(InputError, match="has 11 atoms, but the scene has 12 grains"):
             Trajectory.from_dump(path, OWN)
         lines = frames[kept].splitlines(keepends=True)
         path.write_text("".join([*frames[:kept], *lines[:-1], "\n", *frames[kept + 1 :]]))

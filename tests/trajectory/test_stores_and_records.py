@@ -197,7 +197,7 @@ def test_arrays_on_the_disk_are_indexed_as_in_memory(empty: Path):
     (empty / NAME / "velocity" / "c" / "0" / "0").unlink()
     with pytest.raises(
         InputError,
-        match="was damaged and cannot be read: samples are not there; run the scene anew",
+        match="was damaged and cannot be read: samples are missing; run the scene anew",
     ):
         field[3]
     assert np.array_equal(field[ROWS], truth[ROWS])

@@ -83,7 +83,7 @@ def test_a_world_is_joined_if_its_processes_see_each_other(monkeypatch: Any):
     assert done == ["all are there", "no name is left"]
     monkeypatch.setenv("PMI_SIZE", "2")
     with pytest.raises(
-        EngineUnavailable, match=r"started 2 processes, but MPI sees 3: .* use /bin/mpiexec"
+        EngineUnavailable, match=r"started 2 processes, but MPI finds 3, .* use /bin/mpiexec"
     ):
         mpi.join()
 

@@ -241,7 +241,7 @@ def test_uncached_code_is_compiled_in_every_process(capsys: pytest.CaptureFixtur
     assert third(3.0) == 1.0
     said = capsys.readouterr().err
     assert said.startswith(
-        "compiling what has no file, in every process, for there is no folder to keep it in"
+        "compiling what has no file, in every process, because no folder is writable"
     )
     assert said.endswith(": about 3 s\n")
 

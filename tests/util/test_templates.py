@@ -53,9 +53,9 @@ def test_errors_of_a_template_name_its_values():
     assert [each for _, each in caught.value.faults] == [
         f"there is no placeholder {name!r}; there are version" for name in "cz"
     ]
-    assert fault("a\n{% if %}").startswith("line 2 is not in the form of Jinja2: ")
+    assert fault("a\n{% if %}").startswith("line 2 is not valid Jinja2: ")
     message = fault('{% include "nowhere" %}')
-    assert message.startswith("can include no 'nowhere'; there are ")
+    assert message.startswith("cannot include 'nowhere'; there are ")
     assert "in.column" in message
     assert fault("{{ 1 / 0 }}") == "cannot be filled in: division by zero"
 
@@ -86,7 +86,7 @@ class Secret:
 
 
 def test_a_template_can_only_read_its_values():
-    closed = "asks for something that is closed to it"
+    closed = "uses something that templates cannot access"
     named = SimpleNamespace(word="open")
     assert render_text("{{ value.word }}", "template", value=named) == "open"
     assert render_text("{{ value.word }}", "template", value=Secret()) == "swordfish"

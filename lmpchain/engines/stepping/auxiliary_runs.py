@@ -1,9 +1,9 @@
 """Auxiliary runs: native runs with other steps, whose differences estimate the error of a run.
 
 Auxiliary runs have steps 2h and 4h, because the rate at which differences shrink gives the error.
-If 4h is too long, there is one run with 2h; if 2h is too long, there is one with h/2. If contacts
-open again and again, or only touch at rest, errors scatter and two runs may agree by chance. Then
-there is one more run, with about 1.5h.
+If steps 4h are too long, there is one run with 2h; if steps 2h are too long, there is one with h/2.
+If contacts open again and again, or only touch at rest, errors scatter and two runs may agree by
+chance. Then there is one more run, with about 1.5h.
 
 The estimate of the largest relative error of an answer with steps h is
 
@@ -14,40 +14,45 @@ The estimate of the largest relative error of an answer with steps h is
 with b = 2 dn if there is an auxiliary run with 1.5 h, else b = d24 / (r2^p - r1^p). A single
 auxiliary run, with 2 h or h / 2, shows no rate: then the truncation error is 2 d12, or
 2 d12 / (r1^p - 1) with equal steps if no contact opens. If equal steps press contacts far beyond
-their overlap at rest, the contacts were nearly open at first: a part of the error falls only as
-h^2. With the share s of d12 that follows from the gain, the truncation error is then at least
+their overlap at rest, the contacts were nearly open at first, and a part of the error falls only
+as h^2. If this part is a share s of d12, the truncation error is at least
 2 d12 ((1 - s) / (r1^p - 1) + s / (r1^2 - 1)).
 
 ========  ==========  =========================================================================
 symbol    variable    meaning
 ========  ==========  =========================================================================
-d12       fine        distance of the answer from an auxiliary run with steps r1 h = 2 h, over the
-                      largest motion
-d24       coarse      distance of that run from the one with steps r2 h = 4 h
-dn        nearby      distance of the answer from the run with 1.5 h, if errors may scatter; over
-                      1.5^p - 1 if no contact opened
+d12       fine        largest distance of the answer from an auxiliary run with steps r1 h = 2 h,
+                      relative to the largest motion
+d24       coarse      the same distance between the auxiliary runs with r1 h and r2 h = 4 h
+dn        nearby      the same distance of the answer from the run with 1.5 h, if errors may
+                      scatter; divided by 1.5^p - 1 if no contact opened
 r1, r2    ratios      steps of the auxiliary runs over h
 p         order       trusted order of convergence, see `AuxiliarySteps.truncation`
-g         gain        observed ratio of the errors with steps r1 h and h:
+g         gain        observed ratio of the errors with steps r1 h and h,
                       (d24 / d12)^(ln r1 / ln(r2 / r1)), at most r1^p, and at least 1.5 for steps
-                      of twice the length; g^(ln r / ln r1) if kinks of a force end steps, where r,
-                      `least_ratio`, is the smallest ratio of steps between two kinks
-s         share       (r1^p - g) / (r1^p - r1^2), the part of d12 that falls with h^2, at most 1
+                      of twice the length. If kinks of a force end steps, g^(ln r / ln r1) replaces
+                      it, where r (`least_ratio`) is the smallest ratio of steps between two kinks
+s         share       (r1^p - g) / (r1^p - r1^2), at most 1
 eps       EPSILON     unit in the last place (ulp) of 1
-n, w(n)   rounding    evaluations of the force, and their rounding error in ulps: sqrt(n), or
+n         evaluations number of evaluations of the force
+w(n)      rounding    rounding error of n evaluations in ulps: sqrt(n), or
                       max(sqrt(n k), n / (8 k)) if contacts open, see `rounding`
 k         flights     path of the fastest grain in free flight, over the largest displacement
 omega T   radians     phase of the fastest motion in the duration
-A         amplified   amplification of one ulp by the scene, see `rounding`; near the tolerance, or
-                      with a given step if it exceeds the truncation error, it and the rounding of
-                      free flights are 2 times the distance of runs with the steps of the answer
-                      whose initial values differ by one ulp
+A         amplified   amplification of one ulp by the scene, see `rounding`
+D         rates       largest damping rate of a grain, 1/s; 0 without damping
+x, v      size        largest displacement, m, and largest velocity, m/s, of the answer
 ========  ==========  =========================================================================
 
-The estimate of a trajectory is e or 2, see `ErrorEstimate`. Step control uses e, however large.
+The product w(n) A may be far above the amplified rounding error. If it decides whether the
+tolerance is met, or exceeds the truncation error of a given step, runs with the steps of the
+answer measure the error instead. Their initial values differ by one ulp, and the estimate is twice
+the largest distance of their solutions from the answer.
 
-Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; the
-observed rate is that of Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
+`ErrorEstimate` limits the estimate of a trajectory to 2. Step control uses e without a limit.
+
+Sources: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, section II.4; for
+the observed rate, Roache, Annu. Rev. Fluid Mech. 29, 123 (1997).
 """
 
 from __future__ import annotations
@@ -71,29 +76,36 @@ from ...util.arrays import Array
 class OpeningOrder:
     """Effect of contact openings on the order of a method.
 
-    Measured by analysis/calibration/richardson_estimate.py.
+    The values are measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
     near : float
-        Strain r / eps below which the force of a contact is not a smooth function of time; -1 is an
-        opening.
-    order, coarse_order, equal_order : float
-        Largest trusted orders if contacts open: with steps that shorten near openings, with coarse
-        steps there, and with equal steps.
+        Strain r / eps, the change of an overlap over the overlap at rest, below which the force of
+        the contact is not a smooth function of time. The contact opens at -1.
+    order : float
+        Largest trusted order if contacts open and steps shorten near openings.
+    coarse_order : float
+        Largest trusted order if contacts open and steps near openings are coarse.
+    equal_order : float
+        Largest trusted order if contacts open and all steps are equal.
     scattered_order : float
-        Order assumed for differences of runs with equal steps if contacts open. Errors scatter with
-        the place of the opening in its step, and two runs may agree by chance.
+        Order assumed for differences of runs with equal steps if contacts open. The errors depend
+        on the time within a step at which a contact opens, and two runs may agree by chance.
     far : float
-        Strain from which a contact counts as nearly open at first, with equal steps.
+        Largest strain above which a contact counts as nearly open at first, with equal steps.
     kinked_below : float
-        Smallest onset power of a force, as a function of the overlap, without a kink at an opening.
+        Onset exponent of a force law, as a function of the overlap, below which the force has a
+        kink at an opening.
     returning : float
         Phase of the fastest motion for each grain, rad, after which waves return to contacts that
         have opened, so that errors scatter.
-    nearby, nearby_kinked : float
-        Ratio of the step of the auxiliary run for scattered errors to that of the answer; for
-        smooth forces and for forces with kinks.
+    nearby : float
+        Ratio of the step of the auxiliary run for scattered errors to the step of the answer, for
+        a force without a kink at an opening.
+    nearby_kinked : float
+        Ratio of the step of this auxiliary run to the step of the answer, for a force with a kink
+        at an opening.
     """
 
     near: float = -0.5
@@ -132,11 +144,13 @@ class AuxiliarySteps:
     Parameters
     ----------
     method : Method
+        Integration method of all runs.
     scenes : sequence of R scenes
+        Scenes that are computed together.
     steps : Steps
         Steps of the answer.
     twins : int
-        Number of runs beside the answer that have its steps.
+        Number of further runs with the steps of the answer.
 
     Attributes
     ----------
@@ -146,11 +160,13 @@ class AuxiliarySteps:
         Steps of the auxiliary runs.
     ratios : tuple of float
         Ratios of the mean steps of the auxiliary runs to those of the answer.
-    against, strides : (S,) arrays
-        For each of the S runs beside the answer: the run with which it is compared (0: the answer;
-        from 1: one of the S runs), and the number of samples between comparisons.
+    against : (S,) array of int
+        Number of the run with which each of the S twins and auxiliary runs is compared: 0 for the
+        answer, 1 to S for the twins and auxiliary runs.
+    strides : (S,) array of int
+        Number of samples from one comparison of each of the S runs to the next.
     together : int
-        All runs land on every sample of this multiple.
+        Number of samples after which all runs land on the same sample again.
     recurrent : list of R bool
         Whether contacts may open again and again, so that errors scatter.
     """
@@ -179,8 +195,8 @@ class AuxiliarySteps:
     def compare_energies(self, balance: Array) -> Array:
         """Return the largest differences between energies of the runs, (S, R, 2) J.
 
-        `balance` has the energies of the answer or its twin, then of the auxiliary runs,
-        (S + 1, R, T, 2) J.
+        `balance`, (S + 1, R, T, 2) J, has the energies of the answer or of its twin first, and then
+        the energies of the S auxiliary runs.
         """
         against = [*range(len(self.schedules) - self._nearby), *[0] * self._nearby]
         final = balance.shape[2] - 1
@@ -202,12 +218,12 @@ class AuxiliarySteps:
         real : int
             Number of the realisation, from 0.
         distances : sequence of S pairs
-            Largest distances in displacements and velocities, relative to the motion, as in
-            `against`.
+            Largest distance in displacements and in velocities of each auxiliary run from the run
+            that `against` names, relative to the largest motion.
         order : float
-            Trusted order.
+            Trusted order of convergence.
         opens : bool
-            Whether contacts open or nearly so.
+            Whether a contact opens or nearly opens.
         """
         proper = len(self.schedules) - self._nearby
         # Errors scatter if contacts open; otherwise this distance also converges with the order.
@@ -230,8 +246,8 @@ class AuxiliarySteps:
     def _ratio_between_corners(self, scene: Scene) -> float:
         """Return the smallest step ratio of the first auxiliary run and the main run.
 
-        All runs end steps on kinks of the forcing, so that the ratio of the steps between two kinks
-        is a ratio of two whole numbers.
+        All runs end steps on kinks of the forcing. Between two kinks each run makes a whole number
+        of steps, so that the ratio of the steps differs from the nominal ratio.
         """
         if not scene.corners or not self.answer.adaptive:
             return self.ratios[0]
@@ -245,7 +261,7 @@ class AuxiliarySteps:
     def _orders(self, real: int, order: float, opens: bool) -> tuple[float, float]:
         """Return the orders of the error and of its slowest part, used for the extrapolation.
 
-        A method of order 2 keeps its order at openings.
+        A method of order 2 does not lose order at openings.
         """
         if self.answer.adaptive or self._method.order <= OPENINGS.equal_order:
             return order, order
@@ -260,7 +276,8 @@ def _arrange(
 ) -> tuple[tuple[Steps, ...], tuple[float, ...], NDArray[np.int64], NDArray[np.int64], int]:
     """Return `schedules`, `ratios`, `against`, `strides` and `together` of `AuxiliarySteps`.
 
-    The steps are longer by these ratios, or half as long if there are none.
+    The steps of the auxiliary runs are longer than those of the answer by the factors `longer`, or
+    half as long if `longer` is empty.
     """
     schedules = tuple(answer.longer(ratio) for ratio in longer) or (answer.halved,)
     ratios = tuple(answer.total(final) / schedule.total(final) for schedule in schedules)
@@ -273,11 +290,12 @@ def _arrange(
 
 
 def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
-    """Return the step ratios of auxiliary run and main run: 2 and 4, 2 alone, or an empty tuple.
+    """Return the step ratios of auxiliary run and main run: 2 and 4, 2 alone, or an empty list.
 
-    There are none if longer steps are unstable or too few. If damping ends the motion within a few
-    samples, only the first of them show the error, and auxiliary runs must land on every sample:
-    then a ratio of 3 is allowed, but there must be two runs, and no kinks of the forcing.
+    The list is empty if longer steps are unstable or too few. If damping ends the motion within a
+    few samples, only these samples show the error, and auxiliary runs must land on every sample.
+    Then a ratio of 3 is allowed, but the list is empty if there is only one stable ratio or if the
+    forcing has kinks.
     """
     if answer.total(scene.intervals) < FEWEST_STEPS:
         return []
@@ -298,8 +316,8 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
 def recurs(scene: Scene) -> bool:
     """Return whether contacts may open so often, by reflections or forcing, that errors scatter.
 
-    If the force has a kink at openings, one opening is enough. Contacts that only touch at rest
-    open and close from the beginning.
+    If the force law has a kink at openings, a single opening makes errors scatter. Contacts that
+    touch at rest without a load open and close from the beginning.
     """
     # A forcing, or a strike of many grains, opens contacts again without a reflection.
     crossed = 1
@@ -320,14 +338,15 @@ def recurs(scene: Scene) -> bool:
 class Trust:
     """Trust in the differences between runs.
 
-    Measured by analysis/calibration/richardson_estimate.py.
+    The values are measured by analysis/calibration/richardson_estimate.py.
 
     Attributes
     ----------
     safety : float
         Factor on the extrapolated error, and on the distance from an auxiliary run with 1.5 h.
     least_gain : float
-        Smallest gain for steps of twice the length. Differences that shrink by less show no order.
+        Smallest assumed ratio of the errors with steps 2h and h. Differences that shrink by a
+        smaller factor show no order of convergence.
     settled : float
         Largest difference for which a single auxiliary run shows the error with the full order.
     """
@@ -354,19 +373,26 @@ def estimate_truncation(
     Parameters
     ----------
     distances : sequence of one or two float
-        Relative distances d12 and d24, or d12 alone.
-    ratios : sequence of as many float
-        Ratios of the steps of these runs to those of the answer; below 1 for shorter steps.
+        Relative distances d12 and d24 of the module docstring, or d12 alone.
+    ratios : sequence of one or two float
+        Ratios of the steps of the auxiliary runs to the steps of the answer; below 1 for shorter
+        steps.
     order : float
-        Trusted order.
+        Trusted order of convergence.
     nearby : float
         Distance dn; 0 without an auxiliary run with 1.5 h.
     settled : bool
         Whether the force is a smooth function of time, so that the order is certain.
     slow_order : float
-        Lowest order that a part of the error may have.
+        Lowest order of convergence of any part of the error.
     least_ratio : float
-        Smallest ratio r of the steps of the first auxiliary run; 0: ratios[0].
+        Smallest ratio r of the steps of the first auxiliary run and of the answer between two
+        kinks of the forcing; 0 if it is ratios[0].
+
+    Returns
+    -------
+    float
+        Estimated error relative to the largest motion; infinite if an auxiliary run broke down.
     """
     fine = distances[0]
     if not math.isfinite(fine):

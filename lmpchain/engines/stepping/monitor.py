@@ -1,8 +1,8 @@
 """Monitor of a run: estimates its error from auxiliary runs with other steps.
 
-An engine that rounds differently from the native one also has a native twin, a native run with the
-same steps. In exact arithmetic twin and answer are equal, so that their distance is the rounding
-error.
+A run of an engine that rounds differently from the native engine also has a native twin, which is a
+native run with the same steps. In exact arithmetic the twin and the answer are equal, so that the
+distance between them is the rounding error.
 """
 
 from __future__ import annotations
@@ -53,11 +53,12 @@ class JudgingTimes:
     Attributes
     ----------
     begin_s : float
-        Expected time of the steps before the first look, s.
+        Shortest expected wall time of the steps after which a run is judged, s.
     apart : float
-        Ratio of the times of two successive looks.
+        Ratio of two successive times at which a run is judged.
     window : float
-        Ratio of the time of a look to the time since which the growth of errors is measured.
+        Ratio of the time at which a run is judged to the earlier time with which its error is
+        compared, to measure how fast the error grows.
     steepest : float
         Largest power of time with which errors are extrapolated.
     """
@@ -89,22 +90,26 @@ class Monitor:
     native : NativeStepper
         Stepper of the answer or of its twin, and of the auxiliary runs.
     auxiliary : AuxiliarySteps
+        Steps of the auxiliary runs, and their comparison.
     method : Method
+        Integration method of all runs.
     scenes : sequence of R scenes
+        Scenes that are computed together.
     proposal : Proposal
+        Proposed steps of the run, with the tolerance.
 
     Attributes
     ----------
     initial : two (R, N) arrays
         Displacements and velocities at t = 0, m and m/s.
     runs : int
-        Number of runs beside the answer.
+        Number of twins and auxiliary runs.
     together : int
-        All runs land on every sample of this multiple.
+        Number of samples after which all runs land on the same sample again.
     sample : int
-        Last sample that was compared.
+        Last sample at which the runs were compared; -1 before the first comparison.
     seconds : float
-        Time spent, s.
+        Wall time spent on comparisons and on measurements of the rounding error, s.
     """
 
     # Number of additional runs with the steps of the main run.
@@ -178,7 +183,8 @@ class Monitor:
     def choose_looks(self, work_s: float, together: int) -> frozenset[int]:
         """Return the samples for judging a run of this expected time, s: multiples of `together`.
 
-        The first one is early if the scene may be unpredictable.
+        `work_s` is the expected wall time of the steps, s. If the scene may be unpredictable, the
+        run is judged at the first possible sample, too.
         """
         intervals = self._scene.intervals
         looks = place_looks(work_s, intervals, together)
@@ -198,7 +204,7 @@ class Monitor:
         Raises
         ------
         RunFailed
-            If the answer is one of them.
+            If the grains of the answer are too close.
         """
         closest = self.native.closest()
         if closest.max() <= self._sure_approach:
@@ -295,8 +301,8 @@ class Monitor:
     ) -> ErrorBudget:
         """Return the estimate for one realisation from the S pairs of distances between its runs.
 
-        `size` is its largest displacement and velocity, m and m/s, and `opens` says whether a
-        contact opened or nearly so.
+        `size` has the largest displacement, m, and the largest velocity, m/s, of the realisation.
+        `opens` is true if a contact opened or nearly opened.
         """
         scene = self._scenes[real]
         if scene.recorded[0] > scene.chain.movable:
@@ -351,7 +357,7 @@ class Monitor:
         """Return whether to measure the rounding error by runs that take several times as long.
 
         `touching` is the part of the rounding error that these runs cannot reduce, and `bound` is
-        the estimate without them.
+        the estimate without these runs; both are relative to the largest motion.
         """
         tolerance = self._proposal.tolerance
         if tolerance == math.inf:
@@ -372,7 +378,9 @@ class Monitor:
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return the dissipated energy and the work of the forcing, with their errors.
 
-        The energies of an answer that is not native are those of its twin.
+        If another engine computed the answer, the energies are taken from its native twin. The
+        list has one dictionary of (T,) arrays, J, for each realisation. It is empty if the chain
+        has no damping, or if its ground changes in time.
         """
         balance = self.native.balance
         if not balance.size:
@@ -409,8 +417,8 @@ class Monitor:
     def outlook(self) -> list[ErrorBudget]:
         """Return the error of every realisation, extrapolated to the end of the run.
 
-        Truncation errors are extrapolated by the power of time with which they grew recently.
-        Amplified rounding counts if it is far beyond the tolerance.
+        A truncation error is extrapolated with the power of time at which it grew recently. The
+        amplified rounding error is included if it is far above the tolerance.
         """
         samples = self.sample + 1
         scale = self._scale()
@@ -447,7 +455,8 @@ class Monitor:
     def _may_grow(self, real: int, evaluations: float, size: float) -> bool:
         """Return whether rounding could be amplified beyond a size relative to the motion.
 
-        Waves must return to contacts that may open, and the run must be long enough.
+        Rounding errors are amplified only if waves return to contacts that may open, and if the run
+        is long enough.
         """
         # Strong waves are amplified even if no contact opens after all.
         recurs = self._auxiliary.recurrent[real]
@@ -505,8 +514,8 @@ class TwinMonitor(Monitor):
     def choose_looks(self, work_s: float, together: int) -> frozenset[int]:
         """Return no samples, because the run is judged only at its end.
 
-        Heights round by the same amount however small the motion, and the motion may still grow, so
-        that an early estimate is of no use. Also, a native trial was judged before.
+        The rounding error of the heights does not depend on the size of the motion, which may still
+        grow: an early relative error would be too large. Also, a native trial was judged before.
         """
         return frozenset()
 
@@ -538,7 +547,7 @@ class TwinMonitor(Monitor):
     ) -> tuple[float, Array]:
         """Return the rounding error, and the amplified one at each sample, (T,).
 
-        The distance from the twin is the measured rounding error, amplification included.
+        The distance from the twin measures the rounding error, including its amplification.
         """
         amplified = (self._differences[0, :, real] / size).max(-1)
         return self._round(real, size, evaluations, flights) + max(distances[0]), amplified

@@ -1,8 +1,8 @@
 """Rounding errors of native runs, and their amplification by a scene.
 
-Waves that are reflected through opening contacts amplify rounding errors (their finite-time
-Lyapunov exponent is above 0), and no step prevents it. Native runs from slightly different initial
-values measure the amplification.
+Waves that pass again and again through opening contacts amplify rounding errors (the finite-time
+Lyapunov exponent of the motion is above 0), whatever the step size. Native runs from slightly
+different initial values measure the amplification.
 """
 
 from __future__ import annotations
@@ -30,20 +30,21 @@ class Rounding:
     Attributes
     ----------
     phase : float
-        Error of the phase of the fastest motion for each radian, because masses, stiffnesses and
-        fractions of a step are rounded.
+        Phase error of the fastest motion for each radian of its phase, because masses, stiffnesses
+        and fractions of a step are rounded.
     drift : float
         Rounding bias for each evaluation of the force in free flight, where equal steps round to
         one side.
     plain : float
-        Error for each step, in units of the force at rest, which the plain form of the force
-        subtracts.
+        Error of the force for each step, in units of the force at rest: the plain form of the force
+        is computed as a difference from the force at rest.
     interpolated : float
-        Error of interpolated velocities for each mean step, in units of the displacement, because
-        velocities between steps are differences of displacements.
+        Error of an interpolated velocity, in units of the largest displacement per mean step,
+        because velocities between steps are differences of displacements.
     reduced : float
-        Error of the velocity of a damped chain, in units of the velocity that damping alone gives:
-        the velocity is the sum of this one and of the reduced velocity.
+        Error of the velocity of a damped chain, in units of the largest damping rate times the
+        largest displacement: `chain.damping` computes the velocity as a reduced velocity plus a
+        damping term.
     """
 
     phase: float = 1.5
@@ -59,18 +60,18 @@ ROUNDING = Rounding()
 def accumulate(evaluations: float, flights: float = 0.0) -> float:
     """Return the accumulated rounding error of force evaluations, in units in the last place.
 
-    While grains touch, the error is a random walk of n evaluations, sqrt(n). The velocity of a
-    grain that is pushed for a time t/k and then flies freely has the error of sqrt(n/k)
-    evaluations, and the grain flies k times as far: sqrt(n k). Equal steps round the position of a
-    flying grain to the same side: drift n for a flight during the whole run, and drift n/k for a
-    grain that flies so far in the kth part of the time.
+    While grains touch, the error is a random walk of n evaluations, sqrt(n). A grain that is pushed
+    during the fraction 1/k of the run has a velocity error of sqrt(n/k); if it then flies freely,
+    it flies k times as far, and the error of its position grows to sqrt(n k). Equal steps also
+    round the position of a flying grain to one side. A flight lasts for n / k evaluations, and
+    these rounding errors add up to `ROUNDING.drift` n / k.
 
     Parameters
     ----------
     evaluations : float
-        The number n of evaluations.
+        Number n of force evaluations.
     flights : float
-        The ratio k of the path of the fastest grain to the largest displacement; 0 if no contact
+        Ratio k of the path of the fastest grain to the largest displacement; 0 if no contact
         opens.
     """
     if not flights:
@@ -101,9 +102,9 @@ def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> fl
     evaluations : float
         Number of evaluations of the force.
     radians : float
-        Phase of the fastest motion.
+        Phase of the fastest motion during the run, rad.
     flights : float
-        See `accumulate`.
+        Ratio of the path of the fastest grain to the largest displacement, as in `accumulate`.
     """
     walk = accumulate(evaluations, flights)
     return EPSILON * (2 + walk + ROUNDING.phase * radians)
@@ -112,8 +113,8 @@ def native_floor(evaluations: float, radians: float, flights: float = 0.0) -> fl
 def plain_loss(scene: Scene, steps: float) -> float:
     """Return the rounding error of the velocity by the plain form of the force, m/s.
 
-    The rounding error of the force at rest is an acceleration a = 0.9 EPSILON F_n / m of random
-    sign at every step. The velocity then has the error a sqrt(duration h).
+    Rounding of the force at rest F_n adds an acceleration a = 0.9 EPSILON F_n / m of random sign in
+    every step of length h. The error of the velocity is then a sqrt(duration h).
     """
     return ROUNDING.plain * EPSILON * scene.chain.load_over_mass * scene.duration / math.sqrt(steps)
 
@@ -129,12 +130,13 @@ def interpolation_loss(steps: float, flights: float = 1.0) -> float:
 def reduced_loss(scene: Scene, displacement: float, closer: float) -> float:
     """Return the rounding error of the velocity of a damped chain, m/s.
 
-    The velocity is v = w + b(x) - gamma x, see `chain.damping`. In a slow motion v is small, but
-    the rounding errors of w, b and gamma x are not.
+    The velocity is v = w + b(x) - gamma x, see `chain.damping`. In a slow motion v is much smaller
+    than w, b and gamma x, and so the relative rounding error of v is large.
 
     Parameters
     ----------
     scene : Scene
+        Scene with a damped chain.
     displacement : float
         Largest displacement, m.
     closer : float
@@ -161,28 +163,31 @@ class DigitGrowth:
     Attributes
     ----------
     digit : float
-        Unit of a change at t = 0, relative to the largest motion: a few ulps of a double.
+        Unit of a change at t = 0, relative to the largest motion: a few ulps of 1.
     changes : tuple of float
-        Changes at t = 0, in units of `digit`. Several are tried, because the growth of a single one
-        scatters by a factor of ten.
+        Changes at t = 0, in units of `digit`. Several changes are tried, because the growth of a
+        single one scatters by a factor of ten.
     repeats : tuple of float
-        Changes at t = 0, in ulps of 1, of runs with the steps of the answer. These runs round
-        differently from the answer, and the changes themselves matter less.
+        Changes at t = 0, in ulps of 1, for runs with the steps of the answer. The changes make the
+        runs round differently from the answer; their sizes hardly matter.
     reach : float
-        omega h of runs by velocity Verlet, which must be stable but need not be accurate.
+        Phase step omega h of the runs that measure growth by velocity Verlet. These runs must be
+        stable but need not be accurate.
     shorter : float
         Factor by which the steps of these runs are shortened once if a run breaks down.
     rate : float
-        Upper bound on the growth exponent for each radian of the fastest motion. Nothing is
+        Upper bound on the growth exponent for each radian of the fastest motion. The growth is not
         measured if a change remains negligible at this rate.
     broken : float
-        Relative distance of two runs beyond which one has broken down, because two runs within the
-        largest motion are never so far apart.
+        Distance of two runs, over the largest motion, beyond which one of them has broken down. Two
+        sound runs differ by at most 2.
     safety : float
-        Factor on the distance of runs with the steps of the answer, which scatters.
+        Factor on the distances of runs with the steps of the answer, because these distances
+        scatter.
     pessimism : float
-        Largest ratio of the product of random walk and growth to the amplified rounding error. Up
-        to this ratio, runs with the steps of the answer decide whether the tolerance is met.
+        Factor by which the product of random walk and growth may exceed the amplified rounding
+        error. If the product exceeds the tolerance by less than this factor, runs with the steps of
+        the answer decide whether the tolerance is met.
     """
 
     digit: float = 1e-15
@@ -202,8 +207,8 @@ GROWTH = DigitGrowth()
 def perturb(scene: Scene, change: float) -> Scene:
     """Return the scene with velocities changed by a fraction of the largest, in alternating sign.
 
-    Without initial velocities the displacements are changed. A force or motion after t = 0 is
-    scaled.
+    If there are no initial velocities, the displacements are changed. If a force or a drive acts
+    after t = 0, it is scaled by 1 + `change` instead.
     """
     if scene.excitation.does_work:
         return scene.replace(excitation=scene.excitation.scaled(1 + change))
@@ -227,17 +232,20 @@ def separate(
     Parameters
     ----------
     scene : Scene
+        Scene of the unchanged run.
     changes : sequence of C float
-        See `perturb`.
-    method, schedule
-        Of all runs, which land on every sample. Their truncation errors are the same.
+        Relative changes of the initial values, as in `perturb`.
+    method : Method
+        Integration method of all runs.
+    schedule : Steps
+        Steps of all runs, which land on every sample, so that all truncation errors are the same.
     enough : float
         Distance at which the runs end; later samples get the last distance.
 
     Returns
     -------
     (C, T) array
-        The larger one of the distances in displacement and velocity, over the largest motion.
+        Larger of the distances in displacement and in velocity, over the largest motion.
     """
     batch = ChainBatch([scene, *(perturb(scene, change) for change in changes)])
     stepper = NativeStepper(batch, method, schedule, {})
@@ -277,7 +285,8 @@ def could_grow(scene: Scene, evaluations: float) -> float:
 def amplify_rounding(scene: Scene, evaluations: float) -> Array:
     """Return the amplified rounding error of force evaluations at each sample, (T,).
 
-    It is relative to the largest motion. Measuring it takes a fraction of the time of the answer.
+    The error is relative to the largest motion. The measurement takes a fraction of the time of the
+    answer.
     """
     return count_digits(evaluations) * grow_digit(scene)
 
@@ -302,8 +311,8 @@ def grow_digit(scene: Scene, enough: float = math.inf) -> Array:
 def repeat_rounding(scene: Scene, method: Method, steps: Steps) -> Array:
     """Return the rounding error of an answer at each sample, (T,), from runs with its steps.
 
-    The initial values of these runs differ by one ulp, so that they round differently. They take
-    several times the time of the answer.
+    The initial values of these runs differ by about one ulp, so that the runs round differently.
+    Together the runs take several times the time of the answer.
     """
     changes = EPSILON * np.array(GROWTH.repeats)
     distances = separate(scene, changes.tolist(), method, steps.sampled)

@@ -31,16 +31,19 @@ class SteppingRun(Run):
     steppers : mapping
         Steppers by the name under which their state is stored; the stepper of the answer is first.
     monitor : Monitor
+        Monitor that estimates the errors.
     method : Method
+        Integration method of all runs.
     scenes : sequence of R scenes
-        The computed scenes: one, or a batch of like ones.
+        Scenes that are computed: one scene, or a batch of scenes that differ only in numbers.
     asked : Scene
-        The first requested scene. The computed one is upside down if it is driven from below.
+        First requested scene. If it is driven from below, the computed scene is upside down.
     proposal : Proposal
+        Proposed steps of the run.
     state : mapping, optional
-        Arrays that `state` returned.
+        Arrays that the method `state` of an interrupted run returned.
     work_s : float
-        Expected time of the steps, s, which decides when the run is judged on the way.
+        Expected wall time of the steps, s, from which the times of judging the run follow.
     began : float
         Time of `util.compilation.clock` before the steppers were made, s.
     """
@@ -134,7 +137,7 @@ class SteppingRun(Run):
     def _end_of_block(self, final: int) -> int:
         """Return the last sample of the next block.
 
-        Blocks end where all runs land on a sample together.
+        A block ends at a sample on which steps of all runs end.
         """
         begin = max(self._sample, 0)
         fit = min(self._longest_block, int(BLOCK_S / self._sample_s))
@@ -177,7 +180,7 @@ class SteppingRun(Run):
     def cost(self) -> Cost:
         """Return the cost so far.
 
-        Steps and evaluations are those of the realisation with the most steps.
+        The numbers of steps and of evaluations are those of the realisation with the most steps.
         """
         steps = int(max(self._answer.steps.tolist()))
         integration_s = self._answer.own_part * self._seconds[0]

@@ -1,8 +1,9 @@
 """The choice of the first step, and the step of the next attempt.
 
-The error of a method of order p is C (omega h)^p at the phase for which its `error_constant` C is
-given. It grows in proportion to time, and with the strain beyond which contacts open. The first
-step makes the error half the tolerance. The next step follows from the error estimate e,
+The error of a method of order p with steps h is C (omega h)^p for a run of 60 rad of the fastest
+motion omega, where C is the `error_constant` of the method. The error grows in proportion to longer
+times, and with the strain if contacts may open. The first step is chosen so that the expected error
+is half the tolerance. The next step h' follows from the error estimate e,
 
     h' = h (0.7 tolerance / e)^(1/p),
 
@@ -32,23 +33,31 @@ class FirstStep:
     Attributes
     ----------
     radians : float
-        Phase of the fastest motion for which `Method.error_constant` is given.
-    longest, longest_opening, longest_damped : float
-        Longest step over the stability limit: if no contact can open, if contacts may open, and if
-        contacts may open in a damped chain.
+        Phase of the fastest motion, rad, for which `Method.error_constant` is given.
+    longest : float
+        Longest step over the stability limit of the method, if no contact can open.
+    longest_opening : float
+        Longest step over the stability limit, if contacts may open.
+    longest_damped : float
+        Longest step over the stability limit, if contacts may open in a damped chain.
     foreseen : float
-        Smallest tolerance for which the first step is predicted if nothing bounds the strain. For a
-        smaller tolerance, the error of the first attempt determines the step.
+        Smallest tolerance for which the first step is predicted if the strain has no upper bound.
+        For a smaller tolerance, the error of the first attempt determines the step.
     safe_strain : float
         Largest strain for which no contact comes near to opening.
-    opening_error, largest_opening_error : float
-        Factor on the error if contacts open a little and steps are shorter there, and its upper
-        bound. The factor grows with the square root of the strain.
-    damped_opening_error, largest_damped_opening_error : float
-        The same two in a damped chain, whose method has nearly no error if no contact opens. The
-        factor grows with the strain; analysis/damping_cost.py.
+    opening_error : float
+        Factor on the error if contacts open a little and steps are shorter near openings. The
+        factor grows with the square root of the strain.
+    largest_opening_error : float
+        Upper bound on this factor.
+    damped_opening_error : float
+        Factor on the error if contacts open a little in a damped chain. The factor is large because
+        the method has nearly no error if no contact opens, and it grows with the strain (see
+        analysis/damping_cost.py).
+    largest_damped_opening_error : float
+        Upper bound on the factor in a damped chain.
     equal_error : float
-        Factor on the error if contacts open and steps are equal.
+        Factor on the error if contacts open and all steps are equal.
     coarse_error : float
         Factor on the error if steps near openings are coarse.
     """
@@ -86,15 +95,16 @@ class Interpolation:
     Attributes
     ----------
     error : float
-        Relative error at omega h = 1.
+        Relative error of interpolation at a phase step omega h = 1.
     order : float
-        Order of convergence with the step.
+        Order of convergence of the interpolation with the step.
     evaluations : float
-        Cost of a sample, in evaluations of the force.
+        Cost of interpolating one sample, in evaluations of the force.
     steps : int
-        Smallest number of steps from landing to landing.
+        Smallest number of steps between two landings, which are the steps that end on a sample.
     values : int
-        Largest number of samples times grains between two landings, which are kept in memory.
+        Largest number of samples times grains between two landings, because these samples are
+        stored in memory.
     """
 
     error: float = 3e-8
@@ -111,11 +121,13 @@ class StepControl:
     Attributes
     ----------
     target : float
-        The next error is aimed at this fraction of the tolerance.
+        Expected error of the next attempt, as a fraction of the tolerance.
     roundoff : float
         Fraction of the tolerance that the rounding error must not exceed.
-    least, most : float
-        Bounds on the ratio of the old step to the new one. After a breakdown the ratio is `most`.
+    least : float
+        Lower bound on the ratio of the old step to the new one.
+    most : float
+        Upper bound on this ratio, and the ratio after a breakdown.
     """
 
     target: float = 0.7
@@ -129,8 +141,9 @@ class StepControl:
         Parameters
         ----------
         error : ErrorBudget, optional
-            None if the run broke down.
+            Estimated error of the last attempt; None if the run broke down.
         tolerance : float
+            Requested relative error.
         """
         if error is None:
             return self.most
@@ -168,12 +181,12 @@ def choose_given_step(scene: Scene, method: Method, step: float) -> Steps:
     Raises
     ------
     InputError
-        If the method is unstable at the given step.
+        If the method is unstable at the given step, or if the step is too short to count steps.
     """
     stable = method.stability_limit
     edge = scene.chain.fastest_rate
     if step * edge > stable:
-        why = f"where {method.name} stops being stable on this chain (got {step:g})"
+        why = f"the stability limit of {method.name} on this chain (got {step:g})"
         raise InputError.at("step", f"must be below {stable / edge:.3g} s, {why}")
     interval = scene.sampling_interval
     if not interval / step < MOST_STEPS:
@@ -207,8 +220,11 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
     Parameters
     ----------
     scene : Scene
+        Scene to compute.
     method : Method
+        Integration method.
     tolerance : float
+        Requested relative error.
     adaptive : bool
         Whether steps may be shorter near openings, and may pass over samples.
     """
@@ -237,9 +253,9 @@ def choose_step(scene: Scene, method: Method, tolerance: float, adaptive: bool) 
 def _interpolates(scene: Scene) -> bool:
     """Return whether samples of a scene may be interpolated between steps.
 
-    In the sonic vacuum fronts are so steep that interpolated values may get a wrong sign.
-    Polynomial interpolation also fails at kinks of the applied force, and it takes the rate of all
-    forces, which the kernel of a ground does not compute.
+    In a sonic vacuum, fronts are so steep that interpolated values may have a wrong sign.
+    Polynomial interpolation also fails at kinks of the applied force. In addition, it requires the
+    time derivative of all forces, which the kernel of a ground does not compute.
     """
     acts = scene.excitation.does_work or scene.chain.ground is not None
     return scene.chain.linearisable and not acts
@@ -270,8 +286,8 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
         alone = min(reach / 2, longest * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
-        # All runs end steps on the corners of an applied force. The longest steps of an auxiliary
-        # run must fit between two corners, or corners would cut the steps of all runs alike.
+        # All runs end steps on the kinks of an applied force. The longest steps of an auxiliary
+        # run must fit between two kinks, or kinks would cut the steps of all runs alike.
         spacing = scene.corner_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach
@@ -282,7 +298,8 @@ def _pass_samples(
 ) -> Steps | None:
     """Return steps that pass over samples.
 
-    Return None if interpolated samples would be inaccurate, or too many for the memory.
+    Return None if interpolated samples would be inaccurate, if they would not fit into memory, or
+    if steps would end on every sample.
     """
     smooth = (tolerance / TRUST.safety / INTERPOLATION.error) ** (1 / INTERPOLATION.order)
     rate = phase / min(reach, smooth)  # Number of steps per sample.

@@ -41,11 +41,13 @@ class TimeSteppingEngine(Engine):
     Attributes
     ----------
     monitor : type
-        Class that estimates the errors of the runs.
+        Class of the monitor that estimates the errors of a run.
     adaptive : bool
         Whether steps are shorter near openings and may pass over samples, if the method allows it.
     foreign : tuple of str
-        Methods of other programs, which `lmpchain check` asks for.
+        Integrators of another program that users cannot choose; `lmpchain check` compares them.
+    dissipates : bool
+        Whether the engine computes damped chains.
     """
 
     adaptive: bool = False
@@ -94,7 +96,7 @@ class TimeSteppingEngine(Engine):
     ) -> Stepper:
         """Return the stepper of the main run at t = 0 or at a stored state.
 
-        A native stepper also moves the auxiliary runs.
+        A native stepper also advances the auxiliary runs.
         """
 
     def steppers(
@@ -106,7 +108,7 @@ class TimeSteppingEngine(Engine):
     ) -> dict[str, Stepper]:
         """Return the steppers of a run by the names of their states; the main stepper is first.
 
-        The stepper "native" moves the auxiliary runs and here also the native twin.
+        The stepper "native" advances the native twin and the auxiliary runs.
         """
         twin, *beside = schedules
         method = BY_NAME[proposal.integrator]
@@ -131,7 +133,7 @@ class TimeSteppingEngine(Engine):
         # Years of work come from a wrong unit, such as seconds in place of microseconds.
         if cost_s > LONGEST_RUN_S:
             years = cost_s / 3.15e7
-            cure = "shorten it, or ask for less accuracy"
+            cure = "shorten it, or use a larger tolerance"
             raise InputError.at("duration", f"would take some {years:.1g} years: {cure}")
         return Proposal(
             engine=self.name,
@@ -196,8 +198,8 @@ class TimeSteppingEngine(Engine):
     ) -> Proposal | None:
         """Propose the longest step that the error allows; None if little is gained.
 
-        Auxiliary runs with four times the step must stay stable, because they show the order of
-        convergence. A given step is not changed.
+        Auxiliary runs with four times the step must remain stable, because they show the order of
+        convergence. A step that the user gave is not changed.
         """
         method = BY_NAME[proposal.integrator]
         steps = proposal.steps
@@ -225,7 +227,9 @@ class TimeSteppingEngine(Engine):
     ) -> SteppingRun:
         """Start a run of one scene, or of a batch of scenes that differ only in numbers."""
         if len(scenes) > 1 and len({kind(scene) for scene in scenes}) > 1:
-            raise ValueError("a batch needs chains of one kind and length, recorded alike")
+            raise ValueError(
+                "a batch needs chains of the same kind and length, and equal recording"
+            )
         began = clock()
         method = BY_NAME[proposal.integrator]
         asked = scenes[0]
@@ -248,7 +252,7 @@ class TimeSteppingEngine(Engine):
             # Only a stored state can be the cause.
             if state is None or isinstance(error, InputError):
                 raise
-            why = "does not fit its run, or was changed: run the scene anew"
+            why = "does not belong to its run, or was changed: run the scene anew"
             raise InputError.at("checkpoint", why) from error
 
 
@@ -279,7 +283,7 @@ class CompiledSteps(TimeSteppingEngine):
             evaluations = steps.total(scene.intervals) * method.evaluations
             floor = native_floor(evaluations, scene.total_phase)
             if floor > tolerance:
-                cure = "ask for less"
+                cure = "use a larger tolerance"
                 if self.integrator != "auto" and method.order < METHODS["rkn6"].order:
                     cure = f'use integrator "rkn6", which takes fewer steps, or {cure}'
                 raise ToleranceNotMet(
@@ -294,7 +298,7 @@ class CompiledSteps(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Return the expected rounding error: a random walk, and the loss of a plain force.
 
-        The rounding of the phase is about a quarter of the bound in `native_floor`.
+        The phase error is assumed to be a quarter of the bound in `native_floor`.
         """
         walk = native_floor(steps * self.methods(scene)[0].evaluations, scene.total_phase / 4)
         if force_form(scene, self.force) in PLAIN:

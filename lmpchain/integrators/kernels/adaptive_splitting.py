@@ -1,6 +1,6 @@
 """Kick-drift splittings with an adaptive step size around contacts that open or close, compiled.
 
-`openings` computes by which factor the steps near an opening are shorter.
+`openings` computes the factor by which steps near an opening are shorter.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from .window import look, watch, widen
 def _finish_kick(chain, t, margin, rates):
     """Complete the last kick of the previous step, at time t.
 
-    Stores forces and accelerations in `rates`, and returns the index offset of these forces that
-    `fill_jerk` needs.
+    Forces and accelerations are stored in `rates`. The function returns the argument `beyond` of
+    `fill_jerk`: the difference between the index of a body and the index of its force.
     """
     state = chain.state
     widen(chain, margin)

@@ -1,16 +1,17 @@
 """A kick-drift splitting that records values for its derivatives, and its adjoint, compiled.
 
-The force of a contact less its force at rest is ``f = F [c s + c p + s p]`` with
-``s = r / length`` and ``p = (c + s)^(delta-1) - c``; an open contact (c + s < 0) exerts no force.
-For a contact that is compressed at rest, c is 1, F its force at rest and the length its overlap;
-for a contact that only touches, c is 0, F = K and the length is 1 m. Derivatives with respect to r,
-and to the force at rest and the constant K of a compressed contact, follow from p and f without
-cancellation, for waves of any strength:
+The force of a contact minus its force at rest is ``f = F [c s + c p + s p]`` with
+``s = r / length`` and ``p = (c + s)^(delta-1) - c``; r is the approach of the two bodies from rest,
+and an open contact (c + s < 0) exerts no force. For a contact that is compressed at rest, c is 1, F
+is its force at rest, and the length is its overlap. For a contact that touches without a force, c
+is 0, F = K, and the length is 1 m. Derivatives of f with respect to r, to the force at rest and to
+the constant K of a compressed contact follow from p and f without cancellation, for waves of any
+strength:
 
     df/dr = delta F (c + p) / length,   df/dF = p at fixed K,   df/dK = (f - c F p) / K at fixed F.
 
-For delta = 3/2, f itself is ``F p (3 c + p (3 c + p))``, so that the reverse pass needs only p of
-each contact. Chains are stored in rows of W bodies as in `layout`; a contact has the index of the
+For delta = 3/2, f is ``F p (3 c + p (3 c + p))``, so that the reverse pass needs only p of each
+contact. Chains are stored in rows of W bodies as in `layout`, and a contact has the index of the
 body below it. A row of the run is a kick and a drift. The last kick of a step and the first kick
 of the next step form one row, unless grains are observed between them.
 """
@@ -55,8 +56,10 @@ class Pieces(NamedTuple):
     ----------
     starts : (P+1,) array
         Number of the first row of each piece.
-    looks, rows : (P+1,) arrays
-        Number of the last observation before each piece, and the number of rows since then.
+    looks : (P+1,) array
+        Number of the last observation before each piece.
+    rows : (P+1,) array
+        Number of rows from this observation to the start of each piece.
     states : (P+1, 2, W) array
         Displacements and velocities at the start of each piece.
     windows : (P, 2) array
@@ -73,8 +76,15 @@ class Pieces(NamedTuple):
 class ImposedPath(NamedTuple):
     """The imposed motion or force in each row, and derivatives with respect to it.
 
-    `body` is the index of the driven body, minus the index of the forced body, or 0 if neither
-    exists.
+    Attributes
+    ----------
+    body : int
+        Index of the driven body; minus the index of the body on which a force acts; 0 if nothing is
+        imposed.
+    imposed : (rows,) array
+        Imposed displacement, m, or force, N, in each row.
+    derivative : (rows,) array
+        Derivative of the objective with respect to each imposed value; filled by the reverse pass.
     """
 
     body: int
@@ -87,15 +97,20 @@ class Memory(NamedTuple):
 
     Attributes
     ----------
-    bodies, adjoint : Bodies and Adjoint of (W + PAD,) arrays
-        Arrays of bodies are shifted by one place, so that the body below a contact begins a cache
-        line; sums over contacts are not shifted.
+    bodies : Bodies of (W + PAD,) arrays
+        State of the bodies, shifted by one place, so that the body below a contact begins a cache
+        line.
+    adjoint : Adjoint of (W + PAD,) arrays
+        Derivatives by the state of the bodies, shifted by one place, and sums over contacts, which
+        are not shifted.
     above : Above of (W,) arrays
         Properties of the contact above each body.
-    powers, forces : (rows, W) arrays
-        Stored p and f of contacts.
+    powers : (rows, W) array
+        Stored p of contacts.
+    forces : (rows, W) array
+        Stored f of contacts.
     tops : (2, rows) array
-        p and f of a contact with the top wall that only touches.
+        p and f of a top wall that touches grain 1 without a force at rest.
     room : (5, BURST) array, or longer
         Kicks, drifts and values at the border of a tile, for each row of a burst.
     """
@@ -114,14 +129,21 @@ class Tile(NamedTuple):
 
     Attributes
     ----------
-    begin, end : int
-        First contact, and the contact after the last one, in the first processed row.
-    sooner, shorter : int
-        Number of places by which the start and the end move up with every processed row.
-    top, final : bool
-        Whether the tile is the uppermost one, and whether it is the lowest one.
+    begin : int
+        First contact in the first processed row.
+    end : int
+        Contact after the last one in the first processed row.
+    sooner : int
+        Number of places by which the start moves up with every processed row.
+    shorter : int
+        Number of places by which the end moves up with every processed row.
+    top : bool
+        Whether the tile is the uppermost one.
+    final : bool
+        Whether the tile is the lowest one.
     touches : bool
-        Whether the first contact touches the top wall without compression.
+        Whether the first contact of the tile is a top wall that touches grain 1 without a force at
+        rest.
     """
 
     begin: int
@@ -182,8 +204,8 @@ def _forward(chain, steps, room, path, stretch, looks):
 def forward(chains, steps, room, path, pieces, numbers, looks):
     """Advance the chain of a batch of one through pieces numbers[0] ... numbers[1]-1 of its run.
 
-    The loops are those of the native engine. `path` is the imposed motion or force in each row, or
-    empty, and `room` is (5, BURST) or longer.
+    The function calls the loops of the native engine. `path` is the imposed motion or force in each
+    row, or empty. `room` is scratch space, (5, BURST) or longer.
     """
     chain = chain_of(chains, 0, 0)
     starts = pieces.starts
@@ -324,8 +346,8 @@ def _fill_back(steps, look, row, room, burst):
 def _back_tile(law, path, memory, rows, tile, span):
     """Propagate adjoints back through the contacts of a tile in some rows.
 
-    `span` is the last of these rows, and their number. Rows are processed one by one if a motion or
-    a force is imposed, or if the first contact only touches.
+    `span` contains the number of the last row and the number of rows. Rows are processed one by one
+    if a motion or a force is imposed, or if a top wall touches grain 1 without a force at rest.
     """
     x, momentum, im = memory.bodies
     il, st, stiff = memory.above
@@ -371,8 +393,8 @@ def _back_tile(law, path, memory, rows, tile, span):
 def _backward(law, steps, stretch, looks, path, memory, contacts):
     """Propagate adjoints back through some rows, the last one first.
 
-    The last row is number `stretch.row` after an observation. In the reverse pass a row is the
-    drift before a kick, followed by the kick.
+    `stretch.row` is the number of rows from the last observation to the end of the last row. In the
+    reverse pass a row consists of a kick and the drift before it.
     """
     first, last = contacts
     look, row, done = stretch
@@ -396,8 +418,9 @@ def _backward(law, steps, stretch, looks, path, memory, contacts):
 def backward(law, steps, pieces, numbers, looks, path, memory):
     """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is either undone from its end, or recomputed from its start. `looks` contains
-    derivatives with respect to the observed values; other arguments are as in `forward`.
+    A piece is either undone from its end, or recomputed from its start. `looks` contains the
+    derivatives with respect to the observed values, `path` is an `ImposedPath`, and the other
+    arguments are as in `forward`.
     """
     x, v, im = memory.bodies
     width = pieces.states.shape[2]

@@ -1,14 +1,15 @@
 """A run of a damped chain by DOP853, its adjoint, and its tangent, compiled.
 
-Chains are advanced in displacements and reduced velocities, see `dop853`: stage i is at
+Chains are advanced in displacements x and reduced velocities w, see `dop853`. The displacements at
+stage i of a step h are
 
     z_i = x + c_i h w + sum over j < i of (h^2 (A^2)_ij a_j + h A_ij d_j),
 
-with accelerations a_j and creep d_j at z_j, and the end of a step is a similar sum. Derivatives
-are propagated back through these sums one by one. Forces of contacts and their derivatives are as
-in `adjoint`; a contact has the index of the body below it. The creep of the first stage of a step
-converts between velocities and reduced velocities, at observations and at t = 0. Therefore one
-more first stage is evaluated after the last step.
+with accelerations a_j and creep d_j at z_j, and the state at the end of a step is a similar sum.
+Derivatives are propagated back through these sums one by one. Forces of contacts and their
+derivatives are as in `adjoint`; a contact has the index of the body below it. At observations and
+at t = 0, the creep of the first stage of a step converts between velocities and reduced velocities.
+Therefore one more first stage is evaluated after the last step.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ class Tableau(NamedTuple):
     nodes : (S,) array
         Times of the stages, as fractions of a step.
     inner : (S, S) array
-        A^2.
+        Square of the matrix A: weights of the accelerations in the displacements at the stages.
     weights : (2, S) array
         Weights of the accelerations in the displacement and in the velocity at the end of a step.
     rates : (S, S) array
-        A.
+        Matrix A: weights of the rates in the states at the stages.
     """
 
     nodes: Array
@@ -58,8 +59,8 @@ class StepsAndLooks(NamedTuple):
     lengths : (K,) array
         Lengths of the steps, s.
     look : (K+1,) array
-        Number of the observation before each step, and after the last step; negative if there is
-        none.
+        Number of the observation at the start of each step, and at the end of the last step;
+        negative if grains are not observed there.
     """
 
     lengths: Array
@@ -74,8 +75,8 @@ class Dop853Pieces(NamedTuple):
     starts : (P+1,) array
         Number of the first step of each piece.
     states : (P+1, 2, W) array
-        Displacements and reduced velocities at the start of each piece; complete velocities at an
-        observation.
+        Displacements and reduced velocities at the start of each piece. If grains are observed
+        there, the velocities are complete.
     windows : (P, 2) array
         First body of the window, and the body after its last one, at the end of each piece.
     """
@@ -90,10 +91,18 @@ class Damped(NamedTuple):
 
     Attributes
     ----------
-    inverse_mass, drag : arrays
-        1 / mass, 1/kg, and drag, 1/s, of each body.
-    inverse_length, strength, stiffness, viscosity : arrays
-        Properties of the contact above each body: as in `adjoint_rows.Above`, and A, s.
+    inverse_mass : (W,) array
+        Inverse mass of each body, 1/kg; 0 for a body that is held or driven.
+    drag : (W,) array
+        Drag gamma of each body, 1/s.
+    inverse_length : (W,) array
+        1 / length of the contact above each body, 1/m, see `adjoint`.
+    strength : (W,) array
+        Strength F of the contact above each body, N.
+    stiffness : (W,) array
+        delta F / length of the contact above each body, N/m.
+    viscosity : (W,) array
+        Viscosity A of the contact above each body, s.
     """
 
     inverse_mass: Array
@@ -109,10 +118,14 @@ class DampedSystem(NamedTuple):
 
     Attributes
     ----------
-    law, damped, tableau : Law, Damped, Tableau
-        Contact law, bodies and contacts, and coefficients of the method.
+    law : AdjointForce
+        Parameters of the contact force.
+    damped : Damped
+        Bodies and contacts.
+    tableau : Tableau
+        Coefficients of the method.
     creeps : bool
-        Whether creep needs arrays of its own; otherwise it is `lag` times the acceleration.
+        Whether creep is stored in arrays of its own; otherwise it is `lag` times the acceleration.
     lag : float
         Ratio of creep to acceleration, s.
     """
@@ -127,8 +140,17 @@ class DampedSystem(NamedTuple):
 class StageStates(NamedTuple):
     """Displacements at the stages of one or several steps, (S, W), and p and f of contacts.
 
-    For a contact that only touches, the stored p is reduced by 1, because its derivatives are
-    computed by the formula for compressed contacts.
+    The derivatives of a contact that touches without a force at rest are computed by the formula
+    for compressed contacts. The stored p of such a contact is therefore reduced by 1.
+
+    Attributes
+    ----------
+    x : (S, W) array
+        Displacements of the bodies, m.
+    powers : (S, W) array
+        Relative change p of every contact, see `adjoint`.
+    forces : (S, W) array
+        Force f of every contact minus its force at rest, N.
     """
 
     x: Array
@@ -139,7 +161,14 @@ class StageStates(NamedTuple):
 class StageRates(NamedTuple):
     """Accelerations and creep at the stages of a step, or their derivatives, (S, W).
 
-    `rows`, (2 S, W), is the array that contains both.
+    Attributes
+    ----------
+    slopes : (S, W) array
+        Accelerations, m/s2.
+    creeps : (S, W) array
+        Creep, m/s, as defined in `dop853`.
+    rows : (2 S, W) array
+        Array that contains the accelerations and, below, the creep.
     """
 
     slopes: Array
@@ -158,18 +187,31 @@ class AdjointSums(NamedTuple):
 
     Attributes
     ----------
-    x, w : arrays
-        Derivatives with respect to displacements and reduced velocities.
-    power, force, viscosity : arrays
-        Sums over all stages of y p, of y f, and of f times the derivative with respect to the
-        viscous part; y is the derivative with respect to the force of a contact.
-    mass, drag : arrays
-        Derivatives with respect to the mass, by the accelerations, and to the drag, by the creep.
+    x : (W,) array
+        Derivatives with respect to displacements.
+    w : (W,) array
+        Derivatives with respect to reduced velocities.
+    power : (W,) array
+        Sum over all stages of y p for each contact, where y is the derivative with respect to the
+        force of the contact.
+    force : (W,) array
+        Sum over all stages of y f for each contact.
+    viscosity : (W,) array
+        Derivatives with respect to the viscosity of each contact.
+    mass : (W,) array
+        Derivatives with respect to the mass of each body, times minus the mass.
+    drag : (W,) array
+        Derivatives with respect to the drag of each body, times -1.
     stages : (S, W) array
-        Derivatives with respect to the displacements of the stages.
-    pull, creep, pressed, bend : arrays
-        Derivatives with respect to accelerations of a stage, over the mass; to creep; to creep,
-        over the mass; and to the distance of two bodies.
+        Derivatives with respect to the displacements at the stages.
+    pull : (W,) array
+        Derivatives with respect to the accelerations of a stage, over the mass.
+    creep : (W,) array
+        Derivatives with respect to the creep of a stage.
+    pressed : (W,) array
+        Derivatives with respect to the creep of a stage, over the mass.
+    bend : (W,) array
+        Derivatives with respect to the approach of the two bodies of each contact.
     """
 
     x: Array
@@ -191,16 +233,26 @@ class Change(NamedTuple):
 
     Attributes
     ----------
-    x, w : arrays
-        Changes of displacements, m, and of reduced velocities, m/s (of velocities at first);
-        overwritten.
-    mass, constant, force, viscosity, drag : arrays
-        Relative changes of masses; changes of constants, N/m^delta, forces at rest, N, viscosities,
-        s, and drags, 1/s.
+    x : (D, W) array
+        Changes of displacements, m; overwritten.
+    w : (D, W) array
+        Changes of reduced velocities, m/s, and of complete velocities at t = 0; overwritten.
+    mass : (D, W) array
+        Relative changes of masses.
+    constant : (D, W) array
+        Changes of the constants of contacts, N/m^delta.
+    force : (D, W) array
+        Changes of the forces of contacts at rest, N.
+    viscosity : (D, W) array
+        Changes of the viscosities of contacts, s.
+    drag : (D, W) array
+        Changes of the drag of bodies, 1/s.
     path : (D, rows) array
-        Changes of the imposed motion or force.
-    inverse_constant, at_rest : (W,) arrays
-        1 / constant of the contacts, and their forces at rest, N.
+        Changes of the imposed displacement, m, or force, N, in each row.
+    inverse_constant : (W,) array
+        1 / constant of each contact.
+    at_rest : (W,) array
+        Force of each contact at rest, N.
     """
 
     x: Array
@@ -218,7 +270,16 @@ class Change(NamedTuple):
 class Dop853Memory(NamedTuple):
     """Scratch arrays: stages of some steps, rates, weights, and sums of the reverse pass.
 
-    For the tangent, `others` contains the rates of the small changes in place of the sums.
+    Attributes
+    ----------
+    stages : StageStates
+        States at the stages of some steps.
+    rates : StageRates
+        Rates at the stages of a step.
+    weigh : Weighted
+        Weights of rows in a sum.
+    others : AdjointSums or StageRates
+        Sums of the reverse pass; for the tangent, rates of the small changes.
     """
 
     stages: StageStates
@@ -273,7 +334,7 @@ def _add_four_to_both(sums, other_sums, weights, other_weights, a, b, c, d):
 def _add_rows_to_both(sums, other_sums, weighted, count, rows, window):
     """Add the first `count` weighted rows, restricted to a window, to two sums.
 
-    The weights of the second sum follow those of the first; see `dop853.add_rows`.
+    The second half of the weights belongs to the second sum; see `dop853.add_rows`.
     """
     weights, numbers = weighted
     half = weights.size // 2
@@ -416,8 +477,8 @@ def _end_step(chain, system, h, path, stages, memory):
 def _back_contacts(law, stiffness, viscosity, p, f, adjoints, sums):
     """Propagate adjoints of bodies (C+1,) back through the contacts (C,) between them.
 
-    `adjoints` are pull, pressed, and the result: derivatives with respect to distances; `sums` are
-    the sums of power, force and viscosity.
+    `adjoints` contains the arrays `pull`, `pressed` and `bend` of `AdjointSums`; `bend` is the
+    result. `sums` contains the arrays `power`, `force` and `viscosity`, to which terms are added.
     """
     apart()
     pull, pressed, bend = adjoints
@@ -435,8 +496,9 @@ def _back_contacts(law, stiffness, viscosity, p, f, adjoints, sums):
 def _back_bodies(drag, viscosity, x, f, adjoints, sums):
     """Propagate adjoints back to bodies x (B,), between the contacts with forces f (B+1,).
 
-    `adjoints` are pull, creep, pressed, bend, and the result: derivatives with respect to x; `sums`
-    are the sums of mass and drag.
+    `adjoints` contains the arrays `pull`, `creep`, `pressed` and `bend` of `AdjointSums`, and the
+    result, the derivatives with respect to x. `sums` contains the arrays `mass` and `drag`, to
+    which terms are added.
     """
     apart()
     pull, creep, pressed, bend, by_x = adjoints
@@ -452,7 +514,8 @@ def _back_bodies(drag, viscosity, x, f, adjoints, sums):
 def _back_stage(window, system, path, stages, stage, sums):
     """Propagate adjoints back through a stage.
 
-    `sums.pull`, not yet divided by masses, and `sums.creep` are the adjoints of its rates.
+    On entry, `sums.pull` and `sums.creep` are the derivatives with respect to the accelerations and
+    the creep of the stage. Here `sums.pull` is divided by the masses.
     """
     law = system.law
     damped = system.damped
@@ -580,9 +643,9 @@ def _back_look(window, system, path, stages, sums, looks, look):
 def backward(chains, system, steps, pieces, numbers, path, looks, memory):
     """Propagate adjoints back through some pieces of a run, the last piece first.
 
-    A piece is recomputed from its start. `path` contains the imposed values in each stage of the
-    pieces numbers[0] ... numbers[1]-1, and in the stage after the last step; `looks` contains the
-    derivatives with respect to observed values.
+    A piece is recomputed from its start. `path` contains the imposed values at each stage of the
+    pieces numbers[0] ... numbers[1]-1, and at the stage after the last step. `looks` contains the
+    derivatives with respect to the observed values.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.rates
@@ -629,8 +692,8 @@ def backward(chains, system, steps, pieces, numbers, path, looks, memory):
 def _change_forces(system, z, p, f, of_contacts, changes):
     """Compute changes (C,) of the forces of contacts between bodies (C+1,) with the changes z.
 
-    `of_contacts` are stiffness, 1 / constant and force at rest of the contacts, and the changes of
-    constant and force at rest.
+    `of_contacts` contains the stiffness, the inverse constant and the force at rest of the
+    contacts, and the changes of the constant and of the force at rest.
     """
     apart()
     c = system.law.pressed
@@ -646,8 +709,9 @@ def _change_forces(system, z, p, f, of_contacts, changes):
 def _change_rates(x, z, f, changes, of_bodies, of_contacts, rates):
     """Compute changes of slope and creep (B,) for changes z of bodies x, and `changes` of forces f.
 
-    `of_bodies` are 1 / mass and drag, and the changes of mass and drag; `of_contacts` are viscosity
-    and its change.
+    `of_bodies` contains the inverse mass and the drag of the bodies, the relative change of the
+    mass and the change of the drag. `of_contacts` contains the viscosity of the contacts and its
+    change.
     """
     apart()
     inverse_mass, drag, by_mass, by_drag = of_bodies
@@ -762,8 +826,8 @@ def _change_path(change, index, count):
 def tangent(chains, system, steps, span, path, looks, memory, change):
     """Advance a chain, and small changes of it, by the steps span[0] ... span[1]-1 of its run.
 
-    The window is the whole chain. `looks` stores the changes of observed values; other arguments
-    are as in `backward`.
+    All grains of the chain are advanced. The changes of the observed values are stored in `looks`;
+    the other arguments are as in `backward`.
     """
     chain = chain_of(chains, 0, 0)
     rates = memory.others

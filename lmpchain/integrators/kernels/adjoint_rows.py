@@ -20,11 +20,13 @@ from .course import loop
 class Way(IntEnum):
     """Methods of the reverse pass through a row.
 
-    If all contacts are compressed at rest, rows are undone: UNDONE_PLAIN and UNDONE_EXACT for
-    delta = 3/2 in strong waves and in waves of any strength, UNDONE_SERIES and UNDONE_SHORT for any
-    delta in weak and in very weak waves. Otherwise p is stored: for delta = 3/2, VACUUM if nothing
-    is compressed, PLAIN in strong waves and HERTZ in waves of any strength; OTHER, for any other
-    delta, stores f, too.
+    If all contacts are compressed at rest and never open, rows are undone. UNDONE_PLAIN and
+    UNDONE_EXACT are for delta = 3/2, in strong waves and in waves of any strength. UNDONE_SERIES
+    and UNDONE_SHORT are for any delta, in weak and in very weak waves.
+
+    Otherwise p is stored. For delta = 3/2, VACUUM is for chains without compression, PLAIN for
+    strong waves and HERTZ for waves of any strength. OTHER is for all other chains, and stores f,
+    too.
     """
 
     UNDONE_PLAIN = 0
@@ -43,15 +45,15 @@ class AdjointForce(NamedTuple):
     Attributes
     ----------
     way : int
-        A `Way`.
+        Method of the reverse pass, a member of `Way`.
     pressed : float
-        c: 1 or 0.
+        The number c of `adjoint`: 1 if contacts are compressed at rest, else 0.
     touching : float
-        Constant of a first contact that only touches, N/m^delta, else 0.
+        Constant K of a top wall that touches grain 1 without a force at rest, N/m^delta, else 0.
     less : float
-        delta - 1.
+        Exponent delta - 1.
     terms : (4,) or (6,) array
-        Coefficients of a polynomial for p / s.
+        Coefficients of a polynomial in s for p / s.
     """
 
     way: int
@@ -82,13 +84,19 @@ class Adjoint(NamedTuple):
 
     Attributes
     ----------
-    x, pull : arrays
-        Derivative with respect to x, and derivative with respect to v over the mass.
-    power, force : arrays
-        Sums over all rows of y p, times the stiffness (not in the sonic vacuum), and of y f; y is
-        the derivative with respect to the force of a contact.
+    x : array
+        Derivative with respect to the displacement of each body.
+    pull : array
+        Derivative with respect to the velocity of each body, over the mass.
+    power : array
+        Sum over all rows of y p h delta F / length for each contact, where y is the derivative with
+        respect to the impulse of the contact, and h is the length of the kick. The sum is not
+        computed in a sonic vacuum.
+    force : array
+        Sum over all rows of y f h for each contact.
     mass : array
-        Derivative with respect to the mass, by all kicks.
+        Derivative with respect to the mass of each body, summed over all kicks, times minus the
+        mass.
     """
 
     x: Any
@@ -121,14 +129,20 @@ class AdjointSpan(NamedTuple):
 
     Attributes
     ----------
-    last, rows : int
-        The last row, and the number of rows.
-    first, stop : int
-        First contact of the last row, and the contact after its last one.
-    sooner, shorter : int
-        Number of places by which each preceding row begins and ends earlier.
+    last : int
+        Number of the last row.
+    rows : int
+        Number of rows.
+    first : int
+        First contact of the last row.
+    stop : int
+        Contact after the last contact of the last row.
+    sooner : int
+        Number of places by which each preceding row begins earlier.
+    shorter : int
+        Number of places by which each preceding row ends earlier.
     top : bool
-        Whether no body above the span moves.
+        Whether all bodies above the span are at rest.
     """
 
     last: int
@@ -310,7 +324,8 @@ def _recall_other(p, f, kick, impulse, at_rest, closer, c):
 def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: bool = False) -> Any:
     """Make the loop of the reverse pass.
 
-    Rows are undone if `undo` is given; otherwise p is read, and f if it does not follow from p.
+    If the function `undo` is given, the loop undoes rows. Otherwise the loop reads p, and also f if
+    `force` is true because f does not follow from p.
     """
     # These values are constant at compile time, so that the compiler removes unused branches.
     undone = undo is not None
@@ -321,7 +336,7 @@ def _back(undo: Any = None, recall: Any = None, force: bool = False, vacuum: boo
 
         The rows are undone if `undo` is given. In arrays of bodies, a contact has the place of the
         body above it. Every row of a span may begin and end some places earlier than the following
-        row, which makes it independent of that row.
+        row, so that the two rows do not depend on each other.
         """
         apart()
         x, momentum, inverse_mass = bodies

@@ -17,12 +17,18 @@ class ForceResponse(NamedTuple):
 
     Attributes
     ----------
-    power, force, slope : arrays
-        p, f, and the derivative of f with respect to r.
-    soften : array
-        Derivative of f with respect to the constant.
-    inverse_constant, at_rest : arrays
-        1 / constant, and the force of the contact at rest, N.
+    power : (W,) array
+        The number p of `adjoint` for every contact.
+    force : (W,) array
+        Force f of every contact minus its force at rest, N.
+    slope : (W,) array
+        Derivative of f with respect to the approach r, N/m.
+    soften : (W,) array
+        Derivative of f with respect to the constant K.
+    inverse_constant : (W,) array
+        1 / K.
+    at_rest : (W,) array
+        Force of every contact at rest, N.
     """
 
     power: Array
@@ -38,12 +44,18 @@ class Directions(NamedTuple):
 
     Attributes
     ----------
-    x, v : (D, W) arrays
-        Changes of displacements, m, and velocities, m/s; overwritten.
-    mass, constant, force : (D, W) arrays
-        Relative changes of masses; changes of constants, N/m^delta, and of forces at rest, N.
+    x : (D, W) array
+        Changes of displacements, m; overwritten.
+    v : (D, W) array
+        Changes of velocities, m/s; overwritten.
+    mass : (D, W) array
+        Relative changes of masses.
+    constant : (D, W) array
+        Changes of the constants of contacts, N/m^delta.
+    force : (D, W) array
+        Changes of the forces of contacts at rest, N.
     path : (D, rows) array
-        Changes of the imposed motion or force.
+        Changes of the imposed displacement, m, or force, N, in each row.
     """
 
     x: Array
@@ -138,8 +150,8 @@ def _change_row(im, response, change, path, index, kick, drift):
 def tangent(bodies, law, steps, stretch, path, memory, change, looks):
     """Advance bodies (W,), and small changes of them, by some rows as `forward` does.
 
-    `memory` is an `Above`, scratch space for a `ForceResponse`, and a (2, BURST) array. `looks`
-    stores the changes of observed values.
+    `memory` contains an `Above`, scratch space for a `ForceResponse`, and a (2, BURST) array. The
+    changes of the observed values are stored in `looks`.
     """
     x, v, im = bodies
     above, response, room = memory

@@ -1,15 +1,20 @@
 """The exact propagator of the linearised chain as a sum of Chebyshev polynomials.
 
-For ``phi'' = -L phi`` and any ``w`` of at least the highest frequency, with ``T_k`` the Chebyshev
-polynomials of ``1 - 2 L / w^2`` and ``W_k`` the sums ``T_0 + 2 (T_1 + ... + T_k)``,
+The equation of motion is ``phi'' = -L phi``, and w is the highest frequency or an upper bound on
+it, rad/s. With the Chebyshev polynomials ``T_k`` of the matrix ``1 - 2 L / w^2``, and the sums
+``W_k = T_0 + 2 (T_1 + ... + T_k)``, the displacements and velocities at time t are
 
     phi(t) = J_0 phi + sum J_2k 2 T_k phi + (2/w) sum J_(2k+1) W_k v
     v(t)   = J_0 v   + sum J_2k 2 T_k v   - w J_1 phi + (w/2) sum (J_(2k-1) - J_(2k+1)) 2 T_k phi
 
-with Bessel functions of w t, which is Eq. (19) of the paper for any chain and both kinds of initial
-data. ``2 T_(k+1) = 2 T_k - (4/w^2) L W_k`` and ``W_(k+1) = W_k + 2 T_(k+1)``: a leapfrog of steps
-2/w, so each term reaches one grain further and grains outside the light cone are never touched.
-Tal-Ezer and Kosloff, J. Chem. Phys. 81, 3967 (1984), for the idea.
+with Bessel functions of w t and the initial values phi and v. These formulas extend Eq. (19) of the
+paper to any chain and any initial values.
+
+The recurrence ``2 T_(k+1) = 2 T_k - (4/w^2) L W_k``, ``W_(k+1) = W_k + 2 T_(k+1)`` is a leapfrog
+scheme with steps 2/w. Each term reaches one grain further, so that grains outside the light cone
+are never computed.
+
+Source: Tal-Ezer and Kosloff, J. Chem. Phys. 81, 3967 (1984).
 """
 
 from __future__ import annotations
@@ -34,11 +39,11 @@ class SeriesLimits(NamedTuple):
     Attributes
     ----------
     motion : float
-        Grains that move less than this fraction of the largest motion count as at rest.
+        Fraction of the largest motion below which the motion of a grain is set to 0.
     weight : float
-        Polynomials with a smaller weight are negligible.
+        Weight below which a polynomial is negligible.
     argument : float
-        For arguments below this value J_0 is 1, and all other Bessel functions are negligible.
+        Argument below which J_0 is 1 and all other Bessel functions are negligible.
     chunk : int
         Number of polynomials that are stored at a time.
     """
@@ -59,11 +64,11 @@ class LinearChain(NamedTuple):
     Attributes
     ----------
     stiffness : (n+1,) array
-        N/m.
+        Stiffness of every contact, including walls, N/m.
     mobility : (n,) array
-        1/kg.
+        Inverse mass of every grain, 1/kg; 0 for a grain that is held or driven.
     oscillator : float
-        Square of the frequency of a driven first grain, 1/s2; 0 if it is not driven.
+        Square of the angular frequency of a driven first grain, 1/s2; 0 if it is not driven.
     """
 
     stiffness: Array
@@ -98,7 +103,7 @@ def terms(z):
 def bessel(z, orders):
     """Return J_0(z) ... J_(orders-1)(z), (orders, T), by Miller's backward recurrence.
 
-    `orders` must exceed the largest z.
+    T is the number of arguments z, (T,). `orders` must exceed the largest argument.
     """
     # The recurrence starts at an order far beyond the largest argument, so that its arbitrary
     # initial values are negligible at the first order returned.
@@ -148,14 +153,17 @@ def series(x, chain, scale, of_t, of_w, reach):
     Parameters
     ----------
     x : (n,) array
-        Zero outside of reach[0] ... reach[1]-1.
+        Displacement or velocity of every grain, 0 outside of reach[0] ... reach[1]-1.
     chain : LinearChain
+        Stiffnesses and inverse masses.
     scale : float
-        w, 1/s.
-    of_t, of_w : (S, K) arrays
-        Weights of the polynomials in each sum.
+        Upper bound w on the highest frequency, rad/s.
+    of_t : (S, K) array
+        Weights of ``T_0 x, 2 T_1 x, ...`` in each of S sums.
+    of_w : (S, K) array
+        Weights of ``W_0 x, W_1 x, ...`` in each of S sums.
     reach : pair of int
-        First grain that moves, and the grain after the last one.
+        First grain that moves, from 0, and the grain after the last one that moves.
     """
     grains = x.size
     orders = of_t.shape[1]
@@ -231,8 +239,8 @@ def moving(u, v):
 def _weights(scale, times, now):
     """Return weights of ``T_k phi``, (2 T, K+1), and of ``W_k v``, (T, K+1).
 
-    The first array contains the weights in phi, followed by the weights in v; the second array
-    contains the weights in phi.
+    The first array contains the weights of ``T_k phi`` in phi(t), followed by those in v(t). The
+    second array contains the weights of ``W_k v`` in phi(t).
     """
     # Times ascend, so the last time needs the most terms.
     z = np.empty(times.size)
@@ -321,13 +329,15 @@ class Propagator:
     Parameters
     ----------
     stiffness : (N+1,) array
-        Stiffness of every contact, walls included, N/m.
+        Stiffness of every contact, including walls, N/m.
     mobility : (N,) array
-        1/m of every grain, 0 for a grain that is held or driven, 1/kg.
+        Inverse mass of every grain, 1/kg; 0 for a grain that is held or driven.
     drive : float
         Angular frequency of grain 1 if it is driven, rad/s, else 0.
-    u, v : (N,) arrays
-        Displacement and velocity, m and m/s; changed in place.
+    u : (N,) array
+        Displacement of every grain, m; changed in place.
+    v : (N,) array
+        Velocity of every grain, m/s; changed in place.
     """
 
     def __init__(self, stiffness: Array, mobility: Array, drive: float, u: Array, v: Array):
@@ -345,8 +355,8 @@ class Propagator:
     def advance(self, times: Array) -> Answers:
         """Advance the chain to these times, (T,) s after the current time, in ascending order.
 
-        `reached` of the result contains the first grain that moves, and the grain after the last
-        one.
+        The field `reached` of the result contains, for each time, the first grain that moves and
+        the grain after the last one that moves.
         """
         us, vs = np.zeros((2, times.size, self.u.size))
         answers = Answers(us, vs, np.zeros((times.size, 2), np.intp))

@@ -90,8 +90,8 @@ def apart(typing: Any) -> Any:
 def select(typing: Any, condition: Any, a: Any, b: Any) -> Any:
     """Return a if the condition is true, else b, without a branch in any version of Python.
 
-    What 3.13 makes of ``a if condition else b`` keeps loops from vector instructions: powers take
-    six times as long.
+    Python 3.13 compiles ``a if condition else b`` to code that prevents vector instructions in
+    loops, so that powers would take six times as long.
     """
     return types.float64(
         types.boolean, types.float64, types.float64
@@ -103,16 +103,23 @@ class Bits(NamedTuple):
 
     Attributes
     ----------
-    mantissa, one : int
-        A mantissa of ones; the bits of 1.
+    mantissa : int
+        Mask of the 52 bits of the mantissa.
+    one : int
+        Bit pattern of the number 1.
     shift : float
-        Adding it to a number rounds that to a whole one, which the last bits then hold.
-    shift_bits, power_bits : int
-        The bits of `shift`, and of 2^52: an exponent in the last bits of these adds that to 2^52.
+        Number 3 * 2^51. Adding it to a smaller number rounds that number to an integer, which is
+        then in the last bits of the sum.
+    shift_bits : int
+        Bit pattern of `shift`.
+    power_bits : int
+        Bit pattern of 2^52. An integer n in its last bits gives the number 2^52 + n.
     power_zero : float
-        2^52 with the exponent of 1.
-    high, low : float
-        Their sum is ln 2 to 33 more digits.
+        Number 2^52 + 1023, where 1023 is the biased exponent of 1.
+    high : float
+        ln 2 with a mantissa that ends in zeros, so that its product with an exponent is exact.
+    low : float
+        Remainder of ln 2: the sum of `high` and `low` has 33 more bits than a double.
     """
 
     mantissa: int = (1 << 52) - 1
@@ -201,7 +208,8 @@ def caller(signature: Any) -> Any:
 def by_form(loops: dict[int, Callable[..., Any]]) -> Callable[..., Any]:
     """Create a function of a force form and arguments that runs the loop of this form.
 
-    A dictionary of functions cannot be compiled: the choice is made of comparisons, one in another.
+    A dictionary of functions cannot be compiled. The returned function therefore compares the form
+    with each key in turn.
     """
     *first_forms, (_, last) = loops.items()
 

@@ -1,11 +1,12 @@
 """Compiled contact force: its forms, and the loops for each form.
 
-Every form gives the force minus what the contact carries at rest, ``strength f(r / length)``, where
-``r = phi_n - phi_(n+1)`` is how much closer the two bodies are than at rest. `precompressed` is the
-overlap at rest over the length: 1, or 0 where nothing is pressed (length 1 m, strength K).
-`coefficients` are the first seven of the binomial series of (1 + s)^delta - 1, and delta. A law by
-a formula reads column `n` of what is `given` instead: overlap at rest, K, the parameters, and what
-the law keeps of the force at rest.
+Every form computes the force of a contact minus its force at rest, ``strength f(r / length)``. The
+approach ``r = phi_n - phi_(n+1)`` is the change of the overlap since rest, m. In a compressed chain
+the length is the overlap at rest, the strength is the force at rest, N, and `precompressed` is 1.
+In a chain without compression, the length is 1 m, the strength is K, and `precompressed` is 0.
+`coefficients` contains the first seven coefficients of the binomial series of (1 + s)^delta - 1,
+and delta. A law that is given by a formula reads column `n` of `given` instead: the overlap at
+rest, K, the parameters of the law, and numbers from which it computes the force at rest.
 """
 
 from __future__ import annotations
@@ -159,8 +160,8 @@ SWEEP = types.void(_ROW, _ROW, _ROW, _LINKS, _ROWS, types.boolean, types.int64, 
 def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) -> tuple[Any, ...]:
     """Create the loops over contacts that Eq. (1) needs, for one form of the force.
 
-    They are compiled when a scene needs the form, apart from the marches, which call them where
-    `addresses` says.
+    The loops are compiled when a scene first needs the form, separately from the marches. The
+    marches call the loops at the memory addresses that `addresses` returns.
     """
     kept = compiled_filler(fastmath=STRICT, kind=kind)
 
@@ -201,11 +202,12 @@ def _loops(kind: str, force: Callable[..., Any], stiffness: Callable[..., Any]) 
     def sweep_rows(x, v, inverse_mass, links, rows, top, body, forced):
         """Kick and drift all grains once per row in a single pass that computes each force once.
 
-        x (G+2,) has a body more at either end than v (G,); contacts n = 0 ... G lie between x[n]
-        and x[n+1]. The force on the first grain from above is that of contact 0 if it is the `top`,
-        else the one that is carried, in whose place the force below the last grain is left for the
-        part of the chain that follows. What is imposed, if anything is, is where the body x[body]
-        of the `top` is, or a force on it if it is `forced` and among those that move.
+        The displacements x (G+2,) include one more body at either end than the velocities v (G,).
+        Contact n = 0 ... G connects the bodies x[n] and x[n+1]. If `top` is true, the force on the
+        first grain from above is the force of contact 0. Otherwise it is read from `rows.carried`.
+        The force from below on the last grain is stored there for the next part of the chain.
+        `rows.path` contains imposed values: forces on the body x[body] if `forced` is true,
+        otherwise its displacements, which are used only if `top` is true.
         """
         il = links.inverse_length
         st = links.strength
@@ -325,7 +327,8 @@ def _loops_of(kernel: Any) -> tuple[Any, ...]:
 def addresses(form: int, law: Any = None) -> tuple[int, ...]:
     """Return the memory addresses of the compiled loops of a form.
 
-    Those of formulas depend on the `Law`, and have a loop over samples besides.
+    The loops of a law that is given by a formula depend on the `Law`, and include a loop over
+    samples.
     """
     loops = LOOPS[form] if law is None else _loops_of(law.kernel)
     signatures = FORCES, SWEEP, STIFFNESSES, SERIES
@@ -374,8 +377,9 @@ def kick_and_drift(links, x, v, inverse_mass, rows, top, body, forced):
 def pull_to_rest(address, pull, x, inverse_mass, given, first, t, length):
     """Subtract the ground's accelerations at time t, for bodies x (B,), from accelerations (B,).
 
-    A kick subtracts them from velocities, times its `length` in s; it is 1 for accelerations.
-    `first` is the column of the first body in `given`, see `BatchArrays.ground_parameters`.
+    For a kick, `pull` contains velocities, and `length` is the length of the kick, s; for
+    accelerations, `length` is 1. `first` is the column of the first body in `given`, see
+    `BatchArrays.ground_parameters`.
     """
     _call_ground(address, (pull, x, inverse_mass, given, first, t, length))
 
@@ -384,7 +388,7 @@ def pull_to_rest(address, pull, x, inverse_mass, given, first, t, length):
 def contact_stiffnesses(links, out, change, x):
     """Fill out (C,) with the stiffness of every contact between the bodies x (C+1,), N/m.
 
-    `change` (C,) holds the forces that `contact_forces` has found.
+    `change` (C,) contains the results of `contact_forces` for these bodies, N.
     """
     _call_stiffnesses(links.loops[2], (out, change, x, links))
 
@@ -393,7 +397,8 @@ def contact_stiffnesses(links, out, change, x):
 def change_in_time(address, r, closing, given, n, change, rate):
     """Fill the changes of the force of one contact, N, and their rates, N/s, at (R,) samples.
 
-    The changes r of the overlap since rest, m, and their rates are (R,) arrays. `n` is the column
-    of the contact in `given`, see `Links.parameters`; the force is that of a law by a formula.
+    The law must be given by a formula. The changes `r` of the overlap since rest, m, and their
+    rates `closing`, m/s, are (R,) arrays. `n` is the column of the contact in `given`, see
+    `Links.parameters`.
     """
     _call_series(address, (r, closing, given, n, change, rate))

@@ -34,8 +34,10 @@ class Course(NamedTuple):
 
     Attributes
     ----------
-    kicks, drifts : (S+1,) and (S,) arrays
-        Fractions of a step.
+    kicks : (S+1,) array
+        Lengths of the kicks of a step, as fractions of the step.
+    drifts : (S,) array
+        Lengths of the drifts of a step, as fractions of the step.
     lengths : (K,) array
         Lengths of all steps, s.
     begun : (looks+1,) array
@@ -59,8 +61,13 @@ class Stretch(NamedTuple):
 class Looks(NamedTuple):
     """Observed bodies (G,), and a displacement and a velocity of each, (2, looks+1, G).
 
-    `values` may also contain derivatives with respect to these, or their changes, (D, 2, looks+1,
-    G).
+    Attributes
+    ----------
+    bodies : (G,) array
+        Index of each observed body in a row of bodies.
+    values : (2, looks+1, G) or (D, 2, looks+1, G) array
+        Displacements, m, and velocities, m/s; or derivatives with respect to these values; or
+        changes of these values in D directions.
     """
 
     bodies: NDArray[np.int64]
@@ -94,7 +101,7 @@ def fill_rows(steps, look, row, kick, drift):
 def drift_before(steps, look, row):
     """Return the drift, s, of the row before row number `row` after an observation.
 
-    The drift is 0 directly after the observation.
+    The result is 0 if row number `row` directly follows the observation.
     """
     if row == 0:
         return 0.0

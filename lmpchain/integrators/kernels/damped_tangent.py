@@ -1,8 +1,8 @@
 """The map of an explicit Runge-Kutta method on a damped chain, and its tangent, compiled.
 
-The equation of motion is that of `chain.damping`: in displacements and reduced velocities w no
-force depends on a velocity, x' = w + b(x) - gamma x and w' = a(x). The tangent is therefore exact
-for the steps taken.
+The equation of motion is derived in `chain.damping`. In displacements x and reduced velocities w,
+no force depends on a velocity: x' = w + b(x) - gamma x and w' = a(x). The tangent is therefore the
+exact derivative of the computed map.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ class Body(NamedTuple):
     Attributes
     ----------
     inverse_mass : (W,) array
-        1/kg, of all bodies.
+        Inverse mass of every body, 1/kg; 0 for a body that is held or driven.
     viscosity : (N+1,) array
-        A of every contact, s.
+        Viscosity A of every contact, s.
     drag : (N,) array
-        gamma of every grain, 1/s.
+        Drag gamma of every grain, 1/s.
     """
 
     inverse_mass: Array
@@ -47,7 +47,15 @@ class Body(NamedTuple):
 class ImposedStages(NamedTuple):
     """The motion or force imposed on a body: its index, the kind, and values (K, S) at the stages.
 
-    `pushes` is true for a force. Values are in m or N; `values` is empty if nothing is imposed.
+    Attributes
+    ----------
+    body : int
+        Index of the body.
+    pushes : bool
+        Whether a force is imposed (True) or a motion (False).
+    values : (K, S) array
+        Imposed force, N, or displacement, m, at the stages of all steps; empty if nothing is
+        imposed.
     """
 
     body: int
@@ -89,7 +97,7 @@ def _gather(sums, begin, slopes, weights, h):
 def _fill_slopes(body, x, w, response, force, pushed, slopes, stage):
     """Compute the rates of change of x and w, both (W,), at a stage.
 
-    `force` acts on the body with the index `pushed`.
+    The external `force`, N, acts on the body with the index `pushed`.
     """
     f = response.force
     viscosity = body.viscosity
@@ -154,20 +162,25 @@ def march(batch, body, motion, deviations, method, lengths, course, states):
     batch : BatchArrays
         Arrays of a batch that contains only this chain.
     body : Body
+        Masses and damping of the chain.
     motion : BodyRow
-        Displacements and reduced velocities; overwritten.
+        Displacements, m, and reduced velocities, m/s, at the start; overwritten with those at the
+        end.
     deviations : Deviations
-        Overwritten.
+        Deviations of the initial state; overwritten with those of the final state.
     method : RungeKutta
+        Coefficients of the method.
     lengths : (K,) array
         Lengths of the steps, s.
     course : ImposedStages
+        Motion or force that is imposed on a body.
     states : (2, K+1, N) array
-        Filled with displacements and reduced velocities between the steps.
+        Filled with displacements, m, and reduced velocities, m/s, before the first and after every
+        step.
 
     Notes
     -----
-    Sums over steps are compensated, as in `tangent`.
+    Sums over steps are compensated for rounding errors, as in `tangent`.
     """
     links = links_of(batch, 0)
     x, w = motion

@@ -1,6 +1,6 @@
 """Velocity Verlet for a dissipative chain, as implemented in LAMMPS, compiled.
 
-Forces that depend on velocities use the velocity predicted from the last acceleration.
+Forces that depend on velocities use a velocity that is predicted from the last acceleration.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class DenseRates(NamedTuple):
 def passes(chain, clock, begin, end):
     """Return the first sample in begin < t <= end, or 0 without one.
 
-    Samples and times are counted from the last landing. The sample at the next landing is not
-    returned, because a step ends there.
+    Samples and times, s, are counted from the last landing. The sample at the next landing is
+    excluded, because a step ends there. Only every `clock.dense`-th sample counts.
     """
     before = chain.state.sample
     stride = clock.dense
@@ -46,7 +46,7 @@ def passes(chain, clock, begin, end):
 def fill_rates(chain, first, last, force, rate, beyond):
     """Fill rate (W,) with dF/dt of the elastic forces of the contacts of bodies first ... last-1.
 
-    `force[n - beyond]` is the force of the contact below body n, less its force at rest.
+    `force[n - beyond]` is the force of the contact below body n minus its force at rest, N.
     """
     x = chain.x
     v = chain.v

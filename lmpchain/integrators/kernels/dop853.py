@@ -1,7 +1,7 @@
 """The Runge-Kutta method DOP853 on the same contact forces, compiled.
 
-A dissipative chain is advanced in displacements and the reduced velocities w of `chain.damping`, in
-which no force depends on a velocity: x' = w + d, w' = a, with the creep d = b - gamma x.
+A dissipative chain is advanced in displacements x and the reduced velocities w of `chain.damping`,
+because no force then depends on a velocity: x' = w + d and w' = a, with the creep d = b - gamma x.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Weighted(NamedTuple):
 def note(weighted, count, weight, row):
     """Append a weighted row to a sum of `count` rows, unless its weight is 0.
 
-    Returns the new number of rows.
+    The function returns the new number of rows.
     """
     weighted.weights[count] = weight
     weighted.rows[count] = row
@@ -117,8 +117,12 @@ def fill_creep(chain, y, force, creep):
 
     Parameters
     ----------
-    y, force : (W,) arrays
-        Displacements, m, and the forces that `accelerate` has computed there, N.
+    y : (W,) array
+        Displacements, m.
+    force : (W,) array
+        Forces of the contacts at these displacements, N, as `accelerate` stores them.
+    creep : (W,) array
+        Filled with the creep d, m/s.
     """
     first = chain.state.first
     last = chain.state.last
@@ -154,8 +158,9 @@ def _complete(chain, clock, now, force, creep, reduced):
 def _weigh(weigh, twice, once, h, lag, creeps):
     """Collect the weighted rows that move bodies over a step h; return their number.
 
-    `twice` and `once` are the weights (S,) of h^2 and h. The weight of an acceleration includes its
-    lag. Rows of creep, if there are any, begin at number `creeps`.
+    `twice` and `once` are the weights (S,) of the accelerations times h^2 and of the rates times h.
+    If `creeps` is 0, the creep is `lag` times the acceleration, and the weight of the acceleration
+    includes it. Otherwise the rows of the creep begin at number `creeps`.
     """
     count = 0
     for stage in range(twice.size):
@@ -181,8 +186,8 @@ def _sum_products(mass, weights, a, b, c, d, e, f, g, h):
 def _sum_losses(mass, weighted, count, slopes, creeps, lag, window):
     """Return the weighted sum over the stages of a step of sum m w' d, over `window`, J.
 
-    The creeps d of all stages begin at the row `creeps` of the slopes; if `creeps` is 0, they are
-    `lag` times the slopes.
+    The rows of the creep d begin at the row `creeps` of the slopes w'. If `creeps` is 0, the creep
+    is `lag` times the slopes.
     """
     weights, rows = weighted
     total = 0.0
@@ -241,7 +246,8 @@ def _note_stage(chain, acted, work, rates, weight, stage, t, inside, h):
     """Add the work at a stage of a step h, with the weight of the stage, if `acted`.
 
     The power of viscous forces on the driven body is v d(A F)/dt. Integration by parts replaces it
-    by -A F dv/dt, which needs no rate of a force; `_note_begin` adds the boundary terms.
+    by -A F dv/dt, which requires no time derivative of a force; `_note_begin` adds the boundary
+    terms.
     """
     force, z, reduced, slopes, _ = work
     state = chain.state
@@ -302,8 +308,8 @@ def _advance(chain, method, work, clock, out, landed):
     """Take one step of the Runge-Kutta-Nystrom form.
 
     With the velocities v = w + d, viscous contacts and drag dissipate the power - sum m v d'. After
-    integration by parts, the dissipated energy is the integral of sum m w' d, less the change of
-    sum m (v^2 - w^2)/2. This form needs no velocities at the stages, and is as smooth as the
+    integration by parts, the dissipated energy is the integral of sum m w' d, minus the change of
+    sum m (v^2 - w^2)/2. The integrand requires no velocities at the stages, and is as smooth as the
     forces.
     """
     (nodes, inner, weights, rates), openings, adaptive = method
@@ -392,11 +398,16 @@ class Work(NamedTuple):
 
     Attributes
     ----------
-    force, z, reduced : (W,) arrays
-        Forces, bodies at a stage, and reduced velocities.
+    force : (W,) array
+        Forces of the contacts at a stage, N.
+    z : (W,) array
+        Displacements at a stage, m.
+    reduced : (W,) array
+        Reduced velocities, m/s.
     slopes : (S, W) or (2 S, W) array
-        Accelerations of all stages and, for a damped chain, the creeps of all stages.
+        Accelerations at all stages and, for a damped chain, the creep at all stages.
     weigh : Weighted
+        Weights of rows in a sum.
     """
 
     force: Array
@@ -426,7 +437,7 @@ march = compiled_march()(sample_loop(_advance, False))
 def march_by_step(chains, method, work, clocks, fields, real, until, noted):
     """Advance one chain as `march` does, and record its steps in `noted` (`layout.Noted`).
 
-    Returns the number of steps, which is at most the number that `noted` has room for.
+    The function stops when `noted` is full, and returns the number of steps.
     """
     state = chains.state[real]
     made = 0

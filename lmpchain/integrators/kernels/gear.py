@@ -47,8 +47,9 @@ def _move(chain, z, begin, h, side):
 def _begin(chain, work, now, h):
     """Compute the initial derivatives from finite differences one step before and after the start.
 
-    If contacts have just opened or closed, as when an impulse separates touching grains, the step
-    before the start is not part of the motion. Half a step after the start is used instead.
+    If contacts open or close at the start, for example because an impulse separates touching
+    grains, the motion before the start cannot be used. The accelerations half a step and one step
+    after the start are used instead.
     """
     force, pull, z = work
     y = chain.x

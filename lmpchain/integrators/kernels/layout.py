@@ -1,8 +1,8 @@
 """Memory layout of chains, and the tuples of arrays that the compiled loops exchange.
 
-A row of bodies is a wall (or nothing), N grains and a wall (or nothing), grain 1 at the index
-`PAD`, where a cache line begins; behind them come bodies that do not exist, up to a whole number of
-lines. Whatever is held has no inverse mass.
+A row of W bodies has a wall or an empty place, N grains, and a wall or an empty place. Grain 1 has
+the index `PAD`, where a cache line begins. Empty places before and after fill the row to a whole
+number of cache lines. The inverse mass of a body that is held or driven is 0.
 """
 
 from __future__ import annotations
@@ -72,14 +72,17 @@ class Team(NamedTuple):
 
     Attributes
     ----------
-    part, parts : int
-        Which one, of how many.
+    part : int
+        Number of this thread, from 0.
+    parts : int
+        Number of threads.
     gate : (2 PAD,) array
-        How many times one has come to wait and, at GIVEN_UP, whether one has given up.
+        Number of times that a thread has arrived at a point of synchronisation; at the index
+        GIVEN_UP, 1 if a thread has failed.
     nearness : (parts, PAD) array
-        In the first column, what each has found of the nearest opening of a contact.
+        In the first column, the nearness to an opening that each thread has computed.
     edges : (parts, EDGES) array
-        Where the first grain of each was in every row of a sweep, m.
+        Displacement of the first grain of each thread in every row of a sweep, m.
     """
 
     part: int
@@ -102,69 +105,89 @@ ALONE = team(1)[0]
 class BatchArrays(NamedTuple):
     """Arrays of a batch of R chains that the compiled loops read, in rows of W bodies.
 
-    They take tuples of arrays and numbers alone, so that these stand apart from `ChainBatch`.
+    This tuple is separate from `ChainBatch`, because compiled loops accept only tuples of arrays
+    and numbers.
 
     Attributes
     ----------
-    inverse_length, strength : (R, W) arrays
-        1 / length and strength of the contact below each body, see `contact_forces`.
+    inverse_length : (R, W) array
+        1 / length of the contact below each body, 1/m, see `contact_forces`.
+    strength : (R, W) array
+        Strength of the contact below each body, see `contact_forces`.
     inverse_mass : (R, W) array
-        1/kg, of each body; 0 of what is held.
-    opening_length, opening_weight, opening_reach : (R, K, W) arrays
-        K kinks of the contact below each body: 1 / distance of the overlap at rest from the kink,
-        negative if closing leads to the kink; the square of the acceleration that the contact
-        gives as it passes the kink, over what changes the motion; and how near to that time no
-        step is shorter. A contact of powers has one kink, its opening.
+        Inverse mass of each body, 1/kg; 0 for a body that is held or driven.
+    opening_length : (R, K, W) array
+        1 / distance of the overlap at rest from each of the K kinks of the force of the contact
+        below each body, 1/m; negative if the contact reaches the kink by closing. A power law has
+        one kink, the opening of the contact.
+    opening_weight : (R, K, W) array
+        Squared effect on the motion of passing each kink, see `openings`.
+    opening_reach : (R, K, W) array
+        Number from which `openings` decides whether a contact is too far from a kink to shorten a
+        step.
     opening_rest : float
-        Distance from kinks at rest in this length: 0 if contacts only touch, else 1.
+        Distance from a kink at rest, in units of the length: 0 if contacts touch without a force,
+        else 1.
     ground_kinks : (R, 2, J, W) array
-        J kinks of the force from the ground on each body: the same length and weight.
+        Inverse length and weight, as above, of each of the J kinks of the force from the ground on
+        each body.
     uncompressed : (R,) array
-        N/m^delta: the constant of a first contact that touches without pressing in a compressed
-        chain, else 0.
+        Constant of a top wall that touches grain 1 without a force in a compressed chain,
+        N/m^delta; else 0.
     least_strain : (R,) array
-        The smallest r / length of any contact at rest: -1 if a contact is open or only touches.
+        Smallest r / length of any contact at rest: -1 if a contact is open or touches without a
+        force, else 0.
     form : (R,) array
-        Form of the force.
+        Form of the force, see `contact_forces`.
     loops : (R, 3 or 4) array
-        Where the loops of the form lie in memory, see `contact_forces.addresses`.
-    precompressed, coefficients : number and (8,) array
-        See `contact_forces`.
+        Memory addresses of the loops of the form, see `contact_forces.addresses`.
+    precompressed : float
+        1 in a compressed chain, 0 in a chain without compression.
+    coefficients : (8,) array
+        Binomial coefficients and delta, see `contact_forces`.
     parameters : (R, P, W) array
-        Overlap at rest, m, constant, parameters, and what else the force reads, of the contact
-        below each body, for a law given by a formula; (R, 0, W) for powers.
+        For a law that is given by a formula: overlap at rest, m, constant, parameters, and other
+        numbers that the force of the contact below each body requires. (R, 0, W) for power laws.
     ground : int or None
-        Where the loop of the force from the ground lies in memory; None without a ground, for which
-        the marches are compiled without one.
+        Memory address of the loop for the force from the ground. If it is None, there is no ground,
+        and the marches are compiled without one.
     ground_parameters : (R, G, W) array
         Parameters of the force from the ground on each body.
     omega : (R,) array
         Highest frequency, rad/s.
     scale : (R, 2) array
-        Largest displacement and speed of the excitation, m and m/s.
+        Largest displacement, m, and largest speed, m/s, of the excitation.
     units : (R, 2) array
-        Overlap of the contact below grain 1 (that above it if there is none below), and the speed
-        of that in the unit of time, m and m/s; no speed in the sonic vacuum.
+        Overlap at rest of the contact below grain 1, or above it if there is none below, m; and
+        this overlap times the frequency sqrt(stiffness / mass) of grain 1, m/s, which is 0 in a
+        sonic vacuum.
     allowed : (R,) array
-        What twice the kinetic energy cannot exceed, J: contacts never hold less energy than at
-        rest.
+        Upper bound on twice the kinetic energy, J. The bound exists because contacts never store
+        less energy than at rest.
     acts : bool
         Whether a motion or a force is imposed after t = 0.
     reach : (R, 2) array
-        First and last body that it acts on; if none, the last before the first.
+        First and last body on which the forcing acts; the last one precedes the first one if there
+        is none.
     wave : (R,) array of WAVE
-    knots, pieces : (R, P) and (R, 4, P-1) arrays
-        Times, s, and coefficients of a spline.
+        Imposed motion or force.
+    knots : (R, P) array
+        Times of the knots of a spline, s.
+    pieces : (R, 4, P-1) array
+        Coefficients of the pieces of the spline.
     laws : (2,) array
-        Where the functions that know them lie in memory, see `waveform.addresses`.
+        Memory addresses of the functions that evaluate the forcing, see `waveform.addresses`.
     damped : bool
-        Whether anything takes energy; `chain.damping` has the law and its symbols.
+        Whether the chain dissipates energy; `chain.damping` defines the law and its symbols.
     alike : bool
-        Whether it is contacts of one A a chain alone, and nothing pushes grains: then their creep
-        is A times their acceleration.
-    viscosity, drag, mass : (R, W) arrays
-        A of the contact below each body, s; gamma, 1/s, and mass, kg, of each body that moves
-        freely, 0 of others. (R, 0) arrays if nothing takes energy.
+        Whether the creep is A times the acceleration. This is so if all contacts have the same A
+        and there is no drag, no external force and no ground.
+    viscosity : (R, W) array
+        Viscosity A of the contact below each body, s; (R, 0) without damping.
+    drag : (R, W) array
+        Drag gamma of each body, 1/s; 0 for a body that is held or driven; (R, 0) without damping.
+    mass : (R, W) array
+        Mass of each body, kg; 0 for a body that is held or driven; (R, 0) without damping.
     """
 
     inverse_length: Array
@@ -207,13 +230,17 @@ class Chains(NamedTuple):
     Attributes
     ----------
     batch : BatchArrays
-    x, v : (F R, W) arrays
-        Displacements from equilibrium and velocities, m and m/s.
+        Constant arrays of the R chains.
+    x : (F R, W) array
+        Displacements from equilibrium, m.
+    v : (F R, W) array
+        Velocities, m/s.
     history : (F R, H, W) array
-        What the method keeps of earlier steps.
+        Values of earlier steps that the method stores.
     state : (F R,) array of STATE
+        Progress, window and largest values of each chain.
     team : Team
-        Which threads share each chain.
+        This thread, among the threads that share each chain.
     """
 
     batch: BatchArrays
@@ -230,9 +257,9 @@ class Links(NamedTuple):
     Attributes
     ----------
     parameters : (P, W) array
-        Of all contacts of the chain, so that numbers of one kind lie side by side.
+        Parameters of all contacts of the chain, even if the other arrays contain a part of them.
     first : int
-        Column of the first contact in them.
+        Column of the first contact of the part in `parameters`.
     """
 
     inverse_length: Array
@@ -291,14 +318,17 @@ class Rows(NamedTuple):
 
     Attributes
     ----------
-    kick, drift : (Q,) arrays
-        Times by which accelerations and velocities are multiplied, s.
+    kick : (Q,) array
+        Time by which a kick multiplies accelerations, s.
+    drift : (Q,) array
+        Time by which a drift multiplies velocities, s.
     carried : (Q,) array
-        N: force on the first grain from above; then that on the last one from below.
-    path : (Q,) array, or an empty one if nothing is imposed
-        What is imposed: a displacement, m, or a force, N.
+        Force from above on the first grain, N, which a sweep replaces by the force from below on
+        the last grain.
+    path : (Q,) array, or an empty array if nothing is imposed
+        Imposed displacement, m, or force, N.
     time : (Q,) array
-        Time of the kick, s; read by a force from the ground alone.
+        Time of the kick, s, at which the force from the ground is evaluated.
     """
 
     kick: Array
@@ -328,12 +358,12 @@ class Shortening(NamedTuple):
     Attributes
     ----------
     shortened : float
-        h' / h of the shortened steps.
+        Ratio h' / h of a shortened step at the time 1 / omega from an opening.
     close : float
-        shortened^(-14/3), with which contacts that shorten no step are passed over.
+        Number shortened^(-14/3), from which `openings` decides whether any contact shortens a step.
     nearest : (F, R) array
-        The largest nearness of an opening that shortens a step: that of the step that crosses it,
-        for shorter ones gain nothing.
+        Upper bound on the nearness of an opening, as in `openings`. It limits the length of the
+        step that crosses the opening, because still shorter steps would gain nothing.
     """
 
     shortened: float
@@ -347,13 +377,15 @@ class Noted(NamedTuple):
     Attributes
     ----------
     ends : (Q,) array
-        When each ends, s since the last sample, 0 on a sample.
+        End of each step, s since the last sample; 0 if the step ends on a sample.
     every : int
-        Steps from one checkpoint to the next; the first step begins with one.
+        Number of steps from one checkpoint to the next. The first checkpoint is at the start of the
+        first step.
     states : (Q / every, 2, W) array
-        Displacements and velocities there, reduced ones of a damped chain between samples.
+        Displacements, m, and velocities, m/s, at the checkpoints. Between samples the velocities of
+        a damped chain are reduced velocities.
     windows : (Q / every, 2) array
-        First body of the window there, and the one behind its last.
+        First body of the window, and the body after its last one, at the checkpoints.
     """
 
     ends: Array
@@ -365,9 +397,24 @@ class Noted(NamedTuple):
 class Fields(NamedTuple):
     """Output arrays of displacements and velocities, from the sample number `first` on.
 
-    (R, B, N) arrays for the first schedule, (F - 1, R, B, N) for the others; zeros if N is larger
-    than `WHOLE_ROWS`. `balance` takes what was lost and the work at all T samples, see `STATE`:
-    (F, R, T, 2) J, or (F, R, 0, 2) if it is not asked for.
+    If N is larger than `WHOLE_ROWS`, the arrays of motions must contain zeros, because grains that
+    the wave has not reached are not written.
+
+    Attributes
+    ----------
+    u : (R, B, N) array
+        Displacements of the main run, m.
+    v : (R, B, N) array
+        Velocities of the main run, m/s.
+    others_u : (F - 1, R, B, N) array
+        Displacements of the runs by the other schedules, m.
+    others_v : (F - 1, R, B, N) array
+        Velocities of the runs by the other schedules, m/s.
+    first : int
+        Number of the first sample in these arrays.
+    balance : (F, R, T, 2) array
+        Dissipated energy and work of the forcing at all T samples, J, see `STATE`; (F, R, 0, 2) if
+        they are not requested.
     """
 
     u: Array

@@ -1,8 +1,8 @@
 """Shorter steps near contacts that open or close, compiled.
 
-A method of order p requires p derivatives of the force, but near an opening or closing the force
-behaves like t^delta. Steps proportional to the power 9/14 of the time to the opening keep the error
-of every step equal, and preserve the order.
+A method of order p requires a force with p time derivatives, but the force behaves like t^delta
+near the opening or closing of a contact. If steps are proportional to the power 9/14 of the time to
+the opening, all steps have equal errors, and the order is preserved.
 """
 
 from __future__ import annotations
@@ -24,14 +24,18 @@ class Near(NamedTuple):
 
     Attributes
     ----------
-    inverse_length, weight, reach : (W,) arrays
-        See `layout.BatchArrays`.
+    inverse_length : (W,) array
+        1 / distance of the overlap at rest from the kink, 1/m, see `layout.BatchArrays`.
+    weight : (W,) array
+        Squared effect on the motion of passing the kink.
+    reach : (W,) array
+        Number for the test in `_may_shorten`.
     rest : float
-        See `opening_rest` of `layout.BatchArrays`.
+        Distance from the kink at rest, in units of the length.
     touching : bool
-        Whether the first contact only touches in a chain that is pressed.
+        Whether the top wall touches grain 1 without a force in a compressed chain.
     close : float
-        See `_may_shorten`.
+        Number for the test in `_may_shorten`.
     omega : float
         Highest frequency, rad/s.
     nearest : float
@@ -52,9 +56,10 @@ class Near(NamedTuple):
 def _score(gap, rate, bend, weight, omega, nearest):
     """Return the squared nearness of a contact to opening or closing, weighted by its effect.
 
-    The overlap `gap` and its two rates define a quadratic in time. The force behaves like t^(3/2)
-    around the nearest root; a complex root (a contact that almost opens) counts, too. The local
-    error of a step h there is proportional to (h / distance)^7 distance^(5/2).
+    The overlap `gap` and its first and second derivatives in time, `rate` and `bend`, define a
+    quadratic in time. The force behaves like t^(3/2) around the nearest root. A complex root, at
+    which a contact almost opens, counts, too. At the time `distance` from the root, the local error
+    of a step h is proportional to (h / distance)^7 distance^(5/2).
     """
     inside = rate * rate - 2.0 * gap * bend
     size = inside if inside > 0.0 else -inside
@@ -86,9 +91,9 @@ def _may_shorten(y, rates, bends, inverse_length, rest, reach, close):
     """Return whether any of these contacts may be near enough to opening to shorten the step.
 
     A contact shortens the step if its score is at least shortened^14. In `_score`, fast^2 is at
-    most q and `size` at most q / 2. With reach = weight^(1/3) / (sqrt(2) (2 omega)^3) and close =
-    shortened^(-14/3), the score is smaller if q^2 reach close < |gap|^3. This test needs neither a
-    root nor a quotient.
+    most q = 4 (rate^2 + |gap bend|), and `size` is at most q / 2. With the numbers
+    reach = weight^(1/3) / (sqrt(2) (2 omega)^3) and close = shortened^(-14/3), the score is below
+    this limit if q^2 reach close < |gap|^3. This test requires neither a root nor a quotient.
     """
     # Numbers are compared as bit patterns, see `window.watch`.
     largest = -1
@@ -151,7 +156,7 @@ def _find_ground_nearness(y, rates, bends, inverse_length, weight, omega, neares
 def _add_ground(ground, chain, grains, moving, nearest, nearness):
     """Return the largest score including the kinks of the force from the ground.
 
-    Without a ground, it is None, and nothing is compiled.
+    If there is no ground, `ground` is None, and the code below is not compiled.
     """
     if ground is not None:
         for kink in range(chain.ground_kinks.shape[1]):
@@ -168,9 +173,16 @@ def shorten(chain, y, w, pull, openings):
 
     Parameters
     ----------
-    y, w, pull : (W,) arrays
-        Displacements, velocities and accelerations.
-    openings : `layout.Shortening`
+    chain : BatchMember
+        Chain, with its window and the kinks of its contacts.
+    y : (W,) array
+        Displacements, m.
+    w : (W,) array
+        Velocities, m/s.
+    pull : (W,) array
+        Accelerations, m/s2.
+    openings : layout.Shortening
+        Parameters of the lengths of steps near openings.
     """
     first, last = share(chain)
     bodies = slice(first - 1, last + 1)

@@ -23,21 +23,30 @@ class PhaseSums(NamedTuple):
     time : float
         Time of the last evaluation, s.
     strain : float
-        Strain of the largest magnitude at that time.
+        Strain of the largest magnitude of any contact at that time.
     pull : float
-        Largest acceleration at that time by open contacts, which still pull in linear theory, m/s2.
+        Largest acceleration of a grain at that time by open contacts, m/s2. In linear theory, open
+        contacts still pull.
     shift : float
         Phase shift up to that time, s.
     squared_strain : float
-        Integral of the squared strain up to that time, s.
+        Integral over time of the squared strain up to that time, s.
     pulled : float
         Velocity that the pull of open contacts has added up to that time, m/s.
-    largest_strain, displacement, velocity, acceleration : float
-        Largest magnitudes over all times; the last three in m, m/s and m/s2.
-    displacement_error, velocity_error : float
-        Largest effect of the phase shift on samples, m and m/s.
+    largest_strain : float
+        Largest magnitude of a strain so far.
+    displacement : float
+        Largest magnitude of a displacement so far, m.
+    velocity : float
+        Largest magnitude of a velocity so far, m/s.
+    acceleration : float
+        Largest magnitude of an acceleration so far, m/s2.
+    displacement_error : float
+        Largest effect of the phase shift on the displacements at samples, m.
+    velocity_error : float
+        Largest effect of the phase shift on the velocities at samples, m/s.
     opened : float
-        Number of the first contact that opened, or NaN.
+        Number of the first contact that opened, or NaN if none has opened.
     """
 
     time: float
@@ -63,10 +72,12 @@ class LinearLinks(NamedTuple):
 
     Attributes
     ----------
-    stiffness, inverse_overlap : (N+1,) arrays
-        N/m and 1/m; 0 for a contact that is not compressed.
+    stiffness : (N+1,) array
+        Stiffness of every contact, N/m; 0 for a contact that is not compressed.
+    inverse_overlap : (N+1,) array
+        1 / overlap of every contact at rest, 1/m; 0 for a contact that is not compressed.
     inverse_mass : (N,) array
-        1/kg; 0 for a grain that is held or driven.
+        Inverse mass of every grain, 1/kg; 0 for a grain that is held or driven.
     ground : (N,) array
         Stiffness between each grain and the ground, N/m.
     """
@@ -83,11 +94,13 @@ class Evaluations(NamedTuple):
     Attributes
     ----------
     time : (T,) array
-        s.
-    recorded : (T,) array
-        Whether each time is a sample; errors are computed for samples.
-    displacement, velocity : (T, N) arrays
-        m and m/s.
+        Times of the evaluations, s.
+    recorded : (T,) array of bool
+        Whether each time is a sample; errors are computed only at samples.
+    displacement : (T, N) array
+        Displacement of every grain, m.
+    velocity : (T, N) array
+        Velocity of every grain, m/s.
     reach : (T, 2) array
         First grain that moves, from 0, and the grain after the last one that moves.
     """
@@ -107,9 +120,9 @@ class ImposedMotion(NamedTuple):
     wall : (T, 3) array
         Position, velocity and acceleration of the top wall, m, m/s and m/s2.
     grain : int
-        The forced grain, from 0.
+        Number of the grain on which a force acts, from 0.
     acceleration : (T,) array
-        Acceleration of that grain by the applied force, m/s2.
+        Acceleration of this grain by the applied force, m/s2.
     """
 
     wall: Array
@@ -125,7 +138,8 @@ class StrainError(NamedTuple):
     lead : float
         Relative increase of the wave speed per unit of strain.
     near : float
-        A contact that reverses within this time is extrapolated by a parabola, s.
+        Longest time, s, over which the motion of a contact is extrapolated by a parabola to the
+        time at which it reverses.
     opening : float
         Strain below which a contact counts as open.
     """
@@ -155,8 +169,8 @@ def _largest(x):
 def _fill(bodies, i, links, solution, imposed):
     """Compute the displacement, velocity and acceleration of the moving grains at time i.
 
-    They are stored in `bodies`, (3, n+2). The first body is the top wall or a grain at rest; the
-    last one is a body at rest.
+    The results are stored in `bodies`, (3, n+2), for the n grains that move. The first body is the
+    top wall or a grain at rest, and the last one is a body at rest.
     """
     first, last = solution.reach[i]
     for k in range(3):

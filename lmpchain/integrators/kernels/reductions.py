@@ -22,7 +22,8 @@ _in_any_order = numba.njit(
 def _farthest(a, b):
     """Return the largest distance between elements of a and b, or NaN if any element is NaN.
 
-    The bit patterns of NaN are larger than those of all numbers.
+    The elements are compared by their bit patterns, because the bit pattern of NaN is larger than
+    the bit patterns of all positive numbers.
     """
     largest = 0
     for n in range(a.size):
@@ -63,23 +64,25 @@ def compare(
 
     Parameters
     ----------
-    u, v : (R, B, N) arrays
-        Displacement and velocity of R chains.
+    u : (R, B, N) array
+        Displacements in R chains at B samples, m.
+    v : (R, B, N) array
+        Velocities in R chains at B samples, m/s.
     runs : tuple
-        Displacements and velocities of S auxiliary runs, (S, R, B, N) arrays from the same sample
-        on; the run with which each is compared, (S,), 0 for the solution, n for auxiliary run n;
-        and the number of samples between two landings of each run, (S,).
+        Displacements and velocities of S auxiliary runs, (S, R, B, N) arrays; the number of the run
+        with which each run is compared, (S,), 0 for the solution and n for auxiliary run n; and the
+        number of samples between two comparisons of each run, (S,).
     begin : int
-        Number of the first sample.
+        Number of the first of the B samples.
     masses : (R, N) array
-        kg.
+        Masses of the grains, kg.
     allowed : (R,) array
         Upper bound on twice the kinetic energy, J.
     differences : (S, T, R, 2) array
-        Filled with the largest differences over all grains at the landings of the auxiliary runs;
-        NaN if a value is NaN.
+        Filled with the largest differences in displacement, m, and in velocity, m/s, over all
+        grains at the landings of the auxiliary runs; NaN if a value is NaN.
     peaks : (R, 2) array
-        Largest displacement and speed so far; updated.
+        Largest displacement, m, and speed, m/s, so far; updated.
 
     Returns
     -------

@@ -1,8 +1,8 @@
 """The right-hand side of Eq. (1), compiled: contact forces and the imposed motion or force.
 
 An excitation imposes the motion of grain 1, the motion of the top wall, or a force on a grain. An
-imposed force is stored in x[0], where no body is. A method calls `impose` at every time at which it
-evaluates accelerations, and `imposed` for every row of a `sweep`.
+imposed force is stored in x[0], an empty place of the row. A method calls `impose` at every time at
+which it evaluates accelerations, and `imposed` for every row of a `sweep`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ TILE = 8192  # Number of grains that stay in the cache during ROWS evaluations.
 def course(chain, t, order, inside):
     """Return the imposed motion or force at time t, or its derivative of some order.
 
-    The time `inside` selects the branch at a corner. A motion or force must be imposed.
+    If t is a kink, the branch on the side of the time `inside` is evaluated. A motion or force must
+    be imposed.
     """
     imposed = chain.imposed
     given = imposed.wave, imposed.knots, imposed.pieces, t, order, inside
@@ -164,7 +165,7 @@ def add_ground(chain, y, t, first, last, pull):
 def _pull_bodies(ground, chain, y, t, first, last, pull, length):
     """Add accelerations, times a `length`, of bodies first ... last-1 of y to `pull` (W,).
 
-    Without a ground, it is None, and nothing is compiled.
+    If there is no ground, `ground` is None, and the code below is not compiled.
     """
     if ground is not None:
         bodies = slice(first, last)
@@ -240,9 +241,9 @@ def sweep(chain, rows):
     """Kick and drift the window once for each row; long chains in tiles that fit the cache.
 
     Every row of a tile ends one cache line above the previous row, so that it does not depend on
-    the next tile. If threads share a chain, the rows of each thread also begin one line below the
-    previous row, so that they do not depend on other threads. The grains left out at the borders
-    between threads are processed at the end.
+    the next tile. If threads share a chain, every row of a thread also begins one cache line below
+    the previous row, so that it does not depend on other threads. Grains that are omitted at the
+    borders between threads are processed at the end.
     """
     first = chain.state.first
     last = chain.state.last

@@ -88,8 +88,8 @@ def _row(fields, real, schedule):
 def end_of_step(chain, clock, remaining, step):
     """Return `state.done` after a step no longer than `step`; equal steps fill the remaining time.
 
-    The length of the step is the difference from `state.done`, not `step`, so that all steps
-    together sum exactly to the time between landings.
+    The length of the step is the result minus `state.done`, not `step`, so that the sum of all
+    steps is exactly the time between landings.
     """
     done = chain.state.done
     # The tolerance 1e-9 prevents an extra step that only rounding would require.
@@ -103,24 +103,26 @@ def sample_loop(advance: Callable[..., int], counted: bool) -> Callable[..., int
     """Make the march of a method from its steps.
 
     The march advances chains by every schedule to a sample, or stops after a total number of steps.
-    Its results do not depend on the division of the steps into calls, to the last bit.
+    Its results do not depend on the division of the steps into calls: all bits are the same.
 
     Parameters
     ----------
     advance : function of (chain, method, work, clock, out, landed)
-        Takes one step or a burst of steps, updates `state.done` and returns their number. If the
-        chain has landed on a sample, it completes displacements and velocities there and returns 0.
+        Function that takes one step or a burst of steps, updates `state.done` and returns the
+        number of steps. If `landed` is true, a step has ended on a sample: the function then
+        completes displacements and velocities and returns 0.
     counted : bool
-        Whether `state.done` counts steps, else seconds since the last landing.
+        Whether `state.done` is the number of steps since the last landing (True) or the time since
+        then, s (False).
 
     Returns
     -------
     function of (chains, method, work, clocks, fields, begin, end, until, max_steps)
-        Its arguments are `Chains`, the parameters of the method, scratch arrays, clocks and
-        `Fields`. It advances the chains begin ... end - 1 to the sample `until`, or by about
-        `max_steps` steps in total, and returns the number of steps. It must be compiled by the
-        caller, and must be called from Python, because a compiled function inside another one is
-        compiled twice.
+        March that advances the chains begin ... end - 1 to the sample `until`, or by about
+        `max_steps` steps in total, and returns the number of steps. The other arguments are
+        `Chains`, the parameters of the method, scratch arrays, clocks and `Fields`. The caller
+        must compile the march and call it from Python, because a compiled function inside another
+        one is compiled twice.
     """
 
     def march(chains, method, work, clocks, fields, begin, end, until, max_steps):

@@ -58,8 +58,8 @@ def _land(chain, work, clock):
 def _advance(chain, method, work, clock, out, landed):
     """Take a burst of steps; the last kick of a step and the first kick of the next form one row.
 
-    A step within which the imposed motion or force ends is divided there, so that the order is
-    kept.
+    If the imposed motion or force ends within a step, the step is divided there, because the order
+    would be lower otherwise.
     """
     if landed:
         _land(chain, work, clock)

@@ -43,14 +43,14 @@ def fill_batch(
     Parameters
     ----------
     batch : BatchArrays
-        Its rows must be zeros.
+        Arrays to fill, which must contain zeros.
     at_rest : tuple of four (R, N+1) arrays
-        Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m, of all contacts.
+        Overlap, m, force, N, constant, N/m^delta, and stiffness, N/m, of all contacts at rest.
     masses : (R, N) array
-        kg.
+        Masses of the grains, kg.
     strikes : (R, 4) array
-        Highest frequency, rad/s, energy, J, and the largest displacement and speed that the
-        excitation imposes, m and m/s.
+        Highest frequency, rad/s; energy, J, largest displacement, m, and largest speed, m/s, of the
+        excitation.
     damping : tuple of (R, N+1) and (R, N) arrays
         Viscosities of contacts, s, and drag on grains, 1/s; read only if the batch is damped.
     free : pair of int
@@ -128,7 +128,8 @@ def _fill_scales(batch, real, at_rest, masses, strike):
 def _fill_weights(batch, real, opening_power):
     """Fill the weight of each contact of a chain, its effect on the motion as it opens or closes.
 
-    `opening_weight` is the square of this effect; `opening_reach` serves `openings._may_shorten`.
+    `opening_weight` is the square of this effect. `opening_reach` is used by
+    `openings._may_shorten`.
     """
     omega = batch.omega[real]
     inverse_mass = batch.inverse_mass[real]
@@ -163,23 +164,28 @@ def place_bodies(
 
     Parameters
     ----------
-    u, v : (C, R, N) arrays
-        Displacement, m, and velocity, m/s, in R chains: one copy for all, or each of C copies.
+    u : (C, R, N) array
+        Displacements in R chains, m, for each of C copies; C = 1 if all copies are equal.
+    v : (C, R, N) array
+        Velocities in R chains, m/s, for each of C copies.
     copies : int
         Number of copies of the batch.
     driven : int
-        Number of driven grains, from the top; their initial velocity is set to 0.
+        Number of driven grains at the top; their initial velocity is set to 0.
     batch : layout.BatchArrays
+        Constant arrays of the R chains.
     longest : int
-        Longest row, in bodies, with a window of the whole chain; in longer rows the window begins
-        around the grains that move.
+        Largest number of bodies in a row for which the window is the whole chain. In longer rows
+        the first window is limited to the grains that move.
 
     Returns
     -------
-    x, v : (copies R, W) arrays
-        See `layout.Chains`.
+    x : (copies R, W) array
+        Displacements, m, in the layout of `layout.Chains`.
+    v : (copies R, W) array
+        Velocities, m/s.
     state : (copies R,) array of `layout.STATE`
-        At sample 0.
+        State of the chains at sample 0.
     """
     size, grains = u.shape[1:]
     x, w = aligned_rows(2, copies * size, grains)

@@ -1,6 +1,7 @@
 """The map of a kick-drift splitting and its tangent, which describes small deviations, compiled.
 
-The map is that of the native engine. Its tangent is exact for the steps taken, and symplectic.
+The native engine advances a chain by the same map. The tangent is the exact derivative of the
+computed map, and it is symplectic.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ class Deviations(NamedTuple):
 
     Attributes
     ----------
-    x, v : (N, C) arrays
-        Deviations of displacements and velocities, contiguous.
+    x : (N, C) array
+        Deviations of displacements, contiguous.
+    v : (N, C) array
+        Deviations of velocities, contiguous.
     stretch : (C,) array
-        Relative change of all step lengths in a deviation: 1 for the derivative by log(time).
+        Relative change of all step lengths in each deviation: 1 for the derivative by the logarithm
+        of the duration, else 0.
     """
 
     x: Array
@@ -52,7 +56,7 @@ class TangentSteps(NamedTuple):
 class Held(NamedTuple):
     """A body without inverse mass: its index, and its displacement at every kick, m.
 
-    The path is (K S + 1,), or empty if no body is driven.
+    `path` has the shape (K S + 1,) for K steps of S stages. It is empty if no body is driven.
     """
 
     body: int
@@ -144,20 +148,22 @@ def march(batch, inverse_mass, motion, deviations, steps, held, states):
     batch : BatchArrays
         Arrays of a batch that contains only this chain.
     inverse_mass : (W,) array
-        1/kg.
+        Inverse mass of every body, 1/kg; 0 for a body that is held or driven.
     motion : BodyRow
-        Overwritten.
+        Displacements, m, and velocities, m/s, at the start; overwritten with those at the end.
     deviations : Deviations
-        Overwritten.
+        Deviations of the initial state; overwritten with those of the final state.
     steps : TangentSteps
+        Coefficients of the splitting, and lengths of the steps.
     held : Held
+        Driven body and its displacements.
     states : (2, K+1, N) array
-        Filled with displacements and velocities between the steps.
+        Filled with displacements, m, and velocities, m/s, before the first and after every step.
 
     Notes
     -----
-    Sums are compensated, because a grain that flies far between short contacts would lose four
-    digits to rounding errors.
+    Sums over steps are compensated for rounding errors, because a grain that flies far between
+    short contacts would lose four digits otherwise.
     """
     links = links_of(batch, 0)
     x, v = motion

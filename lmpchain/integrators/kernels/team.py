@@ -1,8 +1,8 @@
 """Threads that share a chain: their grains, and the points at which they synchronise, compiled.
 
-All threads run the same march, each with its own copy of the state, which goes through the same
-values. Loops over grains are divided between the threads, and `meet` synchronises them before a
-thread reads values that another one has written.
+All threads run the same march. Each thread has its own copy of the state, and all copies have the
+same values. Loops over grains are divided between the threads, and `meet` synchronises the threads
+before one of them reads values that another one has written.
 """
 
 from __future__ import annotations

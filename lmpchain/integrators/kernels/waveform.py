@@ -24,8 +24,8 @@ _kept = compiled_filler(fastmath=STRICT)
 def _course(wave, knots, pieces, t, order, inside):
     """Return the imposed motion or force at time t, or its derivative of some order.
 
-    The time `inside` selects the branch at a corner. The motion or force is a sine, with or without
-    an envelope, or a cubic spline.
+    If t is a kink, the branch on the side of the time `inside` is evaluated. The motion or force is
+    a sine, with or without an envelope, or a cubic spline.
     """
     if wave.knots == 0:
         size = wave.amplitude

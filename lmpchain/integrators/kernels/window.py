@@ -1,7 +1,7 @@
 """The active window of a chain, extremes of its contacts and grains, and samples, compiled.
 
-Only the window is computed. Grains outside, beyond the light cone, have moved by less than the
-fraction `TINY` of the largest motion of the excitation.
+Only grains in the window are computed. Grains outside of the window are beyond the light cone: they
+have moved by less than the fraction `TINY` of the largest motion of the excitation.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ class WindowLooks(NamedTuple):
     Attributes
     ----------
     radians : float
-        omega t between the first observations; at most 12 % of a peak of the fastest mode is
-        missed.
+        Phase omega t from one of the first observations to the next. The observed peak of the
+        fastest mode is at most 12 % too small.
     settled : int
-        Later observations are separated by 1 / `settled` of the steps so far, because new extremes
-        are rare then.
+        Later observations are separated by 1 / `settled` of the number of steps so far, because new
+        extremes are rare then.
     longest : float
-        Largest number of steps between two observations, within the range of integers.
+        Largest number of steps between two observations, so that integers do not overflow.
     """
 
     radians: float = 1.0
@@ -74,8 +74,8 @@ def widen(chain, margin):
 def rest_ahead(chain):
     """Set grains that have hardly moved at either end of the window to rest.
 
-    The many stages of a step reach so far ahead of a wave that numbers would become subnormal, and
-    a processor computes ten times slower with subnormal numbers.
+    The many stages of a step extend so far ahead of a wave that motions would become subnormal
+    numbers, with which a processor computes ten times slower.
     """
     x = chain.x
     v = chain.v
@@ -97,8 +97,8 @@ def rest_ahead(chain):
 def watch(chain):
     """Update the smallest r / length (-1 is an opening) and the largest r of all contacts.
 
-    Positive numbers have the same order as their bit patterns, and the maximum of integers is
-    vectorised.
+    Numbers are compared by their bit patterns, because positive numbers have the same order as
+    their bit patterns, and the compiler vectorises the maximum of integers.
     """
     state = chain.state
     first, last = share(chain)
@@ -121,8 +121,9 @@ def watch(chain):
 def look(chain, clock, steps, t, complete):
     """Update the largest displacement and speed of all grains at time t, if an observation is due.
 
-    `steps` is the number of steps so far. `complete` is a lower bound on the ratio of the largest
-    speed to the largest speed that is observed before the last kick.
+    `steps` is the number of steps so far. The speeds do not yet include the last kick of a step.
+    `complete` is a lower bound on the ratio of the largest complete speed to the largest observed
+    speed.
     """
     state = chain.state
     if steps < state.next_look or clock.ratio != 1.0:

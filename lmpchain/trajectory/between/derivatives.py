@@ -38,15 +38,16 @@ compiled_measure = partial(compiled_once, "the measures", 6, nogil=True, **_OPTI
 class OpeningErrors(NamedTuple):
     """Error of the acceleration where a contact opens or closes within an interval h.
 
-    With `hermite.Shape`, values, slopes and curvatures are then bounded for all exponents:
-    tests/trajectory/test_between.py.
+    Together with `hermite.Shape`, these errors bound the errors of values, slopes and curvatures
+    for all exponents (see tests/trajectory/test_between.py).
 
     Attributes
     ----------
     kink : float
         Error in units of h times the jump of the jerk.
     collision : float
-        Error in units of the jump of the velocity over h, if the bodies were closer in between.
+        Error in units of the jump of the velocity over h, if the bodies were closest between the
+        two samples.
     """
 
     kink: float = 0.12
@@ -62,16 +63,18 @@ class ChainForces(NamedTuple):
     Attributes
     ----------
     contacts : (3, N+1) array
-        Inverse length, strength, and 1 if pressed at rest (else 0), of each contact.
+        Inverse length, 1/m, strength, N, and 1 if compressed at rest (else 0), of each contact; see
+        `_push`.
     inverse_mass : (N,) array
-        1/kg; 0 of a held grain.
+        Inverse mass of each grain, 1/kg; 0 for a grain that is held.
     exponent : float
+        Exponent delta of the force law; 1 if the forces are linearised.
     linear : bool
         Whether the forces are linearised.
     parameters : (P, N+1) array
-        See `BatchArrays.parameters`, for a law given by formulas.
+        Parameters of a law that is given by a formula, see `BatchArrays.parameters`.
     formulas : int
-        Memory address of the law's loop, see `change_in_time`; 0 for powers.
+        Memory address of the loop of such a law, see `change_in_time`; 0 for a power law.
     """
 
     contacts: Array
@@ -88,17 +91,17 @@ class ImposedSamples(NamedTuple):
     Attributes
     ----------
     wall : (4, R) array
-        Displacement, velocity, acceleration and jerk of the wall that moves.
+        Displacement, m, velocity, m/s, acceleration, m/s2, and jerk, m/s3, of the wall that moves.
     acceleration : (2, R) array
-        Acceleration and jerk of the grain.
+        Acceleration, m/s2, and jerk, m/s3, of the grain by the excitation.
     doubt : (R,) array
-        Error of either acceleration in the interval behind a sample.
+        Error of the imposed acceleration in the interval after each sample, m/s2.
     grain : int
-        Number of the grain, 0 for none.
+        Number of the grain; 0 if the excitation acts on no grain.
     driven : bool
-        Whether the grain has no other acceleration.
+        Whether the motion of the grain is imposed, so that contacts do not accelerate it.
     wall_body : int
-        Number of the wall that moves: N + 1 at the bottom; 0 at the top, or if none moves.
+        Number of the wall that moves: N + 1 at the bottom; 0 at the top, or if no wall moves.
     """
 
     wall: Array
@@ -114,16 +117,22 @@ class SampledBlock(NamedTuple):
 
     Attributes
     ----------
-    u, v : (C, R) arrays
-        Displacement and velocity of C recorded grains.
+    u : (C, R) array
+        Displacements of C recorded grains, m.
+    v : (C, R) array
+        Velocities of C recorded grains, m/s.
     column : (N+2,) array
-        Row of each body in these, or a mark; body 0 is the top wall, N+1 the bottom one.
+        Row of each body in u and v; negative for a body that is not recorded or does not move. Body
+        0 is the top wall, and body N+1 is the bottom wall.
     lawful : (N+2,) array of bool
-        Whether the law gives the acceleration of a body; else it follows from the samples.
+        Whether the acceleration of a body is computed from the law (True) or from the samples
+        (False).
     h : float
         Time between two samples, s.
-    law : Law
-    imposed : Imposed
+    law : ChainForces
+        Forces within the chain.
+    imposed : ImposedSamples
+        Imposed motion and acceleration at the samples.
     """
 
     u: Array
@@ -141,12 +150,9 @@ def law_of(chain: Chain, linear: bool) -> ChainForces:
     Parameters
     ----------
     chain : Chain
+        Chain with its contact law.
     linear : bool
-        Whether they are linearised.
-
-    Returns
-    -------
-    Law
+        Whether the forces are linearised.
     """
     law = chain.law
     contacts = chain.contacts
@@ -176,14 +182,13 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
     Parameters
     ----------
     scene : Scene
+        Scene with the excitation.
     step : float
         Time between two samples, s.
-    first, count : int
-        Number of the first sample, and of samples.
-
-    Returns
-    -------
-    Imposed
+    first : int
+        Number of the first sample.
+    count : int
+        Number of samples.
     """
     excitation = scene.excitation
     wall = np.zeros((4, count))
@@ -254,16 +259,17 @@ def _push_hertz(r, closing, inverse_length, strength, pressed, force, rate):
 def _push(r, closing, contact, law, n, force, rate):
     """Fill in changes of the force of a contact and their rates, for changes r of the overlap.
 
-    F - F_0 = S (max(p + s, 0)^delta - p) with s = r / l, and its rate S delta (p + s)^(delta - 1)
-    r' / l; linear: S delta s. A law given by formulas has a loop of its own.
+    The change is F - F_0 = S (max(p + s, 0)^delta - p) with s = r / l, and its rate is
+    S delta (p + s)^(delta - 1) r' / l. In linear theory the change is S delta s. A law that is
+    given by a formula has a loop of its own.
 
     ======  =====================================================  ========
     symbol  meaning                                                name
     ======  =====================================================  ========
     r, r'   change of the overlap since rest, and its rate         r, closing
-    1 / l   inverse overlap at rest, 1/m if nothing is pressed     inverse_length
-    S       force at rest, or K if nothing is pressed              strength
-    p       1 if pressed at rest, else 0                           pressed
+    1 / l   inverse overlap at rest, or 1/m without compression    inverse_length
+    S       force at rest, or K without compression                strength
+    p       1 if compressed at rest, else 0                        pressed
     delta   exponent of the force                                  law.exponent
     ======  =====================================================  ========
     """
@@ -313,7 +319,8 @@ def _nearly_opens(r, closing, contact, h):
 def _add_doubt(r, closing, contact, rate, mass, h, share, doubt):
     """Increase the error of an acceleration if the contact opens or closes after a sample.
 
-    There the jerk jumps, so that the acceleration has a kink; see `OpeningErrors`.
+    The jerk jumps where a contact opens or closes, so that the acceleration has a kink there; see
+    `OpeningErrors`.
     """
     inverse_length, _, pressed = contact
     for i in range(r.size - 1):
@@ -387,8 +394,8 @@ def _accelerate(block, n, near, share, rows, work):
 def _quintic(u, v, h, k, s):
     """Return a and j at k + s of the quintic through the samples k - 1, k and k + 1.
 
-    u(t) = u_k + v_k h t + c_2 t^2 + ... + c_5 t^5 with t from -1 to 1, in units of h; it has the
-    recorded displacements and velocities at all three.
+    The quintic is u(t) = u_k + v_k h t + c_2 t^2 + ... + c_5 t^5, with t from -1 to 1 in units of
+    h. It has the recorded displacements and velocities at all three samples.
 
     ======  =====================================  ========
     symbol  meaning                                name
@@ -444,8 +451,9 @@ def derive(block: SampledBlock, grains: np.ndarray) -> Array:
     Parameters
     ----------
     block : SampledBlock
+        Samples of the motion.
     grains : (G,) array
-        Their numbers.
+        Numbers of the grains.
     """
     derived = np.zeros((grains.size, 3, block.u.shape[1]))
     lawful = block.lawful[grains]

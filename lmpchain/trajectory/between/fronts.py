@@ -19,20 +19,24 @@ SMALLEST = sys.float_info.min  # Smallest maximum with full precision.
 class Rules(NamedTuple):
     """Definition of a front, and the errors of the motion.
 
+    A size is the magnitude of a displacement, m, or of a velocity, m/s.
+
     Attributes
     ----------
     fraction : float
         Smallest height of the front, relative to the largest size.
     error : float
-        Error of all values, besides that of the polynomials.
+        Error of all sizes at samples, in addition to the error of interpolation.
     fall : float
         Smallest decrease of the size after the front.
     frequency : float
-        Highest frequency of these errors, rad/s.
-    step, duration : float
-        Time between two samples, and duration of the whole motion, s.
+        Highest frequency of the errors at samples, rad/s.
+    step : float
+        Time between two samples, s.
+    duration : float
+        Duration of the whole motion, s.
     kind : int
-        DISPLACEMENT or VELOCITY: the size whose fronts these are.
+        DISPLACEMENT or VELOCITY, the field of the front.
     width : bool
         Whether widths are computed.
     """
@@ -93,7 +97,7 @@ def _spread(event, rules):
 def _earlier(events, when, lowest, late, rules):
     """Return the earliest time at which the rise before `when` may have turned, and the size there.
 
-    The time is more than `late` before `when`; else `when` and 0 are returned.
+    If the rise cannot have turned more than `late` before `when`, `when` and 0 are returned.
     """
     begin = when
     height = 0.0
@@ -119,19 +123,21 @@ def _doubt_choice(events, at, late, largest, rules):
     Parameters
     ----------
     events : (E,) array of EVENT
-        Of a grain.
+        Events of the grain.
     at : int
-        Which of them is the front.
+        Index of the event that is the front.
     late : float
-        Least error of its time, s.
+        Error of the time of this maximum, s, which is the smallest error returned.
     largest : (3,) array
-        The largest size, and the bounds between which it lies.
+        Largest size of the grain, and its lower and upper bounds.
     rules : Rules
+        Definition of a front.
 
     Returns
     -------
     (float, float)
-        s, and in the unit of the size; 0 if no other maximum may be the front.
+        Error of the time, s, and of the height, in the unit of the size. If no other maximum may be
+        the front, these are `late` and 0.
     """
     front = events[at]
     when = front.when
@@ -203,13 +209,16 @@ def arrivals(
 
     Parameters
     ----------
-    events, latest : (E,) and (G,) arrays of EVENT
-        See `maxima.reduce`; the first are sorted by grain.
+    events : (E,) array of EVENT
+        Events of all grains, sorted by grain; see `maxima.reduce`.
+    latest : (G,) array of EVENT
+        Last event of each grain, see `maxima.reduce`.
     largest : (3, G) array
-        Largest sizes.
+        Largest sizes, and their lower and upper bounds.
     start : (G,) array
         Sizes at t = 0.
     rules : Rules
+        Definition of a front.
     """
     out = np.full((2, latest.size), np.nan)
     few = np.zeros(events.size + 1, EVENT)
@@ -221,7 +230,8 @@ def arrivals(
 def _crossings(p, front, level, rules, work):
     """Return the level crossings of a size before and after a front, and the largest error.
 
-    Times without a crossing are NaN. The error is that of the polynomials on the way.
+    A time is NaN if there is no crossing. The error is the largest interpolation error between the
+    two crossings.
     """
     when, height, _ = front
     h = rules.step
@@ -269,7 +279,8 @@ def _last_as_large(p, front, rules, work):
 def _still_as_large(p, front, late, rules, work):
     """Return whether the size at this distance in time from a maximum is as large within the error.
 
-    Return False, too, if that time is in another interval.
+    The times `late` before and after the maximum are tested. A time in another interval does not
+    count.
     """
     when, height, off = front
     h = rules.step
@@ -349,13 +360,13 @@ def fronts(
     Parameters
     ----------
     block : SampledBlock
-        All samples.
+        All samples of the motion.
     grains : (G,) array
-        Their numbers.
+        Numbers of the grains.
     derived : (G, 3, R) array
-        See `derivatives.derive`.
+        Accelerations, jerks and errors, as `derivatives.derive` returns them.
     events, latest, largest, start, rules
-        See `arrivals`.
+        Events, largest sizes, sizes at t = 0 and definition of a front, as in `arrivals`.
     """
     out = np.full((grains.size, 6), np.nan)
     few = np.zeros(events.size + 1, EVENT)

@@ -1,14 +1,14 @@
 """Motion between the samples by Hermite interpolation, compiled.
 
-Between two samples the velocity is the polynomial of degree 6 that has the recorded velocity v,
-the acceleration a and the jerk j at both ends, and carries the grain from one recorded
-displacement u to the other. Without the condition on u it is the quintic through v, a and j; by
-how much that misses the recorded displacement shows the error of both.
+Between two samples, the velocity is interpolated by a polynomial of degree 6. It has the recorded
+velocity v, the acceleration a and the jerk j at both ends, and its integral is the change of the
+recorded displacement u. The quintic through v, a and j does not satisfy the condition on u, and the
+difference between its integral and the change of u shows the error of both polynomials.
 
-Polynomials are in Bernstein form: the sum of c_k B_k(s), s = t / h from 0 to 1. They lie between
-the least and the largest of the c_k and have at most as many roots as these change sign. The mean
-of the c_k is the integral, so that c_3 follows from the way, and the c_k of the displacement are
-sums.
+Polynomials are in Bernstein form, the sum of c_k B_k(s) with s = t / h from 0 to 1. The values are
+between the smallest and the largest c_k, and the number of roots is at most the number of sign
+changes of the c_k. The integral over s is the mean of the c_k. The coefficient c_3 of the velocity
+therefore follows from the change of u, and the c_k of the displacement are cumulative sums.
 """
 
 from __future__ import annotations
@@ -35,13 +35,22 @@ class PathRows(NamedTuple):
 
     Attributes
     ----------
-    displacement, velocity, acceleration, jerk : int
-        Rows of values at the R samples.
+    displacement : int
+        Row of the displacements at the R samples, m.
+    velocity : int
+        Row of the velocities at the samples, m/s.
+    acceleration : int
+        Row of the accelerations at the samples, m/s2.
+    jerk : int
+        Row of the jerks at the samples, m/s3.
     doubt : int
-        Error of the acceleration in the interval behind each sample.
-    middle, error, reach : int
-        Middle coefficient of the velocity in that interval, error of the polynomial, and a bound on
-        its size; see `bound`.
+        Row of the error of the acceleration in the interval after each sample, m/s2.
+    middle : int
+        Row of the middle coefficient of the velocity in this interval, m/s.
+    error : int
+        Row of the error of the interpolated size in this interval.
+    reach : int
+        Row of an upper bound on the interpolated size in this interval; see `bound`.
     """
 
     displacement: int = 0
@@ -59,14 +68,24 @@ class ScratchRows(NamedTuple):
 
     Attributes
     ----------
-    value, slope, bend, steep : int
-        Rows of coefficients: of a polynomial, of its derivatives, and of one more derivative.
-    turns, places : int
-        Rows of roots.
+    value : int
+        Row of the coefficients of a polynomial.
+    slope : int
+        Row of the coefficients of its first derivative.
+    bend : int
+        Row of the coefficients of its second derivative.
+    steep : int
+        Row of the coefficients of one more derivative.
+    turns : int
+        Row of the places at which the polynomial turns.
+    places : int
+        Row of the places of other roots.
     pieces : int
         First row of the pieces of a polynomial.
-    begin, width : int
-        Columns of their start and width.
+    begin : int
+        Column of the start of each piece.
+    width : int
+        Column of the width of each piece.
     """
 
     value: int = 0
@@ -87,19 +106,22 @@ C, D, BEND, STEEP, TURNS, PLACES, PIECES, BEGIN, WIDTH = ScratchRows()
 class Shape(NamedTuple):
     """Errors of the interpolated velocity.
 
-    The misfit of the quintic has the shape 140 s^3 (1-s)^3, whose integral is 1.
+    The difference between the two polynomials has the shape 140 s^3 (1-s)^3, whose integral is 1.
 
     Attributes
     ----------
     safety : float
-        Factor on the misfit; analysis/calibration/between_samples.py measures that it suffices.
+        Safety factor on this difference, measured by analysis/calibration/between_samples.py.
     height : float
         Largest value of the shape.
-    slope, curvature : float
-        Its largest slope, and twice its largest curvature (a kink bends more than it moves), over
-        `height`.
+    slope : float
+        Largest slope of the shape, over `height`.
+    curvature : float
+        Twice the largest curvature of the shape, over `height`. The factor of two is for kinks,
+        where the curvature has a larger relative error than the value.
     push : float
-        Change of the velocity by an acceleration h^-1, of opposite sign at the two ends.
+        Error of the velocity in units of h times the error of the acceleration, if the errors of
+        the acceleration at the two ends have opposite signs.
     """
 
     safety: float = 4.0
@@ -138,14 +160,15 @@ def highest(y, begin, end, kind):
 def _velocity(p, i, h):
     """Return the coefficients of the velocity from sample i to the next, except the middle one.
 
-    c_0 = v_i, c_1 = v_i + h a_i / 6, c_2 = v_i + h a_i / 3 + h^2 j_i / 30, likewise from the other
-    end; c_3 follows from (c_0 + ... + c_6) / 7 = (u_{i+1} - u_i) / h.
+    c_0 = v_i, c_1 = v_i + h a_i / 6 and c_2 = v_i + h a_i / 3 + h^2 j_i / 30. The coefficients c_6,
+    c_5 and c_4 follow in the same way from the other end, with -h in place of h. The middle one,
+    c_3, follows from (c_0 + ... + c_6) / 7 = (u_{i+1} - u_i) / h.
 
     ======  ===========================================  ====
     symbol  meaning                                      name
     ======  ===========================================  ====
     u, v    displacement and velocity at the samples     p[U], p[V]
-    a, j    acceleration and jerk there                  p[A], p[J]
+    a, j    acceleration and jerk at the samples         p[A], p[J]
     h       time between two samples                     h
     c_k     coefficients in Bernstein form               c1 ... c5
     ======  ===========================================  ====

@@ -1,8 +1,9 @@
 """Largest values of grains and the maxima of their motion, interval by interval, compiled.
 
-One reduction for stored samples and for those of a run: it takes in consecutive samples, in blocks
-of any size, and keeps a few numbers a grain. An interval is taken in when the sample behind the
-next one is known, for the misfits of its neighbours tell of its error, too.
+The same reduction is used for stored samples and during a run. It processes consecutive samples in
+blocks of any size, and stores a few numbers for each grain. The error of an interval depends on the
+misfits of the intervals before and after it. An interval can therefore be processed only when the
+samples of the following interval are known.
 """
 
 from __future__ import annotations
@@ -91,8 +92,10 @@ class Window(NamedTuple):
     ----------
     first : int
         Number of the first sample of the block.
-    begin, end : int
-        Range of intervals, counted from this sample.
+    begin : int
+        First interval, counted from this sample.
+    end : int
+        Interval after the last one, counted from this sample.
     """
 
     first: int
@@ -211,7 +214,8 @@ def _has_fallen(last):
 def _exceed(last, begin, error, h, t, s, height, bend):
     """Replace the last maximum by a larger size at place s.
 
-    The interval begins at time t with the size `begin`; the curvature `bend` is 0 if unsure.
+    The interval begins at time t with the size `begin`. `bend` is a lower bound on the curvature at
+    the maximum, or 0 if the curvature may vanish.
     """
     top = abs(height)
     if bend == 0.0 and top > 0.0:
@@ -263,8 +267,9 @@ def _begin(last, t, height):
 def _log_maxima(p, interval, ends, counts, last, events, used, work):
     """Process the turning points and the end of an interval; return the number of events.
 
-    `ends` are the values at its ends, and `counts` the numbers of coefficients of its polynomial, 0
-    if that neither turns nor slows, and of its turns.
+    `ends` contains the values at the two ends of the interval. `counts` contains the number of
+    coefficients of its polynomial and the number of its turning points. The first number is 0 if
+    the polynomial neither turns nor slows down.
     """
     i, t, h = interval
     count, turns = counts
@@ -302,28 +307,35 @@ def _log_maxima(p, interval, ends, counts, last, events, used, work):
 def follow(p, kind, h, window, ceiling, largest, latest, n, events, used, work):
     """Process intervals of a body until the log of events is full.
 
-    Return the first interval that is left, or the end of the window, and the number of events.
+    Return the first interval that is not processed, or the end of the window, and the number of
+    events.
 
     Parameters
     ----------
     p : (8, R) array
-        Its path, see `hermite`.
+        Path of the body in the layout of `hermite.PathRows`.
     kind : int
-        DISPLACEMENT, VELOCITY or RAISED.
+        DISPLACEMENT, VELOCITY or RAISED, the size that is followed.
     h : float
         Time between two samples, s.
     window : Window
+        Intervals to process.
     ceiling : (R-1,) or (0,) array
-        Bounds on the speed between samples; below 0, or empty, where it follows from the samples.
+        Upper bound on the speed in each interval, m/s. It is negative, or the array is empty, if
+        the polynomial shows the speed.
     largest : (3, G) array
-        Raised at n.
+        Largest sizes and their bounds; column n is updated.
     latest : (G,) or (0,) array of EVENT
-        The last maximum that exceeds all before, changed at n; no event is logged if it is empty.
+        Last maximum of each grain that exceeds all earlier sizes; element n is updated. No event is
+        logged if the array is empty.
     n : int
-    events, used : array of EVENT and int
-        The log, and how many events it has.
+        Index of the grain or contact in `largest` and `latest`.
+    events : array of EVENT
+        Log of events; filled.
+    used : int
+        Number of events in the log.
     work : array
-        See `scratch`.
+        Work array, as `scratch` returns it.
     """
     y = p[V if kind == VELOCITY else U]
     slopes = p[A if kind == VELOCITY else V]
@@ -414,7 +426,8 @@ def _add_body(p, sign, block, derived, place, n):
 def fill_path(p, block, derived, body, row, lower):
     """Fill in the motion of a body, or relative to the body below it; return whether it moves.
 
-    `row` and `lower` are rows of the two in `derived`, see `table_of`.
+    `row` and `lower` are the rows of the body and of the body below it in `derived`, see
+    `table_of`.
     """
     for k in range(5):
         for i in range(p.shape[1]):
@@ -431,8 +444,9 @@ def fill_path(p, block, derived, body, row, lower):
 def table_of(grains: np.ndarray, kinds: Sequence[int], contacts: Sequence[int]) -> np.ndarray:
     """Return the table for `reduce`, (F, 5) integers, with a row per grain size or contact.
 
-    Each row has the number of a body, its row in `derivatives.derive`, the row of the body below it
-    if the approach of the two is followed, the kind of size, and its place in the largest ones.
+    The columns of the table are the number of a body, its row in the result of
+    `derivatives.derive`, the row of the body below it, or NONE unless the approach of the two
+    bodies is followed, the kind of size, and the index of its largest value.
     """
     table = np.empty((len(kinds) * grains.size + len(contacts), 5), dtype=np.int64)
     count = np.arange(grains.size)
@@ -465,21 +479,25 @@ def reduce(
     Parameters
     ----------
     block : SampledBlock
+        Samples of the motion.
     table : (F, 5) array of int
-        See `table_of`.
+        Sizes to follow, as `table_of` returns them.
     derived : (G, 3, R) array
-        See `derivatives.derive`.
+        Accelerations, jerks and errors, as `derivatives.derive` returns them.
     ceiling : (G, R-1) or (1, R-1) or (1, 0) array
-        See `follow`: of each grain or contact, of a single one, or of none.
+        Upper bounds on speeds, as in `follow`: for each grain or contact, for all together, or
+        none.
     window : Window
+        Intervals to process.
     largest : three (3, G) or (3, P) arrays
-        Displacements and speeds of grains, and approaches of contacts beyond those at rest; raised.
+        Largest displacements and speeds of grains, and largest approaches of contacts from rest,
+        with their bounds; updated.
     tracked : int
-        DISPLACEMENT or VELOCITY: of which of these `latest` are, and events are logged.
+        DISPLACEMENT or VELOCITY, the size whose events are logged.
     latest : (G,) or (0,) array of EVENT
-        See `follow`.
+        Last maximum of each grain, as in `follow`; updated.
     events : (E,) array of EVENT
-        Those so far.
+        Events so far.
     """
     work = np.zeros((8, block.u.shape[1])), scratch()
     used = events.size
@@ -498,8 +516,8 @@ def reduce(
 def _reduce(block, table, derived, ceiling, rest, window, sizes, tracked, latest, log, work):
     """Do the work of `reduce` until the log is full; for the first row, do only `rest`.
 
-    Return the number of rows that are done, the first interval of the next row that is left, and
-    the number of events.
+    Return the number of rows of the table that are complete, the first interval of the next row
+    that is not processed, and the number of events.
     """
     far, fast, closest = sizes
     events, used = log

@@ -1,8 +1,8 @@
 """The largest force of a viscous contact between samples.
 
-It is not where the contact is closest. Approach and closing rate at four samples make a polynomial
-of degree 7, of which the force follows with its kinks; one of degree 5, through three of them,
-shows its error.
+The largest force does not occur where the contact is closest. The approach is interpolated by a
+polynomial of degree 7 through the approach and its rate at four samples, and the force is computed
+from this polynomial. A polynomial of degree 5 through three samples shows the error.
 """
 
 from __future__ import annotations
@@ -83,12 +83,13 @@ def largest_force(contact: ViscousContact, motion: Array, h: float, window: Wind
     Parameters
     ----------
     contact : ViscousContact
+        Contact with its law and viscosity.
     motion : (2, R) array
-        Approach beyond that at rest, m, and rate, m/s, at samples.
+        Approach from rest, m, and its rate, m/s, at the samples.
     h : float
-        Time between two of them, s.
+        Time between two samples, s.
     window : Window
-        The intervals.
+        Intervals to search.
     """
     sampled = contact.force(*motion)
     numbers = np.arange(window.begin, window.end)

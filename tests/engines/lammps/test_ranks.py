@@ -399,7 +399,7 @@ def test_a_foreign_mpirun_is_recognised(monkeypatch, tmp_path):
         check=False,
     )
     assert done.returncode == 1
-    assert "mpirun has started 2 processes, but MPI sees 1" in done.stderr
+    assert "mpirun has started 2 processes, but MPI finds 1," in done.stderr
     fake = tmp_path / "mpiexec"
     # The script starts one process, whatever number is requested.
     fake.write_text('#!/bin/sh\nshift 2\nexec "$@"\n')
