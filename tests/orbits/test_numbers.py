@@ -161,7 +161,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
     for message, call in {
         "energy: is not conserved in a driven":
             lambda: orbits.find(loaded, energy=1e-9, drive=sine),
-        "period: must be a whole number of those of the drive, 5e-05 s":
+        "period: must be a whole number of periods of the drive, 5e-05 s":
             lambda: orbits.find(loaded, drive=sine, period=1.2e-4),
         "guess: must be a Profile": lambda: orbits.find(CHAIN, 3.0, 1e-4),
         "guess: is missing, and a chain without compression":
@@ -205,7 +205,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         "lmpchain.orbits.modes.follow", lambda *_, **__: SimpleNamespace(reached=False, ended="x")
     )
-    with pytest.raises(RunFailed, match=r"^the family of mode 2 does not come to 1e-12 J: x"):
+    with pytest.raises(RunFailed, match=r"^the family of mode 2 does not reach 1e-12 J: x"):
         orbits.normal_mode(CHAIN, 2, 1e-12)
 
 
