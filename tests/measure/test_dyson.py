@@ -240,7 +240,7 @@ def test_no_two_of_many_lines_look_alike():
 def test_orders_that_a_user_writes():
     assert orders("1, 2.5,20 ,1") == [1.0, 2.5, 20.0]
     for text, fault in (
-        ("1,two", "m: must be numbers with commas between them"),
+        ("1,two", "m: must be numbers separated by commas"),
         ("1,0", "m: must be above 0 (got 0)"),
         ("-2,3", "m: must be above 0 (got -2)"),
         ("inf", "m: must be above 0 (got inf)"),
