@@ -156,7 +156,7 @@ class Family(Shown, Tabular):
                 raise InputError.at(
                     "others",
                     f"a family that begins at {self.parameter} = {start[0]:g} does not continue "
-                    f"one that ends at {end[0]:g}: join in order, and use `backwards()` to reverse one",
+                    f"one that ends at {end[0]:g}: change their order, or use `backwards()`",
                 )
             # Events count the orbits of their own family.
             earlier = len(joined) - 1

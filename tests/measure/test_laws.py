@@ -229,7 +229,7 @@ def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
         same = asymptotic(front, quantity, 1.5)  # type: ignore[arg-type]
         assert (seen.laws[name].exponent, seen.laws[name].factor) == (same.exponent, same.factor)
     with pytest.raises(
-        InputError, match="at 6 or more grains from grain 60 on; this run shows 5: record longer"
+        InputError, match=r"needs 6 or more grains from grain 60 on \(got 5\): record longer"
     ):
         fit_exponents(struck, 60, 64)
     assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
