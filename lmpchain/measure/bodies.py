@@ -31,7 +31,7 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     Raises
     ------
     InputError
-        If no two neighbours were recorded.
+        If no two neighbouring grains were recorded.
     """
     chain = trajectory.scene.chain
     recorded = columns(chain.grains, chain.movable, trajectory.grains) != UNKNOWN

@@ -160,7 +160,8 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
         Run of a uniform chain without damping until the waves are apart again; all grains must be
         recorded.
     start : float
-        Time at which both waves exist, s: 0, or after strikes at the ends have produced them.
+        Time at which both waves exist, s: 0, or a time after strikes at the ends have produced
+        them.
 
     Returns
     -------

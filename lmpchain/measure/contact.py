@@ -338,7 +338,7 @@ def force_above_rest(trajectory: Trajectory, body: int) -> Array:
     ----------
     trajectory : Trajectory
     body : int
-        Number of the driven body, `Drive.body`.
+        Number of the driven body, as `Drive.body` returns it.
 
     Returns
     -------

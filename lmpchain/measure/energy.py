@@ -769,8 +769,8 @@ def _integral(
 
     The shift is replaced by infinity if samples are farther apart than half a period of the fastest
     motion, because it then does not show the error. Without slopes, a spline of degree 7 is
-    integrated. `known` gives integrals over single intervals that are known otherwise, (T-1,), and
-    NaN for the other intervals; the shift is then at least the change that they cause.
+    integrated. `known` gives the integrals over intervals in which the waveform determines them,
+    (T-1,), and NaN for the other intervals; the shift is at least the change that they cause.
     """
     smooth = _integrate(time, value, slope)
     fine = smooth

@@ -168,8 +168,8 @@ def time_of_flight(
         second grain first.
     method : str
         "peak" measures the time between the largest maxima of the two signals. "correlation"
-        measures the shift with the largest correlation; it requires that the force in both grains
-        has returned to its value at rest, which it does not behind a piston.
+        measures the shift with the largest correlation. It requires that the force in both grains
+        has returned to its value at rest, which is not the case behind a piston.
 
     Returns
     -------

@@ -61,8 +61,9 @@ class Front(Shown, Tabular):
         Full widths at half maximum in time, s; NaN if the motion does not pass half the amplitude
         on both sides.
     time_error, amplitude_error, width_error : (P,) arrays
-        Errors of these three by sampling and by the error of the trajectory, if it is known. If
-        such errors could make another maximum the front, they include the difference from it.
+        Errors of time, amplitude and width by sampling and by the error of the trajectory, if it is
+        known. If errors of this size could make another maximum the front, they include the
+        difference between both maxima.
     """
 
     _units: ClassVar[dict[str, str]] = {

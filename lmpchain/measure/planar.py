@@ -1,8 +1,8 @@
 """Waves of a dispersive shock at one x / t, and the planar ODE whose closed orbits they are.
 
 Near one x / t an old dispersive shock is a periodic wave r(z), z = n - c t, of overlaps. It obeys
-``m c^2 r'' = D F(r)`` with the mass m, the force F and the second difference D. Two integrations
-with the first two terms of the inverse, ``1 / D = 1 / d^2 - 1 / 12 + ...``, give a planar ODE:
+``m c^2 r'' = D F(r)`` with the mass m, the force F and the second difference D. The first two terms
+of the inverse, ``1 / D = 1 / d^2 - 1 / 12 + ...`` with the derivative d, give a planar ODE:
 
     r' = p,   p' = 12 (r - (F(r) + A) / (m c^2))
 
@@ -97,7 +97,7 @@ class PlanarOrbits(Shown, Tabular):
     contact : int
         The contact at which the waves were measured.
     self_similar : (W,) array
-        Distance from the source over time of each wave, grains/s.
+        Distance of each wave from the source divided by the age of the shock, grains/s.
     phase_speed : (W,) array
         Phase speed c of each wave, grains/s.
     crest, trough : (W,) arrays

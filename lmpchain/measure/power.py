@@ -48,7 +48,7 @@ class Power(Shown, Tabular):
         Uncertainty of the mean, W: the change from the first to the second half of these periods,
         the change with every second sample, and the error of the trajectory.
     periods : int
-        Number of periods.
+        Number of periods over which the power is averaged.
     input, input_error : float
         Mean power of the drive over the same periods, and its uncertainty, W; NaN if the driven
         grains were not recorded.

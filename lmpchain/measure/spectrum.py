@@ -151,8 +151,8 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     field : "velocity" or "displacement"
     window : str
         Name of a window of `scipy.signal.get_window`. Use "boxcar", which changes nothing, for
-        complete pulses. Use "hann" for lasting oscillations, so that strong lines do not hide weak
-        lines.
+        pulses that end within the recording. Use "hann" for lasting oscillations, so that strong
+        lines do not hide weak lines.
 
     Returns
     -------

@@ -46,8 +46,8 @@ class Chaos(Shown, Tabular):
         Lyapunov exponents over the later four fifths of the time, the largest first, 1/s.
     half_width : (C,) array
         Half widths of the 95 % intervals of the exponents, 1/s, from the correlated growth in 256
-        intervals of time. They include the growth rate of deviations in regular motion, which grow
-        in proportion to time, because a finite run does not distinguish it from an exponent.
+        intervals of time. They include a growth in proportion to time, as in regular motion,
+        because a finite run does not distinguish it from an exponent.
     time : (320,) array
         Times, s.
     running : (320, C) array

@@ -55,7 +55,7 @@ class ContinuationSteps:
     first, smallest : float
         First and smallest step length relative to the size of the orbit.
     longest : float
-        Largest step length relative to the size of the orbit; a step of 1 could reach rest.
+        Largest step length relative to the size of the orbit; a step of 1 could end at rest.
     straight : float
         Smallest cosine of the angle between two directions for which the next step may be longer.
     bent : float
@@ -67,8 +67,8 @@ class ContinuationSteps:
     patience : int
         Largest number of tries for this distance.
     crowded : float
-        Largest cost of locating events, in unknowns times steps (about 15 s). The family then ends,
-        because events crowd in resonances.
+        Largest cost of locating events, in unknowns times steps (about 15 s). Beyond it the family
+        ends, because events crowd in resonances.
     """
 
     first: float = 0.2
@@ -416,7 +416,7 @@ def follow(
         First orbit of the family.
     parameter : str, or function of a number that returns a chain
         "energy" (J), "period" (s), "drive.frequency" (Hz), "drive.amplitude" (m or N),
-        "damping.drag" (1/s), "damping.viscoelastic" (s), a number of the chain such as
+        "damping.drag" (1/s), "damping.viscoelastic" (s), a property of the chain such as
         "chain.top_load" or "chain.exponent", or an element of an array such as "chain.masses[7]",
         counted from 1. "chain." may be left out, and so may "drive." before the amplitude.
     until : float

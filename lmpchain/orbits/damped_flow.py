@@ -24,7 +24,7 @@ class DampedFlow(Flow):
     """Eq. (1) with damping or with a force on a grain, in reduced velocities.
 
     The variables are ``q = sqrt(m) phi`` and ``p = sqrt(m) w / rate``, with the reduced velocity w
-    of `chain.damping`, which is equal to the velocity of a grain without damping.
+    of `chain.damping`. Without damping, w is the velocity itself.
     """
 
     def canonical(self, displacement: Array, velocity: Array) -> Array:

@@ -30,8 +30,8 @@ class Location:
     near : float
         Tolerance of the position of an event, relative to the step.
     circle : float
-        Largest distance from the unit circle of a multiplier of a damped chain that crosses it.
-        Multipliers farther away only meet and part outside the circle.
+        Largest distance from the unit circle at which a multiplier of a damped chain counts as
+        crossing it. Multipliers farther away only meet and part outside the circle.
     """
 
     split: float = 1e-6

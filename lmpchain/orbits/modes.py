@@ -147,7 +147,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         If the chain is under gravity or not compressed, no neighbour is heavier, or the period is
         impossible for the grain alone.
     RunFailed
-        If the breather cannot be followed.
+        If the breather cannot be continued to the masses of the chain.
 
     Examples
     --------

@@ -199,7 +199,7 @@ class Solution(NamedTuple):
     Attributes
     ----------
     point : OrbitPoint
-        Solution.
+        Unknowns of the orbit.
     mesh : (K,) array
         Steps, as fractions of the period.
     slopes : (R, U) array

@@ -42,8 +42,8 @@ class PageLimits(NamedTuple):
     runs : int
         Largest number of runs; each of so many runs is shown at about forty times and grains.
     views : tuple of (int, int)
-        Numbers of times and grains shown of a run, in descending order; the page has the first pair
-        that fits into its size.
+        Numbers of times and grains shown of a run, in descending order; the first pair that fits
+        into the page is used.
     samples : int
         Largest number of samples of a run, which resolve its front.
     batch : int

@@ -30,7 +30,7 @@ class SweepQuantity(NamedTuple):
     measure : function
         Function that returns the quantity and its error, given a motion and the grains to store.
     recorded : bool
-        Whether the quantity is the recorded motion itself, which only has the error of the
+        Whether the quantity is the recorded motion itself, whose only error is the error of the
         trajectory.
     """
 

@@ -31,8 +31,8 @@ class StoreSizes(NamedTuple):
     Attributes
     ----------
     shard_scenes : int
-        Number of scenes in a shard per array of the store, so that 10^4 scenes need fewer than 100
-        files.
+        Number of scenes in a shard divided by the number of arrays, so that 10^4 scenes need fewer
+        than 100 files.
     shard_bytes : int
         Largest size of a shard, unless one batch is larger; large scenes reduce their number in a
         shard.

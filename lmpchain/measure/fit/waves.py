@@ -277,7 +277,7 @@ class BesselFit(Fitted, Tabular):
     def front_time(self, grain: int) -> float:
         """Return the time when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
 
-        Here ``m = 2 |n - p|`` for grain n, which must be large.
+        The formula holds for large ``m = 2 |n - p|``, where n is the grain and p the struck grain.
         """
         m = 2 * abs(grain - self.struck)
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
@@ -313,9 +313,9 @@ def fit_bessel(
         masses and contacts differ from its own by 5 % or less.
     until : float, optional
         Last time of the fit, s. By default grain n is fitted until the first echo from an end of
-        this range, or of the chain, can arrive. This is the time at which
-        ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), for the nominal rate. If there are more
-        than 262144 values, only every k-th grain that the wave has reached is fitted.
+        this range, or of the chain, can arrive. For an end at grain e, this is the time at which
+        ``2 s = m - 7.4 m^(1/3)``, m = 2 |2 e - n - p|, for the nominal rate. If there are more than
+        262144 values, only every k-th grain that the wave has reached is fitted.
 
     Returns
     -------
