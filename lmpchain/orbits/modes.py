@@ -231,6 +231,6 @@ def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
     if not crossing.size:
         shortest = period * (1 + misses.min())
         longest = period * (1 + misses.max())
-        message = f"must be {shortest:.5g} to {longest:.5g} s, the periods of grain {grain} alone"
+        message = f"must be between {shortest:.5g} and {longest:.5g} s for grain {grain} alone"
         raise InputError.at("period", f"{message} (got {period:g})")
     return float(overlap * np.exp(brentq(excess, *amplitudes[crossing[0] : crossing[0] + 2])))

@@ -95,7 +95,7 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
     kappa = (weight / weight[0]) ** (1 - 1 / exponent)
     assert relative_stiffness(chain) == pytest.approx(kappa, rel=1e-13)
     with pytest.raises(
-        InputError, match="gravity: without gravity and load contacts have no stiffness"
+        InputError, match="gravity: without gravity and load, contacts have no stiffness"
     ):
         relative_stiffness(Chain(grains=5, diameter=1e-3, gravity=0.0))
 

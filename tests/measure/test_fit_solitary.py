@@ -75,7 +75,7 @@ def test_under_a_load(downward: bool):
 @pytest.mark.parametrize(
     ("chain", "excitation", "said"),
     [
-        (Chain(**STEEL, top_load=1.0), Impulse(velocity=1e-4), "no solitary wave"),
+        (Chain(**STEEL, top_load=1.0), Impulse(velocity=1e-4), "not a solitary wave"),
         (Chain(**STEEL | {"gravity": 9.81}), Impulse(velocity=0.1), "gravity"),
         (Chain(**STEEL, exponent=1.0, top_load=1.0), Impulse(velocity=1e-4), "exponent"),
         (
@@ -172,7 +172,7 @@ def test_height_speed_and_width(
 
 def test_the_first_grains_still_change(struck: Trajectory):
     """The wave still changes near the top, so those grains are used only on request."""
-    with pytest.raises(InputError, match="no solitary wave") as error:
+    with pytest.raises(InputError, match="not a solitary wave") as error:
         fit_soliton(struck, None, 30)
     assert "from grain 2 to 30" in str(error.value)
 

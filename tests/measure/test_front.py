@@ -434,7 +434,7 @@ def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     )
     coarse = simulate(scene, "native")
     with pytest.raises(
-        InputError, match=r"samples: 401 do not show .*: record (\d+) of them"
+        InputError, match=r"samples: 401 samples do not show .*: record (\d+) samples"
     ) as no:
         track(coarse)
     with pytest.raises(InputError, match="record"):

@@ -222,7 +222,7 @@ def test_enough_values_with_a_wave_in_them():
                 factor * 1e-9, rel=1e-5
             )
         else:
-            with pytest.raises(InputError, match="without the wave"):
+            with pytest.raises(InputError, match="do not show the wave"):
                 fit_bessel(only, (1, 40), 6.1 * unit)
 
 

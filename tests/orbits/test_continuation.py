@@ -268,7 +268,7 @@ def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest
     family = orbits.follow(first, "energy", until, points=3, events=False)
     assert (len(family), family.reached) == (3, False)
     assert family.ended.startswith("the limit of 3 orbits is reached at energy")
-    assert "ended='its first 3 orbits" in repr(family)
+    assert "ended='the limit of 3 orbits" in repr(family)
     assert family.plot().get_title("left").startswith("The limit of 3 orbits is reached at energy")
     hasty = replace(continuation.STEPS, still=np.inf, patience=2)
     monkeypatch.setattr(continuation, "STEPS", hasty)
@@ -318,6 +318,6 @@ def test_a_long_family_is_announced_once(monkeypatch: pytest.MonkeyPatch):
     assert len(told) == 1
     # Each step takes 10 s of this clock, and the energy grows by equal factors.
     steps = len(family) - 3
-    said = re.search(r"takes about ([\d.]+) (s|minutes): an end", str(told[0].message))
+    said = re.search(r"takes about ([\d.]+) (s|minutes): a nearer end", str(told[0].message))
     left_s = float(said[1]) * {"s": 1, "minutes": 60}[said[2]]
     assert left_s == pytest.approx(10 * steps, rel=0.5)

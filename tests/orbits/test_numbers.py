@@ -176,8 +176,8 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
         "grain: must be a whole number from 1 to 3 (got True)":
             lambda: orbits.breather(loaded, True, 1e-5),
         "grain: 1 has no heavier": lambda: orbits.breather(loaded, 1, 1e-5),
-        "chain: must be pressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
-        "chain: must be pressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
+        "chain: must be compressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
+        "chain: must be compressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
         "until: must be a number": lambda: orbits.follow(orbit(), "energy", True),
         "until: must be a number (got inf)": lambda: orbits.follow(orbit(), "energy", np.inf),
         "until: must be above 0 for the period (got 0)":
