@@ -188,7 +188,9 @@ def _check_values(sweep: Any) -> list[float]:
     # True is a number in Python, but not a value of a slider.
     numbers = all(type(x) in (int, float) and math.isfinite(x) for x in values)
     if not values or not numbers or any(a >= b for a, b in pairwise(values)):
-        raise InputError.at("", f"must be a list of ascending numbers (got {shown(sweep)})")
+        raise InputError.at(
+            "", f"must be a list of numbers in ascending order (got {shown(sweep)})"
+        )
     return values
 
 

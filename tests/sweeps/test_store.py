@@ -235,7 +235,7 @@ def test_an_array_cannot_declare_more_than_its_file_can_contain(tmp_path: Path):
         if sound:
             assert store_check.check_store(folder / "results.zarr")[0] == 1
         else:
-            with pytest.raises(ValueError, match="claims to hold more than it does"):
+            with pytest.raises(ValueError, match="claims more data than its file has"):
                 store_check.check_store(folder / "results.zarr")
 
 
