@@ -122,7 +122,7 @@ class SolutionBranch:
     ) -> Solution | None:
         """Return the family's orbit near a guess, selected by a constraint.
 
-        The nearby member `near` saves work.
+        A nearby member `near` makes the search faster.
         """
         constraints = [*self.held, constraint]
         neighbour = near and near.solution
@@ -170,7 +170,7 @@ class SolutionBranch:
     ) -> Member | None:
         """Return the member at this distance along the family; None if none is found.
 
-        A guess, and a member `near` the guess, save work.
+        A guess, and a member `near` the guess, make the search faster.
         """
         # The orbit is in the plane across the family at this distance.
         ahead = member.unknown + length * member.direction

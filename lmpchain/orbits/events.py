@@ -165,7 +165,7 @@ def _count(kind: str, member: Member) -> int:
 def _values(member: Member) -> Complex:
     """Return the means of pairs of multipliers, or the multipliers themselves of a damped chain.
 
-    In both cases a value is real and beyond 1 or -1 if a real multiplier is.
+    In both cases, a real multiplier above 1 or below -1 gives a real value above 1 or below -1.
     """
     return member.orbit.means if member.multipliers is None else member.multipliers
 

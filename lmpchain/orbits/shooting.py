@@ -320,8 +320,8 @@ def solve(
 
     The mesh is renewed around the openings of contacts until the orbit no longer changes. If
     `exact` is true, the returned derivatives belong to the final mesh; otherwise they may be off by
-    the error of the steps. The nearby solution `near` saves work, because its derivatives can be
-    reused and its steps show where contacts open.
+    the error of the steps. A nearby solution `near` makes the search faster, because its
+    derivatives can be reused and its steps show where contacts open.
     """
     mesh, _ = equations.mesh(guess, reach, near and near.mesh)
     unknown = equations.pack(guess)

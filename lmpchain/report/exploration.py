@@ -40,7 +40,7 @@ class PageLimits(NamedTuple):
     size : int
         Largest size of the page, bytes.
     runs : int
-        Largest number of runs; each of so many runs is shown at about forty times and grains.
+        Largest number of runs; with this many, each run is shown at about forty times and grains.
     views : tuple of (int, int)
         Numbers of times and grains shown of a run, in descending order; the first pair that fits
         into the page is used.

@@ -249,7 +249,7 @@ def figure_numbers(
     Returns
     -------
     dict
-        Numbers for JSON. Arrays are stored in `data` as integers with a unit; equal arrays are
+        Numbers for JSON. Arrays are stored in `data` as multiples of a unit; equal arrays are
         stored once.
     """
     store = _ViewStore(levels)

@@ -50,7 +50,7 @@ class StrikeShares(Shown, Tabular):
     waves : (E,) array
         Number of solitary waves.
     grains : (E,) array
-        Number of grains of the chain that was long enough.
+        Number of grains of the chain that gave the required accuracy.
     """
 
     _units: ClassVar[Mapping[str, str]] = {
