@@ -34,13 +34,12 @@ class StoreSizes(NamedTuple):
         Number of scenes in a shard divided by the number of arrays, so that 10^4 scenes need fewer
         than 100 files.
     shard_bytes : int
-        Largest size of a shard, unless one batch is larger; large scenes reduce their number in a
-        shard.
+        Largest size of a shard, unless one batch is larger.
     chunk_bytes : int
         Largest piece of a shard that is read at once, unless one scene is larger.
     plain_bytes : int
-        Largest array without shards, which is read at once, unless its file is large enough for the
-        size that it claims.
+        Largest size of an array without shards, which is read at once. A larger array is accepted
+        if its compressed file is large enough for it.
     """
 
     shard_scenes: int = 160
