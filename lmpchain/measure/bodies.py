@@ -31,14 +31,15 @@ def known_contacts(trajectory: Trajectory | Motion) -> np.ndarray:
     Raises
     ------
     InputError
-        If no two neighbours were recorded.
+        If no two neighbouring grains were recorded.
     """
     chain = trajectory.scene.chain
     recorded = columns(chain.grains, chain.movable, trajectory.grains) != UNKNOWN
     chosen = np.flatnonzero(recorded[:-1] & recorded[1:] & chain.contacts.exists)
     if not chosen.size:
         raise InputError.at(
-            "grains", "no two neighbours were recorded, so no contact is known: record both"
+            "grains",
+            "no two neighbouring grains were recorded, so no contact is known: record both",
         )
     return chosen
 
@@ -50,7 +51,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     ----------
     trajectory : Trajectory or Motion
     bodies : (B,) array of int
-        Grains, or walls: 0 and N + 1.
+        Numbers of the grains; the walls have the numbers 0 and N + 1.
 
     Returns
     -------
@@ -59,7 +60,7 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
     Raises
     ------
     InputError
-        If a body was not recorded and is not held.
+        If a grain that can move was not recorded.
     """
     column = _columns_of(trajectory, bodies)
     u = trajectory.displacement[:, column]
@@ -79,8 +80,8 @@ def motion(trajectory: Trajectory | Motion, bodies: np.ndarray) -> tuple[Array, 
 def motion_of_all(trajectory: Trajectory) -> tuple[Scene, Array, Array]:
     """Return the scene and the motion, m and m/s, of the grains down to the last moving one.
 
-    The part of the scene includes up to two grains at rest below the last moving grain; the lowest
-    of them never moves.
+    The returned scene ends two grains below the last grain that moves or that a force acts on, or
+    at the end of the chain.
 
     Parameters
     ----------
@@ -116,6 +117,6 @@ def _columns_of(trajectory: Trajectory | Motion, bodies: np.ndarray) -> NDArray[
     if missing.size:
         numbers = ", ".join(map(str, missing[:8])) + ", ..." * (missing.size > 8)
         raise InputError.at(
-            "grains", f"this takes grains that were not recorded; record these too: {numbers}"
+            "grains", f"some grains that are needed were not recorded; record these too: {numbers}"
         )
     return column

@@ -37,25 +37,27 @@ class Collision(Shown, Tabular):
     ----------
     head_on : bool
         Whether the waves travel in opposite directions; else one wave overtakes the other.
-    place, time : float
-        Intersection of the two crest lines before the collision: grain, and s.
+    place : float
+        Position at which the crest lines before the collision intersect, in grains.
+    time : float
+        Time at which these two lines intersect, s.
     way : (2,) array
         Direction of travel of each wave: +1 downward, -1 upward.
-    speed, velocity : (2,) arrays
-        Wave speed, grains/s, and largest grain velocity, m/s, before the collision.
-    speed_after, velocity_after : (2,) arrays
-        Both after the collision; lower if the waves lose energy.
+    speed, speed_after : (2,) arrays
+        Speed of each wave before and after the collision, grains/s.
+    velocity, velocity_after : (2,) arrays
+        Largest grain velocity in each wave before and after the collision, m/s.
     shift : (2,) array
-        Shift of each wave along its way by the other wave, in grains, at `time`, by the
-        line of its motion afterwards.
+        Shift of each wave along its way, in grains: the distance at `time` from the crest line
+        before the collision to the crest line after it.
     shift_error : (2,) array
-        Error of the shift: by the two lines, and by the change of speed over the way on
-        which it is not known.
+        Error of the shift: scatter of the crests about both lines, and the uncertainty of both
+        speeds in the extrapolation to `time`.
     exact_speed : (2,) array
-        Speeds of the exact solitary waves of the velocities before, grains/s.
+        Speeds of exact solitary waves with the velocities before the collision, grains/s.
     toda, kdv : (2,) arrays
-        Laws of `lmpchain.theory.collision` for the same speeds under a load; NaN in the sonic
-        vacuum, where there are none, and `kdv` of waves that meet head-on.
+        Shifts predicted by `lmpchain.theory.collision` for the exact speeds, in grains; NaN in the
+        sonic vacuum, and `kdv` is also NaN for head-on collisions.
     """
 
     _units: ClassVar[Mapping[str, str]] = {
@@ -146,17 +148,20 @@ class _IncomingWave(NamedTuple):
 def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     """Measure the shifts of two solitary waves that meet, head-on or overtaking.
 
-    The waves are the two highest ones at a time before they meet, such as the sum of two exact ones
-    (`theory.soliton`, `Soliton.on`) as a `Profile`. What passes within the tails of the other one,
-    and afterwards the first half of the way, is left out: what a collision radiates leaves a wave
-    slowly under a load, in some 24 / kappa^3 times from grain to grain.
+    The two highest waves at `start` are measured, such as those of a `Profile` that is the sum of
+    two exact waves (`theory.soliton`, `Soliton.on`). Crests within the tails of the other wave are
+    ignored, and so is the first half of the crests after the collision. Under a load, a wave with
+    the tail exp(-kappa n) needs about 24 / kappa^3 grains to separate from the radiation of the
+    collision.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of a uniform chain without damping, until the waves are apart again; all grains recorded.
+        Run of a uniform chain without damping until the waves are apart again; all grains must be
+        recorded.
     start : float
-        Time at which both are there, s: 0, or when strikes at the ends have made them.
+        Time at which both waves exist, s: 0, or a time after strikes at the ends have produced
+        them.
 
     Returns
     -------
@@ -165,8 +170,9 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     Raises
     ------
     InputError
-        If the chain is not uniform, has gravity, damping or springs, or grains were not recorded;
-        if there are no two solitary waves, or they have not passed 8 grains alone before or after.
+        If the chain is not uniform, has gravity, damping or springs, or was not fully recorded. If
+        the run does not start with two separate solitary waves that will meet, or if a wave passes
+        fewer than 8 grains alone before or after the collision.
 
     Examples
     --------
@@ -184,9 +190,13 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     chain = trajectory.scene.chain
     check_chain(chain)
     if chain.damped:
-        raise InputError.at("damping", "must be none: waves that lose energy change their speeds")
+        raise InputError.at(
+            "damping", "must be none, because damping changes the speeds of the waves"
+        )
     if not is_uniform(chain):
-        raise InputError.at("chain", "must be uniform: a wave that meets another grain changes")
+        raise InputError.at(
+            "chain", "must be uniform, because a wave changes where the grains change"
+        )
     recorded = trajectory.grains.size
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
@@ -201,7 +211,7 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     apart = sum(wave.reach for wave in waves) / closing
     if meeting - apart <= start:
         raise InputError.at(
-            "excitation", "the waves begin within each other: put them further apart"
+            "excitation", "the waves overlap at the start: place them further apart"
         )
     heights = [float(wave.exact.velocity(0.0)) for wave in waves]
     # Fit lines before and after the collision, in which a wave may lose height.
@@ -228,7 +238,7 @@ def _two_waves(chain: Chain, velocity: Array) -> tuple[_IncomingWave, _IncomingW
     tops = crests.local_maxima(size)
     tops = np.sort(tops[np.argsort(size[tops])[-2:]])
     if tops.size < 2 or size[tops].min() < 1e-3 * size.max():
-        raise InputError.at("excitation", "must be two solitary waves")
+        raise InputError.at("excitation", "must produce two solitary waves")
     waves = []
     for top in tops:
         # The logarithm of a wave is a parabola near the crest.
@@ -271,7 +281,7 @@ def _line(
         raise InputError.at(
             "duration",
             f"each wave must pass {ALONE} grains alone {when} they meet (got {near.sum()}): "
-            "put them further apart, in a longer chain, and record longer",
+            "start the waves further apart in a longer chain, and record longer",
         )
     x = passages.grain[near].astype(float)
     t = passages.time[near]

@@ -39,19 +39,22 @@ class ContactEvent:
 class ContactHistory(Shown, Tabular):
     """Overlap and force of C contacts over time.
 
-    Contact n lies between grains n and n + 1; 0 and N are those with walls.
+    Contact n is between grains n and n + 1; contacts 0 and N are those with the walls.
 
     Attributes
     ----------
     time : (T,) array
         Times, s.
     contact : (C,) array
-        Their numbers.
-    overlap, closing : (T, C) arrays
-        m, negative for a gap; its rate, m/s.
-    force, change : (T, C) arrays
-        N, never negative but where a viscous contact is about to open; above that at rest, N, where
-        weak waves keep their digits.
+        Numbers of the contacts.
+    overlap : (T, C) array
+        Overlaps, m; negative for a gap.
+    closing : (T, C) array
+        Rates of change of the overlaps, m/s.
+    force : (T, C) array
+        Forces, N; negative only if a viscous contact is about to open.
+    change : (T, C) array
+        Forces minus the forces at rest, N, accurate for weak waves as well.
     """
 
     time: Array
@@ -64,11 +67,12 @@ class ContactHistory(Shown, Tabular):
     def events(self) -> list[ContactEvent]:
         """Return openings and closings in the order of time.
 
-        Their times are roots of the cubic Hermite interpolant through overlap and rate; the error
-        falls with the fourth power of the sampling interval. Touching without a force counts as
-        closed. Between two samples that are both pressed a contact has opened only if its rates say
-        so, falling at the first and rising at the second (the other way round if both are open):
-        neither an interpolant that overshoots nor round-off makes an event.
+        The times are roots of the cubic Hermite interpolant of overlap and rate; their error
+        decreases with the fourth power of the sampling interval. A contact that touches without
+        force counts as closed. If a contact is closed at two successive samples, it has opened in
+        between only if the overlap decreases at the first and increases at the second sample. The
+        reverse holds for two open samples. Thus neither an overshooting interpolant nor a rounding
+        error produces an event.
         """
         events = []
         overlap = self.overlap
@@ -104,9 +108,9 @@ class ContactHistory(Shown, Tabular):
         Parameters
         ----------
         ax : axes, optional
-            By default those of a new figure.
+            By default the axes of a new figure.
         above_rest : bool
-            Whether to draw what the forces are above those at rest.
+            Whether to draw the forces minus the forces at rest.
         """
         from matplotlib.ticker import MaxNLocator
 
@@ -145,10 +149,13 @@ class Signal(Shown, Tabular):
     Attributes
     ----------
     grain : int
+        Number of the grain.
     time : (T,) array
         Times, s.
-    force, change : (T,) arrays
-        N; above that at rest, N, as a piezoelectric sensor gives it.
+    force : (T,) array
+        Mean of the two contact forces of the grain, N.
+    change : (T,) array
+        This force minus its value at rest, N, as a piezoelectric sensor measures it.
     """
 
     grain: int
@@ -174,10 +181,10 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine. A grain that is held need not have been recorded.
+        Run of any engine. Grains that are held at rest need not be recorded.
     numbers : (C,) sequence of int, optional
-        Contacts; by default all those between grains that were recorded, or between them and
-        walls.
+        Numbers of the contacts; by default all contacts between recorded grains, or between a
+        recorded grain and a wall.
 
     Returns
     -------
@@ -186,7 +193,7 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
     Raises
     ------
     InputError
-        If there is no such contact, or its grains were not recorded.
+        If a contact does not exist, or its grains were not recorded.
 
     Examples
     --------
@@ -230,8 +237,8 @@ def contacts(trajectory: Trajectory, numbers: Sequence[int] | None = None) -> Co
 def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom") -> Array:
     """Return the force on the wall or held grain at one end of the chain, (T,) N, at least 0.
 
-    It is the force of the contact with the wall; where the bottom is "fixed", the force that holds
-    grain N up, which is that of contact N - 1 and the weight of grain N.
+    At a wall this is the force of its contact. At a "fixed" bottom it is the force that holds
+    grain N: the force of contact N - 1 plus the weight of grain N.
 
     Parameters
     ----------
@@ -246,7 +253,8 @@ def wall_force(trajectory: Trajectory, end: Literal["top", "bottom"] = "bottom")
     Raises
     ------
     InputError
-        If nothing stands still at that end, or the grains that touch it were not recorded.
+        If the end is free, the grain that touches the wall was not recorded, or the "fixed" grain
+        is driven.
     """
     chain = trajectory.scene.chain
     kind = {"top": chain.top, "bottom": chain.bottom}.get(end, "free")
@@ -284,12 +292,13 @@ def drive_motion(trajectory: Trajectory) -> tuple[Array, Array, Array]:
 def drive_force(trajectory: Trajectory) -> Array:
     """Return the force of the driver on the driven end, (T,) N, positive downward.
 
-    On grain 1, whose drag is left out, it is m_1 phi_1'' + F_1 - m_1 g, less the force of a wall
-    above it; on the wall that of its contact. At rest it is the top load, or 0 on grain 1 below a
-    wall. The impulse that starts a motion with a velocity at t = 0 is left out.
+    On grain 1 the force is m_1 phi_1'' + F_1 - m_1 g without the drag, minus the force of a wall
+    above the grain. On the top wall it is the force of the contact. At rest it is the load on the
+    driven body, or 0 on grain 1 below a wall. The impulse that starts a motion with nonzero
+    velocity at t = 0 is left out.
 
-    A driver below carries the column, with a negative force at rest. On the bottom wall the force
-    is that of its contact, on the last grain it is m_N (phi_N'' - g) - F_(N-1).
+    A driver below supports the column, so that its force at rest is negative. On the bottom wall it
+    is minus the force of the contact; on the last grain it is m_N (phi_N'' - g) - F_(N-1).
 
     Parameters
     ----------
@@ -323,13 +332,13 @@ def drive_force(trajectory: Trajectory) -> Array:
 def force_above_rest(trajectory: Trajectory, body: int) -> Array:
     """Return the force of the driver on a driven body less that at rest, (T,) N.
 
-    The inertia of a driven grain is left out.
+    The force that accelerates a driven grain is left out.
 
     Parameters
     ----------
     trajectory : Trajectory
     body : int
-        Number of the driven body, `Drive.body`.
+        Number of the driven body, as `Drive.body` returns it.
 
     Returns
     -------
@@ -353,13 +362,14 @@ def force_above_rest(trajectory: Trajectory, body: int) -> Array:
 def sensor(trajectory: Trajectory, grain: int) -> Signal:
     """Return the signal of a force sensor inside a grain: the mean of its two contact forces.
 
-    Job et al., Phys. Rev. Lett. 94, 178002 (2005); Daraio et al., Phys. Rev. E 73, 026610 (2006).
+    See Job et al., Phys. Rev. Lett. 94, 178002 (2005), and Daraio et al., Phys. Rev. E 73, 026610
+    (2006).
 
     Parameters
     ----------
     trajectory : Trajectory
     grain : int
-        Recorded with both of its neighbours.
+        Number of the grain, which must be recorded together with both neighbours.
 
     Returns
     -------
@@ -368,7 +378,7 @@ def sensor(trajectory: Trajectory, grain: int) -> Signal:
     Raises
     ------
     InputError
-        If the grain has no two contacts, or it and its neighbours were not recorded.
+        If the grain does not have two contacts, or the grain or a neighbour was not recorded.
     """
     exists = trajectory.scene.chain.contacts.exists
     if grain not in np.flatnonzero(exists[:-1] & exists[1:]) + 1:

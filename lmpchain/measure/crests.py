@@ -30,11 +30,13 @@ class Crests(NamedTuple):
     Attributes
     ----------
     grain : (P,) array
-        Columns, in ascending order, each with its maxima in the order of time.
-    time, height : (P,) arrays
-        s and m/s.
+        Column of each maximum, in ascending order; maxima of one column are in the order of time.
+    time : (P,) array
+        Times of the maxima, s.
+    height : (P,) array
+        Velocities at the maxima, m/s.
     time_error, height_error : (P,) arrays
-        Shifts when every second sample is used.
+        Changes of time and height when only every second sample is used, s and m/s.
     """
 
     grain: NDArray[np.intp]
@@ -56,11 +58,11 @@ class Crests(NamedTuple):
         Parameters
         ----------
         crest : int
-            Its number.
+            Number of the given crest.
         pace : float
-            Time from grain to grain, s, below 0 of a wave towards earlier grains.
+            Travel time from grain to grain, s; negative if the wave travels to lower columns.
         way : +1 or -1
-            Towards later or earlier grains.
+            Whether to follow the wave to higher (+1) or lower (-1) columns.
         """
         followed = [crest]
         while True:
@@ -83,11 +85,11 @@ def find(time: Array, velocity: Array, least: float) -> Crests:
     Parameters
     ----------
     time : (T,) array
-        s, in equal steps.
+        Times in equal steps, s.
     velocity : (T, G) array
-        m/s, positive in the direction of interest.
+        Velocities, m/s, positive in the direction of interest.
     least : float
-        m/s.
+        Smallest height of a crest, m/s.
 
     Returns
     -------
@@ -144,13 +146,15 @@ def first_crests(time: Array, signals: Array) -> tuple[Array, Array]:
 
     Parameters
     ----------
-    time, signals : (T,) and (T, C) arrays
-        s; in any unit.
+    time : (T,) array
+        Times, s.
+    signals : (T, C) array
+        Signals in any unit.
 
     Returns
     -------
     two (C,) arrays
-        s, and in the unit of the signals; NaN for a signal without a maximum.
+        Times, s, and heights in the unit of the signals; NaN for a signal without a maximum.
     """
     crests = np.full((2, signals.shape[1]), np.nan)
     for n, signal in enumerate(signals.T):
@@ -166,8 +170,10 @@ def first_passages(time: Array, signals: Array) -> Array:
 
     Parameters
     ----------
-    time, signals : (T,) and (T, C) arrays
-        s; in any unit, negative in the first sample and positive later.
+    time : (T,) array
+        Times in equal steps, s.
+    signals : (T, C) array
+        Signals in any unit, negative in the first sample and positive later.
     """
     # The spline is a function of the sample number, for which it is well conditioned.
     samples = np.arange(time.size)
@@ -182,20 +188,23 @@ def first_passages(time: Array, signals: Array) -> Array:
 def summit(time: Array, values: Array, top: int, stride: int) -> tuple[float, float]:
     """Return the time and height of the maximum near a sample by a quintic spline.
 
-    The spline runs through every `stride`-th sample around it.
+    The spline interpolates every `stride`-th sample around the sample `top`.
 
     Parameters
     ----------
-    time, values : (T,) arrays
-        s; in any unit.
+    time : (T,) array
+        Times, s.
+    values : (T,) array
+        Values in any unit.
     top : int
-        Number of the sample.
+        Number of the sample near the maximum.
     stride : int
+        Distance between the samples that are used.
 
     Returns
     -------
     (float, float)
-        Time, s, and height.
+        Time, s, and height in the unit of the values.
     """
     near = np.arange(top - SPLINE_SAMPLES * stride, top + SPLINE_SAMPLES * stride + 1, stride)
     near = near[(near >= 0) & (near < len(values))]

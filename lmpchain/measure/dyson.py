@@ -37,12 +37,13 @@ class DysonSums(Shown, Tabular):
     Attributes
     ----------
     m : (M,) array
+        Orders.
     time : (T,) array
         Times, s.
     tau : (T,) array
         Time in units of `Chain.time_scale`.
     kappa : (N,) array
-        Stiffness of the contact below each grain over that of the first.
+        Stiffness of the contact below each grain relative to the first contact.
     velocity : (T, N) array
         Velocities of all grains, m/s.
     weight : (M, N) array
@@ -50,10 +51,10 @@ class DysonSums(Shown, Tabular):
     as_printed : (M, T) array
         sum_n D_m(kappa_n) velocity_n, m/s.
     normalised : (M, T) array
-        The same over sum_n D_m(kappa_n), m/s.
+        `as_printed` divided by sum_n D_m(kappa_n), m/s.
     unit : float
-        Strike velocity, m/s, by which velocities are shown divided; 1 if the chain was not struck
-        on one grain.
+        Strike velocity, m/s, by which displayed velocities are divided; 1 if no single grain was
+        struck.
     """
 
     m: Array
@@ -83,7 +84,7 @@ class DysonSums(Shown, Tabular):
         ordered : (N,) array
             Velocity of every grain of the ordered linear chain at the same time, m/s.
         ensembles : M of Ensemble
-            Whose last sample is the same time.
+            Averages over random chains for each m, whose last sample is at the same time.
         """
         unit = "m/s" if self.unit == 1 else f"v0 = {self.unit:g} m/s"
         lines = wrap(
@@ -167,14 +168,14 @@ class DysonSums(Shown, Tabular):
         Parameters
         ----------
         ordered, ensembles
-            As for `table`.
+            See `table`.
         ax : axes, or two of them, optional
-            In one the means alone are drawn; by default both in a figure of their own.
+            Axes of the means, or of the means and the terms; by default both in a new figure.
 
         Returns
         -------
         Axes
-            Those of the means.
+            Axes of the means.
         """
         means, *terms_axes = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
         colours = list(COLOURS.values())
@@ -228,9 +229,9 @@ def sums(trajectory: Trajectory, m: Sequence[float]) -> DysonSums:
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine, with all grains that move.
+        Run of any engine, in which all grains that move were recorded.
     m : (M,) array_like
-        Above 0.
+        Orders, all above 0.
 
     Returns
     -------
@@ -285,7 +286,7 @@ def orders(text: str) -> list[float]:
     Raises
     ------
     InputError
-        If one is no number above 0.
+        If an entry is not a number above 0.
 
     Examples
     --------
@@ -298,7 +299,7 @@ def orders(text: str) -> list[float]:
             values.append(float(word))
         except ValueError:
             raise InputError.at(
-                "m", f"must be numbers with commas between them (got {shown(word)})"
+                "m", f"must be numbers separated by commas (got {shown(word)})"
             ) from None
     if wrong := [m for m in values if not 0 < m < np.inf]:
         raise InputError.at("m", f"must be above 0 (got {wrong[0]:g})")
@@ -308,8 +309,8 @@ def orders(text: str) -> list[float]:
 def relative_stiffness(chain: Chain) -> Array:
     """Return the stiffness of the contact below each grain relative to the first contact, (N,).
 
-    In a uniform column under gravity it is n^(1 - 1/delta). Grain N has no contact below it unless
-    there is a wall: it is then given one like that above it, under its weight.
+    In a uniform column under gravity, contact n has the relative stiffness n^(1 - 1/delta). Without
+    a wall below, grain N is given a contact like the one above it, which also carries its weight.
 
     Parameters
     ----------
@@ -322,7 +323,7 @@ def relative_stiffness(chain: Chain) -> Array:
     Raises
     ------
     InputError
-        In the sonic vacuum.
+        If the chain is a sonic vacuum.
 
     Examples
     --------
@@ -333,7 +334,9 @@ def relative_stiffness(chain: Chain) -> Array:
     chain.refuse_ground("relative stiffness")
     if not chain.compressed:
         raise InputError.at(
-            "gravity", "without gravity and load contacts have no stiffness at rest, so no kappa_n"
+            "gravity",
+            "without gravity and load, contacts have no stiffness at rest, so that kappa_n is "
+            "undefined: add either",
         )
     chain.refuse_loose("relative stiffness")
     stiffness = chain.contacts.stiffness[1:].copy()

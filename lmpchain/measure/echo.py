@@ -1,8 +1,8 @@
 """Pulses that pass a sensor downward and upward, and the time of flight of an echo.
 
-The energy that passes a grain per second is the force in it, above that at rest, times its
-velocity. It is positive in waves that go down and negative in waves that go up, of compression and
-of tension alike. Its sign tells an echo from the pulse that went out.
+The power that passes a grain is the force in the grain above rest times its velocity. The power is
+positive in downward waves and negative in upward waves, both of compression and of tension. Its
+sign therefore distinguishes an echo from the outgoing pulse.
 """
 
 from __future__ import annotations
@@ -34,13 +34,18 @@ class Pulse(NamedTuple):
 
     Attributes
     ----------
-    time, error : float
-        Time of the largest power, s; uncertainty by sampling, s.
+    time : float
+        Time of the largest power, s.
+    error : float
+        Uncertainty of the time by sampling, s.
     downward : bool
+        Whether the pulse travels downward.
     force : float
-        Force in the grain at that time above rest, N; negative in a wave of tension.
-    energy, energy_error : float
-        Energy that passes the grain, J; uncertainty by sampling and by the trajectory error, J.
+        Force in the grain at `time` minus the force at rest, N; negative in a wave of tension.
+    energy : float
+        Energy that passes the grain, J; negative for an upward pulse.
+    energy_error : float
+        Uncertainty of the energy by sampling and by the error of the trajectory, J.
     """
 
     time: float
@@ -58,18 +63,23 @@ class Echo(Shown, Tabular):
     Attributes
     ----------
     grain : int
-    seconds, error : float
-        Time from the first pulse to the next in the other direction, s; uncertainty by sampling.
+        Number of the grain.
+    seconds : float
+        Time from the first pulse to the next pulse, which travels in the other direction, s.
+    error : float
+        Uncertainty of this time by sampling, s.
     distance : float
-        Distance to the reflector and back, between centres at rest, m.
+        Distance at rest from the centre of the grain to the reflector and back, m.
     share, share_error : float
-        Energy of the echo relative to that of the first pulse.
+        Energy of the echo relative to the energy of the first pulse, and its uncertainty.
     inverted : bool
-        Whether a pulse of compression comes back as one of tension, or the other way round.
+        Whether compression returns as tension, or tension as compression.
     pulses : list of Pulse
-        All pulses in the order of time; neighbours go in opposite directions.
-    time, power : (T,) arrays
-        Times, s; power through the grain, positive downward, W.
+        All pulses in the order of time; successive pulses travel in opposite directions.
+    time : (T,) array
+        Times, s.
+    power : (T,) array
+        Power through the grain, W, positive downward.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}
@@ -110,18 +120,18 @@ def find(
 ) -> Echo:
     """Measure the time of flight of a pulse from a grain to a reflector and back.
 
-    From this time for a solitary wave, experiments infer the stiffness of a specimen below a chain;
+    Experiments infer the stiffness of a specimen below a chain from this time for a solitary wave;
     see Sensors 20, 3016 (2020).
 
     Parameters
     ----------
     trajectory : Trajectory
-        With the grain and its neighbours recorded, until the echo has passed the grain.
+        Run until the echo has passed the grain; the grain and its neighbours must be recorded.
     grain : int
-        Grain with the sensor.
+        Number of the grain with the sensor.
     reflector : int, optional
-        Grain or wall (0 and N + 1) that reflects the pulse; by default the wall or the last grain
-        at the end to which the first pulse goes.
+        Number of the grain or wall (0 or N + 1) that reflects the pulse; by default the wall or
+        last grain at the end to which the first pulse travels.
     least : float
         Smallest power of a pulse relative to the largest one. Weaker motion, such as the tail of a
         dispersing pulse, is ignored.
@@ -133,7 +143,7 @@ def find(
     Raises
     ------
     InputError
-        If the force in the grain is not known, or no pulse comes back.
+        If the grain or a neighbour was not recorded, or no pulse returns.
 
     Examples
     --------
@@ -155,7 +165,7 @@ def find(
     part = 2 * known.known_error("velocity") / max(known.sampled[1], 1e-300)
     pulses = _pulses(trajectory.time, power, change, least, part)
     if len(pulses) < 2:
-        passed = f"{len(pulses)} pulses pass grain {number}, and no echo"
+        passed = f"no echo passes grain {number} (got {len(pulses)} pulses)"
         raise InputError.at("duration", f"{passed}: record longer, or choose a smaller least")
     out, back = pulses[:2]
     chain = trajectory.scene.chain

@@ -41,9 +41,9 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 class EnergyLedger(Shown, Tabular):
     """Energies relative to the chain at rest, J, and momenta, N s, over time.
 
-    ``kinetic + contact + ground + gravity + load = total``. For a weak wave these terms, `contact`
-    and `gravity` above all, are far larger than their sum and cancel in it; `total`, `kinetic` and
-    `drive` keep their digits.
+    The terms add up as ``kinetic + contact + ground + gravity + load = total``. For a weak wave,
+    `contact` and `gravity` are far larger than `total` and nearly cancel. `total`, `kinetic` and
+    `drive` are computed without this cancellation.
 
     Attributes
     ----------
@@ -52,36 +52,38 @@ class EnergyLedger(Shown, Tabular):
     kinetic : (T,) array
         Kinetic energy of all grains, including a driven one.
     contact : (T,) array
-        Elastic energy K overlap^(delta+1) / (delta+1) of all contacts, less that at rest.
+        Elastic energy K overlap^(delta+1) / (delta+1) of all contacts minus its value at rest.
     ground : (T,) array
-        Work against the ground, 0 at rest and without a ground.
-    gravity, load : (T,) arrays
-        Potential energies of the weight, and of a constant load on a free top or on a wall that
-        moves, 0 at rest.
+        Work against the ground; 0 at rest and without a ground.
+    gravity : (T,) array
+        Potential energy of the weight, 0 at rest.
+    load : (T,) array
+        Potential energy of the constant forces on a free top, a moving wall or a driven base, 0 at
+        rest.
     total : (T,) array
-        `Chain.excess_energy`.
+        Total energy above rest, as `Chain.excess_energy`.
     drive : (T,) array
-        Work of a force, or of a driver beyond that of the load, since t = 0: the integral of (drive
-        force - top load) times the velocity of the grain or wall that it acts on.
+        Work of a force or driver since t = 0 without the work of the load: the integral of (drive
+        force - top load) times the velocity of the driven grain or wall.
     dissipated : (T,) array
-        Energy that viscous contacts and drag have taken since t = 0; see `losses` for each. With
-        the native engine and LAMMPS, `dissipated` and the work in a chain with damping are summed
-        up at every step of the run. The linear engines integrate both along their solutions.
+        Energy dissipated by viscous contacts and drag since t = 0; see `losses` for each of them.
+        In a chain with damping, the native engine and LAMMPS accumulate `dissipated` and `drive` at
+        every step. The linear engines integrate both along their solutions.
     momentum : (T,) array
         Momentum of all grains, positive downward.
     impulse : (T,) array
-        Impulse of force, driver, walls, a fixed grain and drag since t = 0 in excess of impulses
-        that balance at rest.
+        Impulse of the external forces since t = 0, without impulses that balance at rest. External
+        forces are those of force, driver, walls, a fixed grain, ground and drag.
     drive_error, impulse_error, dissipated_error : float
-        Their uncertainty, J and N s, with that by the error of the trajectory if that is known. Of
-        an integral over samples it is the shift when every second sample is used; infinite for
-        fewer than three samples, or samples farther apart than half a period of the fastest motion.
-        If forces are smooth and well sampled, the true error is about
-        1/15 of that shift.
+        Uncertainties of these terms, J and N s, including the error of the trajectory if it is
+        known. For an integral over samples, the uncertainty is the shift when every second sample
+        is used. If forces are smooth and well sampled, the true error is about 1/15 of this shift.
+        The uncertainty is infinite for fewer than three samples, or if samples are farther apart
+        than half a period of the fastest motion.
     balanced : tuple of str
-        Those of `drive`, `dissipated` and `impulse` that follow from the balance of energy or
-        momentum itself, because that is surer than the integral over the samples: the drift of
-        their balance then is 0, and no check of the trajectory.
+        Terms among `drive`, `dissipated` and `impulse` that were computed from the balance of
+        energy or momentum, because this is more accurate than the integral over the samples. The
+        drift of this balance is then 0 and does not check the trajectory.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -118,7 +120,7 @@ class EnergyLedger(Shown, Tabular):
     def drift(self) -> Array:
         """Return the energy change beyond work and dissipation, (T,) J; 0 for the exact motion.
 
-        If `balanced` has one of these two, it is 0 for any motion.
+        If `balanced` contains `drive` or `dissipated`, the drift is 0 for any motion.
         """
         return self.total - self.total[0] - self.drive + self.dissipated
 
@@ -126,16 +128,16 @@ class EnergyLedger(Shown, Tabular):
     def momentum_drift(self) -> Array:
         """Return the momentum change that is not caused by external forces, (T,) N s.
 
-        If `balanced` has the impulse, it is 0 for any motion.
+        If `balanced` contains `impulse`, the drift is 0 for any motion.
         """
         return self.momentum - self.momentum[0] - self.impulse
 
     def virial_ratio(self, start: float = 0.0, end: float | None = None) -> float:
         """Return the ratio of mean kinetic to mean total energy from `start` to `end`, s.
 
-        In a sonic vacuum between walls it tends to (delta + 1) / (delta + 3), 5/9 for Hertz, as 1
-        over the time (Slepyan, arXiv:1410.8301); in a weak wave to 1/2. It is NaN if there is no
-        energy.
+        In a sonic vacuum between walls the ratio tends to (delta + 1) / (delta + 3), or 5/9 for
+        Hertz contacts; the deviation decays as 1 / time (Slepyan, arXiv:1410.8301). In a weak wave
+        the ratio tends to 1/2. It is NaN without energy.
         """
         end = self.time[-1] if end is None else end
         kinetic, total = (
@@ -168,14 +170,16 @@ class EnergyLosses(Shown, Tabular):
     time : (T,) array
         Times, s.
     of_contact : (T, N+1) array
-        The integral of A dF/dt o', with F the elastic force, o the overlap; contact n lies below
-        grain n, 0 and N are those with walls.
+        Energy dissipated by each contact: the integral of A dF/dt do/dt with the viscous time A,
+        the elastic force F and the overlap o. Contact n is below grain n; contacts 0 and N are
+        those with the walls.
     of_grain : (T, N) array
-        The integral of m gamma v^2; that of a driven grain is left out.
+        Energy dissipated by the drag on each grain: the integral of m gamma v^2; 0 for a driven
+        grain.
     error : float
-        Uncertainty of the sum, as the powers are known at samples only: the shift when every
-        second sample is used, with what the error of the trajectory does to it, and at least the
-        distance from `EnergyLedger.dissipated`; infinite for fewer than three samples.
+        Uncertainty of the sum, J, because the powers are known only at the samples: the shift when
+        every second sample is used, plus the effect of the error of the trajectory. It is at least
+        the distance from `EnergyLedger.dissipated`, and infinite for fewer than three samples.
     """
 
     time: Array
@@ -199,22 +203,28 @@ class EnergyLosses(Shown, Tabular):
 class EnergyShares(Shown, Tabular):
     """Energies above rest of the G recorded grains and the C contacts between them, J.
 
-    The sum over all grains and contacts is `EnergyLedger.total`: each contact holds its elastic
-    energy less the work that load and weight do as it gives way, which is never below 0.
+    The sum over all grains and contacts is `EnergyLedger.total`. The energy of a contact is its
+    elastic energy minus the work that load and weight do when it yields; it is never negative.
 
     Attributes
     ----------
     time : (T,) array
         Times, s.
-    grain, contact : (G,) and (C,) arrays
-        Their numbers; contact n lies below grain n, 0 and N are those with walls.
+    grain : (G,) array
+        Numbers of the grains.
+    contact : (C,) array
+        Numbers of the contacts; contact n is below grain n, and contacts 0 and N are those with the
+        walls.
     kinetic : (T, G) array
+        Kinetic energy of each grain.
     elastic : (T, C) array
+        Energy of each contact.
     of_grain : (T, G) array
-        Kinetic energy of each grain and that of the ground under it, half of its contacts with
-        other grains, and all of those with walls; NaN where a neighbour was not recorded.
+        Energy assigned to each grain: its kinetic energy, the energy of the ground under it, half
+        of its contacts with other grains, and all of its contacts with walls. It is NaN if a
+        neighbour was not recorded.
     kinetic_error, elastic_error, of_grain_error : arrays like these three
-        Uncertainty of each by the error of the trajectory, where that is known.
+        Uncertainty of each value due to the error of the trajectory, if it is known.
     """
 
     time: Array
@@ -233,7 +243,7 @@ class EnergyShares(Shown, Tabular):
         Raises
         ------
         InputError
-            If one of them was not recorded.
+            If one of these grains was not recorded.
         """
         grains = np.arange(first, last + 1)
         if not grains.size or not np.isin(grains, self.grain).all():
@@ -263,7 +273,7 @@ def shares(trajectory: Trajectory | Motion) -> EnergyShares:
     Raises
     ------
     InputError
-        If no two neighbours were recorded.
+        If no two neighbouring grains were recorded.
 
     Examples
     --------
@@ -317,8 +327,12 @@ class _Pieces(NamedTuple):
 
     Attributes
     ----------
-    work, push, top, bottom : (T-1,) arrays
-        Of the power and of the force of a push, J and N s, and of those of the walls, N s.
+    work : (T-1,) array
+        Integrals of the power of the applied force or driver, J.
+    push : (T-1,) array
+        Integrals of the applied force or driver force, N s.
+    top, bottom : (T-1,) arrays
+        Integrals of the forces of the walls, N s.
     """
 
     work: Array
@@ -332,14 +346,16 @@ class _Forces(NamedTuple):
 
     Attributes
     ----------
-    force, rate : arrays
-        Force minus the force at rest, N, and rate of the elastic part, N/s.
+    force : array
+        Force minus the force at rest, N.
+    rate : array
+        Rate of change of the elastic part, N/s.
     largest : array
-        Largest size of the elastic part within the error, N.
+        Largest magnitude of the elastic part within the error, N.
     doubt : array
         Error of the force, N.
     power, power_doubt : arrays
-        Power that a viscous contact takes, and its error, W.
+        Power dissipated by each viscous contact, and its error, W.
     """
 
     force: Array
@@ -391,7 +407,7 @@ def ledger(trajectory: Trajectory) -> EnergyLedger:
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine, with all grains that move.
+        Run of any engine, in which all grains that move were recorded.
 
     Returns
     -------
@@ -514,8 +530,9 @@ def _close(
 ) -> tuple[dict[str, tuple[Array, float]], list[str]]:
     """Return the best values of terms, their errors, and the terms that a balance gives.
 
-    `sampled` has those by the samples. `changes` has the sign with which each is a change of a sum,
-    that sum and its error, and the other term of the balance.
+    `sampled` maps the name of each term to its integral over the samples and the error. `changes`
+    maps the name to four entries: the sign of the term in its balance, the balanced energy or
+    momentum, the error of the latter, and the name of the other term.
     """
     summed = _find_sums(trajectory)
     terms = sampled | summed
@@ -559,7 +576,7 @@ def _doubt_of_driver(scene: Scene, doubt: Array, of_ground: Array) -> Array:
 def _carries(scene: Scene) -> bool:
     """Return whether a body that is not one of the grains that move carries the lowest of them.
 
-    A last grain that is driven is one of the grains that move.
+    A driven last grain counts as one of the grains that move.
     """
     chain = scene.chain
     return chain.bottom == "wall" or (chain.bottom == "fixed" and not scene.excitation.from_below)
@@ -568,7 +585,7 @@ def _carries(scene: Scene) -> bool:
 def _work_at_ends(scene: Scene, time: Array, u: Array, top: Array | None) -> Array:
     """Return the work of the top load and of the support of a driven base at rest, (T,) J.
 
-    The top wall is at (T,) m if it is moved.
+    `top` is the position of the top wall, (T,) m, or None if the wall does not move.
     """
     chain = scene.chain
     work = chain.constant_load * u[:, chain.load_grain - 1]
@@ -586,7 +603,7 @@ def losses(trajectory: Trajectory) -> EnergyLosses:
     Parameters
     ----------
     trajectory : Trajectory
-        With all grains that move.
+        Run in which all grains that move were recorded.
 
     Returns
     -------
@@ -678,10 +695,11 @@ def _forces(chain: Chain, closer: Array, closing: Array, off: float, fast: float
 def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> _Pieces:
     """Return the integrals of an applied force over intervals that a cubic cannot represent.
 
-    These are all of a force, and those in which a motion has a corner: a comparison with every
-    second sample does not show that, either. The waveform itself is known at all times; what it is
-    multiplied by, a speed, or a displacement in the law of a contact, is smooth once its own share
-    is taken out: of a force F with the impulse P on a mass m, P/m of the speed.
+    For an applied force these are all intervals. For a driver they are the intervals in which its
+    motion has a kink, which a comparison with every second sample does not reveal. The waveform is
+    known at all times, and only the remaining smooth factor of the integrand is interpolated: the
+    displacement of the neighbouring body, or the speed of the grain without the part P/m that is
+    due to the impulse P of the force F on the mass m:
 
         int F v dt = [P^2 / 2m] + int F (v - P/m) dt
     """
@@ -749,10 +767,10 @@ def _integral(
 ) -> tuple[Array, float]:
     """Return the running integral of samples, (T, ...), and its shift with every second sample.
 
-    The shift says nothing if samples are farther apart than half a period of the fastest motion:
-    infinity takes its place. Without slopes, it is that of a spline of degree 7. Integrals over
-    intervals that are `known` otherwise are (T-1,), NaN of the others; then the shift without them
-    counts, too.
+    The shift is replaced by infinity if samples are farther apart than half a period of the fastest
+    motion, because it then does not show the error. Without slopes, a spline of degree 7 is
+    integrated. `known` gives the integrals over intervals in which the waveform determines them,
+    (T-1,), and NaN for the other intervals; the shift is at least the change that they cause.
     """
     smooth = _integrate(time, value, slope)
     fine = smooth
@@ -787,7 +805,7 @@ def _positions_of_walls(
 ) -> tuple[Array | None, Array | None]:
     """Return the positions of the top wall and of the bottom wall, (T,) m; None of one at rest.
 
-    With an order of 1, return their velocities, m/s.
+    If `order` is 1, return the velocities of the walls instead, m/s.
     """
     excitation = scene.excitation
     top = excitation.wall

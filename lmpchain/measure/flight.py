@@ -50,11 +50,13 @@ class Flight:
     Attributes
     ----------
     grains : int
-        Distance of the second sensor in grains.
+        Distance between the sensors in grains.
     distance : float
-        Distance between the centres at rest, m.
-    seconds, error : float
-        Time of flight, s; uncertainty by sampling, s.
+        Distance between the centres of the two grains at rest, m.
+    seconds : float
+        Time of flight, s.
+    error : float
+        Uncertainty of the time by sampling, s.
     """
 
     grains: int
@@ -76,16 +78,19 @@ class Flight:
 def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     """Return the largest maximum of a signal, by a quintic spline through the samples around it.
 
-    The error is the shift when only every second sample is used. Where the signal is smooth and
-    well sampled, the true error is about 1/60 of it. Another maximum counts with its distance where
-    samples do not tell which is the largest. Errors of the trajectory itself come on top.
+    The error is the shift of the maximum when only every second sample is used; if the signal is
+    smooth and well sampled, the true error is about 1/60 of this shift. If the samples do not show
+    which of several maxima is the largest, the error includes the distance to the other maxima. The
+    error of the trajectory is not included.
 
     Parameters
     ----------
-    time, values : (T,) arrays
-        s; in any unit.
+    time : (T,) array
+        Times, s.
+    values : (T,) array
+        Values of the signal in any unit.
     name : str
-        Of the signal, for messages.
+        Name of the signal in messages.
 
     Returns
     -------
@@ -94,7 +99,7 @@ def arrival(time: Array, values: Array, name: str = "signal") -> Arrival:
     Raises
     ------
     InputError
-        If the largest value is the first or the last.
+        If the largest value is the first or the last one.
 
     Examples
     --------
@@ -153,17 +158,18 @@ def time_of_flight(
 ) -> Flight:
     """Return the time of flight between sensors in two grains, which gives the wave speed.
 
-    An echo within the recording may be mistaken for the wave: record up to it.
+    An echo may be mistaken for the wave, so end the recording before the echo arrives.
 
     Parameters
     ----------
     trajectory : Trajectory
     first, second : int
-        Grains; seconds and speed are negative if the wave comes to the second first.
+        Numbers of the grains with the sensors. Time and speed are negative if the wave reaches the
+        second grain first.
     method : str
-        "peak": from the largest maximum of one signal to that of the other; "correlation": the
-        shift that makes the two most alike, for which the whole of both must have been recorded:
-        it is refused while the force is still far from that at rest, as behind a piston.
+        "peak" measures the time between the largest maxima of the two signals. "correlation"
+        measures the shift with the largest correlation. It requires that the force in both grains
+        has returned to its value at rest, which is not the case behind a piston.
 
     Returns
     -------
@@ -172,10 +178,13 @@ def time_of_flight(
     Raises
     ------
     InputError
-        If there is no such sensor, or the wave has not passed it.
+        If the grains are equal, a grain or its neighbours were not recorded, the method is unknown,
+        or the wave has not passed a sensor.
     """
     if first == second or method not in ("peak", "correlation"):
-        raise InputError.at("second", 'choose two grains, and the method "peak" or "correlation"')
+        raise InputError.at(
+            "second", 'choose two different grains, and the method "peak" or "correlation"'
+        )
     one = sensor(trajectory, first)
     two = sensor(trajectory, second)
     if method == "peak":

@@ -48,16 +48,22 @@ class Front(Shown, Tabular):
     Attributes
     ----------
     field : "velocity" or "displacement"
-    grain, depth : (P,) arrays
-        Grains with a maximum, from the top downward; depths of their centres at rest below that of
-        grain 1, m.
-    time, amplitude, width : (P,) arrays
-        When the maximum is reached, s; the value there, m/s or m, negative for a motion upward; the
-        full width at half maximum in time, s, NaN where the motion does not pass half the amplitude
+        Field in which the front is a maximum.
+    grain : (P,) array
+        Grains that the front passes, from the top downward.
+    depth : (P,) array
+        Depths of their centres at rest below the centre of grain 1, m.
+    time : (P,) array
+        Times of the maximum, s.
+    amplitude : (P,) array
+        Values at the maximum, m/s or m; negative for upward motion.
+    width : (P,) array
+        Full widths at half maximum in time, s; NaN if the motion does not pass half the amplitude
         on both sides.
     time_error, amplitude_error, width_error : (P,) arrays
-        Errors of these: by sampling, by the error of the trajectory where it is known, and
-        because another maximum may be the front if values are off by as much.
+        Errors of time, amplitude and width by sampling and by the error of the trajectory, if it is
+        known. If errors of this size could make another maximum the front, they include the
+        difference between both maxima.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -85,7 +91,7 @@ class Front(Shown, Tabular):
     def speed(self) -> Array:
         """Local speed from neighbouring grains, (P,) m/s.
 
-        It is negative upward, and infinite where grains peak at once.
+        The speed is negative for an upward front, and infinite where grains peak at the same time.
         """
         with np.errstate(divide="ignore"):
             return 1 / self._slowness(self.depth)
@@ -98,7 +104,7 @@ class Front(Shown, Tabular):
     def _slowness(self, place: Array) -> Array:
         if place.size < 2:
             raise InputError.at(
-                "grains", "a speed takes the front at two grains or more: record more of them"
+                "grains", "a speed needs the front at two or more grains: record more grains"
             )
         # Two grains have no second difference.
         return np.gradient(self.time, place, edge_order=2 if place.size > 2 else 1)
@@ -136,10 +142,15 @@ class Exponents(Shown, Tabular):
     Attributes
     ----------
     quantity : str
-    depth, exponent : (L,) arrays
-        Geometric mean of the depths h = n - 1/2 of each fit, in grains; p.
-    error, residual : (L,) arrays
-        Half the 95 % confidence interval of p, and the root mean square of the relative scatter.
+        Name of the quantity.
+    depth : (L,) array
+        Geometric means of the depths h = n - 1/2 of each fit, in grains.
+    exponent : (L,) array
+        Exponents p.
+    error : (L,) array
+        Half the 95 % confidence intervals of p.
+    residual : (L,) array
+        Root mean squares of the relative scatter about each fit.
     """
 
     _units: ClassVar[dict[str, str]] = {"depth": "", "exponent": "", "error": "", "residual": ""}
@@ -162,15 +173,20 @@ class PowerLaw(Shown, Tabular):
 
     Attributes
     ----------
-    label, depth, values : str, (P,) and (P,) arrays
-        The quantity, depths h = n - 1/2 in grains, and what was fitted.
+    label : str
+        Name of the quantity with its unit.
+    depth : (P,) array
+        Depths h = n - 1/2 in grains.
+    values : (P,) array
+        Values that were fitted.
     unit : str
         Unit of the values.
     order, exponent, factor, correction : float
+        Parameters of the law in the first line.
     error : (3,) array
         Errors of exponent, factor and correction: half the 95 % confidence interval plus the
-        shift when a term in h^(-2 order) is fitted too. On smooth data such terms exceed the
-        scatter; it is an estimate, not a bound.
+        shift when a term in h^(-2 order) is fitted as well. The shift dominates on smooth data. The
+        error is an estimate, not a bound.
     """
 
     _units: ClassVar[dict[str, str]] = {"depth": "", "values": ""}
@@ -210,19 +226,19 @@ def _unit_of(quantity: Quantity, field: Field) -> str:
 def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0.5) -> Front:
     """Track the wave front from grain to grain, also between the samples.
 
-    At each grain the front is the first local maximum of the absolute value, so upward motion
-    counts, that reaches `fraction` of the largest size there and after which the motion falls by
-    more than the error of the trajectory. Left out are grains that begin with such a size, as the
-    one that was struck does, and those whose maximum is not within the recording. Behind the front
-    the displacement falls slowly in a column, not at all in a sonic vacuum: track the velocity
-    there, which is largest where the displacement rises most.
+    At each grain the front is the first local maximum of the absolute value that reaches `fraction`
+    of the largest absolute value at this grain. After it, the motion must fall by more than the
+    error of the trajectory. Grains that start above this threshold, such as a struck grain, are
+    left out, as are grains whose maximum is not within the recording. Behind the front the
+    displacement falls slowly in a column and not at all in a sonic vacuum, so track the velocity
+    there.
 
     Parameters
     ----------
     trajectory : Trajectory
     field : "velocity" or "displacement"
     fraction : float
-        Between 0 and 1.
+        Smallest height of a front relative to the largest value at its grain, between 0 and 1.
 
     Returns
     -------
@@ -231,8 +247,8 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     Raises
     ------
     InputError
-        If no grain shows a front that passes, or samples are too far apart to show which maximum is
-        the front at most grains, or fewer than 16.
+        If no front passes a grain, there are fewer than 16 samples, or the samples are too far
+        apart to show which maximum is the front at most grains.
 
     Examples
     --------
@@ -256,7 +272,7 @@ def track(trajectory: Trajectory, field: Field = "velocity", fraction: float = 0
     if not passed.any():
         raise InputError.at(
             "duration",
-            f"no grain shows the {field} of a front that passes: record for longer, and end the "
+            f"no front of the {field} passes a recorded grain: record for longer, and end the "
             "push if it still grows",
         )
     _check_times(trajectory, rows[passed, 3])
@@ -276,9 +292,9 @@ def _check_times(trajectory: Trajectory, error: Array) -> None:
     if 2 * unresolved > error.size and needed > scene.samples:
         raise InputError.at(
             "samples",
-            f"{scene.samples} do not show which maximum is the front at {unresolved} of "
-            f"{error.size} grains, where it may be off by up to {error.max():.2g} s: record "
-            f"{needed} of them",
+            f"{scene.samples} samples do not show which maximum is the front at {unresolved} of "
+            f"{error.size} grains (error of the time up to {error.max():.2g} s): record "
+            f"{needed} samples",
         )
 
 
@@ -290,7 +306,7 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
     front : Front
     quantity : "amplitude", "width", "time" or "speed"
     window : int, optional
-        How many grains each fit takes; None for all of them in one.
+        Number of grains in each fit; None for a single fit to all grains.
 
     Returns
     -------
@@ -299,7 +315,7 @@ def exponent(front: Front, quantity: Quantity = "amplitude", window: int | None 
     Raises
     ------
     InputError
-        If the window does not fit the grains passed.
+        If the window is smaller than 3, or larger than the number of grains that the front passes.
     """
     depth, values, _ = front.against_depth(quantity)
     size = depth.size if window is None else window
@@ -326,8 +342,9 @@ class CorrectedPower(NamedTuple):
     Attributes
     ----------
     values : (3,) array
+        Exponent, logarithm of the factor, and correction.
     interval : (3,) array
-        Half the 95 % confidence intervals; 0 of an exponent that is given.
+        Half the 95 % confidence intervals; 0 for a given exponent.
     shift : (3,) array
         Change of the values when the next term is fitted as well.
     """
@@ -345,11 +362,11 @@ def fit_power(
     Parameters
     ----------
     depth, values : (P,) arrays
-        Both above 0.
+        Depths and values, all above 0.
     order, following : float
-        Orders of the correction and of the next one, which shows what further terms do.
+        Orders of the correction and of the next term, which shows the effect of further terms.
     exponent : float, optional
-        One that is given is not fitted.
+        Known exponent, which is then not fitted.
 
     Returns
     -------
@@ -377,7 +394,7 @@ def fit_power(
         further, _ = optimize.curve_fit(law, x, y, [*parameters, 0.0])
     except RuntimeError:
         raise InputError.at(
-            "front", "obeys no such law: choose other grains with Front.between"
+            "front", "does not follow a power law: choose other grains with Front.between"
         ) from None
     interval = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
     exact = np.zeros(len(fixed))
@@ -393,15 +410,15 @@ def asymptotic(
 ) -> PowerLaw:
     """Fit the asymptotic power law of a quantity and its finite-depth correction.
 
-    The wave is that after a weak strike on the top of a column. With xi = 1 - 1/delta, dispersion
-    spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times ~ h^w, w = 1/3 - xi/2.
-    Displacements tend to the power -xi/4 - a w of h, velocities to -xi/4 - (1 + a) w: -1/10 and
-    -4/15 for Hertz; -1/12 and -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local
-    ones on the way there.
+    The law describes the wave of a weak strike on the top of a column. With xi = 1 - 1/delta,
+    dispersion spreads the front (tau^2 - chi^2)^(-a), a = xi / (4 - 2 xi), over times that grow as
+    h^w, w = 1/3 - xi/2. The exponent of the displacement tends to -xi/4 - a w, and the exponent of
+    the velocity to -xi/4 - (1 + a) w: -1/10 and -4/15 for Hertz contacts. The exponents -1/12 and
+    -1/4 of Hong, Ji and Kim, Phys. Rev. Lett. 82, 3058 (1999), are local values at finite depth.
 
-    The order is 1/delta - 1/3 for amplitude and width, 2/3 for time and speed; above delta = 2 the
-    correction cannot be separated from the power. A given `exponent` is not fitted. `Front.between`
-    leaves out first grains and reflections.
+    The order is 1/delta - 1/3 for amplitude and width, and 2/3 for time and speed; above delta = 2
+    the correction cannot be separated from the power. Use `Front.between` to leave out the first
+    grains and reflections.
 
     Parameters
     ----------
@@ -410,7 +427,7 @@ def asymptotic(
     delta : float
         Exponent of the contact force, 1 to 2.
     exponent : float, optional
-        Power of h that is taken as known.
+        Known exponent, which is then not fitted.
 
     Returns
     -------
@@ -419,14 +436,14 @@ def asymptotic(
     Raises
     ------
     InputError
-        If delta is not 1 to 2, or too few grains show the front.
+        If delta is not between 1 and 2, or the front passes fewer than 6 grains.
     """
     depth, values, label = front.against_depth(quantity)
     if not 1 <= delta <= 2:
-        raise InputError.at("front", f"has such a law for 1 <= delta <= 2 only (got {delta})")
+        raise InputError.at("front", f"the power law requires 1 <= delta <= 2 (got {delta})")
     if depth.size < FEWEST:
         raise InputError.at(
-            "front", f"a fit needs it at {FEWEST} or more grains (got {depth.size}): record longer"
+            "front", f"a fit needs {FEWEST} or more grains (got {depth.size}): record longer"
         )
     order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
     fit = fit_power(depth, values, order, 2 * order, exponent)

@@ -2,12 +2,12 @@
 
 The amplitude of each grain at the frequency of the drive is ``2 sum(w x exp(-i w t)) / sum(w)``
 with the window ``sin^8`` over the last periods, whose side lobes fall with the ninth power of the
-frequency: harmonics, the static displacement of strong waves and transients are left out. In a
+frequency. This suppresses harmonics, the static displacement of strong waves and transients. In a
 uniform chain the amplitudes of a wave, of its reflection and of their sum all obey
 
     a[n - c] + a[n + c] = 2 cos(k) a[n]
 
-for a cell of c grains. Least squares give cos(k), without a model of the ends.
+for a cell of c grains. A least-squares fit gives cos(k), without a model of the ends.
 """
 
 from __future__ import annotations
@@ -63,19 +63,22 @@ class HarmonicWave(Shown, Tabular):
         Grains between which the wave is measured.
     amplitude : (G,) complex array
         Amplitude of the displacement ``Re(a exp(i w t))`` at the drive frequency, m.
-    phase, phase_error : float
-        Phase lag per cell downward, radians, from -pi to pi; by how much it may be off: changes
-        from the window to its later half, between two parts of the grains and with every second
-        sample, and the error of the trajectory.
+    phase : float
+        Phase lag per cell downward, radians, from -pi to pi.
+    phase_error : float
+        Uncertainty of the phase lag: its changes from the window to the later half of the window,
+        between two parts of the grains and with every second sample, and the error of the
+        trajectory.
     decay, decay_error : float
-        The amplitude of the wave falls by the factor exp(-decay) per cell downward.
+        Decay per cell downward, by which the amplitude falls by the factor exp(-decay), and its
+        uncertainty.
     cell : int
-        Grains in a cell.
+        Number of grains in a cell.
     strain, strain_error : float
-        Mean change of the overlap, relative to the overlap at rest: strong waves squeeze or stretch
-        the chain, which changes its dispersion as well.
+        Mean change of the overlap relative to the overlap at rest, and its uncertainty. Strong
+        waves compress or stretch the chain, which changes its dispersion as well.
     linear_phase, linear_decay : float
-        Values for the linearised chain.
+        Phase lag and decay in the linearised chain.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"grain": "", "amplitude": "m"}
@@ -111,8 +114,8 @@ class HarmonicWave(Shown, Tabular):
 class DrivePoint:
     """Response of a chain at the grain or wall that is driven at one frequency.
 
-    Force and motion are those of ``Re(a exp(i w t))``, the force that of the driver on the chain,
-    with the inertia of a driven grain.
+    Force and motion are the complex amplitudes a of ``Re(a exp(i w t))``. The force is that of the
+    driver on the chain and includes the inertia of a driven grain.
 
     Attributes
     ----------
@@ -121,9 +124,9 @@ class DrivePoint:
     stiffness : complex
         Dynamic stiffness, force over displacement, N/m.
     error : float
-        Error in magnitude, N/m: three times the change from the window to its
-        later half, the change with every second sample, and the error of the trajectory. It does
-        not hold for a chain that bounces without becoming periodic.
+        Error in magnitude, N/m: three times the change from the window to its later half, the
+        change with every second sample, and the error of the trajectory. This error is not valid
+        for a chain that bounces without becoming periodic.
     linear : complex
         Stiffness of the linearised chain, N/m; NaN without a load.
     """
@@ -180,16 +183,16 @@ def wave(
     Parameters
     ----------
     trajectory : Trajectory
-        Of a `Drive` or `Force` of one amplitude and frequency, with 12 samples a period or more, of
-        a chain that is uniform, or repeats a cell, below the source: a long one before the wave has
-        come back, or one with an absorbing boundary (`patterns.absorbing`).
+        Run with a `Drive` or `Force` of one amplitude and frequency, with 12 or more samples per
+        period. Below the source the chain must be uniform or repeat a cell. It must have an
+        absorbing boundary (`patterns.absorbing`), or be so long that no reflection has returned.
     first, last : int, optional
-        Grains between which the wave is measured; by default all below the source that repeat the
-        cell, are recorded and move steadily.
+        First and last grain between which the wave is measured; by default all grains below the
+        source that repeat the cell, are recorded and move steadily.
     cell : int
-        Grains in a cell, 2 of a dimer.
+        Number of grains in a cell, such as 2 for a dimer.
     periods : int, optional
-        Number of periods, at the end, over which the motion is averaged; by default half of them.
+        Number of periods at the end of the run for the average; by default half of all periods.
 
     Returns
     -------
@@ -199,7 +202,7 @@ def wave(
     ------
     InputError
         If nothing drives the chain at one frequency, the run has too few periods or samples, or too
-        few grains repeat the cell and are steady.
+        few grains repeat the cell and move steadily.
 
     Examples
     --------
@@ -264,9 +267,10 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     Parameters
     ----------
     trajectory : Trajectory
-        As for `wave`, with the grains recorded that are driven or touch the driven body.
+        Run as for `wave`; the driven grain and the grains that touch the driven body must be
+        recorded.
     periods : int, optional
-        As for `wave`.
+        See `wave`.
 
     Returns
     -------
@@ -330,20 +334,20 @@ def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force,
         or not drive.amplitude
     ):
         rule = "must be a drive or a force of one amplitude and frequency, without cycles"
-        raise InputError.at("excitation", f"{rule}: only such a chain becomes steady")
+        raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
     period = 1 / drive.frequency
     end = float(trajectory.time[-1])
     most = int(end / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
     if not LEAST_PERIODS <= count <= most:
         raise InputError.at(
-            "periods", f"must be {LEAST_PERIODS} to {most}, those of the run: {count}"
+            "periods", f"must be {LEAST_PERIODS} to {most}, the periods of the run (got {count})"
         )
     step = trajectory.scene.sampling_interval
     if period < LEAST_SAMPLES * step * (1 - 1e-9):
         least = 1 + int(np.ceil(LEAST_SAMPLES * end / period))
         raise InputError.at(
-            "samples", f"must be {least} or more: {LEAST_SAMPLES} a period of the drive"
+            "samples", f"must be {least} or more: {LEAST_SAMPLES} per period of the drive"
         )
     return drive, int(count * period / step * (1 + 1e-9))
 
@@ -423,7 +427,7 @@ def _wavenumber(cosine: complex, amplitude: Complex, cell: int) -> complex:
 def _linear(chain: Chain, grain: int, cell: int, omega: float, phase: float) -> complex:
     """Return the wavenumber per cell of the linear wave that decays downward.
 
-    Of the two waves without decay it is the one with a phase of the same sign.
+    If the two waves do not decay, the wave whose phase has the sign of `phase` is returned.
     """
     if not chain.linearisable:
         return complex(np.nan, np.nan)

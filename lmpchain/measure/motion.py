@@ -24,7 +24,7 @@ __dir__ = listed(__name__)
 RESOLVED = 2.0
 RESOLVED_BY_DIFFERENCES = 0.7
 # Remedy if the force on a held last grain is requested, but that grain is driven.
-OF_DRIVER = "the last grain is driven: use measure.contact.drive_force, with its inertia"
+OF_DRIVER = "the last grain is driven: use measure.contact.drive_force, which includes its inertia"
 
 
 class Peaks(NamedTuple):
@@ -33,10 +33,11 @@ class Peaks(NamedTuple):
     Attributes
     ----------
     grain : (G,) array
-        Their numbers.
-    value, error : (G,) arrays
-        Its size, m/s or m, and its uncertainty: by sampling, and by the error of the
-        trajectory where it is known.
+        Numbers of the grains.
+    value : (G,) array
+        Largest size at any time, m/s or m.
+    error : (G,) array
+        Uncertainty of the value by sampling and by the error of the trajectory, if it is known.
     """
 
     grain: np.ndarray
@@ -47,9 +48,9 @@ class Peaks(NamedTuple):
 class Motion:
     """The motion of grains at the samples and between them.
 
-    Where the equation of motion of the trajectory is Eq. (1) or (3), and the neighbours of a grain
-    are known, they give its acceleration and jerk; else these follow from three neighbouring
-    samples.
+    The acceleration and jerk of a grain are computed from Eq. (1) or (3) if the trajectory obeys
+    one of them and the neighbours of the grain are known. Otherwise they are computed from three
+    neighbouring samples.
 
     Parameters
     ----------
@@ -57,12 +58,11 @@ class Motion:
     equation : int
         Number in the paper of the equation that the motion obeys; 0 if it is not known.
     grains : (G,) array
-        Recorded grains.
+        Numbers of the recorded grains.
     displacement, velocity : (T, G) arrays
-        Of these.
+        Motion of these grains, m and m/s.
     error : float
-        Relative error of the trajectory, as `ErrorEstimate.total`; one that is not known is left
-        out.
+        Relative error of the trajectory, as `ErrorEstimate.total`; an unknown error counts as 0.
 
     Attributes
     ----------
@@ -181,8 +181,8 @@ class Motion:
         Raises
         ------
         InputError
-            If nothing stands still at the bottom, a grain that touches it was not recorded, or the
-            contact is viscous.
+            If the bottom is free, its "fixed" grain is driven, the grain that touches it was not
+            recorded, or contacts are viscous.
         """
         chain = self.scene.chain
         if chain.bottom == "free":
@@ -192,7 +192,7 @@ class Motion:
         if chain.damping.longest_time > 0:
             number = chain.movable
             cure = f'add "peak_force:{number}" to the quantities of the scene, or use wall_force'
-            fault = f"of a viscous contact the largest force is not where it is closest: {cure}"
+            fault = f"the largest force of a viscous contact is not at its closest approach: {cure}"
             raise InputError.at("chain.damping.viscoelastic", fault)
         # A fixed grain N replaces the wall, and its own weight adds to the force.
         closer, error = self.closest(chain.movable)
@@ -222,8 +222,8 @@ class Motion:
     ) -> Array:
         """Return the time, height and width of the front and their errors, (G, 6).
 
-        See `front.track`; the motion falls by `fall` at least after the front, by default by its
-        error.
+        See `front.track`. After the front the motion must fall by at least `fall`, by default the
+        error of the field.
         """
         error = self.known_error(field)
         rows = np.full((self.grains.size, 6), np.nan)
@@ -249,9 +249,10 @@ class Motion:
     def _bounds(self) -> tuple[float, float]:
         """Bounds on displacement, m, and velocity, m/s, of any grain at any time.
 
-        Errors are relative to them. A motion without frequencies above omega is at most
-        ``1 / cos(omega h / 2)`` times its largest sample. Where that does not hold, or not all
-        grains are recorded, they follow from the energy if that is known.
+        Relative errors refer to these bounds. A motion without frequencies above omega is at most
+        ``1 / cos(omega h / 2)`` times its largest sample, with the sampling interval h. If samples
+        are too far apart, or not all grains are recorded, the bounds are computed from the energy
+        if it is known.
         """
         scene = self.scene
         chain = scene.chain
@@ -289,7 +290,8 @@ class Motion:
     def ceiling(self) -> Array:
         """Upper bounds on the speed between samples of each moving grain, (M, T-1) m/s.
 
-        They are -1 where nothing hides; the shape is (1, 0) if nothing hides anywhere.
+        The bound is -1 where the samples miss no motion; the shape is (1, 0) if they miss none
+        anywhere.
         """
         angle = self.scene.sampling_phase
         if angle <= RESOLVED_BY_DIFFERENCES or (angle <= RESOLVED and self._lawful.all()):
@@ -305,7 +307,7 @@ class Motion:
     def _speed_limit(self) -> tuple[Array, Array]:
         """Return bounds on speed and frequency of M grains between samples, (M, T-1) m/s and rad/s.
 
-        No grain can have more than the energy that was within reach of it at the sample before.
+        A grain cannot have more energy than there was within its reach at the previous sample.
         """
         scene = self.scene
         chain = scene.chain
@@ -391,7 +393,7 @@ def peaks(trajectory: Trajectory, field: Field = "velocity") -> Peaks:
     Raises
     ------
     InputError
-        If there is no such field.
+        If the field does not exist.
 
     Examples
     --------

@@ -1,21 +1,22 @@
 """Waves of a dispersive shock at one x / t, and the planar ODE whose closed orbits they are.
 
 Near one x / t an old dispersive shock is a periodic wave r(z), z = n - c t, of overlaps. It obeys
-``m c^2 r'' = D F(r)`` with the second difference D. Two integrations, and the first two terms of
-the inverse of D, ``1 / D = 1 / d^2 - 1 / 12 + ...``, give a planar ODE:
+``m c^2 r'' = D F(r)`` with the mass m, the force F and the second difference D. The first two terms
+of the inverse, ``1 / D = 1 / d^2 - 1 / 12 + ...`` with the derivative d, give a planar ODE:
 
     r' = p,   p' = 12 (r - (F(r) + A) / (m c^2))
 
-Its orbits are closed, between a trough and a crest; that of the leading edge is homoclinic. The
-phase speed c, the trough and the crest of a wave determine A and the orbit, and with it the
-distance from crest to crest and the mean. The reduction follows Chong, Herrmann and Kevrekidis,
-arXiv:2206.06413, who reduce dispersive shocks of lattices to a planar ODE; this ODE is derived
-here from the equation of motion of the chain, and may differ from the form in that paper. Another
-planar ODE has the first terms of D instead of those of its inverse, with s = F(r):
+Its orbits are closed and run between a trough and a crest; the orbit of the leading edge is
+homoclinic. The phase speed c, the trough and the crest of a wave determine the constant A and the
+orbit, and thus the distance from crest to crest and the mean overlap. The reduction follows Chong,
+Herrmann and Kevrekidis, arXiv:2206.06413, who reduce dispersive shocks of lattices to a planar ODE.
+The ODE here is derived from the equation of motion of the chain, and may differ from the form in
+that paper. A second planar ODE uses the first terms of D instead of the inverse, with s = F(r):
 
     s'' = 12 (m c^2 r(s) - s - A)
 
-The lattice lies between the two; their difference is the error of the reduction.
+The result for the lattice is between the results of the two ODEs. Their difference is used as the
+error of the reduction.
 """
 
 from __future__ import annotations
@@ -69,9 +70,11 @@ class ClosedOrbit(NamedTuple):
     Attributes
     ----------
     place : (P,) array
-        Grains, from 0 at the crest.
-    overlap, slope : (P,) arrays
-        m, and m a grain.
+        Distance from the crest, grains.
+    overlap : (P,) array
+        Overlap, m.
+    slope : (P,) array
+        Derivative of the overlap, m per grain.
     spacing : float
         Distance from crest to crest, grains.
     mean : float
@@ -94,22 +97,25 @@ class PlanarOrbits(Shown, Tabular):
     contact : int
         The contact at which the waves were measured.
     self_similar : (W,) array
-        Distance from the source over time of each wave, grains/s.
+        Distance of each wave from the source divided by the age of the shock, grains/s.
     phase_speed : (W,) array
-        c, grains/s.
+        Phase speed c of each wave, grains/s.
     crest, trough : (W,) arrays
-        Overlaps, m.
-    spacing, spacing_error : (W,) arrays
-        Distance from crest to crest, grains, by period and phase speed; and its change if the speed
-        is measured over half the distance, with the difference of the two crests of a wave.
+        Overlaps at the crests, m, and at the trough between them, m.
+    spacing : (W,) array
+        Distance from crest to crest, grains: the period times the phase speed.
+    spacing_error : (W,) array
+        Error of the spacing, grains: its changes if the speed is measured over twice the distance
+        or with the first crest alone, and the difference of the two crest heights.
     mean, mean_error : (W,) arrays
-        Mean overlap over a period, m, and its error: the difference of the two crests.
+        Mean overlap over a period, m, and its error: the difference of the two crest heights.
     orbit_spacing, orbit_mean : (W,) arrays
-        The same of the closed orbit between this trough and crest, grains and m.
+        Distance from crest to crest, grains, and mean overlap, m, of the closed orbit between the
+        same trough and crest.
     orbit_spacing_error, orbit_mean_error : (W,) arrays
-        Difference to another planar ODE of the same order.
+        Differences from the results of the second planar ODE.
     orbits : tuple of ClosedOrbit
-        The closed orbits.
+        Closed orbit of each wave.
     """
 
     _units: ClassVar[Mapping[str, str]] = {
@@ -160,7 +166,7 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
     Parameters
     ----------
     trajectory, direction
-        As for `shock.find`, of a dispersive shock.
+        See `shock.find`; the wave must be a dispersive shock.
 
     Returns
     -------
@@ -169,7 +175,8 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
     Raises
     ------
     InputError
-        As `shock.find`, or if the wave is no dispersive shock with two crests or more.
+        For the reasons given in `shock.find`, or if the wave is not a dispersive shock with two or
+        more crests.
 
     Examples
     --------
@@ -240,7 +247,7 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
         closed.append(first)
         measured.append((overlap[::4], -curve(inside, 1)[::4] / speed))
     if not rows:
-        few = "the wave has fewer than two crests that are high enough: record a longer one"
+        few = "the wave has fewer than two crests that are high enough: record longer"
         raise InputError.at("duration", few)
     columns = dict(zip(COLUMNS, np.array(rows).T, strict=True))
     return PlanarOrbits(

@@ -37,18 +37,24 @@ class Power(Shown, Tabular):
     Attributes
     ----------
     contact : int
-    time, power : (T,) arrays
-        Times, s; force above rest times the mean velocity of the two bodies, W.
-    mean, error : float
-        Over the last `periods` of the drive, W; by how much it may be off: the change from their
-        first to their second half, that of every second sample, and the error of the trajectory.
+        Number of the contact.
+    time : (T,) array
+        Times, s.
+    power : (T,) array
+        Force above rest times the mean velocity of the two bodies, W.
+    mean : float
+        Mean power over the last `periods` periods of the drive, W.
+    error : float
+        Uncertainty of the mean, W: the change from the first to the second half of these periods,
+        the change with every second sample, and the error of the trajectory.
     periods : int
+        Number of periods over which the power is averaged.
     input, input_error : float
-        Mean power of the drive over the same periods, in the same way, W; NaN if the grains it acts
-        on were not recorded.
+        Mean power of the drive over the same periods, and its uncertainty, W; NaN if the driven
+        grains were not recorded.
     linear, linear_input : float
-        Both in the linearised chain as it is, sponges and all, in its steady state, W; NaN without
-        a load.
+        Mean power through the contact and of the drive in the steady state of the linearised chain,
+        which includes absorbing boundaries, W; NaN without a load.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"time": "s", "power": "W"}
@@ -83,7 +89,7 @@ class Power(Shown, Tabular):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw the least and largest power over time and its mean; return the axes.
 
-        The power of linear theory is dashed.
+        A dashed line shows the power of linear theory.
         """
         ax = chart(ax, "time [s]", "power [W]")
         time, *envelope = np.transpose(
@@ -119,13 +125,14 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     Parameters
     ----------
     trajectory : Trajectory
-        Of a `Drive` or `Force` of one amplitude and frequency, until all is steady, as it becomes
-        between ends that absorb (`patterns.absorbing`); of the contact and of what is driven, the
-        grains recorded at 8 samples a period or more.
+        Run with a `Drive` or `Force` of one amplitude and frequency until the motion is steady, as
+        it becomes between absorbing ends (`patterns.absorbing`). The grains of the contact and the
+        driven grain must be recorded with 8 or more samples per period.
     contact : int
-        The one below this grain; 0 is that with the top wall.
+        Number of the contact, which is below the grain of this number; 0 is the contact with the
+        top wall.
     periods : int, optional
-        How many of them, at the end of the run; by default half of it.
+        Number of periods at the end of the run for the mean; by default half of all periods.
 
     Returns
     -------
@@ -134,8 +141,8 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     Raises
     ------
     InputError
-        If nothing drives the chain at one frequency, there is no such contact, its grains were not
-        recorded, or the run has too few periods or samples.
+        If nothing drives the chain at one frequency, the contact does not exist, its grains were
+        not recorded, or the run has too few periods or samples.
 
     Examples
     --------
@@ -161,10 +168,12 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     most = int(time[-1] / period * (1 + 1e-9))
     count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
     if not 6 <= count <= most:
-        raise InputError.at("periods", f"must be 6 to {most}, those of the run (got {count})")
+        raise InputError.at("periods", f"must be 6 to {most}, the periods of the run (got {count})")
     if period < SAMPLES * scene.sampling_interval * (1 - 1e-9):
         least = 1 + int(np.ceil(SAMPLES * time[-1] / period))
-        raise InputError.at("samples", f"must be {least} or more: {SAMPLES} a period of the drive")
+        raise InputError.at(
+            "samples", f"must be {least} or more: {SAMPLES} per period of the drive"
+        )
     known = motion_of(trajectory)
     velocity_error = known.known_error("velocity")
     _, v = motion(trajectory, np.array([number, number + 1]))
@@ -196,13 +205,13 @@ def _check_drive(drive: object) -> Drive | Force:
     if isinstance(drive, Drive | Force) and drive.frequency is not None and drive.cycles is None:
         return drive
     rule = "must be a drive or a force of one amplitude and frequency, without cycles"
-    raise InputError.at("excitation", f"{rule}: only such a chain becomes steady")
+    raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
 
 
 def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, float]:
     """Return the mean over the last periods, and its error by change and sampling.
 
-    Hann's window, over whole periods, leaves out harmonics and what dies out at other frequencies.
+    A Hann window over whole periods suppresses harmonics and transients at other frequencies.
     """
     end = time[-1]
 

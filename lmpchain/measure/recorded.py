@@ -20,10 +20,12 @@ def columns(size: int, movable: int, grains: np.ndarray) -> NDArray[np.intp]:
 
     Parameters
     ----------
-    size, movable : int
-        Number of grains, and of those that move.
+    size : int
+        Number of grains.
+    movable : int
+        Number of grains that can move.
     grains : (G,) array of int
-        Those that were recorded.
+        Numbers of the recorded grains.
 
     Returns
     -------
@@ -43,6 +45,7 @@ def leaves_rest(displacement: Array, velocity: Array) -> NDArray[np.bool_]:
     Parameters
     ----------
     displacement, velocity : (T, G) arrays
+        Motion of the grains, m and m/s.
     """
     # The motion is exactly 0, because engines leave grains at rest until a wave arrives.
     return np.logical_or(displacement.any(axis=0), velocity.any(axis=0))
@@ -58,7 +61,7 @@ def check_field(field: Field) -> None:
     Raises
     ------
     InputError
-        If there is not.
+        If the field does not exist.
     """
     if field not in get_args(Field):
         raise InputError.at("field", f'must be "velocity" or "displacement" (got {shown(field)})')
@@ -75,7 +78,7 @@ def check(trajectory: Trajectory, field: Field) -> None:
     Raises
     ------
     InputError
-        If it has not.
+        If there are fewer than 16 samples, or the field does not exist.
     """
     check_field(field)
     if trajectory.time.size < FEWEST_SAMPLES:

@@ -34,18 +34,17 @@ class SelfSimilar(Shown, Tabular):
     shock : Shock
         The wave with its edges and plateaus.
     speed : (P,) array
-        Distance from where the wave began over the time since then, grains/s, from 0.
+        Distance from the origin of the wave divided by the age of the wave, grains/s.
     moment : (4,) array
-        Times, s.
+        Times of the profiles, s.
     overlap : (4, P) array
-        Overlaps at these moments, m.
+        Overlaps at these times, m.
     limit : (P,) array
-        Overlaps that long waves approach, m: the simple wave of a rarefaction, which is exact for
-        old waves; NaN of a shock.
+        Overlaps in the simple wave, m, which an old rarefaction approaches; NaN for a shock.
     error : (P,) array
-        Error of the last profile relative to an old wave, m: its largest change
-        nearby since two fifths of the time. Oscillations of a dispersive shock keep their length in
-        grains and have no limit, so that the error is their height.
+        Estimated distance of the last profile from its limit, m: the largest change since the first
+        profile at nearby speeds. Oscillations of a dispersive shock keep their length in grains and
+        have no limit, so that the error is their height.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"speed": "grains/s", "limit": "m", "error": "m"}
@@ -81,7 +80,7 @@ def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     Parameters
     ----------
     trajectory, direction
-        As for `shock.find`.
+        See `shock.find`.
 
     Returns
     -------
@@ -90,7 +89,7 @@ def view(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     Raises
     ------
     InputError
-        As `shock.find`.
+        For the reasons given in `shock.find`.
 
     Examples
     --------

@@ -65,14 +65,16 @@ class Edge:
 
     Attributes
     ----------
-    speed, error : float
-        Grains/s, NaN where there is no such edge; by how much it may be off: twice the standard
-        error, and the change since the wave was two thirds as old.
+    speed : float
+        Speed of the edge, grains/s; NaN if the wave has no such edge.
+    error : float
+        Uncertainty of the speed, grains/s: the scatter, and the change between the earlier and the
+        later half of the measurements.
     height, height_error : float
-        Overlap in the leading crest beyond that ahead, m, and its change in the same way; NaN of a
-        trailing edge.
+        Overlap in the leading crest minus the overlap ahead, m, and the change of this height along
+        the way; NaN for a separate trailing edge.
     velocity : float
-        Velocity of grains in the leading crest in excess of grains ahead, m/s.
+        Velocity of grains in the leading crest minus the velocity ahead, m/s.
     """
 
     speed: float
@@ -86,43 +88,48 @@ class Edge:
 class Shock(Shown, Tabular):
     """A shock or a rarefaction, with its theoretical predictions; see `lmpchain.theory.shock`.
 
-    Velocities are positive in the way of travel; overlaps are those of contacts in all, and 0 of
-    open contacts.
+    Velocities are positive in the direction of travel. Overlaps include the overlap at rest; open
+    contacts have the overlap 0.
 
     Attributes
     ----------
     kind : str
-        "dispersive shock", of a chain without damping, "steady shock" or "rarefaction".
+        "dispersive shock" without damping, "steady shock" with damping, or "rarefaction".
     ahead, behind : State
-        Velocity, m/s, and overlap, m, before the wave, and in the plateau behind it, in the mean.
+        Velocity, m/s, and overlap, m, ahead of the wave, and their means in the plateau behind it.
     behind_error : State
         Variation of the plateau: twice the standard deviation of velocity and overlap.
     leading, trailing : Edge
-        Both the same, at half the jump, of a steady shock.
+        Edges of the wave; for a steady shock both are the place at half the jump.
     thickness : float
-        Grains: the jump over the steepest slope of a steady shock, else the distance of the edges
-        at the end; NaN without a trailing edge.
+        Thickness in grains: the jump divided by the steepest slope of a steady shock, or the final
+        distance between the edges of another wave; NaN without a trailing edge.
     mass_speed, momentum_speed : float
-        Grains/s: ``(v_b - v_a) / (R_b - R_a)`` and ``(F_b - F_a) / (m (v_b - v_a))`` of the
-        plateaus, with which mass and momentum grow; the same in a steady shock.
+        Speeds of a jump between the plateaus that conserves mass, ``(v_b - v_a) / (R_b - R_a)``, or
+        momentum, ``(F_b - F_a) / (m (v_b - v_a))``, grains/s. Both are equal for a steady shock.
     rankine_hugoniot : (State, float)
-        State behind a steady shock of this velocity behind, and its speed, grains/s; NaN of a
-        rarefaction.
+        State behind a steady shock with the measured velocity behind, and the speed of this shock,
+        grains/s; NaN for a rarefaction.
     solitary : float
-        Speed of the exact solitary wave as high as the leading crest, `soliton.solve`, grains/s:
-        that of the leading edge of an old dispersive shock; NaN of other waves and of the weakest.
+        Speed of the exact solitary wave with the velocity of the leading crest (`soliton.solve`),
+        grains/s, which the leading edge of an old dispersive shock approaches; NaN for other waves
+        and for the weakest.
     simple : State
-        State behind a simple or dispersive wave of this velocity.
+        State behind a simple or dispersive wave with the measured velocity behind.
     predictions : dict
-        `Edges` by name: "whitham", "toda" and "kdv" of a dispersive shock, "continuum" of a
-        rarefaction; "burgers" has the thickness of a steady shock in weak viscous damping in place
-        of the height.
+        Predicted `Edges` by theory: "whitham", "toda" and "kdv" for a dispersive shock, "continuum"
+        for a rarefaction, and "burgers" for a steady shock. The height of "burgers" is the
+        thickness for weak viscous damping, in grains.
     time : float
-        The last that was used, s.
-    contact, overlap : (C,) arrays
-        Their numbers, and their overlaps then, m.
-    moment, overlap_then : (H,) and (H, C) arrays
-        Some 400 times up to that, s, and the overlaps at each, m.
+        Last time that was used, s.
+    contact : (C,) array
+        Numbers of the contacts.
+    overlap : (C,) array
+        Overlaps at `time`, m.
+    moment : (H,) array
+        About 400 times up to `time`, s.
+    overlap_then : (H, C) array
+        Overlaps at these times, m.
     """
 
     _units: ClassVar[Mapping[str, str]] = {"contact": "", "overlap": "m"}
@@ -237,12 +244,18 @@ class TravellingWave(NamedTuple):
 
     Attributes
     ----------
-    time, velocity, overlap : (T,), (T, M) and (T, M-1) arrays
-        Up to the last useful time, s, m/s and m.
-    source, start : int, float
-        Contact, counted from 0, where it begins, and when, s.
+    time : (T,) array
+        Times up to the last useful time, s.
+    velocity : (T, M) array
+        Velocities of the grains, m/s.
+    overlap : (T, M-1) array
+        Overlaps of the contacts, m.
+    source : int
+        Contact at which the wave begins, counted from 0.
+    start : float
+        Time at which the wave begins, s.
     reached : int
-        Contacts that the front has passed at the end.
+        Contact that the front has reached at the end, counted from 0.
     """
 
     time: Array
@@ -266,18 +279,18 @@ class _Answer(NamedTuple):
 def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> Shock:
     """Measure the shock or rarefaction of a piston or a step, and compare it with theory.
 
-    Of a step (`Riemann`) one wave goes down and one up. The run is used until the front is near the
-    end of the chain, or waves from the ends may have come to the step; what is recorded later is
-    ignored. Open contacts have the overlap 0: a rarefaction that opens contacts has a trailing edge
-    that stays where it began, and grains fly behind it.
+    A step (`Riemann`) sends one wave down and one up. Samples are used until the front is near the
+    end of the chain, or until waves from the ends may have reached the step; later samples are
+    ignored. Open contacts have the overlap 0. If a rarefaction opens contacts, its trailing edge
+    stays at the source, and the grains behind it fly freely.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of a `Drive` with a piston, of a `Riemann`, or of another way to push for long; all grains
+        Run with a piston (`Drive`), a step (`Riemann`) or another lasting push; all grains must be
         recorded.
     direction : "down" or "up"
-        In which the wave travels.
+        Direction in which the wave travels.
 
     Returns
     -------
@@ -286,9 +299,9 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     Raises
     ------
     InputError
-        If the chain is not uniform, has gravity, springs, or grains that were not recorded; if
-        nothing pushes steadily, as pulses do not, or not until later than half of the time that is
-        used; or if the wave has not passed 24 contacts with enough samples.
+        If the chain is not uniform, has gravity or springs, or was not fully recorded. If the push
+        is a pulse, or becomes steady only in the second half of the used time. If the wave has
+        passed fewer than 24 contacts, or there are too few samples.
 
     Examples
     --------
@@ -364,13 +377,13 @@ def medium_of(trajectory: Trajectory) -> Medium:
     Raises
     ------
     InputError
-        Unless the chain is uniform, without gravity, and fully recorded.
+        If the chain is not uniform, has gravity, or was not fully recorded.
     """
     chain = trajectory.scene.chain
     exponent = chain.law.power_of("a shock")
     if chain.gravity or chain.loose_grains or exponent == 1:
         rule = "no gravity, an exponent above 1 and a load, if any, on grain 1"
-        raise InputError.at("chain", f"a shock is measured with {rule}")
+        raise InputError.at("chain", f"measuring a shock requires {rule}")
     masses = chain.masses[: chain.movable]
     constants = chain.contact_constants
     if chain.grains < FEWEST or max(np.ptp(x) / x[0] for x in (masses, constants)) > 1e-9:
@@ -388,9 +401,9 @@ def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave
     ----------
     trajectory : Trajectory
     upward : bool
-        Whether the wave goes up; its arrays are then mirrored.
+        Whether the wave travels upward; the arrays of an upward wave are mirrored.
     gas : Medium
-        The chain as `medium_of` returns it.
+        Chain as returned by `medium_of`.
 
     Returns
     -------
@@ -415,7 +428,9 @@ def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave
         overlap = overlap[:, ::-1]
         closer = closer[:, ::-1]
     if closer[0, -1] < 0:
-        raise InputError.at("excitation", "opens the contacts ahead: a wave does not cross gaps")
+        raise InputError.at(
+            "excitation", "opens the contacts ahead, but a wave does not cross gaps"
+        )
     contacts = overlap.shape[1]
     still = scene.chain.bottom != "free" and not upward
     still |= overlap[0, -1] == rest[0]
@@ -436,7 +451,7 @@ def wave_of(trajectory: Trajectory, upward: bool, gas: Medium) -> TravellingWave
         shorter += ", with the step further from its ends"
     cure = "record longer" if last == time.size else shorter
     if last < FEWEST:
-        few = f"{last} are left before waves from the ends arrive, fewer than {FEWEST}"
+        few = f"{last} samples remain before waves from the ends arrive, fewer than {FEWEST}"
         raise InputError.at("samples", f"{few}: record more often, or {shorter}")
     _check_push(scene.excitation, time[:last], near[:last], way)
     change = change[:last]
@@ -466,7 +481,9 @@ def _source(scene: Scene, upward: bool) -> int:
         return 0
     source = contacts - 1 - first if upward else first
     if not 0 <= source < contacts - 1:
-        raise InputError.at("direction", "has no grains on that side: choose the other one")
+        raise InputError.at(
+            "direction", "there are no grains on that side: choose the other direction"
+        )
     return source
 
 
@@ -475,7 +492,8 @@ def _span_before_echoes(
 ) -> tuple[float, float]:
     """Return the start of the wave, and the time up to which no wave from an end reaches it, s.
 
-    Overlaps are in the way of travel; the chain ahead is at rest to its end where it is `still`.
+    Overlaps are ordered in the direction of travel. If `still` is true, the chain ahead of the wave
+    is at rest up to its end.
     """
     contacts = overlap.shape[1]
     start = 0.0
@@ -571,8 +589,8 @@ def _leading_crest(wave: TravellingWave, ahead: State, jump: float) -> Edge:
 def _trailing_edge(wave: TravellingWave, ahead: State, behind: State) -> Edge:
     """Extrapolate the oscillation amplitudes at several contacts to the trailing edge.
 
-    The wave is self-similar: at the speed n / t they have one size, which grows smoothly from the
-    trailing edge on.
+    The wave is self-similar: its amplitude depends on n / t only, and grows smoothly with n / t
+    from the trailing edge on.
     """
     jump = behind.overlap - ahead.overlap
     ends = []

@@ -36,23 +36,30 @@ class Train(Shown, Tabular):
     Attributes
     ----------
     grain : (W,) array
-        Positions of their middles at the end.
-    speed, speed_error : (W,) arrays
-        Grains/s; half the 95 % confidence interval, what sampling may cost, and the change on the
-        way.
-    velocity, velocity_error : (W,) arrays
-        Largest of a grain, m/s, in the mean over the later half of the way, and by how much it may
-        be off, in the same way.
-    energy, energy_error : (W,) arrays
-        Kinetic and potential above rest, from the trough ahead to that behind, J; its scatter and
-        change over the later half of the way, what stands in the troughs, and the error of the
-        trajectory.
+        Positions of the centres of the waves at the end, in grains.
+    speed : (W,) array
+        Speeds, grains/s.
+    speed_error : (W,) array
+        Uncertainties of the speeds, grains/s: half the 95 % confidence interval, the effect of
+        sampling, and the change along the way.
+    velocity : (W,) array
+        Largest velocities of a grain in each wave, m/s, averaged over the later half of the way.
+    velocity_error : (W,) array
+        Uncertainties of these velocities from the same three sources, m/s.
+    energy : (W,) array
+        Kinetic and potential energies above rest, from the trough ahead to the trough behind, J.
+    energy_error : (W,) array
+        Uncertainties of the energies, J: scatter and change over the later half of the way, the
+        energy in the troughs, and the error of the trajectory.
     exact_speed, exact_energy : (W,) arrays
-        Values for the exact solitary wave of this velocity, `theory.soliton`, grains/s and J.
+        Speeds, grains/s, and energies, J, of the exact solitary waves with these velocities
+        (`theory.soliton`).
     total : float
         Energy that the strike gave to the chain, J.
-    place, density : (N,) arrays
-        Grains, and the energy of each at the end, J.
+    place : (N,) array
+        Numbers of the grains.
+    density : (N,) array
+        Energies of the grains at the end, J.
     """
 
     _units: ClassVar[Mapping[str, str]] = {
@@ -135,17 +142,17 @@ class _FollowedWave(NamedTuple):
 def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> Train:
     """Find the solitary waves behind a strike, and their share of its energy.
 
-    A wave counts if it has passed 12 grains or more at one height and at the speed of the exact
-    solitary wave of that height, both within 2 %. Under a load these are the waves that outrun
-    sound; what a weak strike sends is not solitary there, and refused.
+    A wave counts if it passes 12 or more grains with a constant height and with the speed of the
+    exact solitary wave of this height, both within 2 %. Under a load such waves are faster than
+    sound; a weak strike produces none, which raises an error.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of a chain without damping that is uniform but for a striker, up to when the first wave is
-        near the end; all grains recorded.
+        Run of a chain without damping that is uniform except for a striker, until the first wave is
+        near the end; all grains must be recorded.
     direction : "down" or "up"
-        In which the waves travel.
+        Direction in which the waves travel.
 
     Returns
     -------
@@ -154,8 +161,8 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
     Raises
     ------
     InputError
-        If the chain has gravity, damping or springs, is not uniform where waves pass, grains were
-        not recorded, or no wave is solitary.
+        If the chain has gravity, damping or springs, was not fully recorded, or is not uniform
+        where waves pass, or if no wave is solitary.
 
     Examples
     --------
@@ -184,12 +191,12 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
         unsure = unsure[:, ::-1]
     waves = _waves(chain, time, velocity, upward)
     if not waves:
-        reason = "no wave keeps the height and the speed of a solitary one"
+        reason = "no wave keeps the height and the speed of a solitary wave"
         cure = "record longer, in a longer chain"
         if chain.compressed:
-            reason += ", which must outrun sound under a load"
+            reason += ", which is faster than sound under a load,"
             cure += ", or strike harder"
-        raise InputError.at("duration", f"{reason} past {UNCHANGED} grains: {cure}")
+        raise InputError.at("duration", f"{reason} over {UNCHANGED} grains: {cure}")
     energies = [_energy(time, velocity, density, unsure, wave) for wave in waves]
     final = density[-1]
     place = np.arange(1, chain.grains + 1)
@@ -218,13 +225,16 @@ def _check(trajectory: Trajectory, direction: str) -> None:
         raise InputError.at("direction", 'must be "down" or "up"')
     check_chain(chain)
     if chain.damped:
-        raise InputError.at("damping", "must be none: a wave that loses energy has no share of it")
+        raise InputError.at("damping", "must be none, because a damped wave has no constant energy")
     recorded = trajectory.grains.size
     if recorded < chain.grains:
         raise InputError.at("grains", f"{recorded} of {chain.grains} were recorded: record all")
     least = UNCHANGED + 2 * END_GRAINS
     if chain.grains < least or len(trajectory.time) < FEWEST_SAMPLES:
-        raise InputError.at("chain", f"must have {least} grains or more, and enough samples")
+        raise InputError.at(
+            "chain",
+            f"must have {least} grains or more, and the run {FEWEST_SAMPLES} samples or more",
+        )
 
 
 def _useful(velocity: Array, direction: str) -> int:
@@ -319,7 +329,7 @@ def _number(chain: Chain, column: int, upward: bool) -> int:
 def _line(grain: Array, time: Array, off: float) -> tuple[float, float]:
     """Return the speed along a line, grains/s, and its error.
 
-    Times each of which is off by e give a slope off by 3 e over the length.
+    Errors up to e of the times change the slope by up to 3 e divided by the length of the line.
     """
     half = len(grain) // 2
     line = stats.linregress(grain, time)

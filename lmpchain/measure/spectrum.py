@@ -33,17 +33,19 @@ class Spectrum(Shown, Tabular):
     Attributes
     ----------
     field : "velocity" or "displacement"
+        Field x whose spectra these are.
     frequency : (F,) array
         Frequencies, Hz, from 0 to half the sampling rate.
     grain : (G,) array
-        Recorded grains from the top downward.
+        Numbers of the recorded grains from the top downward.
     bands : (G, B, 2) array
-        Edges of the bands of linear waves around each, Hz: one from 0 where all grains are alike.
+        Edges of the frequency bands of linear waves around each grain, Hz; a single band from 0
+        where all grains are alike.
     amplitude : (F, G) array
-        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. That of a
-        pulse does not depend on how long it is recorded; a steady oscillation of amplitude A has a
-        line of height A / 2 times the integral of w. The integral of (w x)^2 over time is that of 2
-        amplitude^2 over frequency.
+        ``|integral of w x exp(-2 pi i f t) dt|`` with the window w, m/s or m per Hz. The spectrum
+        of a pulse does not depend on the duration of the recording. A steady oscillation of
+        amplitude A gives a line of height A / 2 times the integral of w. The integral of (w x)^2
+        over time equals the integral of 2 amplitude^2 over frequency.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "Hz", "amplitude": "{field}/Hz"}
@@ -85,18 +87,20 @@ class Dispersion(Shown, Tabular):
     Attributes
     ----------
     field : "velocity" or "displacement"
+        Field x whose spectrum this is.
     frequency : (F,) array
         Frequencies, Hz, from 0 to half the sampling rate.
     wavenumber : (K,) array
-        Radians a grain, from -pi to pi; those of waves that move downward are positive.
+        Wavenumbers k, radians per grain, from -pi to pi; positive for downward waves.
     amplitude : (F, K) array
         ``|sum over grains of integral of w x exp(i k n - 2 pi i f t) dt|`` with the window w, m/s
         or m per Hz.
     grain : (3,) array
-        First, middle and last grain.
+        Numbers of the first, the middle and the last grain.
     relation : (3, B, K) array
-        The B branches of the local dispersion relation at these, Hz: those of the cell that repeats
-        there, `cut_off` times ``|sin(k / 2)|`` where all grains are alike or no cell is found.
+        The B branches of the local dispersion relation at these three grains, Hz. They are the
+        branches of the cell that repeats there, or `cut_off` times ``|sin(k / 2)|`` if all grains
+        are alike or no cell is found.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "Hz", "amplitude": "{field}/Hz"}
@@ -138,16 +142,17 @@ def _sort(trajectory: Trajectory, field: Field) -> tuple[np.ndarray, Array]:
 def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "boxcar") -> Spectrum:
     """Return the amplitude spectrum of every recorded grain.
 
-    Record often enough: what is faster than half the sampling rate appears at a lower frequency.
+    Record often enough, because frequencies above half the sampling rate appear at lower
+    frequencies.
 
     Parameters
     ----------
     trajectory : Trajectory
-    field : str
+    field : "velocity" or "displacement"
     window : str
-        A name that `scipy.signal.get_window` knows: "boxcar", which changes nothing, for pulses
-        that come and go; "hann" for oscillations that last, where it keeps strong lines from hiding
-        weak ones.
+        Name of a window of `scipy.signal.get_window`. Use "boxcar", which changes nothing, for
+        pulses that end within the recording. Use "hann" for lasting oscillations, so that strong
+        lines do not hide weak lines.
 
     Returns
     -------
@@ -156,7 +161,7 @@ def spectrum(trajectory: Trajectory, field: Field = "velocity", window: str = "b
     Raises
     ------
     InputError
-        If samples are too few, or there is no such field or window.
+        If there are fewer than 16 samples, or the field or the window does not exist.
 
     Examples
     --------
@@ -186,10 +191,10 @@ def dispersion(
     ----------
     trajectory : Trajectory
     first, last : int
-        At least 8 grains, each of which was recorded.
-    field : str
+        First and last grain of a range of 8 or more grains, all of which were recorded.
+    field : "velocity" or "displacement"
     window : str
-        Over time and over grains; a name that `scipy.signal.get_window` knows.
+        Name of a window of `scipy.signal.get_window`, which is applied over time and over grains.
 
     Returns
     -------
@@ -198,20 +203,21 @@ def dispersion(
     Raises
     ------
     InputError
-        If grains are too few or were not recorded, samples too few, or there is no such field or
-        window.
+        If grains are too few or were not recorded, there are fewer than 16 samples, or the field or
+        the window does not exist.
     """
     grains, motion = _sort(trajectory, field)
     chosen = np.arange(first, last + 1)
     if chosen.size < FEWEST_GRAINS:
         raise InputError.at(
-            "last", f"wavenumbers take {FEWEST_GRAINS} grains or more (got {first} to {last})"
+            "last", f"wavenumbers need {FEWEST_GRAINS} grains or more (got {first} to {last})"
         )
     missing = np.setdiff1d(chosen, grains)
     if missing.size:
         cure = f'choose others, or record grains = "{first}:{last}"'
         raise InputError.at(
-            "grains", f"grain {missing[0]} was not recorded, and the window may have no gap: {cure}"
+            "grains",
+            f"grain {missing[0]} was not recorded, but the range must have no gaps: {cure}",
         )
     step = trajectory.time[1]
     samples = trajectory.time.size
@@ -246,8 +252,9 @@ def _branches(chain: Chain, grain: int, period: int, wavenumber: Array) -> Array
 def cut_off(chain: Chain) -> Array:
     """Return the highest frequency that propagates around each grain, (N,) Hz; 0 in a sonic vacuum.
 
-    It is the top of the highest branch of the cell that repeats there, as that of a dimer; where
-    none does, that of a uniform chain of such grains with the contact below, sqrt(k_n / m_n) / pi.
+    It is the top of the highest branch of the cell that repeats around the grain, such as a dimer.
+    If no cell repeats, it is the value sqrt(k_n / m_n) / pi of a uniform chain of such grains with
+    the contact below the grain.
 
     Parameters
     ----------
@@ -264,9 +271,9 @@ def cut_off(chain: Chain) -> Array:
 def travel_time(chain: Chain, source: int = 1) -> Array:
     """Return the travel time of a weak, long wave from one grain to each, (N,) s.
 
-    It is the sum of sqrt(m / k) over the contacts between. From grain 1 under a free top it takes
-    half a contact more, as from the surface. The velocity is largest a little later, by a time that
-    grows with the width of the front.
+    The travel time is the sum of sqrt(m / k) over the contacts in between. From grain 1 under a
+    free top, half the time of the first contact is added, because the wave starts at the surface.
+    The velocity is largest a little later, by a time that grows with the width of the front.
 
     Parameters
     ----------
@@ -282,12 +289,13 @@ def travel_time(chain: Chain, source: int = 1) -> Array:
     Raises
     ------
     InputError
-        If the chain is not compressed, or there is no such grain.
+        If the chain is not compressed, or the grain does not exist.
     """
     chain.refuse_ground("the time of travel of a weak wave")
     if not chain.compressed:
         raise InputError.at(
-            "chain", "without gravity and load no weak wave travels: there is no such time"
+            "chain",
+            "without gravity and load no weak wave travels, so its travel time is undefined",
         )
     chain.refuse_loose("the time of travel of a weak wave")
     if not 1 <= source <= chain.grains:
@@ -303,15 +311,15 @@ def space_time(
 ) -> Axes:
     """Draw the motion over time and depth, downward in red, upward in blue; return the axes.
 
-    It is `Trajectory.plot`. With `law` a line shows `travel_time` from the grain that is struck or
-    driven.
+    The diagram is the one of `Trajectory.plot`. If `law` is true, a dashed line shows `travel_time`
+    from the struck or driven grain.
 
     Parameters
     ----------
     trajectory : Trajectory
     field : "velocity" or "displacement"
     ax : Axes, optional
-        Of your own figure.
+        Axes to draw in; by default the axes of a new figure.
     law : bool
         Whether to draw the arrival of a long weak wave.
 
@@ -338,7 +346,7 @@ def _window(name: str, size: int) -> Array:
         return window
     except ValueError:
         raise InputError.at(
-            "window", f"must be a name for scipy.signal.get_window (got {shown(name)})"
+            "window", f"must be the name of a window of scipy.signal.get_window (got {shown(name)})"
         ) from None
 
 

@@ -64,15 +64,16 @@ def gather(
     ----------
     trajectory : Trajectory
     force : sequence of int, "wall", "top" or "bottom"
-        Grains, in which a sensor shows the mean of its two contacts, and walls; a bottom that is
-        "fixed" is one. "wall" is the bottom one if there is one.
+        Grains and walls; the sensor of a grain measures the mean of its two contact forces. "wall"
+        is the bottom wall if there is one, else the top wall; a "fixed" bottom counts as a wall.
     velocity, displacement : sequences of int
-        Recorded grains.
+        Numbers of recorded grains.
     energy : bool
-        Kinetic energy, total energy, work of a drive and energy dissipated, above rest.
+        Whether to return kinetic energy, total energy, work of a drive and dissipated energy, all
+        above rest.
     above_rest : bool
-        Whether forces are what they are above those at rest, as of piezoelectric sensors, which
-        `design.fit` takes; their names begin with ``change_`` then.
+        Whether to subtract the forces at rest, as piezoelectric sensors do and `design.fit`
+        requires; the names then begin with ``change_``.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def gather(
     Raises
     ------
     InputError
-        If there is no such place, or it was not recorded.
+        If a place does not exist or was not recorded, or nothing was chosen.
 
     Examples
     --------
@@ -120,7 +121,9 @@ def gather(
             traces[f"energy_{term}"] = getattr(terms, term)
             units[f"energy_{term}"] = "J"
     if not traces:
-        raise InputError.at("force", "name a force, a velocity, a displacement or the energy")
+        raise InputError.at(
+            "force", "choose at least one force, velocity or displacement, or the energy"
+        )
     return TraceTable(trajectory.time, traces, units)
 
 

@@ -1,11 +1,12 @@
 """Energy in bands of wavenumber against distance, with exact conservation of the total energy.
 
-Each grain has the amplitude sqrt(m/2) v, each contact the root of its energy with the sign of the
-change of overlap: the sum of the squares is the energy above rest, of strong waves, too. Windows
-along the chain, whose squares add up to 1 everywhere, share it out over distance, and Fourier
-transforms of what each of them shows over wavenumbers (Parseval). In a uniform linear chain both
-amplitudes, one half a grain further, are equal in waves that go down and opposite in those that go
-up: sum and difference are the energies of both.
+The amplitude of a grain is sqrt(m/2) v. The amplitude of a contact is the square root of its energy
+with the sign of the change of overlap. The sum of the squares is the energy above rest, also in
+strong waves. Windows along the chain, whose squares add up to 1 everywhere, distribute this energy
+over distance. The Fourier transform in each window distributes it over wavenumbers, by Parseval's
+theorem. In a uniform linear chain, the amplitudes of a grain and of the contact half a grain below
+are equal in downward waves and opposite in upward waves. Their sum and difference therefore give
+the energies of downward and upward waves.
 """
 
 from __future__ import annotations
@@ -41,14 +42,15 @@ class EnergyBands(Shown, Tabular):
     time : (T,) array
         Times, s.
     place : (P,) array
-        Middles of the windows, in grains from the top.
+        Centres of the windows, in grains from the top.
     edges : (B+1,) array
         Edges of the bands, radians per grain, 0 to pi.
-    energy, error : (T, P, B) arrays
-        J; the sum over places and bands is the energy of the chain. By how much each may be off by
-        the error of the trajectory, where that is known.
+    energy : (T, P, B) array
+        Energies, J; the sum over places and bands is the energy of the chain.
+    error : (T, P, B) array
+        Uncertainties of the energies due to the error of the trajectory, if it is known, J.
     downward : (T, P, B) array
-        Part of downward waves, by linear theory of a uniform chain.
+        Energies of downward waves, J, by linear theory of a uniform chain.
     width : float
         Width of a window, grains.
     """
@@ -102,11 +104,12 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
     Parameters
     ----------
     trajectory : Trajectory
-        With all grains recorded.
+        Run in which all grains were recorded.
     edges : (B+1,) array_like, optional
-        Of the bands, radians a grain, from 0 to pi; by default four of one width.
+        Edges of the bands, radians per grain, from 0 to pi; by default four bands of equal width.
     width : int
-        Of the windows, grains, 8 or more; half of it lies between the middles of two.
+        Width of the windows, grains, 8 or more; the centres of neighbouring windows are half a
+        width apart.
 
     Returns
     -------
@@ -138,7 +141,7 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
     limits = np.linspace(0, np.pi, 5) if edges is None else numbers(edges, "edges")
     ends = limits.ndim == 1 and limits.size > 1 and limits[0] == 0
     if not (ends and np.isclose(limits[-1], np.pi, rtol=1e-9) and (np.diff(limits) > 0).all()):
-        raise InputError.at("edges", "must ascend from 0 to pi, radians a grain")
+        raise InputError.at("edges", "must ascend from 0 to pi, in radians per grain")
     if not NARROWEST <= int(whole_numbers(width, "width")) <= chain.grains:
         raise InputError.at("width", f"must be {NARROWEST} to {chain.grains} grains (got {width})")
     energy = shares(trajectory)
@@ -181,8 +184,8 @@ def bands(trajectory: Trajectory, edges: ArrayLike | None = None, width: int = 4
 def _windows(grains: int, contact: np.ndarray, width: int) -> tuple[Array, Array, Array]:
     """Return middles of windows (P,), and normalised windows over grains and contacts.
 
-    Each rises over half of its width as the next one before falls; the outermost are flat to the
-    ends.
+    Each window rises over half of its width, while the previous window falls; the outermost windows
+    are flat up to the ends.
     """
     count = max(1, round(2 * grains / width) - 1)
     hop = grains / (count + 1)

@@ -24,9 +24,10 @@ class Branching:
     Attributes
     ----------
     distances : tuple of float
-        Over the size of the orbit, one after the other.
+        Distances relative to the size of the orbit, which are tried one after the other.
     still : float
-        Change of a momentum over that of the state, up to which all grains begin at rest.
+        Largest change of a momentum, relative to the change of the state, for which all grains
+        begin at rest.
     """
 
     distances: tuple[float, ...] = (0.02, 0.05, 0.005)
@@ -40,13 +41,14 @@ BRANCHING = Branching()
 def switch(event: Event) -> Orbit:
     """Return an orbit of twice the period on the branch that starts at a period doubling.
 
-    It lies a little beside the orbit of the event, in the direction of the multiplier -1; the
-    parameter of the family follows. `follow` goes on from there.
+    The orbit is displaced a little from the orbit of the event along the Floquet direction of the
+    multiplier -1, and the parameter of the family changes accordingly. Use `follow` to continue the
+    branch from this orbit.
 
     Parameters
     ----------
     event : Event
-        A "period doubling" of a family.
+        Period doubling of a family.
 
     Returns
     -------
@@ -55,9 +57,9 @@ def switch(event: Event) -> Orbit:
     Raises
     ------
     InputError
-        If the event is none.
+        If the event is not a period doubling.
     RunFailed
-        If no such orbit is found.
+        If no orbit of twice the period is found.
     """
     if not isinstance(event, Event) or event.kind != "period doubling":
         kind = event.kind if isinstance(event, Event) else event
@@ -90,7 +92,7 @@ def switch(event: Event) -> Orbit:
         if _differs(equations.flow_at(point.value), single.mesh, point, share):
             error = estimate_error(equations, solution, [*curve.held, beside])
             return orbit_of(equations, solution, error)
-    raise RunFailed(f"no orbit of twice the period is found beside {event.value:g}")
+    raise RunFailed(f"no orbit of twice the period was found near {event.value:g}")
 
 
 def _differs(flow: Flow, mesh: Array, point: OrbitPoint, share: float) -> bool:

@@ -1,11 +1,11 @@
 """Lyapunov spectrum and alignment indices (GALI) of a chain, from the tangent map of its motion.
 
-Small deviations of the state are advanced by the exact derivative of each step and are made
-orthonormal in turns: G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Meccanica 15, 9 and
-21 (1980). The lengths that they lose then are the Lyapunov exponents. The product of the triangular
-matrices R of these turns has the lengths and the volumes of the deviations without any turn, and so
-the generalised alignment index of k unit deviations, the volume that they span: C. Skokos, T.
-Bountis and C. Antonopoulos, Physica D 231, 30 (2007).
+Small deviations of the state are advanced by the exact derivative of each step and are repeatedly
+orthonormalised; see G. Benettin, L. Galgani, A. Giorgilli and J.-M. Strelcyn, Meccanica 15, 9 and
+21 (1980). The mean growth rates of their lengths are the Lyapunov exponents. The product of the
+triangular matrices R of all orthonormalisations gives the lengths and volumes that the deviations
+would have without them. The generalised alignment index of k deviations is the volume spanned by k
+unit vectors along them; see C. Skokos, T. Bountis and C. Antonopoulos, Physica D 231, 30 (2007).
 """
 
 from __future__ import annotations
@@ -45,17 +45,17 @@ class Chaos(Shown, Tabular):
     exponent : (C,) array
         Lyapunov exponents over the later four fifths of the time, the largest first, 1/s.
     half_width : (C,) array
-        Half widths of their 95 % intervals, 1/s, from the correlated growth in 256 stretches; with
-        the rate at which the deviations of a regular motion grow in proportion to time, which a
-        finite time does not tell from an exponent.
+        Half widths of the 95 % intervals of the exponents, 1/s, from the correlated growth in 256
+        intervals of time. They include a growth in proportion to time, as in regular motion,
+        because a finite run does not distinguish it from an exponent.
     time : (320,) array
         Times, s.
     running : (320, C) array
         Exponents over the time from 0, 1/s.
     log_gali : (320, C) array
-        Natural logarithms of the indices of the first 1, 2, ..., C deviations. They fall in
-        proportion to time in chaos, stay for regular motion up to the dimension of its torus, and
-        fall as a power of time beyond it.
+        Natural logarithms of the alignment indices of the first 1, 2, ..., C deviations. In chaotic
+        motion the logarithms decrease in proportion to time. In regular motion they stay constant
+        up to the dimension of its torus; beyond it the indices decrease as a power of time.
     energy_drift : float
         Largest change of the energy relative to its value at t = 0.
     """
@@ -122,12 +122,12 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     Parameters
     ----------
     scene : Scene
-        Initial data without damping or a drive, on a chain that walls, gravity or a load keep
-        together. The duration should be many times 1 / exponent.
+        Scene without damping or a drive, whose chain is held together by walls, gravity or a load.
+        The duration should be many times 1 / exponent.
     exponents : int, optional
         Number of exponents, 2 or more; by default all, two for each grain that moves.
     seed : int
-        Of the directions of the deviations at t = 0.
+        Seed of the random directions of the deviations at t = 0.
 
     Returns
     -------
@@ -136,9 +136,9 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     Raises
     ------
     InputError
-        If the scene is damped or driven, flies apart, or takes more than 2e7 steps.
+        If the scene is damped or driven, flies apart, or needs more than 2e7 steps.
     RunFailed
-        If the motion breaks down.
+        If the motion or a deviation becomes infinite.
 
     Examples
     --------
@@ -160,7 +160,7 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     stretch = scene.duration / STRETCHES
     steps = max(1, math.ceil(stretch * scene.fastest_motion / REACH))
     if steps * STRETCHES > STEP_LIMIT:
-        raise InputError.at("duration", f"takes {steps * STRETCHES:.2g} steps: shorten it")
+        raise InputError.at("duration", f"needs {steps * STRETCHES:.2g} steps: shorten it")
     turns = math.ceil(steps / TURN)
     mesh = np.full(math.ceil(steps / turns), 1 / math.ceil(steps / turns))
     state = flow.canonical(*scene.initial())
@@ -180,7 +180,7 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
             passage = flow.run(state, stretch / turns, mesh, deviation.reshape(2, flow.size, count))
             state = passage.end
             if not np.isfinite(passage.deviation).all():
-                raise RunFailed("the motion or its deviations break down: no finite numbers")
+                raise RunFailed("the motion or its deviations are no longer finite")
             deviation, triangle = np.linalg.qr(passage.deviation.reshape(size, count))
             added = np.log(np.abs(np.diag(triangle)))
             grown[number] += added

@@ -20,10 +20,10 @@ class Closing:
     Attributes
     ----------
     near : float
-        Distance of an earlier orbit from the way of the family, over the step, up to which the
-        two are compared.
+        Largest distance of an earlier orbit from the path of the family, relative to the step, for
+        which the two are compared.
     equal : float
-        Relative distance of two equal orbits, beside ten times the errors of their steps.
+        Largest relative distance of two equal orbits, in addition to ten times their errors.
     """
 
     near: float = 0.05
@@ -63,8 +63,8 @@ def returns(
 ) -> bool:
     """Return whether the family passes one of its earlier orbits between two orbits.
 
-    Each that lies beside the way is compared with the orbit solved for in the plane across the way
-    through it.
+    Each earlier orbit near the path of the family is compared with the orbit of the family in the
+    plane through the earlier orbit and across the path.
     """
     step = end.unknown - start.unknown
     length = float(np.linalg.norm(step))

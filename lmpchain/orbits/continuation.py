@@ -1,6 +1,6 @@
 """Families of periodic orbits by pseudo-arclength continuation, with located bifurcations.
 
-A step goes along the family, not along the parameter, so that folds are passed; H. B. Keller, in
+A step follows the family instead of the parameter, so that it passes folds; see H. B. Keller, in
 Applications of Bifurcation Theory, ed. P. H. Rabinowitz (1977).
 """
 
@@ -53,22 +53,22 @@ class ContinuationSteps:
     Attributes
     ----------
     first, smallest : float
-        Over the size of the orbit.
+        First and smallest step length relative to the size of the orbit.
     longest : float
-        Over the size of the orbit, too; 1 would go down to rest.
+        Largest step length relative to the size of the orbit; a step of 1 could end at rest.
     straight : float
-        Cosine of the angle between two directions from which on the next step may be longer.
+        Smallest cosine of the angle between two directions for which the next step may be longer.
     bent : float
         Value of this cosine below which a step is too long.
     easy : int
-        Iterations of Newton's method up to which the next step may be longer.
+        Largest number of Newton iterations for which the next step may be longer.
     still : float
-        Way, in sizes of the orbit, that a family must go in `patience` tries.
+        Distance, in sizes of the orbit, that a family must cover in `patience` tries.
     patience : int
         Largest number of tries for this distance.
     crowded : float
-        Unknowns times steps to locate events, some 15 s, after which they are given up: in
-        resonances they crowd.
+        Largest cost of locating events, in unknowns times steps (about 15 s). Beyond it the family
+        ends, because events crowd in resonances.
     """
 
     first: float = 0.2
@@ -88,11 +88,11 @@ STEPS = ContinuationSteps()
 class Ending(Enum):
     """Why a family ended before the requested value of its parameter."""
 
-    POINTS = "its first {orbits} orbits end at {position}"
+    POINTS = "the limit of {orbits} orbits is reached at {position}"
     STILL = "its steps become too short at {position}"
     LOST = "it cannot be followed beyond {position}"
-    MISSED = "no orbit of it is found at {until:g}"
-    CROWDED = "its events crowd, {events} up to {position}: events=False leaves them out"
+    MISSED = "no orbit of the family is found at {until:g}"
+    CROWDED = "it has too many events, {events} up to {position}: use events=False"
     RETURNED = "it returns to its earlier orbits at {position}"
 
 
@@ -103,11 +103,13 @@ class SolutionBranch:
     Attributes
     ----------
     equations : Equations
+        Equations of its orbits.
     held : tuple of Constraint
         Constraint on the period or the energy, if another parameter changes.
     parameter : "energy", "period", "frequency" of the drive, or "value"
+        Quantity that changes along the family; "value" stands for any property of the system.
     exact : bool
-        Whether directions of the family are good enough to locate events by.
+        Whether the derivatives are accurate enough to locate events.
     """
 
     equations: Equations
@@ -120,7 +122,7 @@ class SolutionBranch:
     ) -> Solution | None:
         """Return the family's orbit near a guess, selected by a constraint.
 
-        A member nearby saves work.
+        A nearby member `near` makes the search faster.
         """
         constraints = [*self.held, constraint]
         neighbour = near and near.solution
@@ -168,7 +170,7 @@ class SolutionBranch:
     ) -> Member | None:
         """Return the member at this distance along the family; None if none is found.
 
-        A guess, and a member nearer to it than the one to begin with, save work.
+        A guess, and a member `near` the guess, make the search faster.
         """
         # The orbit is in the plane across the family at this distance.
         ahead = member.unknown + length * member.direction
@@ -236,11 +238,14 @@ class _March:
 
     Parameters
     ----------
-    curve : Curve
+    curve : SolutionBranch
+        Equations of the family.
     start : Member
+        First orbit.
     target : Constraint
+        Constraint that holds at the requested value.
     points : int
-        Most orbits.
+        Largest number of orbits.
     events : bool
         Whether events are located.
     """
@@ -403,42 +408,45 @@ def follow(
 ) -> Family:
     """Follow a periodic orbit while its energy, its period or a parameter of the chain changes.
 
-    Folds, where the parameter turns back, are passed.
+    The family continues beyond folds, where the parameter turns back.
 
     Parameters
     ----------
     orbit : Orbit
+        First orbit of the family.
     parameter : str, or function of a number that returns a chain
         "energy" (J), "period" (s), "drive.frequency" (Hz), "drive.amplitude" (m or N),
-        "damping.drag" (1/s), "damping.viscoelastic" (s), a number of the chain such as
-        "chain.top_load" or "chain.exponent", or one of many, such as "chain.masses[7]" (from 1);
-        "chain." may be left out, as may "drive." before the amplitude.
+        "damping.drag" (1/s), "damping.viscoelastic" (s), a property of the chain such as
+        "chain.top_load" or "chain.exponent", or an element of an array such as "chain.masses[7]",
+        counted from 1. "chain." may be left out, and so may "drive." before the amplitude.
     until : float
-        Value of the parameter where the family ends.
+        Value of the parameter at which the family ends.
     start : float, optional
-        For a function: the value that gives the chain of the orbit.
+        Value for which a function `parameter` returns the chain of the orbit.
     hold : "period" or "energy"
-        What stays as it is while the chain or the drive changes.
+        Quantity that stays constant while the chain or the drive changes.
     points : int
-        Most orbits of the family.
+        Largest number of orbits of the family.
     events : bool
-        Whether folds and bifurcations are located. Two that undo each other within one step are not
-        seen; follow the family in shorter pieces to see them. Without events steps are longer, and
-        may jump over a narrow resonance to where the family goes on beyond its folds.
+        Whether to locate folds and bifurcations. Two events that cancel within one step are missed;
+        follow the family in shorter pieces to find them. Without events, steps are longer and may
+        jump over the folds of a narrow resonance.
     progress : bool
+        Whether to show a progress bar.
 
     Returns
     -------
     Family
-        With `reached` false if the family never came to `until`; why is said by `ended`. Where
-        events crowd, as in resonances, it ends too, and goes on with `events=False`.
+        Orbits and events. If the family did not reach `until`, `reached` is false and `ended` gives
+        the reason. A family also ends where events crowd, as in resonances; use `events=False` to
+        continue it.
 
     Raises
     ------
     InputError
-        If the parameter is none of this orbit, or a value is wrong.
+        If the orbit has no such parameter, or a value is not valid.
     RunFailed
-        If the orbit is not one of the family at `start`.
+        If the orbit does not solve the equations at `start`.
     """
     check_flags(events=events)
     curve, first = family_curve(orbit, parameter, start, until, hold)
@@ -475,7 +483,7 @@ def follow(
                 announce(
                     left_s,
                     f"the family of orbits from {position} to {until:g}",
-                    "an end that is nearer, a shorter chain, or events=False in Python takes less",
+                    "a nearer end, a shorter chain, or events=False in Python takes less",
                 )
     family = march.family(parameter if isinstance(parameter, str) else "parameter", until)
     found = tuple(replace(event, parameter=parameter, hold=hold) for event in family.events)
@@ -485,7 +493,8 @@ def follow(
 def _left_s(times: list[tuple[float, float]]) -> float:
     """Return the expected time to the end of a family, s, at the pace of its last two steps.
 
-    0 is returned before there are two, and in a fold, where the end is not coming nearer.
+    0 is returned before there are two steps, and in a fold, where the distance to the end does not
+    decrease.
     """
     (began, before), *_, (now, miss) = times
     gained = abs(before) - abs(miss)
@@ -503,7 +512,7 @@ def family_curve(
     if isinstance(until, bool) or not isinstance(until, int | float) or not np.isfinite(until):
         raise InputError.at("until", f"must be a number (got {shown(until)})")
     if hold not in ("period", "energy") or (hold == "energy" and orbit.drive is not None):
-        raise InputError.at("hold", 'must be "period", or "energy" of an orbit that is not driven')
+        raise InputError.at("hold", 'must be "period", or "energy" for an orbit that is not driven')
     if parameter in ("energy", "period", "drive.frequency"):
         if parameter == "energy" and orbit.drive is not None:
             message = "energy is not conserved in a driven chain: follow period or amplitude"
@@ -549,7 +558,7 @@ def _vary(
     if not isinstance(parameter, str):
         if start is None:
             message = (
-                "is missing: give the value at which the function returns the chain of the orbit"
+                "is missing: give the value for which the function returns the chain of the orbit"
             )
             raise InputError.at("start", message)
         return lambda number: (parameter(number), drive), float(start)

@@ -23,8 +23,8 @@ METHOD = RungeKutta(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
 class DampedFlow(Flow):
     """Eq. (1) with damping or with a force on a grain, in reduced velocities.
 
-    ``q = sqrt(m) phi`` and ``p = sqrt(m) w / rate``, with the w of `chain.damping`, which is the
-    velocity where nothing takes energy.
+    The variables are ``q = sqrt(m) phi`` and ``p = sqrt(m) w / rate``, with the reduced velocity w
+    of `chain.damping`. Without damping, w is the velocity itself.
     """
 
     def canonical(self, displacement: Array, velocity: Array) -> Array:

@@ -23,14 +23,15 @@ class Location:
     Attributes
     ----------
     split : float
-        Difference of two means of multipliers, below which they are a double one with round-off.
+        Largest imaginary part of a mean of multipliers that counts as real; rounding errors split
+        double means.
     tries : int
-        Largest number of orbits for an event.
+        Largest number of orbits computed for an event.
     near : float
-        Tolerance of its position, relative to the step.
+        Tolerance of the position of an event, relative to the step.
     circle : float
-        Distance from the unit circle within which a multiplier of a damped chain passes it; others
-        only meet and part outside of it.
+        Largest distance from the unit circle at which a multiplier of a damped chain counts as
+        crossing it. Multipliers farther away only meet and part outside the circle.
     """
 
     split: float = 1e-6
@@ -48,16 +49,21 @@ class Member(NamedTuple):
     Attributes
     ----------
     orbit : Orbit
-    unknown, direction : (U,) arrays
-        Its unknowns and how they change along the family.
+        The orbit.
+    unknown : (U,) array
+        Unknowns of the orbit.
+    direction : (U,) array
+        Unit vector of their change along the family.
     rate : float
-        Change of the parameter along it.
+        Rate of change of the parameter along this direction.
     turning : float
-        A number that passes 0 where a pair of multipliers passes 1 without a bifurcation; NaN where
-        none is known.
+        Number that passes 0 where a pair of multipliers passes 1 without a bifurcation; NaN if no
+        such number is known.
     solution : Solution
+        Solution of Newton's method.
     multipliers : (2M,) array or None
-        Multipliers of a damped orbit, to a millionth; None for others, or if not needed.
+        Multipliers of a damped orbit, accurate to about 1e-6; None for other orbits, or if they are
+        not needed.
     """
 
     orbit: Orbit
@@ -74,12 +80,17 @@ def locate(
 ) -> Member | None:
     """Return the orbit just after an event between two orbits of a family; None without an event.
 
-    Regula falsi with the Illinois rule; M. Dowell and P. Jarratt, BIT 11, 168 (1971).
+    The method is regula falsi with the Illinois rule; see M. Dowell and P. Jarratt, BIT 11, 168
+    (1971).
 
     Parameters
     ----------
+    kind : str
+        One of `EVENTS`.
+    start, end : Member
+        Orbits between which the event is sought.
     at : function
-        The orbit at a fraction of the step, or None where none is found.
+        Function that returns the orbit at a fraction of the step, or None if none is found.
     """
     before = _count(kind, start)
     after = _count(kind, end)
@@ -154,7 +165,7 @@ def _count(kind: str, member: Member) -> int:
 def _values(member: Member) -> Complex:
     """Return the means of pairs of multipliers, or the multipliers themselves of a damped chain.
 
-    Either is real beyond 1 or -1 if a real multiplier is.
+    In both cases, a real multiplier above 1 or below -1 gives a real value above 1 or below -1.
     """
     return member.orbit.means if member.multipliers is None else member.multipliers
 
@@ -168,8 +179,9 @@ def _centre(member: Member) -> float:
 def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
     """Return the size of a quantity that is zero at an event of this kind.
 
-    Of two pairs of multipliers that meet at a mean, the discriminant, whether they have `met` or
-    not; of a damped chain, the distance of the nearest complex multiplier from the unit circle.
+    For a Neimark-Sacker bifurcation it is the discriminant of the two pairs of multipliers that
+    meet at the mean `centre`; `met` is true after they have met. In a damped chain it is the
+    distance of the nearest complex multiplier from the unit circle.
     """
     if kind == "fold":
         return abs(member.rate)

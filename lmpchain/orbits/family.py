@@ -33,16 +33,18 @@ class Event(Shown):
     Attributes
     ----------
     kind : "fold", "period doubling", "Neimark-Sacker" or "branch point"
-        The parameter turns back; a multiplier passes -1; two pairs meet on the unit circle and
-        leave it, or come back, or of a damped chain a complex pair passes it; a multiplier passes
-        1.
+        At a fold the parameter turns back. At a period doubling a multiplier passes -1. At a
+        Neimark-Sacker bifurcation two pairs of multipliers meet on the unit circle and leave it, or
+        return to it; in a damped chain a complex pair crosses the circle. At a branch point a
+        multiplier passes 1.
     value : float
         Value of the parameter.
     orbit : Orbit
+        Orbit just after the event.
     after : int
-        Index, from 0, of the orbit of the family before the event.
+        Index, from 0, of the last orbit of the family before the event.
     parameter, hold
-        Arguments as given to `follow`.
+        Arguments of `follow`.
     """
 
     kind: str
@@ -69,15 +71,17 @@ class Family(Shown, Tabular):
     Attributes
     ----------
     orbits : tuple of P Orbit
+        Orbits in their order along the family.
     value : (P,) array
         Values of the parameter, in its SI unit.
     parameter : str
+        Name of the parameter.
     events : tuple of Event
-        Events in their order.
+        Events in their order along the family.
     reached : bool
-        Whether the family came to the value asked for.
+        Whether the family reached the requested value of the parameter.
     ended : str
-        Reason for an early end; empty if the goal was reached.
+        Reason for an early end; empty if the requested value was reached.
     """
 
     orbits: tuple[Orbit, ...]
@@ -125,13 +129,13 @@ class Family(Shown, Tabular):
     def join(self, *others: Family) -> Family:
         """Return one family joined from this one and others, each continuing the previous one.
 
-        The orbit where two meet counts once. The joined family has come to its value if all have;
-        else it says why the first of them that did not has ended.
+        The common orbit of two successive families is included once. `reached` is true if it is
+        true for all families; otherwise `ended` is the reason of the first family that ended early.
 
         Raises
         ------
         InputError
-            If a family is one in another parameter, or begins elsewhere.
+            If a family has another parameter, or does not begin where the previous family ends.
 
         Examples
         --------
@@ -143,7 +147,7 @@ class Family(Shown, Tabular):
         for other in others:
             if other.parameter != self.parameter:
                 raise InputError.at(
-                    "parameter", f"a family in {self.parameter} is needed to join it"
+                    "parameter", f"must be {self.parameter} for all joined families"
                 )
             end, start = (
                 [f.value[n], f[n].period, f[n].energy] for f, n in ((joined, -1), (other, 0))
@@ -151,8 +155,8 @@ class Family(Shown, Tabular):
             if not np.allclose(start, end, rtol=SAME, atol=0.0):
                 raise InputError.at(
                     "others",
-                    f"a family that begins at {self.parameter} = {start[0]:g} does not go on "
-                    f"from {end[0]:g}; join in their order, `backwards()` turns one round",
+                    f"a family that begins at {self.parameter} = {start[0]:g} does not continue "
+                    f"one that ends at {end[0]:g}: change their order, or use `backwards()`",
                 )
             # Events count the orbits of their own family.
             earlier = len(joined) - 1
@@ -173,16 +177,17 @@ class Family(Shown, Tabular):
     def plot(self, ax: Axes | None = None, of: str = "") -> Axes:
         """Draw energy against frequency, or the response to a drive, and return the axes.
 
-        Behind them are the linear bands, above them stands why the family ended, if it did before
-        the value asked for. Unstable orbits are dashed, those of a driven chain dotted.
+        Linear bands are shaded. If the family ended early, the title gives the reason. Unstable
+        orbits are drawn dashed, or dotted for a driven chain.
 
         Parameters
         ----------
         ax : Axes, optional
+            Axes to draw in; by default the axes of a new figure.
         of : str
-            "energy", by default of a chain without a drive; else as for `Orbit.response`, by
-            default "amplitude". The response stands against the frequency of the drive, or against
-            what was followed if that stays as it is.
+            "energy", the default without a drive, or a quantity of `Orbit.response`, by default
+            "amplitude". A response is drawn against the frequency of the drive, or against the
+            parameter of the family if this frequency is constant.
         """
         from matplotlib.ticker import AutoMinorLocator, MaxNLocator
 
@@ -238,7 +243,8 @@ class Family(Shown, Tabular):
     def _draw_curve(self, ax: Axes, curve: Array, events: Array, broken: str) -> None:
         """Draw places and heights of orbits (2, P) and events (2, E); unstable orbits are dashed.
 
-        A stretch ends at an event, or else an unstable one begins at the last stable orbit.
+        Pieces of the curve end at events. Without an event, an unstable piece begins at the last
+        stable orbit.
         """
         stable = self.stable
         numbers = np.arange(stable.size)
@@ -292,7 +298,7 @@ class Family(Shown, Tabular):
     def _bands(self) -> Array:
         """Return the bands of the linearised chain, (B, 2) Hz.
 
-        A chain that does not repeat has one, from its slowest to its fastest mode.
+        A chain without a repeating cell has a single band from its slowest to its fastest mode.
         """
         chain = self.orbits[0].chain
         # The frequencies are those of the chain without damping.

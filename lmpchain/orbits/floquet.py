@@ -1,8 +1,8 @@
 """Floquet multipliers of tangent maps, in exact pairs if a map is symplectic.
 
-These come in pairs l, 1/l. The skew-Hamiltonian (A + 1/A) / 2 has their means
-c = (l + 1/l) / 2 as double eigenvalues; C. Van Loan, Linear Algebra Appl. 61, 233 (1984), brings it
-to a form that has each of them once.
+The multipliers of a symplectic map A come in pairs l, 1/l. The skew-Hamiltonian matrix
+(A + 1/A) / 2 has the means c = (l + 1/l) / 2 of these pairs as double eigenvalues. The method of C.
+Van Loan, Linear Algebra Appl. 61, 233 (1984), reduces it to a matrix that has each mean once.
 """
 
 from __future__ import annotations

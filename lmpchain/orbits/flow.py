@@ -29,11 +29,11 @@ class Passage(NamedTuple):
     displacement, velocity : (K+1, N) arrays
         States between the steps, m and m/s.
     wall : (2, K+1) array
-        Those of the top wall.
+        Displacement and velocity of the top wall, m and m/s.
     end : (2, M) array
-        The last state.
+        Last state in canonical variables.
     deviation : (2, M, C) array
-        Deviations at the end.
+        Deviations at the end, in canonical variables.
     """
 
     displacement: Array
@@ -47,23 +47,24 @@ class Passage(NamedTuple):
 class Flow:
     """Eq. (1) in canonical variables for the M free grains.
 
-    ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are symplectic. A
-    chain that loses energy, or is pushed by a force, moves by `damped_flow.DampedFlow`.
+    The variables are ``q = sqrt(m) phi`` and ``p = sqrt(m) phi' / rate``, so that tangent maps are
+    symplectic. A damped chain, or one with a force on a grain, requires `damped_flow.DampedFlow`.
 
     Parameters
     ----------
     chain : Chain
     rate : float
-        rad/s, of the order of the frequencies of the orbit.
+        Frequency of the order of the frequencies of the orbit, rad/s.
     drive : Drive or Force, optional
-        Harmonic; its frequency follows the period.
+        Harmonic drive, whose frequency is replaced by `cycles` divided by the period.
     cycles : int
-        Of the drive in a period.
+        Number of cycles of the drive in a period.
 
     Raises
     ------
     InputError
-        If nothing keeps the chain together, or the drive is not harmonic or not one of this chain.
+        If the chain flies apart, or is damped without a drive, or if the drive is not harmonic or
+        does not suit the chain.
     """
 
     chain: Chain
@@ -142,7 +143,7 @@ class Flow:
     def physical(self, state: Array) -> tuple[Array, Array]:
         """Return the displacement and velocity of every grain, (N,) each, at t = 0.
 
-        A driven grain has none.
+        Both are 0 for a driven grain.
         """
         return self._rows(state)
 
@@ -169,9 +170,9 @@ class Flow:
         Parameters
         ----------
         deviation : (2, M, C) array, optional
-            Deviations that are carried along.
+            Deviations that are advanced together with the state.
         stretch : int
-            Number of them, the last, that are derivatives by log(period).
+            Number of deviations, counted from the last, that are derivatives by log(period).
         """
         grains = self.chain.grains
         begin = np.zeros((2, self.size, 0)) if deviation is None else deviation

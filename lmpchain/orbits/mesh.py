@@ -1,7 +1,8 @@
 """Time mesh of an orbit: fixed fractions of its period, short where contacts open or close.
 
-The force has a singular derivative where a contact opens, so that steps of one length would lose
-their order there. Steps fixed in advance keep the map symplectic, whatever their lengths.
+The force has a singular derivative where a contact opens, so that steps of equal length would lose
+their order of accuracy there. Steps that are fixed in advance keep the map symplectic, whatever
+their lengths.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ class Mesh:
     Attributes
     ----------
     reach : float
-        Step times the highest frequency of the chain at its stiffest, rad.
+        Step times the highest frequency of the chain in its stiffest state, rad.
     grading : float
-        Step over the time to the nearest opening.
+        Step relative to the time to the nearest opening.
     crossing : float
-        Shortest step times that frequency, around an opening: its error is far below the others'.
+        Shortest step, at an opening, times the highest frequency, rad; the error of such a step is
+        negligible.
     steps : int
-        Largest number of them in a period.
+        Largest number of steps in a period.
     """
 
     reach: float = 0.3
@@ -77,7 +79,7 @@ def graded(
 ) -> Array:
     """Return fractions that decrease towards openings at `times` (E,).
 
-    They are symmetric in time unless there is a drive, with which the motion is not.
+    The fractions are symmetric in time unless there is a drive, because driven motion is not.
     """
     even = uniform(flow, period, displacement, reach)
     if not times.size:

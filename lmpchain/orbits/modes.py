@@ -27,12 +27,12 @@ class KnownLimits:
     strain : float
         Strain of a small orbit.
     slow : float
-        Frequency over the band edge, below which harmonics are nearly resonant and smaller orbits
-        are taken.
+        Frequency relative to the band edge, below which harmonics are nearly resonant and smaller
+        orbits are used.
     heavy : float
-        Factor on the masses of grains that stand almost still.
+        Factor by which masses are increased so that grains hardly move.
     alone : tuple of float
-        Amplitudes of a grain between two that stand still, over the overlap.
+        Smallest and largest amplitude of a grain between two fixed grains, relative to the overlap.
     """
 
     strain: float = 1e-2
@@ -47,17 +47,17 @@ LIMITS = KnownLimits()
 def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:
     """Return the nonlinear normal mode of this energy that continues a linear mode.
 
-    A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). The mode at the
-    edge of a band which softens becomes a breather in the gap below: G. Theocharis et al.,
+    See A. F. Vakakis et al., Normal Modes and Localization in Nonlinear Systems (1996). If the mode
+    at the edge of a band softens, it becomes a breather in the gap below; see G. Theocharis et al.,
     Phys. Rev. E 82, 056604 (2010).
 
     Parameters
     ----------
     chain : Chain
     mode : int
-        From 1, in the order of frequencies, as in `lmpchain.theory.modes`.
+        Number of the mode, from 1 in the order of frequencies, as in `lmpchain.theory.modes`.
     energy : float
-        Above rest, J.
+        Energy above rest, J.
     progress : bool
         Whether to show a progress bar; low modes of long chains take the longest.
 
@@ -68,9 +68,9 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     Raises
     ------
     InputError
-        If there is no such mode, or no contact is compressed, or the energy is not above 0.
+        If the mode does not exist, no contact is compressed, or the energy is not above 0.
     RunFailed
-        If the family of the mode does not come to this energy.
+        If the family of the mode does not reach this energy.
 
     Examples
     --------
@@ -82,7 +82,7 @@ def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = Fals
     chain.refuse_ground("the search for orbits")
     family = mode_family(chain, mode, energy, events=False, progress=progress)
     if not family.reached:
-        raise RunFailed(f"the family of mode {mode} does not come to {energy:g} J: {family.ended}")
+        raise RunFailed(f"the family of mode {mode} does not reach {energy:g} J: {family.ended}")
     return find(chain, family[-1], energy=energy)
 
 
@@ -95,9 +95,9 @@ def mode_family(
     ----------
     chain : Chain
     mode, energy
-        As for `normal_mode`.
+        See `normal_mode`.
     events, progress : bool
-        As for `follow`.
+        See `follow`.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def mode_family(
     Raises
     ------
     InputError
-        If the chain is not compressed, or there is no such mode or energy.
+        If the mode does not exist, no contact is compressed, or the energy is not above 0.
     """
     chain.refuse_ground("the search for orbits")
     check_positive("energy", energy)
@@ -124,16 +124,16 @@ def mode_family(
 def breather(chain: Chain, grain: int, period: float, *, progress: bool = False) -> Orbit:
     """Return the breather around a grain, continued from the limit of fixed heavier grains.
 
-    In that limit the grain oscillates alone; then the masses of the heavier grains come down to
-    their own. See R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
+    In this limit the grain oscillates alone. The masses of the heavier grains are then reduced to
+    their values in the chain. See R. S. MacKay and S. Aubry, Nonlinearity 7, 1623 (1994).
 
     Parameters
     ----------
     chain : Chain
     grain : int
-        From 1; a light one of a dimer, or a light defect.
+        Number of the grain, from 1: a light grain of a dimer, or a light defect.
     period : float
-        s; with frequency and multiples outside of the linear bands.
+        Period, s; the frequency and its multiples must be outside the linear bands.
     progress : bool
         Whether to show a progress bar.
 
@@ -144,10 +144,10 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     Raises
     ------
     InputError
-        If the chain is under gravity or not compressed, no neighbour is heavier, or a grain alone
-        has no such period.
+        If the chain is under gravity or not compressed, no neighbour is heavier, or the period is
+        impossible for the grain alone.
     RunFailed
-        If the breather cannot be followed.
+        If the breather cannot be continued to the masses of the chain.
 
     Examples
     --------
@@ -163,10 +163,12 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     mass = chain.masses[grain - 1]
     heavier = chain.masses > mass
     if chain.gravity > 0 or not chain.linearisable:
-        message = "must be pressed by a top load, without gravity, which other masses would change"
+        message = (
+            "must be compressed by a top load without gravity, which would change with the masses"
+        )
         raise InputError.at("chain", message)
     if not heavier[max(grain - 2, 0) : grain + 1].any():
-        message = "has no heavier neighbour: there is no limit in which it moves alone"
+        message = "has no heavier neighbour, so that no limit exists in which it moves alone"
         raise InputError.at("grain", f"{grain} {message}")
 
     def chain_at(share: float) -> Chain:
@@ -193,7 +195,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         family = follow(family[-1], "period", period, events=False, progress=progress)
     if not family.reached:
         raise RunFailed(
-            f"the breather of {period:g} s does not come to the masses of the chain: {family.ended}"
+            f"the breather of {period:g} s does not reach the masses of the chain: {family.ended}"
         )
     return find(chain, family[-1], period)
 
@@ -229,8 +231,6 @@ def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
     if not crossing.size:
         shortest = period * (1 + misses.min())
         longest = period * (1 + misses.max())
-        message = (
-            f"must be between {shortest:.5g} and {longest:.5g} s, those of grain {grain} alone"
-        )
+        message = f"must be between {shortest:.5g} and {longest:.5g} s for grain {grain} alone"
         raise InputError.at("period", f"{message} (got {period:g})")
     return float(overlap * np.exp(brentq(excess, *amplitudes[crossing[0] : crossing[0] + 2])))

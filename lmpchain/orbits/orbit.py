@@ -39,19 +39,19 @@ class Orbit(Shown, Tabular):
     displacement, velocity : (N,) arrays
         State at t = 0, m and m/s.
     drive : Drive, Force or None
-        The motion of grain 1 or the top wall, or the force on a grain, at this period.
+        Motion of grain 1 or of the top wall, or force on a grain, with the frequency of the orbit.
     reversible : bool
-        Whether all grains rest at t = 0, so that the motion is the same backwards.
+        Whether all grains rest at t = 0, so that the motion is symmetric in time.
     residual : float
-        Largest change of a displacement or a velocity over a period, relative to the largest of the
-        orbit; below 1e-12 unless the motion amplifies rounding beyond that.
+        Largest change of a displacement or velocity over a period, relative to the largest value in
+        the orbit; below 1e-12 unless the motion amplifies rounding errors more strongly.
     error : float
-        Relative error of the orbit and its period by the integrator, as half the steps show
-        it. Where an orbit can all but slide along its neighbours, as the dip of a strong dark
-        breather can, most of it is round-off in that direction, along which the period hardly
+        Relative error of the orbit and its period due to the integrator, estimated with half the
+        steps. If an orbit can nearly slide along neighbouring orbits, as a strong dark breather
+        can, most of the error is a rounding error in this direction, along which the period hardly
         changes.
     iterations : int
-        Steps of Newton's method.
+        Number of steps of Newton's method.
     """
 
     chain: Chain
@@ -83,13 +83,13 @@ class Orbit(Shown, Tabular):
         Parameters
         ----------
         of : str
-            "amplitude", the largest displacement of any grain, or half of the range over a period
-            of "displacement:GRAIN" or "force:CONTACT", where contact n lies below grain n.
+            "amplitude" for the largest displacement of any grain; "displacement:GRAIN" or
+            "force:CONTACT" for half of the range over a period. Contact n is below grain n.
 
         Raises
         ------
         InputError
-            If it is none of these, or there is no such grain or contact.
+            If `of` is none of these, or the grain or contact does not exist.
         """
         if of == "amplitude":
             return self.amplitude
@@ -119,7 +119,7 @@ class Orbit(Shown, Tabular):
     def monodromy(self) -> Array:
         """Tangent map of a period, (2M, 2M), in the variables of `orbits.flow`.
 
-        It is symplectic unless the chain is damped.
+        The map is symplectic unless the chain is damped.
         """
         return read_only(floquet.close(self.tangent) if self.reversible else self.tangent)
 
@@ -127,15 +127,17 @@ class Orbit(Shown, Tabular):
     def means(self) -> floquet.Complex:
         """Means (l + 1/l) / 2 of all pairs of multipliers, (M-1,), or (M,) if driven.
 
-        It is real and from -1 to 1 if the pair is stable.
+        A mean is real and between -1 and 1 if its pair is stable.
 
         Raises
         ------
         InputError
-            Of a damped chain, whose multipliers come in no pairs.
+            If the chain is damped, because its multipliers do not come in pairs.
         """
         if not self.flow.symplectic:
-            raise InputError.at("means", "a damped chain has no pairs: see multipliers")
+            raise InputError.at(
+                "means", "a damped chain has no pairs of multipliers: use `multipliers`"
+            )
         means = (floquet.reversible_means if self.reversible else floquet.means)(self.tangent)
         return read_only(means if self.drive is not None else floquet.without_trivial(means))
 
@@ -143,8 +145,8 @@ class Orbit(Shown, Tabular):
     def multipliers(self) -> floquet.Complex:
         """Floquet multipliers, largest first, (2M,) complex.
 
-        They come in pairs l, 1/l side by side unless the chain is damped. Unless the orbit is
-        driven, the last pair is 1: along the orbit, and to its neighbours in the family.
+        Without damping, the multipliers are ordered in pairs l, 1/l. Without a drive, the last pair
+        is 1 and belongs to the directions along the orbit and along the family.
         """
         if not self.flow.symplectic:
             return read_only(floquet.all_multipliers(self.monodromy))
@@ -173,7 +175,7 @@ class Orbit(Shown, Tabular):
     def forces(self) -> Array:
         """Return the forces of all contacts at the steps of a period, (K+1, N+1) N.
 
-        Contact n lies below grain n, contact 0 above grain 1; viscous forces are included.
+        Contact n is below grain n, and contact 0 above grain 1. Viscous forces are included.
         """
         contacts = self.chain.contacts
         closer = contacts.closer(self._passage.displacement, self._passage.wall[0])
@@ -196,18 +198,18 @@ class Orbit(Shown, Tabular):
     def direction(self, number: int = 1) -> tuple[Array, Array]:
         """Return the displacement and velocity (N,) of an unstable Floquet direction.
 
-        Its largest displacement is 1 m. For a complex multiplier it is the real part, which turns
-        as it grows.
+        The largest displacement is scaled to 1 m. For a complex multiplier the real part is
+        returned, which rotates as it grows.
 
         Parameters
         ----------
         number : int
-            From 1, the fastest.
+            Number of the direction, from 1 for the fastest growth.
 
         Raises
         ------
         InputError
-            If there are not so many.
+            If the orbit has fewer unstable directions.
         """
         growing = self.unstable
         if not 1 <= number <= growing.size:
@@ -228,9 +230,9 @@ class Orbit(Shown, Tabular):
         Parameters
         ----------
         size : float
-            Of its largest displacement, over that of the orbit.
+            Largest displacement of the perturbation relative to the amplitude of the orbit.
         number : int
-            From 1, the fastest.
+            Number of the direction, from 1 for the fastest growth.
         """
         u, v = self.direction(number)
         scale = size * self.amplitude

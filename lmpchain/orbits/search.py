@@ -36,26 +36,26 @@ def find(
 ) -> Orbit:
     """Return the periodic orbit near a guess by Newton shooting with the exact tangent map.
 
-    A guess whose grains are all at rest gives an orbit that is symmetric in time, for half of the
-    work. The steps are those of a splitting of order 8, with damping or a force those of a
-    Runge-Kutta method, as many in a period as their error needs, and shorter where contacts open.
-    See J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for
-    breathers by Newton's method.
+    A guess with all grains at rest gives an orbit that is symmetric in time, at half the cost. The
+    motion is integrated by a splitting of order 8, or by a Runge-Kutta method if there is damping
+    or a force. The number of steps in a period is determined by their error; steps are shorter
+    where contacts open. See J. L. Marin and S. Aubry, Nonlinearity 9, 1501 (1996), for breathers by
+    Newton's method.
 
     Parameters
     ----------
     chain : Chain
     guess : Profile, Orbit, or (displacement, velocity), each (N,)
-        At t = 0, m and m/s. None for the answer of the linearised chain to the drive, or to a weak
-        one that is raised from there.
+        State at t = 0, m and m/s. If None, the search starts from the linear response to the drive,
+        or from the response to a weak drive that is raised step by step.
     period : float
-        s; of a driven orbit a whole number of periods of the drive, by default one. With an energy
-        it is a guess.
+        Period, s; for a driven orbit a whole number of periods of the drive, by default one. If an
+        energy is given, the period is only a guess.
     energy : float, optional
-        J; the period then follows.
+        Energy above rest, J, which determines the period.
     drive : Drive or Force, optional
-        A harmonic motion of grain 1 or of the top wall, whose `start` is the guess by default, or a
-        harmonic force on a grain. A damped chain needs one.
+        Harmonic motion of grain 1 or of the top wall, or harmonic force on a grain. Its `start` is
+        the default guess. A damped chain requires a drive.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def find(
     Raises
     ------
     InputError
-        If guess, period, energy or drive are wrong, or nothing keeps the chain together.
+        If the guess, period, energy or drive is not valid, or the chain flies apart.
     RunFailed
         If Newton's method finds no orbit, or only the chain at rest.
 
@@ -125,7 +125,7 @@ def _raise_drive(chain: Chain, drive: Drive | Force, period: float) -> Orbit:
     first = find(chain, guess, period, drive=weak)
     family = follow(first, "drive.amplitude", drive.amplitude, events=False)
     if not family.reached:
-        raise RunFailed(f"no periodic orbit found: from a weaker drive on, {family.ended}")
+        raise RunFailed(f"no periodic orbit found from a weaker drive: {family.ended}")
     return family[-1]
 
 
@@ -138,7 +138,7 @@ def _flow(chain: Chain, period: float | None, drive: Drive | Force | None) -> tu
     turns = 1.0 if frequency is None else frequency * period
     if round(turns) < 1 or abs(turns - round(turns)) > 1e-9 * turns:
         raise InputError.at(
-            "period", f"must be a whole number of those of the drive, {period / turns:g} s"
+            "period", f"must be a whole number of periods of the drive, {period / turns:g} s"
         )
     return flow_of(chain, 2 * np.pi / period, drive, round(turns)), period
 
@@ -150,19 +150,19 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
     ----------
     chain : Chain
     mode : int
-        From 1, in the order of frequencies.
+        Number of the mode, from 1 in the order of frequencies.
     strain : float
-        Largest change of an overlap, over that at rest.
+        Largest change of an overlap relative to the overlap at rest.
 
     Returns
     -------
     (N,) array and float
-        m, s.
+        Displacement, m, and period, s.
 
     Raises
     ------
     InputError
-        If no contact is compressed, or there is no such mode.
+        If no contact is compressed, or the mode does not exist.
     """
     chain.refuse_ground("the search for orbits")
     modes = eigenmodes(chain)

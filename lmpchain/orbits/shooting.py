@@ -27,15 +27,15 @@ class Newton:
     Attributes
     ----------
     closed : float
-        Residual of an orbit, and error of its steps, over the size of the orbit.
+        Largest residual of an orbit, and error due to its steps, relative to the size of the orbit.
     iterations : int
-        Largest number of steps.
+        Largest number of Newton steps.
     useful : float
-        Factor by which a step with derivatives of another point must bring the residual down.
+        Factor by which a step with derivatives of another point must reduce the residual.
     local : float
-        Relative distance over which derivatives are taken as constant.
+        Relative distance within which derivatives count as constant.
     nudge : float
-        Change of a parameter, over its scale, for the derivative by differences.
+        Change of a parameter, relative to its scale, for derivatives by finite differences.
     rounds : int
         Largest number of new meshes around openings, and of halvings of the steps.
     """
@@ -67,13 +67,13 @@ class Equations:
     Parameters
     ----------
     flow_at : function
-        Of the parameter.
+        Function that returns the flow for a value of the parameter.
     reversible : bool
-        Whether all grains rest at t = 0, and so half a period later.
+        Whether all grains rest at t = 0, and therefore also half a period later.
     unit : float
-        Of the state.
+        Unit of the state.
     scale : float
-        Of the parameter; 0 if there is none.
+        Unit of the parameter; 0 if there is no parameter.
     time : float
         Unit of the period, s.
     """
@@ -198,15 +198,16 @@ class Solution(NamedTuple):
 
     Attributes
     ----------
-    point : Point
+    point : OrbitPoint
+        Unknowns of the orbit.
     mesh : (K,) array
         Steps, as fractions of the period.
     slopes : (R, U) array
         Derivatives of all equations with respect to the unknowns.
     residual : float
-        Largest residual, over the size of the orbit.
+        Largest residual relative to the size of the orbit.
     iterations, relaid : int
-        Steps of Newton's method, and those of them after the mesh was laid anew.
+        Number of steps of Newton's method, and the part of them after the first new mesh.
     """
 
     point: OrbitPoint
@@ -220,7 +221,7 @@ class Solution(NamedTuple):
 def fixed(equations: Equations, name: str, value: float) -> Constraint:
     """Return the constraint that fixes "period", "frequency", "energy" or "value" to a number.
 
-    The frequency is that of the drive.
+    "frequency" is the frequency of the drive.
     """
 
     def period(unknown: Array, point: OrbitPoint) -> tuple[float, Array]:
@@ -263,7 +264,7 @@ class OrbitSystem(NamedTuple):
     def evaluate(self, unknown: Array, slopes: Array | None = None) -> tuple[Array, Array]:
         """Return all residuals (R,) and their derivatives (R, U).
 
-        Derivatives of the closure cost as much as M motions: given ones are kept as they are.
+        Derivatives of the closure cost as much as M motions, so that given `slopes` are reused.
         """
         point = self.equations.unpack(unknown)
         pairs = [constraint.of(unknown, point) for constraint in self.constraints]
@@ -293,9 +294,11 @@ class Descent(NamedTuple):
     residual : float
         Smallest residual, relative to the size of the orbit.
     slopes : (R, U) array
+        Derivatives of all equations with respect to the unknowns.
     first : (U,) array or None
-        The unknowns after the first step; None if that leads nowhere.
+        Unknowns after the first step; None if no step was possible.
     steps : int
+        Number of steps.
     """
 
     unknown: Array
@@ -315,10 +318,10 @@ def solve(
 ) -> Solution | None:
     """Return the orbit near a guess; None if Newton's method does not converge.
 
-    Steps are laid anew around the openings of contacts until these stay where they are. With
-    `exact`, derivatives are those with the last steps, else they may be off by the error of the
-    steps. A solution nearby saves work: its derivatives may serve, and its steps show where
-    contacts open.
+    The mesh is renewed around the openings of contacts until the orbit no longer changes. If
+    `exact` is true, the returned derivatives belong to the final mesh; otherwise they may be off by
+    the error of the steps. A nearby solution `near` makes the search faster, because its
+    derivatives can be reused and its steps show where contacts open.
     """
     mesh, _ = equations.mesh(guess, reach, near and near.mesh)
     unknown = equations.pack(guess)
@@ -352,8 +355,8 @@ def _newton(
 ) -> Solution | None:
     """Return the orbit with given steps; derivatives are recomputed when old ones fail.
 
-    Given `slopes` are exact at `origin`, if at all. Where an orbit is known to be `near`, new
-    derivatives must halve the residual, or it is given up.
+    Given `slopes` are exact at `origin` if it is given. If an orbit is known to be `near`, the
+    search stops when new derivatives do not halve the residual.
     """
     closed = NEWTON.closed
     steps = 0
@@ -446,7 +449,7 @@ def estimate_error(
 ) -> float:
     """Return the relative error of an orbit and its period caused by the steps.
 
-    One Newton step shows how far half the steps would move them.
+    The error is estimated by one Newton step for a mesh with steps of half the length.
     """
     unknown = equations.pack(solution.point)
     residual = equations.closure(solution.point, np.repeat(solution.mesh, 2) / 2)
@@ -475,7 +478,7 @@ def solve_accurately(
         solution = solve(equations, start, constraints, meshes.MESH.reach / 2**halvings)
         if solution is None and not halvings:
             raise RunFailed(
-                f"no periodic orbit found near {name}: give a guess or a period closer to one"
+                f"no periodic orbit found near {name}: give a guess or a period closer to an orbit"
             )
         if solution is None:
             return HalvedAnswer(solution, np.inf)

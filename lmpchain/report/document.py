@@ -59,7 +59,7 @@ def write(
     trajectory : Trajectory
     path : path
     progress, origin
-        As for `page`.
+        See `page`.
     overwrite : bool
         Whether to replace a file that lmpchain did not write; otherwise `InputError` is raised.
     """
@@ -78,7 +78,7 @@ def page(
     progress : bool
         Whether to show a progress bar.
     origin : mapping
-        "date" and "command" of the run.
+        Mapping with the "date" and the "command" of the run.
 
     Returns
     -------

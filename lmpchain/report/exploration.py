@@ -40,9 +40,10 @@ class PageLimits(NamedTuple):
     size : int
         Largest size of the page, bytes.
     runs : int
-        Largest number of runs, each of which is then shown at some forty times and grains.
+        Largest number of runs; with this many, each run is shown at about forty times and grains.
     views : tuple of (int, int)
-        Times and grains that are shown of a run, from the most to the least: the first that fits.
+        Numbers of times and grains shown of a run, in descending order; the first pair that fits
+        into the page is used.
     samples : int
         Largest number of samples of a run, which resolve its front.
     batch : int
@@ -77,17 +78,17 @@ def explore(
 ) -> None:
     """Write a self-contained page on which a slider per key selects runs of a scene.
 
-    Beside the motion of the chosen run stand its strike number, its estimated error, its front and
-    the error of linear theory. The page holds those runs and no others: a value between two shows
-    the nearest run. It takes 2 MB at most and fetches nothing.
+    The page shows the motion of the chosen run, its strike number, its estimated error, its front
+    and the error of linear theory. It contains only the computed runs, so that a value between two
+    runs shows the nearest one. Its size is at most 2 MB, and it loads nothing from elsewhere.
 
     Parameters
     ----------
     source : mapping
-        `scene`: a `Scene`, its tables, or the path of a scene file. `over`: for each key of a scene
-        file, such as "excitation.velocity" or "chain.damping.viscoelastic", the values of its
-        slider in SI units, ascending. `engine` ("auto": native) and `tolerance` (1e-6) as for
-        `sweep`.
+        `scene` is a `Scene`, its tables, or the path of a scene file. `over` maps keys of a scene
+        file, such as "excitation.velocity" or "chain.damping.viscoelastic", to the ascending values
+        of their sliders in SI units. `engine` (by default native) and `tolerance` (by default 1e-6)
+        are those of `sweep`.
     path : path
         HTML file to write, atomically.
     progress : bool
@@ -98,8 +99,8 @@ def explore(
     Raises
     ------
     InputError
-        With every fault: unknown keys, values that are no numbers or make no scene, more runs than
-        fit into the page.
+        If a key is unknown, values are not numbers or give no valid scene, or the runs do not fit
+        into the page; the error lists every fault.
 
     Examples
     --------
@@ -174,7 +175,7 @@ def _read_values(over: Any) -> dict[str, list[float]]:
             faults += error.under(str(key))
     runs = math.prod(map(len, values.values()))
     if runs > PAGE.runs:
-        faults.append(("over", f"these are {runs} runs, and a page of 2 MB holds {PAGE.runs}"))
+        faults.append(("over", f"has {runs} runs, but a page of 2 MB contains at most {PAGE.runs}"))
     if faults:
         raise InputError(faults)
     return values
@@ -187,7 +188,9 @@ def _check_values(sweep: Any) -> list[float]:
     # True is a number in Python, but not a value of a slider.
     numbers = all(type(x) in (int, float) and math.isfinite(x) for x in values)
     if not values or not numbers or any(a >= b for a, b in pairwise(values)):
-        raise InputError.at("", f"must be a list of numbers, ascending (got {shown(sweep)})")
+        raise InputError.at(
+            "", f"must be a list of numbers in ascending order (got {shown(sweep)})"
+        )
     return values
 
 
@@ -233,7 +236,7 @@ def _make_grid(plan: Sweep) -> _Grid:
 def _find_extent(plan: Sweep, scenes: Sequence[Scene]) -> tuple[int, int]:
     """Return the first and last grain to show, equal for all runs so that they can be compared.
 
-    They are those that move in the runs at the ends of the sliders.
+    These grains move in at least one of the runs at the ends of the sliders.
     """
     ends = np.array(np.meshgrid(*([0, length - 1] for length in plan.shape))).reshape(
         len(plan.shape), -1
@@ -289,7 +292,7 @@ def _fit(views: list[View | str], axes: list[Slider], plan: Sweep, grid: _Grid) 
             return page
     least = len(views) * PAGE.size // len(page.encode())
     raise InputError.at(
-        "over", f"{len(views)} runs do not fit into a page of 2 MB: about {least} would"
+        "over", f"{len(views)} runs do not fit into a page of 2 MB: choose about {least}"
     )
 
 
@@ -302,7 +305,7 @@ def _render(
 ) -> str:
     some = next((view for view in views if isinstance(view, View)), None)
     if some is None:
-        raise InputError.at("scene", f"no run of it succeeds: {views[0]}")
+        raise InputError.at("scene", f"no run succeeds: {views[0]}")
     scene = grid.scenes[0]
     names = [_label(axis.key, scene.excitation.kind) for axis in axes]
     title = f"{scene.chain.grains} grains, {scene.excitation.kind}"
@@ -331,8 +334,7 @@ def _label(key: str, kind: str) -> str:
 def _caption(view: View, runs: int, plan: Sweep) -> str:
     """Return the caption of the figure, with the omitted grains and times."""
     made = (
-        f"The sliders go through {runs} runs made beforehand; a value between them shows the "
-        "nearest run."
+        f"The sliders select one of {runs} computed runs; a value in between shows the nearest run."
         if runs > 1
         else "One run."
     )

@@ -19,9 +19,9 @@ def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
     template : str
         Name of a template of the package.
     numbers : dict
-        Of `live.numbers`.
+        Numbers of the figure, from `live.figure_numbers`.
     **values
-        What else the template takes.
+        Other values that the template uses.
 
     Returns
     -------

@@ -31,9 +31,9 @@ class ViewSizes(NamedTuple):
     times, grains : int
         Largest number of times and grains shown.
     margin : int
-        Grains at rest that are shown on either side of those that move.
+        Number of grains at rest that are shown on either side of the moving grains.
     levels : int
-        Steps from 0 to the largest value of an array.
+        Number of steps from 0 to the largest value of an array.
     """
 
     times: int = 240
@@ -55,21 +55,21 @@ class View:
     time : (T,) array
         Times, s.
     grains : (G,) array
-        Numbers, from the top.
+        Numbers of the grains, from the top.
     velocity, displacement : (T, G) arrays
-        m/s, m.
+        Motion of the grains, m/s and m.
     rest : (G - 1,) array
-        Overlap at rest between each grain and the next one shown, that of all contacts between, m.
+        Sum of the overlaps at rest of all contacts between each grain and the next grain shown, m.
     limit : float
         Velocity at which colours saturate, m/s.
     linear : (T, G) array, optional
         Velocity by linear theory, m/s.
     kinetic, total : (T,) arrays, optional
-        Energy above rest, J.
+        Kinetic and total energy above rest, J.
     front, law : (G,) arrays, optional
-        When the front passes, and when a long weak wave would, s; NaN where none does.
+        Arrival times of the front and of a long weak wave, s; NaN if none arrives.
     facts : mapping
-        Text beside the figure, by name.
+        Texts beside the figure, by name.
     """
 
     time: Array
@@ -88,7 +88,7 @@ class View:
     def thinned(self, times: int, grains: int) -> View:
         """Return a view with at most this number of times and grains, evenly spaced.
 
-        Of every few grains, the velocity is that of the one that moves most.
+        If several grains are shown as one, the velocity is that of the grain that moves most.
         """
         rows = np.unique(np.linspace(0, self.time.size - 1, times).round().astype(int))
         first, loudest = loudest_rows(self.velocity[rows].T, grains)
@@ -157,12 +157,13 @@ def view(
     ----------
     trajectory : Trajectory
     between : pair of int
-        The first and the last grain.
+        First and last grain.
     linear : Trajectory, optional
-        The same scene by linear theory, with these grains at least.
+        Run of the same scene by linear theory, with these grains or more.
     front : Front, optional
+        Front of the wave.
     facts : mapping, optional
-        Text beside the figure, by name.
+        Texts beside the figure, by name.
 
     Returns
     -------
@@ -238,16 +239,18 @@ def figure_numbers(
     Parameters
     ----------
     views : sequence of View or str
-        One for each place on the grid of the axes, the last axis fastest; a text says why there is
-        none.
-    axes : sequence of Axis
+        View of each point on the grid of the axes, the last axis fastest, or a text with the reason
+        why there is no view.
+    axes : sequence of Slider
+        Sliders of the figure.
     levels : int
-        Steps from 0 to the largest value of an array.
+        Number of steps from 0 to the largest value of an array.
 
     Returns
     -------
     dict
-        For JSON. Arrays are integers times a unit, in `data`, where equal ones stand once.
+        Numbers for JSON. Arrays are stored in `data` as multiples of a unit; equal arrays are
+        stored once.
     """
     store = _ViewStore(levels)
     runs = [{"reason": v} if isinstance(v, str) else store.record(v) for v in views]

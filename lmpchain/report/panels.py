@@ -28,7 +28,8 @@ class PictureLimits(NamedTuple):
     Attributes
     ----------
     markers : int
-        Largest number of grains drawn one by one; with more, a picture is smaller as pixels.
+        Largest number of grains drawn as vector graphics; with more grains, a picture of pixels is
+        a smaller file.
     """
 
     markers: int = 2000

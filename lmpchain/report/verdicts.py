@@ -24,9 +24,9 @@ class FrontLimits(NamedTuple):
     Attributes
     ----------
     reflected : int
-        Last grains, whose peak is made together with the wave that comes back from the end.
+        Number of last grains that are ignored, because the reflected wave adds to their peak.
     onward : float
-        Smallest fraction of the grains that a front passes later than their predecessors.
+        Smallest fraction of the grains that a front must pass later than the previous grain.
     """
 
     reflected: int = 3
@@ -85,12 +85,12 @@ def departure(run: Trajectory, linear: Trajectory) -> float:
 def front_below(run: Trajectory) -> front.Front:
     """Return the front below the grain that is struck.
 
-    Grains that samples do not show to be in order are left out.
+    Grains whose order of arrival the samples do not show are left out.
 
     Raises
     ------
     InputError
-        If there is none, or too few samples to show it.
+        If no front travels downward, or the samples are too few to show it.
     """
     scene = run.scene
     source = getattr(scene.excitation, "grain", None)
@@ -116,7 +116,7 @@ def front_below(run: Trajectory) -> front.Front:
     if needed > scene.samples:
         raise InputError.at(
             "samples",
-            f"{si(step, 's')} apart do not resolve the front: record at least {needed} of them",
+            f"{si(step, 's')} apart do not resolve the front: record at least {needed} samples",
         )
     raise missing
 
@@ -162,11 +162,11 @@ def facts(
     ----------
     run : Trajectory
     linear : Trajectory or None
-        The same scene by linear theory.
+        Run of the same scene by linear theory.
     passed : Front or str
-        The front, or why there is none.
+        Front, or the reason why there is none.
     tolerance : float
-        That was asked for.
+        Requested tolerance.
     """
     number = run.scene.strike_number
     yield "strike number", f"{number:.3g}" if np.isfinite(number) else "∞ (sonic vacuum)"

@@ -52,13 +52,15 @@ class Axis:
     Attributes
     ----------
     name : str
+        Name of the axis.
     length : int
+        Number of values along the axis.
     columns : mapping
-        The values that each key takes along it.
+        Values of each key along the axis.
     drawn : bool
-        Whether values are drawn, so that no single one is the user's to correct.
+        Whether values are drawn at random, so that the user cannot correct a single value.
     arrays : tuple of GrainLaw
-        Keys of which every grain gets a number of its own.
+        Laws of the keys that have a separate random number for each grain.
     """
 
     name: str
@@ -111,7 +113,7 @@ def make_axes(tables: Mapping[str, Any]) -> list[Axis]:
     Raises
     ------
     InputError
-        With every fault.
+        If a table is not valid; the error lists every fault.
     """
     faults: list[Fault] = []
     axes: list[Axis] = []
@@ -141,7 +143,7 @@ def _count_faults(axes: Sequence[Axis]) -> Iterator[Fault]:
         kinds = ", ".join(f"[{kind}]" for kind in MAKERS)
         yield "grid", f"nothing is swept: add a table {kinds}"
     elif count > MOST_SCENES:
-        yield "grid", f"these are {count} scenes; sweep {MOST_SCENES} at most"
+        yield "grid", f"{count} scenes are too many: sweep at most {MOST_SCENES}"
 
 
 def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fault]:
@@ -149,7 +151,7 @@ def _section_faults(keys: Sequence[str], sections: Sequence[str]) -> Iterator[Fa
     for key in keys:
         section = key.partition(".")[0]
         if section not in sections:
-            cure = f"they begin with {', '.join(sections)}, as chain.gravity does"
+            cure = f"keys begin with {', '.join(sections)}, as chain.gravity does"
             yield key, f"is not a key of a scene{did_you_mean(section, sections)}; {cure}"
 
 
@@ -171,7 +173,7 @@ def _list(table: dict[str, Any]) -> list[Axis]:
     first = next(iter(columns))
     count = len(columns[first])
     faults = [
-        (key, f"must have as many values as {first}, {count}, not {len(values)}")
+        (key, f"must have {count} values, as many as {first} (got {len(values)})")
         for key, values in columns.items()
         if len(values) != count
     ]
@@ -189,7 +191,7 @@ def _lists(table: dict[str, Any]) -> dict[str, list[Any]]:
     if not lists:
         raise InputError.at("", "is empty: name a key, such as chain.gravity = [1.62, 9.81]")
     faults = [
-        (key, "must be a list of values, and not empty")
+        (key, "must be a list of one or more values")
         for key, values in lists.items()
         if not isinstance(values, list) or not values
     ]

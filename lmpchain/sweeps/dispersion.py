@@ -41,12 +41,12 @@ class AmplitudeDispersion(Shown, Tabular):
     amplitude : (A,) array
         Amplitudes of the drive, m, or of the force, N.
     phase, phase_error, decay, decay_error, strain, strain_error : (F, A) arrays
-        Radians per cell, decay per cell, and mean change of the overlap relative to rest, as in
-        `measure.harmonic.HarmonicWave`.
+        Phase lag per cell, radians, decay per cell, mean change of the overlap relative to the
+        overlap at rest, and their uncertainties, as in `measure.harmonic.HarmonicWave`.
     linear_phase, linear_decay : (F,) arrays
-        Values for the linearised chain.
+        Phase lag and decay in the linearised chain.
     waves : F lists of A HarmonicWave
-        The waves of all grains.
+        Measured waves with the amplitudes of all grains.
     """
 
     frequency: Array
@@ -96,19 +96,19 @@ def dispersion(
     Parameters
     ----------
     scene : Scene
-        With a harmonic `Drive` or `Force`, whose frequency and amplitude are replaced, and a
-        uniform or periodic chain: a long one, so that no wave returns within the duration, or one
-        with an absorbing boundary. A long one is more accurate for strong waves, because they
-        slowly squeeze or stretch a chain whose end is held. The number of samples is replaced by 24
-        a period.
+        Scene with a harmonic `Drive` or `Force`, whose frequency and amplitude are replaced, and a
+        uniform or periodic chain. The chain must have an absorbing boundary, or be so long that no
+        wave returns within the duration. A long chain is more accurate for strong waves, because
+        they slowly compress or stretch a chain with a fixed end. The number of samples is replaced
+        by 24 per period.
     frequencies : (F,) array_like
-        Hz; the duration has 48 periods of each, or more.
+        Frequencies, Hz; the duration must be 48 or more periods of each.
     amplitudes : (A,) array_like
-        m for a drive, N for a force.
+        Amplitudes, m for a drive or N for a force.
     tolerance : float
-        Of each run.
+        Tolerance of each run.
     **options
-        first, last, cell and periods, as for `measure.harmonic.wave`.
+        Arguments first, last, cell and periods of `measure.harmonic.wave`.
 
     Returns
     -------
@@ -117,7 +117,8 @@ def dispersion(
     Raises
     ------
     InputError
-        If the scene has no harmonic drive, or a wave cannot be measured; the frequency is named.
+        If the scene has no harmonic drive, or a wave cannot be measured; the error then names the
+        frequency.
 
     Examples
     --------

@@ -21,7 +21,7 @@ from typing import Any
 from ..errors import InputError
 
 UNGUARDED = (
-    "cannot start: a script that sweeps on several must be a file, and call sweep below "
+    "several processes cannot start: the script must be a file, and call sweep below "
     'if __name__ == "__main__":'
 )
 IMPORT_FAILED = 1  # Exit code of a process whose script fails or ends it.
@@ -44,8 +44,8 @@ class Here(Executor):
 class Processes(Executor):
     """Executor with one pool per process, so that a dying process loses only its own task.
 
-    That task ends with `BrokenExecutor`, and a new process takes the place of the dead one. The
-    processes end when this one does, even if it is killed.
+    The task of a dead process ends with `BrokenExecutor`, and a new process replaces the dead one.
+    All processes end when the main process ends, even if it is killed.
     """
 
     def __init__(self, workers: int):

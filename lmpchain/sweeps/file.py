@@ -56,17 +56,20 @@ class Sweep:
     Attributes
     ----------
     tables : dict
-        The tables that all scenes share, which may lack the swept keys, and the table of the
-        disorder.
+        Tables that all scenes share, which may lack the swept keys, and the table of random
+        contacts.
     folder : Path
         Folder of the CSV files that the tables name.
     engine : str
+        Name of the engine.
     tolerance : float
+        Tolerance of each run.
     keep : list of str
-        Names of `quantities.QUANTITIES`.
+        Names of the quantities to store, from `quantities.QUANTITIES`.
     axes : list of Axis
+        Axes of the sweep.
     source : dict
-        The sweep file with the tables of the scene, and the hashes of CSV files.
+        Content of the sweep file with the tables of the scene, and hashes of the CSV files.
     """
 
     tables: dict[str, Any]
@@ -139,7 +142,7 @@ class Sweep:
         if not isinstance(count, int) or isinstance(count, bool) or not 1 <= count <= MOST_GRAINS:
             raise InputError.at(
                 "chain.grains",
-                "must be a whole number from 1 where values of every grain are drawn",
+                "must be a whole number from 1, because values are drawn for every grain",
             )
         return count
 
@@ -178,7 +181,8 @@ class Sweep:
         Raises
         ------
         InputError
-            At the end, with the faults of values that were in none.
+            After the last scene, if no scene with a certain value is valid; the error lists the
+            faults of all such values.
         """
         count = sum(1 if axis.drawn else len(axis) for axis in self.axes)
         lengths = (min(len(axis), DRAWS_TRIED) if axis.drawn else len(axis) for axis in self.axes)
@@ -245,7 +249,8 @@ def read_sweep(source: str | PathLike[str] | Mapping[str, Any]) -> Sweep:
     Raises
     ------
     InputError
-        With every fault in it; those of the values come with `Sweep.trials`.
+        If the sweep is not valid; the error lists every fault. Faults of values are raised by
+        `Sweep.trials`.
     """
     if isinstance(source, Mapping):
         return _plan(dict(source), Path())
@@ -257,7 +262,9 @@ def read_text(text: str, folder: Path) -> Sweep:
     """Return the sweep with this `Sweep.text`; its CSV files are in `folder`."""
     data = json.loads(text)
     if not isinstance(data["scene"], dict):
-        raise InputError.at("scene", "must be tables: a sweep that is kept names no other file")
+        raise InputError.at(
+            "scene", "must be tables: a stored sweep does not refer to a scene file"
+        )
     files = data.pop("files")
     data.pop("format", None)
     return _plan(data, folder, files)
@@ -316,7 +323,7 @@ def _take_scene(source: Any, folder: Path) -> tuple[dict[str, Any], Path]:
         raise InputError.at(
             "scene", "name a scene file, or give its tables: [scene.chain], [scene.excitation] ..."
         )
-    cure = f"they are {', '.join(SECTIONS)}"
+    cure = f"use {', '.join(SECTIONS)}"
     if faults := [
         (f"scene.{key}", f"unknown section{did_you_mean(key, SECTIONS)}; {cure}")
         for key in source
@@ -337,7 +344,7 @@ def _take_engine(name: Any) -> str:
 def _take_names(names: Any) -> list[str]:
     options = ", ".join((*QUANTITIES, "peak_force:40"))
     if not isinstance(names, list) or not names:
-        raise InputError.at("keep", f"must be a list of some of {options}")
+        raise InputError.at("keep", f"must be a list of names among {options}")
     if faults := [
         ("keep", f"there is no {shown(name)}{did_you_mean(name, QUANTITIES)}; use {options}")
         for name in names
@@ -363,7 +370,8 @@ def _set_value(table: Any, path: list[str], value: Any, key: str) -> Any:
         # Python refuses to convert numbers of thousands of digits.
         if not (first.isdecimal() and len(first) < MOST_DIGITS and int(first) < len(table)):
             raise InputError.at(
-                key, f"there is no entry {short(first)}: the scene has {len(table)}, counted from 0"
+                key,
+                f"there is no entry {short(first)}: the scene has entries 0 to {len(table) - 1}",
             )
         entry = int(first)
         return [*table[:entry], _set_value(table[entry], rest, value, key), *table[entry + 1 :]]

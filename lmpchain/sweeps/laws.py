@@ -88,9 +88,9 @@ def make_law(table: Any) -> Uniform | Normal:
 class GrainLaw:
     """A key with a random number for each grain, drawn anew for every scene.
 
-    Scene number i takes its numbers from `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i,
-    k)))`, k being the first four bytes of the SHA-256 of the key, so that they depend on nothing
-    else that is drawn.
+    The numbers of scene i are drawn by `numpy.random.default_rng(SeedSequence(seed, spawn_key=(i,
+    k)))`, where k is the first four bytes of the SHA-256 of the key. They therefore do not depend
+    on any other random number.
     """
 
     key: str
@@ -112,7 +112,8 @@ class GrainLaw:
 
 def bind_laws(laws: Mapping[str, Uniform | Normal], seed: int) -> tuple[GrainLaw, ...]:
     """Return the laws of numbers for each grain; raise `InputError` for other keys."""
-    cure = f"those that have are {', '.join(GRAIN_KEYS)}"
-    if faults := [(key, f"has no value a grain; {cure}") for key in laws if key not in GRAIN_KEYS]:
+    cure = f"use one of {', '.join(GRAIN_KEYS)}"
+    fault = f"has no separate value for each grain: {cure}"
+    if faults := [(key, fault) for key in laws if key not in GRAIN_KEYS]:
         raise InputError(faults)
     return tuple(GrainLaw(key, law, seed) for key, law in laws.items())

@@ -26,11 +26,12 @@ class SweepQuantity(NamedTuple):
     dimensions : tuple of str
         Dimensions among "time" and "grain".
     units, long_name : str
-        Metadata of the results.
+        Unit and description of the quantity in the results.
     measure : function
-        Returns it, and its error, of a motion; its second argument are the grains that are kept.
+        Function that returns the quantity and its error, given a motion and the grains to store.
     recorded : bool
-        Whether it is the recorded motion itself, with the error of the trajectory and no other.
+        Whether the quantity is the recorded motion itself, whose only error is the error of the
+        trajectory.
     """
 
     dimensions: tuple[str, ...]
@@ -123,7 +124,7 @@ QUANTITIES = {
     "wall_force": SweepQuantity(
         (),
         "N",
-        "largest force on what holds the bottom, at any time (measure.contact.wall_force)",
+        "largest force on the bottom support, at any time (measure.contact.wall_force)",
         _wall_force,
     ),
 }
@@ -160,14 +161,15 @@ def with_gathered(scene: Scene, keep: Iterable[str], moves_grains: bool) -> Scen
     ----------
     scene : Scene
     keep : names of quantities
+        Quantities to store.
     moves_grains : bool
         Whether the engine solves an equation of motion of the grains, Eq. (1) or (3), so that it
-        can gather.
+        can accumulate quantities.
 
     Raises
     ------
     InputError
-        If there is no such contact.
+        If a contact does not exist.
     """
     # For closely spaced samples the equation of motion bounds the values in between; with damping
     # the accelerations follow from samples, which must be closer.
@@ -201,7 +203,8 @@ def measure_quantities(
 ) -> dict[str, Array]:
     """Return the quantities of a motion to store, at these of its grains.
 
-    Errors are under the name with _error. `gathered_arrays` are those of the run, by name.
+    The error of a quantity has the name of the quantity followed by _error. `gathered_arrays` are
+    the arrays that the run accumulated, by name.
     """
     rows = motion.rows(grains)
     arrays: dict[str, Array] = {}
@@ -236,7 +239,7 @@ def is_gathered(scene: Scene, name: str) -> bool:
 def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
     """Add to each error the difference between the predictable part and the whole run.
 
-    What is larger later on was not the largest of all times.
+    The maxima of the predictable part do not include larger values at later times.
     """
     for name, values in whole.items():
         error = f"{name}_error"
@@ -247,7 +250,7 @@ def add_rest(arrays: dict[str, Array], whole: Mapping[str, Array]) -> None:
 def leave_out_unsure(arrays: dict[str, Array], names: Iterable[str]) -> list[str]:
     """Set quantities with a relative error above 0.1 to NaN, and return their names.
 
-    A tenth of the largest of all grains, for many hardly move.
+    The error is relative to the largest value of all grains, because many grains hardly move.
     """
     unsure = []
     for name in names:

@@ -29,8 +29,9 @@ Result = Scene | InputError
 def scenes(plan: Sweep, first: int, count: int, together: bool) -> list[Result]:
     """Return consecutive scenes of a sweep, or the errors that prevent them.
 
-    Those that are alike are made `together`, if that is asked for. Every grain is recorded that
-    measuring what is kept takes; such scenes answer, but do not describe themselves in full.
+    If `together` is true, similar scenes are derived in one batch. The scenes record all grains
+    that the stored quantities need. They can be solved, but their options do not describe them
+    completely.
     """
     results: list[Result] = []
     length = len(plan.axes[-1]) if together and _alike(plan) else 1
@@ -93,8 +94,8 @@ def _wider(scene: Scene, plan: Sweep) -> Scene:
 def _derive(plan: Sweep, places: Sequence[Place]) -> list[Scene | None] | None:
     """Return scenes whose chains are derived in one batch, or None if this is not possible.
 
-    The first stands for all that they share; raises `InputError` if it has a fault. None stands
-    for each that is not sound beyond doubt.
+    The first scene provides everything that the scenes share; `InputError` is raised if it is not
+    valid. A scene is None if its chain is not certainly valid.
     """
     common = _wider(plan.regular_scene(places[0]), plan)
     disorder = plan.disorder(places[0])

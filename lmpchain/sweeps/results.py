@@ -34,14 +34,14 @@ class Labels(NamedTuple):
     Attributes
     ----------
     samples : int
-        The most of any scene.
+        Largest number of samples of any scene.
     time : (T,) array or None
-        Times, s; None if scenes differ in them.
+        Times, s; None if the times of the scenes differ.
     grains : (G,) array
-        Numbers of the grains that any scene records; in the order of the scenes if that is one
-        order.
+        Numbers of all recorded grains, in the order of the scenes if all scenes record the same
+        grains, otherwise ascending.
     extra : dict
-        Further arrays of the store: times that differ, and what is drawn for every grain.
+        Further arrays of the store: times if they differ, and numbers drawn for every grain.
     """
 
     samples: int
@@ -121,31 +121,33 @@ def load_sweep(folder: str | PathLike[str]) -> xarray.Dataset:
     Parameters
     ----------
     folder : path
-        A folder that `sweep` has written.
+        Folder that `sweep` has written.
 
     Returns
     -------
     xarray.Dataset
-        The dimensions are the axes of the sweep: those of a grid have the names of their keys, a
-        list of cases is `case`, random draws are `draw`, and disorder is `realisation`. Then
-        follow `time` in s (or `sample`, with the times as a coordinate, if scenes differ in them)
-        and `grain`. A derived quantity has its error under its name with `_error`. Arrays are
-        read from their files when they are used. If a scene has failed or is not done, all its
-        values are NaN and `reason` gives the reason; it is empty for the others. If a scene
-        becomes unpredictable, largest values and arrival times that are known before are stored,
-        and quantities with an error above a tenth are NaN.
+        The first dimensions are the axes of the sweep: an axis of a grid has the name of its key, a
+        list of cases is `case`, random draws are `draw`, and disorder is `realisation`. The last
+        dimensions are `time`, s, and `grain`. If the times of the scenes differ, `sample` replaces
+        `time`, and the times are a coordinate. The error of a derived quantity has the name of the
+        quantity followed by `_error`. Arrays are read from their files when they are used. If a
+        scene has failed or is not done, all its values are NaN and `reason` gives the reason;
+        otherwise `reason` is empty. If a scene becomes unpredictable, largest values and arrival
+        times that are known before are stored; values with a relative error above 0.1 are NaN.
 
     Raises
     ------
     InputError
-        If the folder contains no sweep, or a damaged one.
+        If the folder contains no sweep, or the sweep is damaged.
     """
     folder = expanded(folder)
     index = _read_json(folder / NAME)
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         index = {}
     if not is_name(index.get("results")):
-        raise InputError.at(str(folder), "holds no sweep, or one of another version of lmpchain")
+        raise InputError.at(
+            str(folder), "contains no sweep, or a sweep of another version of lmpchain"
+        )
     results = folder / index["results"]
     plan, layout = read_results(results)
     coordinates = _read_labels(results, layout)

@@ -63,21 +63,21 @@ def sweep(
 ) -> xarray.Dataset:
     """Simulate the scenes of a sweep; those that are already in the folder are skipped.
 
-    The answers are the same, to the last bit, whoever gives them, in what order, and however often
-    the sweep is stopped and begun again. A scene that cannot be made, misses its tolerance or
-    breaks down is recorded with its reason. One that something else prevents, such as a full disk
-    or a process that dies three times over it, is done when the sweep is called again.
+    The results are the same, to the last bit, for any number of workers, any order of the scenes
+    and any number of interruptions. A scene that is not valid, misses its tolerance or breaks down
+    is recorded with its reason. A scene that fails for another reason, such as a full disk or a
+    process that dies three times, is solved when `sweep` is called again.
 
     Parameters
     ----------
     source : path or mapping
-        A sweep file, or the same keys; `scene` may then be a `Scene`.
+        Sweep file, or a mapping with the same keys, in which `scene` may be a `Scene`.
     folder : path
-        Made if need be. Other processes and machines that answer scenes must see it under the same
-        name.
+        Folder of the results, which is created if necessary. Other processes and machines that
+        solve scenes must see it under the same path.
     workers : int
-        Processes of this machine; with 1 all is done in this one. Scripts need ``if __name__ ==
-        "__main__":`` for more.
+        Number of processes on this machine; with 1, this process solves all scenes. With more, a
+        script must call `sweep` below ``if __name__ == "__main__":``.
     scheduler : str, optional
         Address of a Dask scheduler, such as ``"tcp://127.0.0.1:8786"``, whose workers solve the
         scenes in place of local processes.
@@ -89,13 +89,13 @@ def sweep(
     Returns
     -------
     xarray.Dataset
-        As `load_sweep`.
+        See `load_sweep`.
 
     Raises
     ------
     InputError
-        With every fault of the sweep; if another process is at this folder, nothing can be
-        written there, the processes cannot start, or no scheduler answers.
+        If the sweep is not valid (the error lists every fault), another process uses the folder,
+        the folder cannot be written, the processes cannot start, or no scheduler answers.
     RunFailed
         If the connection to the scheduler is lost; results that were computed are kept.
     """
@@ -152,7 +152,7 @@ def _try_scenes(plan: Sweep) -> int:
     # Only the first warning of each kind is shown, because they differ in numbers alone.
     remarks = {re.sub(r"\d\S*", "", text): text for text in reversed(texts)}
     for remark in remarks.values():
-        warn(f"{remark}; perhaps in other scenes, too", stacklevel=3)
+        warn(f"{remark}; other scenes may be affected as well", stacklevel=3)
     return batch
 
 
@@ -194,7 +194,7 @@ def _check_same_sweep(results: Path, plan: Sweep) -> None:
         if results.exists():
             check_tree(results)
             if path.exists() and path.read_text(encoding="utf-8") != plan.text:
-                raise ValueError("its sweep.json is of another sweep")
+                raise ValueError("its sweep.json belongs to another sweep")
     except (OSError, ValueError) as error:
         raise InputError.at(
             str(results), f"is damaged ({short(error)}): remove it, and sweep again"
@@ -213,7 +213,8 @@ def _check_index(path: Path) -> None:
     )
     if foreign:
         raise InputError.at(
-            str(path), "is not lmpchain's: move it, or name another folder for the sweep"
+            str(path),
+            "was not written by lmpchain: move it, or choose another folder for the sweep",
         )
 
 
@@ -244,7 +245,7 @@ def _lock(folder: Path) -> Iterator[None]:
     lock = take_lock(folder)
     if lock is None:
         raise InputError.at(
-            str(folder), f"{describe_holder(folder)} sweeps into this folder; wait for it"
+            str(folder), f"{describe_holder(folder)} is sweeping into this folder: wait for it"
         )
     try:
         yield
@@ -264,7 +265,7 @@ def dask(address: str) -> Iterator[Executor]:
     try:
         from distributed import Client
     except ImportError:
-        raise InputError.at("scheduler", 'needs Dask: pip install "lmpchain[cluster]"') from None
+        raise InputError.at("scheduler", 'requires Dask: pip install "lmpchain[cluster]"') from None
     # Exceptions report failures. Dask sets the levels of some of its loggers one by one.
     for name in ("distributed", "tornado", *logging.root.manager.loggerDict):
         if name.partition(".")[0] in ("distributed", "tornado"):
@@ -278,15 +279,15 @@ def dask(address: str) -> Iterator[Executor]:
     with client:
         if not client.nthreads():
             warn(
-                f"no workers are there yet; start some: dask worker {address} --nthreads 1",
+                f"the scheduler has no workers yet; start some: dask worker {address} --nthreads 1",
                 stacklevel=3,
             )
         yield client.get_executor(pure=False)
 
 
 LOST = (
-    "the connection to the Dask scheduler is lost: the results so far are kept; start the "
-    "scheduler and its workers again, then repeat the command to go on"
+    "the connection to the Dask scheduler is lost, but the results so far are stored; start the "
+    "scheduler and its workers again, then repeat the command to continue"
 )
 
 
@@ -362,7 +363,8 @@ def _wait(executor: Executor, pending: Iterable[Future]) -> set[Future]:
     Raises
     ------
     RunFailed
-        If the executor has lost the connection to its Dask scheduler: no future would ever end.
+        If the executor has lost the connection to its Dask scheduler, because no future would ever
+        end.
     """
     done = wait(pending, timeout=TASKS.scheduler_s, return_when=FIRST_COMPLETED).done
     client = getattr(executor, "_client", None)
@@ -382,7 +384,7 @@ def _find_error(future: Future) -> Exception | None:
 def _describe_machine_fault(error: Exception) -> str:
     """Return a sentence about a fault of the machine or the cluster, not of a scene."""
     if isinstance(error, BrokenExecutor):
-        return f"the process that was at it died {TASKS.deaths} times"
+        return f"the process that solved it died {TASKS.deaths} times"
     if isinstance(error, LmpchainError):
         return str(error)
     return f"{type(error).__name__} {error}".strip()

@@ -1,11 +1,11 @@
 """Seals of a sweep's store, which verify that its shards and coordinates are complete.
 
-    store.json              of the descriptions of all arrays, and of the coordinates
-    shards/0000003.json     of one shard of every array
+    store.json              seal of the descriptions of all arrays, and of the coordinates
+    shards/0000003.json     seal of one shard of every array
 
-A seal lists files with their sizes and hashes. It is written when these are on the disk, and what
-has none counts as not done: a shard may be empty or missing after a power cut or a copy that was
-cut short, and Zarr reads such a one as a shard that nobody has written.
+A seal lists files with their sizes and hashes, and is written when these files are on the disk. A
+shard without a seal counts as not done, because it may be empty or missing after a power cut or an
+interrupted copy. Zarr would read such a shard as one that was never written.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Results of a sweep on disk: shards of a Zarr store, and parts of unfinished shards.
 
-    sweep.json              the sweep that the folder holds
-    0123456789abcdef/       its results, under a hash of all that shapes them
-        sweep.json          that sweep
+    sweep.json              name of the results of the current sweep
+    0123456789abcdef/       results, named by a hash of all options that determine them
+        sweep.json          options of this sweep
         results.zarr        arrays over all scenes, in shards that are written once and whole
         parts/0000064.npz   results of the scenes from this number on, until their shard is complete
         parts/0000064.some.npz  results of some of them, from an earlier sweep
 
-Every file appears under its name when it is whole and on the disk. `reason` is empty for scenes
-that have an answer, and "not done" where there is no whole shard, whatever lies there.
+A file gets its name only when it is complete and on the disk. `reason` is empty for scenes with a
+result, and "not done" for scenes without a sealed shard or a part, even if a damaged file exists.
 """
 
 from __future__ import annotations
@@ -71,11 +71,11 @@ class StoreLayout:
     Attributes
     ----------
     count : int
-        Scenes.
+        Number of scenes.
     batch : int
         Number of scenes in a part.
     columns : dict
-        The arrays, `reason` last.
+        Arrays by name; `reason` is the last one.
     """
 
     count: int
@@ -117,11 +117,11 @@ def make_layout(
         shape = tuple(lengths[dimension] for dimension in kind.dimensions)
         columns[name] = StoredArray(kind.dimensions, shape, kind.units, kind.long_name)
         if not kind.recorded:
-            error = f"how far {name} may be off, by sampling and by the error of the solution"
+            error = f"uncertainty of {name} by sampling and by the error of the solution"
             columns[f"{name}_error"] = StoredArray(kind.dimensions, shape, kind.units, error)
     for name, cause in SCALARS.items():
         columns[name] = StoredArray((), (), "1", f"estimated relative error {cause}")
-    columns["reason"] = StoredArray((), (), "1", "why there is no answer", NOT_DONE, str)
+    columns["reason"] = StoredArray((), (), "1", "why there is no result", NOT_DONE, str)
     return StoreLayout(count, batch, columns)
 
 
@@ -131,11 +131,11 @@ def read_layout(folder: Path, plan: Sweep) -> StoreLayout:
     Raises
     ------
     InputError
-        If it is not there, damaged, or not laid out as this package does it for this sweep.
+        If the store is missing, damaged, or does not have the layout of this sweep.
     """
     with _open_checked(folder) as (batch, arrays):
         if not intact(folder):
-            raise ValueError("coordinates or descriptions are not as they were written")
+            raise ValueError("coordinates or descriptions were changed")
         laws = {law.key for axis in plan.axes for law in axis.arrays}
         extra = {}
         for name, array in arrays.items():
@@ -166,7 +166,7 @@ def _check_column(
     shard = array["chunk_grid"]["configuration"]["chunk_shape"]
     fits = shard == [layout.shard, *column.shape]
     if not fits or any(array[key] != value for key, value in expected.items()):
-        raise ValueError(f"{name} is not that of its sweep")
+        raise ValueError(f"{name} does not match its sweep")
 
 
 def create_results(
@@ -234,7 +234,7 @@ def open_store(folder: Path, writing: bool = False) -> Any:
     Raises
     ------
     InputError
-        If it is not there, damaged, or has anything in it that this package would not write.
+        If the store is missing, damaged, or contains anything that this package would not write.
     """
     import zarr
 

@@ -1,6 +1,7 @@
 """Check of the layout of the store of a sweep.
 
-It reads plain JSON and file names only: no codec is made and no chunk opened before it has passed.
+The check reads only plain JSON and file names. No codec is created and no chunk is opened before
+the store has passed it.
 """
 
 from __future__ import annotations
@@ -30,13 +31,15 @@ class StoreSizes(NamedTuple):
     Attributes
     ----------
     shard_scenes : int
-        Smallest number of scenes in a shard per array: 100 files contain 10^4 scenes.
+        Number of scenes in a shard divided by the number of arrays, so that 10^4 scenes need fewer
+        than 100 files.
     shard_bytes : int
-        Largest shard, whatever that takes of its scenes.
+        Largest size of a shard, unless one batch is larger.
     chunk_bytes : int
-        Largest piece of a shard that is read at a time, unless one scene takes more.
+        Largest piece of a shard that is read at once, unless one scene is larger.
     plain_bytes : int
-        Largest array without shards, which is read whole, unless its file is as large as it claims.
+        Largest size of an array without shards, which is read at once. A larger array is accepted
+        if its compressed file is large enough for it.
     """
 
     shard_scenes: int = 160
@@ -51,14 +54,14 @@ STORE = StoreSizes()
 def check_store(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
     """Return the scenes in a batch, and the metadata of every array by name.
 
-    Raises `OSError`, `ValueError`, `KeyError` or `TypeError` unless they are such as lmpchain
-    writes.
+    `OSError`, `ValueError`, `KeyError` or `TypeError` is raised if the store is not one that
+    lmpchain writes.
     """
     check_tree(store)
     group = metadata(store)
     batch = group["attributes"].get("batch")
     if group.get("node_type") != "group" or type(batch) is not int or batch < 1:
-        raise ValueError("it is no store of lmpchain")
+        raise ValueError("it was not written by lmpchain")
     arrays = {}
     for node in sorted(store.iterdir()):
         if node.is_dir():
@@ -91,7 +94,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
         all(isinstance(label, str) for label in labels), "has labels that lmpchain does not use"
     )
     kind = array["data_type"]
-    require(kind in KINDS, "holds a type of data that lmpchain does not use")
+    require(kind in KINDS, "has a type of data that lmpchain does not use")
     grid = array["chunk_grid"]
     chunk = grid["configuration"]["chunk_shape"]
     usual = grid["name"] == "regular" and array["chunk_key_encoding"] == ENCODING
@@ -102,7 +105,7 @@ def _check_array(node: Path, array: dict[str, Any]) -> None:
     else:
         codecs = codec_names(array["codecs"])
         usual &= chunk == shape and _fits_file(shape, node)
-    require(usual, "is in pieces that lmpchain does not use, or claims to hold more than it does")
+    require(usual, "has chunks that lmpchain does not use, or claims more data than its file has")
     require(
         codecs == [KINDS[kind], "zstd", "crc32c"],
         "is stored with codecs that lmpchain does not use",

@@ -40,13 +40,17 @@ class StrikeShares(Shown, Tabular):
     Attributes
     ----------
     exponent : (E,) array
+        Exponents of the contact force.
     share, share_error : (E,) arrays
-        Energy of all solitary waves relative to that of the strike; uncertainty, as in
-        `measure.solitary.Train`.
+        Energy of all solitary waves relative to the energy of the strike, and its uncertainty, as
+        in `measure.solitary.Train`.
     velocity, velocity_error : (E,) arrays
-        Largest velocity of a grain in the leading wave relative to that of the strike.
-    waves, grains : (E,) arrays
-        Number of solitary waves, and grains of the chain that was long enough.
+        Largest velocity of a grain in the leading wave relative to the strike velocity, and its
+        uncertainty.
+    waves : (E,) array
+        Number of solitary waves.
+    grains : (E,) array
+        Number of grains of the chain that gave the required accuracy.
     """
 
     _units: ClassVar[Mapping[str, str]] = {
@@ -78,15 +82,15 @@ class StrikeShares(Shown, Tabular):
 def strike_shares(exponents: ArrayLike, accuracy: float = 1e-5) -> StrikeShares:
     """Strike a uniform chain without load, and measure its solitary waves.
 
-    The share depends on the exponent alone; G. Deng, G. Biondini, S. Sen and P. G. Kevrekidis,
-    arXiv:2002.08499. The length of the chain and the duration follow from the speed of the exact
-    solitary wave; the chain is made longer until the share is accurate.
+    The share depends on the exponent alone; see G. Deng, G. Biondini, S. Sen and P. G. Kevrekidis,
+    arXiv:2002.08499. The duration follows from the speed of the exact solitary wave. The chain is
+    made longer until the share is accurate.
 
     Parameters
     ----------
     exponents : (E,) array_like
-        Above 1, at most 3. An exponent close to 1 takes a long chain, because its waves part
-        slowly.
+        Exponents above 1 and at most 3. An exponent close to 1 requires a long chain, because its
+        waves separate slowly.
     accuracy : float
         Largest error of a share.
 

@@ -44,15 +44,15 @@ class TaskLimits(NamedTuple):
     scenes : int
         Largest number of scenes of a task.
     numbers : int
-        Largest number of samples x grains of all its scenes.
+        Largest number of samples x grains of all scenes of a task.
     pending : int
-        Tasks that an executor has at a time.
+        Largest number of tasks that an executor has at a time.
     deaths : int
-        Processes that die over a task before it is given up.
+        Number of processes that may die during a task before the task is given up.
     scheduler_s : float
         Longest wait for an answer of a Dask scheduler, s.
     priced : int
-        Scenes whose expected times stand for those of all scenes.
+        Number of scenes from whose expected times the time of all scenes is extrapolated.
     """
 
     scenes: int = 256
@@ -73,9 +73,9 @@ class Beginning(NamedTuple):
     Attributes
     ----------
     known : Trajectory
-        Up to the time up to which it can.
+        Run that ends shortly before the predictability horizon.
     whole : Trajectory
-        A run to its end, of which the rest is as likely as others.
+        Run of the whole scene; beyond the horizon it is one of many equally plausible trajectories.
     reason : str
         Reason why the whole scene misses the tolerance.
     """
@@ -91,12 +91,16 @@ class SweepTask:
 
     Attributes
     ----------
-    folder, files : Path
-        Folder of the results, and folder of CSV files.
-    layout : Layout
+    folder : Path
+        Folder of the results.
+    files : Path
+        Folder of the CSV files.
+    layout : StoreLayout
+        Layout of the store.
     grains : (G,) array
-        Numbers of the grains that the arrays have places for.
+        Numbers of the grains in the arrays of the store.
     first : int
+        Number of the first scene.
     """
 
     folder: Path
@@ -166,8 +170,8 @@ def answer(task: SweepTask) -> None:
 def _insert_earlier(columns: dict[str, Any], task: SweepTask) -> dict[str, Any]:
     """Return the arrays with the results of an earlier sweep in their place.
 
-    Those scenes were answered again, so that the others get the bits that they would have in the
-    same company.
+    The scenes of the earlier sweep are solved again in the same batch, because the last bits of the
+    other scenes may depend on the batch.
     """
     path = part_of(task.folder, task.first, whole=False)
     if not path.exists():
@@ -229,7 +233,7 @@ def _put(
         read = [name for name in keep if is_extreme(name) and not is_gathered(scene, name)]
         unsure = leave_out_unsure(arrays, read)
         if unsure:
-            reason = f"samples are too far apart to show {', '.join(unsure)}: record more of them"
+            reason = f"samples are too far apart to show {', '.join(unsure)}: record more samples"
     columns["reason"][row] = reason
     for name, values in arrays.items():
         index = tuple(places[dimension] for dimension in task.layout.columns[name].dimensions)

@@ -127,7 +127,7 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
             scene, design.PeakForce(1), ["contact_constants"]
         ),
         "grains: must be two or more": lambda: scattering.transmission(chain, 1e3),
-        "grains: takes a chain of several": lambda: fit.fit_bessel(run),
+        "grains: must be two or more: a single grain": lambda: fit.fit_bessel(run),
     }
     for message, call in refused.items():
         with pytest.raises(InputError, match=message):

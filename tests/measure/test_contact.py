@@ -406,10 +406,10 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
     free = record(vacuum(4), Impulse(velocity=1.0), 1.0, 5)
     for fault, wrong in [
         (
-            "grains: this takes grains that were not recorded; record these too: 4",
+            "grains: some grains that are needed were not recorded; record these too: 4",
             lambda: contacts(some, [3, 4]),
         ),
-        ("grains: no two neighbours were recorded", lambda: contacts(some)),
+        ("grains: no two neighbouring grains were recorded", lambda: contacts(some)),
         ("record these too: 4, 6", lambda: sensor(some, 5)),
         ("record these too: 11", lambda: wall_force(some)),
         ("record these too: 2", lambda: drive_force(driven)),
@@ -428,9 +428,9 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
             lambda: wall_force(column, "left"),  # type: ignore[arg-type]
         ),
         ("excitation: nothing is driven", lambda: drive_force(column)),
-        ("second: choose two grains", lambda: time_of_flight(column, 5, 5)),
+        ("second: choose two different grains", lambda: time_of_flight(column, 5, 5)),
         (
-            "second: choose two grains",
+            "second: choose two different grains",
             lambda: time_of_flight(column, 5, 6, "guess"),  # type: ignore[arg-type]
         ),
     ]:

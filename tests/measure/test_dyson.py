@@ -95,7 +95,7 @@ def test_stiffness_over_that_of_the_first_contact(exponent: float):
     kappa = (weight / weight[0]) ** (1 - 1 / exponent)
     assert relative_stiffness(chain) == pytest.approx(kappa, rel=1e-13)
     with pytest.raises(
-        InputError, match="gravity: without gravity and load contacts have no stiffness"
+        InputError, match="gravity: without gravity and load, contacts have no stiffness"
     ):
         relative_stiffness(Chain(grains=5, diameter=1e-3, gravity=0.0))
 
@@ -240,7 +240,7 @@ def test_no_two_of_many_lines_look_alike():
 def test_orders_that_a_user_writes():
     assert orders("1, 2.5,20 ,1") == [1.0, 2.5, 20.0]
     for text, fault in (
-        ("1,two", "m: must be numbers with commas between them"),
+        ("1,two", "m: must be numbers separated by commas"),
         ("1,0", "m: must be above 0 (got 0)"),
         ("-2,3", "m: must be above 0 (got -2)"),
         ("inf", "m: must be above 0 (got inf)"),

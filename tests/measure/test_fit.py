@@ -797,5 +797,5 @@ def test_bessel_functions_need_a_passing_wave():
         bottom="wall",
     )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-4, samples=301)
-    with pytest.raises(InputError, match="too few, or without the wave"):
+    with pytest.raises(InputError, match="too few or do not show the wave"):
         fit_bessel(simulate(scene, engine="native"))

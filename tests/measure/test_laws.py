@@ -88,10 +88,10 @@ def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
 def test_six_grains_are_enough_for_a_law_and_five_are_not():
     front = noisy_front(noise=0.0)
     assert asymptotic(front.between(10, 15), "amplitude", 1.5, -0.3).depth.size == 6
-    with pytest.raises(InputError, match=r"front: a fit needs it at 6 or more grains \(got 5\)"):
+    with pytest.raises(InputError, match=r"front: a fit needs 6 or more grains \(got 5\)"):
         asymptotic(front.between(10, 14), "amplitude", 1.5, -0.3)
     for delta in (0.99, 2.01):
-        with pytest.raises(InputError, match="for 1 <= delta <= 2 only"):
+        with pytest.raises(InputError, match="requires 1 <= delta <= 2"):
             asymptotic(front, "amplitude", delta)
     for window in (2, 111):
         with pytest.raises(InputError, match=rf"window: must be 3 to 110.*\(got {window}\)"):
@@ -229,7 +229,7 @@ def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
         same = asymptotic(front, quantity, 1.5)  # type: ignore[arg-type]
         assert (seen.laws[name].exponent, seen.laws[name].factor) == (same.exponent, same.factor)
     with pytest.raises(
-        InputError, match="at 6 or more grains from grain 60 on; this run shows 5: record longer"
+        InputError, match=r"needs 6 or more grains from grain 60 on \(got 5\): record longer"
     ):
         fit_exponents(struck, 60, 64)
     assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
@@ -337,7 +337,7 @@ def test_the_range_of_a_parameter_search():
             fit_parameter(Trace(time, 3, shape), guessed(1e-3), "velocity", waving([]), span)
     for grain in (0, 8):
         with pytest.raises(
-            InputError, match=f"grain: the trace is of grain {grain}, but 1 to 7 move"
+            InputError, match=f"grain: the trace has grain {grain}, but only 1 to 7 move"
         ):
             fit_parameter(Trace(time, grain, shape), guessed(1e-3), "velocity", waving([]))
 

@@ -339,8 +339,8 @@ def test_exponents_relative_to_those_of_a_weak_wave():
     [
         ([-0.2, -0.22], 0.005, "towards the law of weak waves"),
         ([-0.26, -0.264], 0.005, "on the law of weak waves"),
-        ([-0.1, -0.04], 0.01, "towards that of a solitary wave without load"),
-        ([0.1, 0.001], 0.01, "on that of a solitary wave without load"),
+        ([-0.1, -0.04], 0.01, "towards the law of a solitary wave without load"),
+        ([0.1, 0.001], 0.01, "on the law of a solitary wave without load"),
         ([-0.2, -0.22], 0.02, "towards no law within these grains"),
         ([0.1, 0.2], 0.01, "towards no law within these grains"),
     ],

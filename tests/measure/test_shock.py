@@ -295,7 +295,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"gravity": 9.81}, "chain: a shock is measured with no gravity"),
+        ({"gravity": 9.81}, "chain: measuring a shock requires no gravity"),
         ({"diameter": np.linspace(9e-3, 1e-2, 30)}, "chain: must be uniform"),
         ({}, "excitation: does not push steadily"),
     ],

@@ -193,7 +193,7 @@ def test_the_flight_of_a_bump(method: Any):
         assert 0 < flight.error < 1e-9
         assert flight.speed == pytest.approx(apart / seconds, rel=1e-6)
     for first, second, way in ((5, 5, "peak"), (5, 6, "phase")):
-        with pytest.raises(InputError, match="second: choose two grains"):
+        with pytest.raises(InputError, match="second: choose two different grains"):
             time_of_flight(made, first, second, way)  # type: ignore[arg-type]
 
 

@@ -267,9 +267,9 @@ def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest
     _, first, until = column()
     family = orbits.follow(first, "energy", until, points=3, events=False)
     assert (len(family), family.reached) == (3, False)
-    assert family.ended.startswith("its first 3 orbits end at energy")
-    assert "ended='its first 3 orbits" in repr(family)
-    assert family.plot().get_title("left").startswith("Its first 3 orbits end at energy")
+    assert family.ended.startswith("the limit of 3 orbits is reached at energy")
+    assert "ended='the limit of 3 orbits" in repr(family)
+    assert family.plot().get_title("left").startswith("The limit of 3 orbits is reached at energy")
     hasty = replace(continuation.STEPS, still=np.inf, patience=2)
     monkeypatch.setattr(continuation, "STEPS", hasty)
     family = orbits.follow(first, "energy", until, events=False)
@@ -288,7 +288,7 @@ def test_a_family_with_crowded_events_ends_with_the_located_ones(
     family = orbits.follow(orbits.find(CHAIN, drive=whole[0].drive), "period", 2 * np.pi / OMEGA)
     assert (len(family.events), family.reached) == (1, False)
     assert family.events[0].value == pytest.approx(whole.events[0].value, rel=1e-12)
-    assert family.ended.startswith("its events crowd, 1 up to period")
+    assert family.ended.startswith("it has too many events, 1 up to period")
     assert len(family) < len(whole)
 
 
@@ -318,6 +318,6 @@ def test_a_long_family_is_announced_once(monkeypatch: pytest.MonkeyPatch):
     assert len(told) == 1
     # Each step takes 10 s of this clock, and the energy grows by equal factors.
     steps = len(family) - 3
-    said = re.search(r"takes about ([\d.]+) (s|minutes): an end", str(told[0].message))
+    said = re.search(r"takes about ([\d.]+) (s|minutes): a nearer end", str(told[0].message))
     left_s = float(said[1]) * {"s": 1, "minutes": 60}[said[2]]
     assert left_s == pytest.approx(10 * steps, rel=0.5)

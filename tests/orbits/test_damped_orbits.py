@@ -177,7 +177,7 @@ def test_multipliers_of_a_linear_chain_agree_with_its_modes():
     expected = np.sort_complex(np.exp(exponents / 2e4))
     assert np.sort_complex(orbit.multipliers) == pytest.approx(expected, abs=1e-11)
     assert (np.diff(np.abs(orbit.multipliers)) < 1e-11).all()
-    with pytest.raises(InputError, match=r"^means: a damped chain has no pairs"):
+    with pytest.raises(InputError, match=r"^means: a damped chain has no pairs of multipliers"):
         _ = orbit.means
 
 

@@ -231,7 +231,9 @@ def test_a_joined_family_states_the_ending_of_its_first_unfinished_piece():
 
 def test_only_consecutive_families_are_joined():
     lower = turned((), 0, 1)
-    with pytest.raises(InputError, match=r"begins at energy = 1.2e-05 .* from 6e-06; .*backwards"):
+    with pytest.raises(
+        InputError, match=r"begins at energy = 1.2e-05 .* ends at 6e-06: .*backwards"
+    ):
         lower.join(turned((), 2, 4))
-    with pytest.raises(InputError, match="a family in energy"):
+    with pytest.raises(InputError, match="must be energy for all joined families"):
         lower.join(replace(turned((), 1, 4), parameter="period"))

@@ -161,7 +161,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
     for message, call in {
         "energy: is not conserved in a driven":
             lambda: orbits.find(loaded, energy=1e-9, drive=sine),
-        "period: must be a whole number of those of the drive, 5e-05 s":
+        "period: must be a whole number of periods of the drive, 5e-05 s":
             lambda: orbits.find(loaded, drive=sine, period=1.2e-4),
         "guess: must be a Profile": lambda: orbits.find(CHAIN, 3.0, 1e-4),
         "guess: is missing, and a chain without compression":
@@ -176,8 +176,8 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
         "grain: must be a whole number from 1 to 3 (got True)":
             lambda: orbits.breather(loaded, True, 1e-5),
         "grain: 1 has no heavier": lambda: orbits.breather(loaded, 1, 1e-5),
-        "chain: must be pressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
-        "chain: must be pressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
+        "chain: must be compressed": lambda: orbits.breather(CHAIN, 1, 1e-5),
+        "chain: must be compressed by": lambda: orbits.breather(vacuum, 1, 1e-5),
         "until: must be a number": lambda: orbits.follow(orbit(), "energy", True),
         "until: must be a number (got inf)": lambda: orbits.follow(orbit(), "energy", np.inf),
         "until: must be above 0 for the period (got 0)":
@@ -205,7 +205,7 @@ def test_invalid_guesses_and_periods_are_rejected(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         "lmpchain.orbits.modes.follow", lambda *_, **__: SimpleNamespace(reached=False, ended="x")
     )
-    with pytest.raises(RunFailed, match=r"^the family of mode 2 does not come to 1e-12 J: x"):
+    with pytest.raises(RunFailed, match=r"^the family of mode 2 does not reach 1e-12 J: x"):
         orbits.normal_mode(CHAIN, 2, 1e-12)
 
 

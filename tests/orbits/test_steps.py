@@ -55,13 +55,16 @@ def test_an_interrupted_family_states_its_position():
     assert sizes == pytest.approx([1.0, 1.2, 1.6], rel=1e-4)
     energy = family.energy[-1]
     period = family.period[-1]
-    assert family.ended == f"its first 3 orbits end at energy {energy:.6g} (period {period:.6g} s)"
+    assert (
+        family.ended
+        == f"the limit of 3 orbits is reached at energy {energy:.6g} (period {period:.6g} s)"
+    )
     heavier = orbits.follow(
         small(), lambda m: CHAIN.replace(masses=m * CHAIN.masses), 2.0, start=1.0, points=1
     )
     assert (
         heavier.ended
-        == f"its first 1 orbits end at the parameter 1 (period {small().period:.6g} s)"
+        == f"the limit of 1 orbits is reached at the parameter 1 (period {small().period:.6g} s)"
     )
     assert heavier.parameter == "parameter"
 

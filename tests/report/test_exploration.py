@@ -128,7 +128,7 @@ def test_many_runs_fit_into_two_megabytes(tmp_path: Path, monkeypatch: pytest.Mo
         ({"over": {"chain.gravity": [1.0, np.nan]}}, "must be a list of numbers"),
         ({"over": {"chain.gravity": 9.81}}, "must be a list of numbers"),
         ({"over": {"chain.gravity": [-9.81, 9.81]}}, "chain.gravity: must be"),
-        ({"over": {"chain.gravity": np.arange(1, 1100).tolist()}}, "over: these are 1099 runs"),
+        ({"over": {"chain.gravity": np.arange(1, 1100).tolist()}}, "over: has 1099 runs"),
         ({"ovr": {}}, "did you mean 'over'"),
         ({"engine": "natve"}, "did you mean 'native'"),
         ({"tolerance": 0.0}, "tolerance: "),

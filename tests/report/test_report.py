@@ -157,7 +157,7 @@ def test_an_unresolved_front_is_not_denied(grains: int, duration: float, samples
         samples=samples,
     )
     run = simulate(scene, "native", 1e-6)
-    with pytest.raises(InputError, match=r"samples: .* record \d+ of them") as refusal:
+    with pytest.raises(InputError, match=r"samples: .* record \d+ samples") as refusal:
         front_below(run)
     needed = int(re.findall(r"record (\d+)", str(refusal.value))[0])
     finer = simulate(scene.replace(samples=needed), "native", 1e-6)
@@ -177,7 +177,7 @@ def test_only_a_real_front_is_reported(run: Trajectory):
     ):
         with pytest.raises(InputError, match="no single front"):
             arrival(simulate(run.scene.replace(excitation=excitation), "chebyshev"))
-    with pytest.raises(InputError, match="no grain shows"):
+    with pytest.raises(InputError, match="no front of the velocity passes"):
         arrival(simulate(run.scene.replace(excitation=Impulse(velocity=0.0)), "native", 1e-6))
 
 
@@ -187,9 +187,12 @@ def test_missing_parts_state_the_reason():
         chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=40, grains=[2, 5]
     )
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
-    assert "Not for this run: grains: no two neighbours were recorded" in page.sections["Contacts"]
     assert (
-        "Not for this run: grains: this takes grains that were not recorded"
+        "Not for this run: grains: no two neighbouring grains were recorded"
+        in page.sections["Contacts"]
+    )
+    assert (
+        "Not for this run: grains: some grains that are needed were not recorded"
         in page.sections["Energy"]
     )
     assert "left out: modes" in page.sections["Fits"]

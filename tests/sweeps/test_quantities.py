@@ -62,7 +62,7 @@ def test_every_quantity_has_its_unit_and_dimensions(swept: Any):
         if not whole:
             error = swept[f"{name}_error"]
             assert (error.attrs["units"], error.dims) == (unit, array.dims)
-            text = f"how far {name} may be off, by sampling and by the error of the solution"
+            text = f"uncertainty of {name} by sampling and by the error of the solution"
             assert error.attrs["long_name"] == text
     force = swept["peak_force_4"]
     assert (force.attrs["units"], force.dims) == ("N", ("chain.gravity",))
@@ -75,7 +75,7 @@ def test_every_quantity_has_its_unit_and_dimensions(swept: Any):
             "units": "1",
             "long_name": f"estimated relative error of {what}",
         }
-    assert swept.reason.attrs == {"units": "1", "long_name": "why there is no answer"}
+    assert swept.reason.attrs == {"units": "1", "long_name": "why there is no result"}
     assert swept.time.attrs == {"units": "s", "long_name": "time since the strike"}
     assert swept.grain.attrs == {"units": "1", "long_name": "number of the grain, from the top"}
     assert swept.attrs == {"engine": "native", "tolerance": 1e-6}

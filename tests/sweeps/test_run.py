@@ -84,13 +84,13 @@ def test_a_task_is_tried_three_times_if_its_process_dies(tmp_path: Path):
     with pytest.warns(UserWarning, match="some scenes could not be solved") as warned:
         found = sweep(ASKED, tmp_path / "b", executor=executor)
     text = (
-        "some scenes could not be solved this time; the first: the process that was at it died 3 "
+        "some scenes could not be solved this time; the first: the process that solved it died 3 "
         "times"
     )
     assert [str(each.message) for each in warned] == [text]
     assert executor.tried.count(2) == 3
     assert "gather" not in executor.tried
-    cause = "not done: the process that was at it died 3 times"
+    cause = "not done: the process that solved it died 3 times"
     assert found.reason.values.tolist() == ["", "", cause, cause, "", "", ""]
 
 
@@ -153,7 +153,7 @@ def test_warnings_are_given_once_for_all_scenes(tmp_path: Path):
     remarks = [str(each.message) for each in warned if "wide for a grain" in str(each.message)]
     assert len(remarks) == 1
     assert remarks[0].startswith("diameter: 1 m is wide")
-    assert remarks[0].endswith("; perhaps in other scenes, too")
+    assert remarks[0].endswith("; other scenes may be affected as well")
 
 
 def test_small_scenes_share_a_task():
@@ -203,11 +203,11 @@ def test_dask_is_used_by_its_address(monkeypatch: pytest.MonkeyPatch):
             assert executor == "executor, pure False"
     assert asked == ["tcp://a:1", "closed"]
     monkeypatch.setattr(Client, "threads", {})
-    missing = "no workers are there yet; start some: dask worker tcp://a:1 --nthreads 1"
+    missing = "the scheduler has no workers yet; start some: dask worker tcp://a:1 --nthreads 1"
     with pytest.warns(UserWarning, match=missing), run.dask("tcp://a:1"):
         pass
     monkeypatch.setitem(sys.modules, "distributed", None)
-    cure = r'scheduler: needs Dask: pip install "lmpchain\[cluster\]"'
+    cure = r'scheduler: requires Dask: pip install "lmpchain\[cluster\]"'
     with pytest.raises(InputError, match=cure), run.dask("tcp://a:1"):
         pass
 

@@ -217,7 +217,7 @@ def test_a_sweep_json_of_a_user_is_preserved(tmp_path: Path, capsys: pytest.Capt
     (tmp_path / "sweep.json").write_text('{"mine": 1}')
     assert main(["sweep", f"{tmp_path}/sweep.toml", "-o", f"{tmp_path}", "--workers", "1"]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith(f"error: {tmp_path}/sweep.json: is not lmpchain's: move it")
+    assert line.startswith(f"error: {tmp_path}/sweep.json: was not written by lmpchain: move it")
     assert (tmp_path / "sweep.json").read_text() == '{"mine": 1}'
 
 

@@ -106,7 +106,7 @@ def test_missing_places(run):
         traces.gather(run, force=[0])
     with pytest.raises(InputError, match="force: must be grains or wall, top, bottom"):
         traces.gather(run, force=["side"])  # type: ignore[list-item]
-    with pytest.raises(InputError, match="name a force"):
+    with pytest.raises(InputError, match="choose at least one force"):
         traces.gather(run)
 
 

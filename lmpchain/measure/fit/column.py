@@ -63,19 +63,21 @@ def strike_at_top(trajectory: Trajectory) -> float:
     excitation = scene.excitation
     faults = []
     if not chain.gravity or chain.top_load:
-        faults.append(("gravity", "takes a column under gravity alone, without a top load"))
+        faults.append(("gravity", "must act alone, without a top load, for this fit"))
     if chain.top != "free":
-        faults.append(("top", "takes a free top, not a wall"))
+        faults.append(("top", "must be free for this fit"))
     if chain.law.power_of("the front of a column") >= 3:
         faults.append(
-            ("exponent", "takes one below 3: from there on waves are dispersed at the top")
+            ("exponent", "must be below 3 for this fit: otherwise the top already disperses waves")
         )
     if chain.grains == 1:
-        faults.append(("grains", "takes several: a single one has no wave"))
+        faults.append(("grains", "must be two or more: a single grain has no wave"))
     elif not is_uniform(chain):
-        faults.append(("material", "takes equal grains, as the column of the paper has"))
+        faults.append(
+            ("material", "must be the same for all grains, as in the column of the paper")
+        )
     if not excitation.strikes_top or not scene.strike_velocity:
-        faults.append(("excitation", "takes a strike on grain 1: an impulse other than 0"))
+        faults.append(("excitation", "must be an impulse other than 0 on grain 1"))
     if faults:
         raise InputError(faults)
     return scene.strike_velocity
@@ -87,9 +89,9 @@ class FarRegion(NamedTuple):
     Attributes
     ----------
     earliest, latest : float
-        Times between which it begins, in units of tau.
+        Bounds of the time at which the region begins, in units of tau.
     forerunner : float
-        Time by which an echo precedes its arrival, in widths of the front.
+        Time between the first motion of an echo and its arrival, in widths of the front.
     """
 
     earliest: float = 5.0
@@ -109,18 +111,20 @@ class FrontLaw(Fitted, Tabular):
     Attributes
     ----------
     depth : (P,) array
-        h = n - 1/2, in grains.
-    time, shift : (P,) arrays
-        Times of the largest velocity, and lags of the front of a row of grains (0.908 w for
-        Hertz), units of tau.
+        Depths h = n - 1/2, in grains.
+    time : (P,) array
+        Times of the largest velocity, units of tau.
+    shift : (P,) array
+        Lags of the discrete chain behind the continuum, units of tau; 0.908 times the width of the
+        front for Hertz contacts.
     order, exponent, factor, correction : float
-        The order is 1/delta + 1/3, the next one after that of the lag.
+        Parameters of the law. The order is 1/delta + 1/3, the next order after that of the lag.
     error : (3,) array
-        Errors of exponent, factor and correction: half the 95 % interval, plus twice the shift
-        when one more order, higher by 1/delta - 1/3, is fitted too, which is most of the effect of
+        Errors of exponent, factor and correction: half the 95 % interval, plus twice the shift when
+        the next order, higher by 1/delta - 1/3, is also fitted. This shift is most of the effect of
         higher orders.
     expected : (2,) array
-        eta / 2 and 2 / eta, Eq. (9) with its factor.
+        Exponent eta / 2 and factor 2 / eta of Eq. (9).
     """
 
     _units: ClassVar[dict[str, str]] = {"depth": "", "time": "", "shift": ""}
@@ -173,20 +177,25 @@ class ContinuumFit(Fitted, Tabular):
 
     Attributes
     ----------
-    amplitude, error : float
-        C, for unit v0 in units of the scene; half its 95 % confidence interval, and three times the
-        shift when only the later half of the samples is used, as for a disturbance that falls as
-        1/tau.
+    amplitude : float
+        C, in the units of length and time of the scene, for a strike of unit velocity.
+    error : float
+        Error of C: half the 95 % confidence interval, plus three times the shift when only the
+        later half of the samples is used. The factor allows for disturbances that fall as 1/tau.
     expected : float
-        C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz.
+        C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz contacts.
     power : float
-        xi / (2 eta).
-    grain, cone, values, model : (P,) arrays
-        Fitted data: grains, tau^2 - chi^2, phi in units of v0, and the fit.
+        Exponent xi / (2 eta).
+    grain : (P,) array
+        Grains of the fitted samples.
+    cone : (P,) array
+        tau^2 - chi^2 of the fitted samples.
+    values, model : (P,) arrays
+        Displacements divided by the strike velocity and `Chain.time_scale`, and their fit.
     residual : float
-        Root mean square of values - model over that of values.
+        Root mean square of values - model relative to the root mean square of values.
     front : FrontLaw or None
-        None if fewer than 6 recorded grains show the front.
+        Law of the arrival times; None if it could not be fitted to 6 or more recorded grains.
     """
 
     _units: ClassVar[dict[str, str]] = {"grain": "", "cone": "", "values": "", "model": ""}
@@ -241,17 +250,19 @@ class ContinuumFit(Fitted, Tabular):
 def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) -> ContinuumFit:
     """Fit amplitude and front law of the continuum, Eqs. (27) and (35), to a struck column.
 
-    The amplitude rests on samples with ``chi <= inside tau`` that no echo from below has reached,
-    later than tau = 50, or, in shorter recordings, half the latest; the front on grains from
-    `first` on, down to where the echo is near.
+    The amplitude is fitted to samples with ``chi <= inside tau`` that no echo from below has
+    reached, after tau = 50 or, in shorter recordings, after half of the latest such time. The law
+    of the front is fitted to grains from `first` down to where the echo is near.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine, with a strike number far below 1.
+        Run of any engine, with a strike number far below 1.
     first : int
+        First grain for the law of the front.
     inside : float
-        Between 0 and 1; smaller values leave fewer grains, closer to the continuum.
+        Largest chi / tau of the samples, between 0 and 1; smaller values leave fewer grains, which
+        are closer to the continuum.
 
     Returns
     -------
@@ -291,7 +302,7 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
         need = 2.2 * FAR.earliest * chain.time_scale
         cure = f"record {need:.2g} s or more, grains near the top, and use more grains"
         raise InputError.at(
-            "duration", f"nothing lies far behind the front and before the echo: {cure}"
+            "duration", f"no samples are far behind the front and before the echo: {cure}"
         )
     clock = np.broadcast_to(tau[:, None], behind.shape)[behind]
     grain = np.broadcast_to(trajectory.grains, behind.shape)[behind]
@@ -378,19 +389,20 @@ class ExponentFit(Fitted):
     Attributes
     ----------
     laws : mapping of str to PowerLaw
-        "velocity" and "displacement", of the largest values; "time", "speed" and "width" of the
-        velocity's maximum, each with its first correction for finite depth. Those that could not be
-        fitted are left out.
+        Laws of "velocity" and "displacement" (largest values), and of "time", "speed" and "width"
+        of the maximum of the velocity, each with its first correction for finite depth. Laws that
+        could not be fitted are left out.
     expected : mapping of str to float
-        The exponents after a weak strike, at great depth.
+        Exponents at great depth after a weak strike.
     local : mapping of str to Exponents
-        d log / d log h of the same, fitted to 11 neighbouring grains each, or to all if there are
-        fewer.
+        Local exponents d log / d log h of the same quantities, each fitted to 11 neighbouring
+        grains, or to all grains if there are fewer.
     grain : (P,) array
         Grains whose velocity was fitted.
     strength : (P,) array
-        Peak velocity there over what the contact below holds at rest, eps_n sqrt(k_n / m): far
-        below 1 a wave is weak, far above it feels no gravity.
+        Peak velocity at each grain divided by eps_n sqrt(k_n / m), with the overlap eps_n and the
+        stiffness k_n at rest of the contact below. Far below 1 the wave is weak; far above 1
+        gravity does not affect it.
     """
 
     laws: Mapping[str, PowerLaw]
@@ -434,24 +446,28 @@ class ExponentFit(Fitted):
             yield "no law of great depth: the wave is still strong at the deepest grain"
         if self.grain.size:
             yield (
-                f"grains {self.grain[0]} to {self.grain[-1]}; left out are those next to the top, "
-                "and those nearer to the bottom than 3 + 2.5 N^(1/3) grains, where an echo comes"
+                f"grains {self.grain[0]} to {self.grain[-1]}; left out are grains next to the top, "
+                "and the last 3 + 2.5 N^(1/3) grains, where an echo arrives"
             )
 
     def approach(self, name: str) -> str:
         """Return in words which law the local exponents of a quantity approach at depth.
 
-        "on" a law is what agrees with it within the error at the deepest grains, "towards" one what
-        comes nearer to it from the first grains to the deepest by more than both errors.
+        The exponents are "on" a law if they agree with it within the error at the deepest grains.
+        They are "towards" a law if they are nearer to it at the deepest grains than at the first
+        grains, by more than both errors.
 
         Parameters
         ----------
         name : str
-            A key of `local`.
+            Name of the quantity, a key of `local`.
         """
         local = self.local[name]
         weak = self.expected[name]
-        laws = {"the law of weak waves": weak, "that of a solitary wave without load": STRONG[name]}
+        laws = {
+            "the law of weak waves": weak,
+            "the law of a solitary wave without load": STRONG[name],
+        }
         for words, law in laws.items():
             if abs(local.exponent[-1] - law) <= local.error[-1]:
                 return f"on {words}"
@@ -464,7 +480,7 @@ class ExponentFit(Fitted):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw local minus weak-wave exponents over depth with errors; return the axes.
 
-        Points at the right are the exponents of great depth.
+        Points at the right are the exponents at great depth.
         """
         shown = {} if self._strong else self.laws
         points = "; points: at great depth" if shown else ""
@@ -493,18 +509,19 @@ class ExponentFit(Fitted):
 def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = None) -> ExponentFit:
     """Fit the exponents of the front of a strike on the top as functions of depth.
 
-    Local ones by `lmpchain.measure.front.exponent`, with their confidence intervals, and those of
-    great depth by `lmpchain.measure.front.asymptotic`, with the correction for finite depth. The
-    latter are laws of weak waves: after a strong strike the local ones say how far the wave is from
-    them. Grains near a wall are left out: by default those nearer to the bottom than 3 + 2.5
-    N^(1/3), some widths of the front, as its echo comes before it has passed.
+    Local exponents are fitted by `lmpchain.measure.front.exponent`, with confidence intervals.
+    Exponents at great depth are fitted by `lmpchain.measure.front.asymptotic`, with the correction
+    for finite depth. The latter are valid for weak waves; after a strong strike, the local
+    exponents show how far the wave is from them. By default the fit leaves out the last
+    3 + 2.5 N^(1/3) grains, because the echo from the bottom arrives there before the front has
+    passed.
 
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine.
+        Run of any engine.
     first, last : int
-        Grains; the last one by default where the echo from below is near.
+        First and last grain of the fit.
 
     Returns
     -------
@@ -513,8 +530,8 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     Raises
     ------
     InputError
-        If the scene is not a uniform column struck at its free top, or fewer than 6 grains show the
-        front.
+        If the scene is not a uniform column struck at its free top, or the front passes fewer than
+        6 grains.
     """
     strike_at_top(trajectory)
     delta = trajectory.scene.chain.law.power_of("the front of a column")
@@ -523,8 +540,8 @@ def fit_exponents(trajectory: Trajectory, first: int = 20, last: int | None = No
     velocity = front_before_echo(trajectory, "velocity", first, last)
     size = velocity.grain.size
     if size < FEWEST:
-        need = f"a fit needs it at {FEWEST} or more grains from grain {first} on"
-        raise InputError.at("front", f"{need}; this run shows {size}: record longer")
+        need = f"a fit needs {FEWEST} or more grains from grain {first} on"
+        raise InputError.at("front", f"{need} (got {size}): record longer")
     fronts = {"velocity": ("amplitude", velocity)}
     with suppress(InputError):
         # Behind a strong wave the displacement has no maximum.

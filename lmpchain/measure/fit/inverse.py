@@ -43,18 +43,19 @@ class Trace(Shown):
     Parameters
     ----------
     time : (T,) array
-        Increasing, from 0 (the strike) or later, s.
+        Increasing times since the strike, s.
     grain : int or (G,) sequence
+        Numbers of the grains.
     values : (T,) or (T, G) array
-        m/s, m or N, velocity and displacement positive downward.
+        Measured values, m/s, m or N; velocities and displacements are positive downward.
     field : "velocity", "displacement" or "force"
-        A force is what a sensor in the grain shows above that at rest: the mean of its two
-        contacts, N.
+        Measured quantity. The force is the signal of a sensor in the grain, `contact.sensor`: the
+        mean of the two contact forces minus its value at rest.
 
     Raises
     ------
     InputError
-        With every fault found.
+        If an argument is not valid; the error lists every fault.
     """
 
     time: Array
@@ -97,12 +98,12 @@ def _trace_faults(
         yield "field", f"must be one of {', '.join(get_args(Field))} (got {shown(field)})"
     finite = time.ndim == 1 and time.size > 2 and np.isfinite(time).all()
     if not finite or time[0] < 0 or np.diff(time).min() <= 0:
-        yield "time", "must be three or more finite times, 0 or later, each above the one before"
+        yield "time", "must be three or more finite times that increase from 0 or later"
     if grains.ndim != 1 or np.unique(grains).size < grains.size:
-        yield "grain", "must be the number of a grain, or a list of different ones"
+        yield "grain", "must be the number of a grain, or a list of different numbers"
     if values.shape != (time.size, grains.size):
         shape = f"({time.size}, {grains.size}), not {values.shape}"
-        yield "values", f"must have one row a time and one column a grain, {shape}"
+        yield "values", f"must have one row per time and one column per grain, {shape}"
     elif not np.isfinite(values).all() or not values.any():
         yield "values", "must be finite, and not all 0: leave out what was not measured"
 
@@ -114,15 +115,19 @@ class ParameterFit(Fitted, Tabular):
     Attributes
     ----------
     parameter : str
-    value, error : float
-        m/s, N or Pa; one standard error, which assumes independent residuals, as of noise.
+        Name of the parameter.
+    value : float
+        Fitted value, m/s, N or Pa.
+    error : float
+        Standard error in the same unit, which assumes independent residuals such as noise.
     trace : Trace
+        Trace that was fitted.
     model : (T, G) array
-        Values in the scene with this parameter, in the units of the trace.
+        Values in the scene with the fitted parameter, in the units of the trace.
     residual : float
-        Root mean square of trace - model over that of the trace.
+        Root mean square of trace - model relative to the root mean square of the trace.
     scene : Scene
-        Scene with this value.
+        Scene with the fitted parameter.
     runs : int
         Number of runs of the engine.
     """
@@ -184,25 +189,26 @@ def fit_parameter(
 ) -> ParameterFit:
     """Fit the strike velocity, top load or Young's modulus of a scene to a trace.
 
-    Nine values between 1/span and span times that of the scene are tried, then least squares
-    continues from the best; the solution may lie 2 span away. An oscillation can be matched a
-    period too early or late: start near, or include the arrival of the wave in the trace.
+    Nine values from 1/span to span times the value of the scene are tried. A least-squares fit then
+    starts from the best value and may change it by a factor of up to 2 span. The fit of an
+    oscillation can be off by a period, so start near the solution, or include the arrival of the
+    wave in the trace.
 
     Parameters
     ----------
     trace : Trace or Trajectory
-        Of a trajectory, the velocities of all recorded grains are taken; see `Trace.of`. It begins
-        with the strike.
+        Measured trace, whose times count from the strike. For a trajectory, the velocities of all
+        recorded moving grains are fitted; see `Trace.of`.
     scene : Scene
-        Everything else that is known; its recording is not used.
+        Scene with all other parameters; its duration, samples and recorded grains are not used.
     parameter : "velocity", "top_load" or "youngs_modulus"
-        Of an impulse, of the chain, of its material (not that of impurities and walls with one of
-        their own).
+        Velocity of an impulse, top load of the chain, or Young's modulus of its material.
+        Impurities and walls with their own material keep their modulus.
     simulate : callable
-        Solver of a scene: `lmpchain.simulate`, or with an engine of your choice
+        Function that solves a scene: `lmpchain.simulate`, or for a certain engine
         ``functools.partial(lmpchain.simulate, engine="native", tolerance=1e-9)``.
     span : float
-        Above 1; a span of 1 begins with the value of the scene and tries no others.
+        Range of the values that are tried, 1 or more; with 1, only the value of the scene is tried.
 
     Returns
     -------
@@ -211,8 +217,8 @@ def fit_parameter(
     Raises
     ------
     InputError
-        If the scene has no such parameter, lacks a grain of the trace, or the trace does not depend
-        on it.
+        If the scene does not have the parameter or a grain of the trace, the trace does not depend
+        on the parameter, or no value in the range fits.
 
     Examples
     --------
@@ -277,7 +283,7 @@ def fit_parameter(
 def _find_start(residuals: Callable[[Array], Array], values: Array) -> float:
     """Return the value with the smallest residuals; raise `InputError` without any."""
     misfits = []
-    faults = [("simulate", "gives nothing that is finite: choose another value to begin with")]
+    faults = [("simulate", "returns no finite values: start from another value of the parameter")]
     for value in values:
         try:
             misfits.append(float(np.sum(residuals(np.array([value])) ** 2)))
@@ -308,13 +314,16 @@ def _parameter(
         }
         value = getattr(holders[parameter], parameter)
         if not value:
-            cure = "give it a value of the right size to begin with"
+            cure = "start from a value of the right order of magnitude"
             faults.append((parameter, f"is 0 in the scene: {cure}"))
     if not np.isfinite(span) or span < 1:
         faults.append(("span", f"must be 1 or more (got {shown(span)})"))
     if trace.grain.min() < 1 or trace.grain.max() > chain.movable:
         faults.append(
-            ("grain", f"the trace is of grain {trace.grain.max()}, but 1 to {chain.movable} move")
+            (
+                "grain",
+                f"the trace has grain {trace.grain.max()}, but only 1 to {chain.movable} move",
+            )
         )
     if faults:
         raise InputError(faults)
@@ -329,10 +338,13 @@ def _parameter(
 def _parameter_faults(scene: Scene, parameter: Parameter) -> Iterator[tuple[str, str]]:
     """Yield the reasons why a scene lacks the parameter."""
     if parameter == "velocity" and not isinstance(scene.excitation, Impulse):
-        yield "excitation", "only an impulse has a velocity to fit: give the scene one"
+        yield "excitation", "only an impulse has a velocity to fit: give the scene an impulse"
     if parameter == "youngs_modulus":
         if not isinstance(scene.chain.material, Material):
-            yield "material", "the grains have materials of their own: give the chain one for all"
+            yield (
+                "material",
+                "the grains have different materials: give the chain a single material",
+            )
         elif scene.chain.given().get("contact_constants") is not None:
             fault = "are given, so that Young's modulus changes nothing: leave them out"
             yield "contact_constants", fault

@@ -29,11 +29,13 @@ class Summary(Shown):
     Attributes
     ----------
     strike_number : float
-    rows : tuple of Row
+        Strike number of the scene.
+    rows : tuple of FittedNumber
+        Fitted numbers of all fits.
     left_out : tuple of (fit, reason)
         Fits that do not apply, with the reasons.
     notes : tuple of str
-        Remarks of the fits: excluded grains, asymptotic laws.
+        Remarks of the fits, such as excluded grains and asymptotic laws.
     """
 
     strike_number: float
@@ -86,12 +88,12 @@ def summary(trajectory: Trajectory) -> Summary:
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine, or read from a dump.
+        Run of any engine, or a trajectory that was read from a dump.
 
     Returns
     -------
     Summary
-        A row for each fitted number, and why other fits were left out.
+        Fitted numbers, and the reasons why other fits were left out.
 
     Examples
     --------
@@ -129,9 +131,7 @@ def summary(trajectory: Trajectory) -> Summary:
 
 def _modes(trajectory: Trajectory) -> ModeFit:
     if trajectory.scene.chain.movable > MOST_MODES:
-        raise InputError.at(
-            "grains", f"with more than {MOST_MODES} it takes long: call fit_modes itself"
-        )
+        raise InputError.at("grains", f"more than {MOST_MODES} take long: call fit_modes directly")
     fit = fit_modes(trajectory)
     if not fit.energy.any():
         raise InputError.at("excitation", "nothing moves")

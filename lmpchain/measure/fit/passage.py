@@ -24,12 +24,13 @@ class FrontPassage(Fitted):
     Attributes
     ----------
     front : Front
+        Front of the velocity at each grain.
     peaks : Peaks
-        The largest speeds.
+        Largest speed of each grain.
     contact : int
-        The contact with the largest force; -1 if the forces of no contact are known.
+        Number of the contact with the largest force; -1 if no contact force is known.
     force : float
-        This force at the samples, N.
+        Largest force of this contact at the samples, N.
     """
 
     front: Front
@@ -69,7 +70,7 @@ def fit_passage(trajectory: Trajectory) -> FrontPassage:
     Parameters
     ----------
     trajectory : Trajectory
-        Of any scene: forced, driven, struck, damped.
+        Run of any scene, whether struck, forced, driven or damped.
 
     Returns
     -------

@@ -32,21 +32,26 @@ class SolitonFit(Fitted, Tabular):
     Attributes
     ----------
     grain : (P,) array
-    time, velocity : (P,) arrays
-        When the largest velocity passes, s, and its size, m/s.
-    amplitude, speed, width : float
-        Mean of these velocities, m/s; grains/s; full width at half maximum of the velocity, in
-        grains.
+        Numbers of the fitted grains.
+    time : (P,) array
+        Times of the largest velocity of each grain, s.
+    velocity : (P,) array
+        Magnitudes of these velocities, m/s.
+    amplitude : float
+        Mean of these velocities, m/s.
+    speed : float
+        Wave speed, grains/s.
+    width : float
+        Full width at half maximum of the velocity, in grains.
     error : (3,) array
-        Errors of amplitude, speed and width: half the 95 % interval, plus what sampling may
-        cost.
+        Errors of amplitude, speed and width: half the 95 % interval, plus the effect of sampling.
     wave : Soliton
-        The exact one of this amplitude.
+        Exact solitary wave of this amplitude.
     expected : (3,) array
-        Its amplitude, speed and width, in the same units.
+        Amplitude, speed and width of the exact wave, in the same units.
     formula : float
-        Speed by the long-wave formula for this wave, Coste's under a load, Nesterenko's in a sonic
-        vacuum, grains/s.
+        Speed of this wave by the long-wave formula of Coste under a load, or of Nesterenko in a
+        sonic vacuum, grains/s.
     """
 
     _units: ClassVar[dict[str, str]] = {"grain": "", "time": "s", "velocity": "m/s"}
@@ -103,10 +108,10 @@ def fit_soliton(
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine that solves Eq. (1).
+        Run of any engine that solves Eq. (1).
     first, last : int, optional
-        Grains; by default the later half of those that the wave passes, the 5 next to either end
-        left out, where a wave meets its reflection.
+        First and last grain of the fit; by default the later half of the grains that the wave
+        passes, without the 5 grains at either end, where a wave meets its reflection.
 
     Returns
     -------
@@ -115,7 +120,7 @@ def fit_soliton(
     Raises
     ------
     InputError
-        If the chain is not uniform there or under gravity, or if what passes is no solitary wave.
+        If the chain is under gravity or not uniform there, or the wave is not solitary.
 
     Examples
     --------
@@ -141,18 +146,20 @@ def fit_soliton(
     # The recording may end within the wave.
     complete = np.isfinite(front.width) & np.isfinite(front.width_error)
     if complete.sum() < FEWEST:
-        need = f"must pass {FEWEST} or more recorded grains as a whole, not {complete.sum()}"
+        need = f"must pass {FEWEST} or more recorded grains completely (got {complete.sum()})"
         raise InputError.at("front", f"{need}: record for longer, or more grains")
     line = stats.linregress(front.grain, front.time)
     # Compression moves grains in the direction of the wave.
     if (front.amplitude * line.slope <= 0).any():
-        raise InputError.at("front", "grains move against it: no solitary wave under compression")
+        raise InputError.at(
+            "front", "grains move against the wave: this is not a compressive solitary wave"
+        )
     amplitude = float(np.abs(front.amplitude).mean())
     scatter = float(np.ptp(np.abs(front.amplitude))) / amplitude
     if scatter > SOLITARY:
         grains = f"from grain {front.grain[0]} to {front.grain[-1]}"
         raise InputError.at(
-            "front", f"its height changes by {scatter:.1%} {grains}: no solitary wave"
+            "front", f"its height changes by {scatter:.1%} {grains}: this is not a solitary wave"
         )
     wave, time = exact_wave(chain, amplitude)
     speed = float(1 / np.abs(line.slope))
@@ -162,7 +169,8 @@ def fit_soliton(
     if np.abs(ratios - 1).max() > SOLITARY:
         raise InputError.at(
             "front",
-            f"has {ratios[0]:.3g} times the speed and {ratios[1]:.3g} the width of a solitary wave",
+            f"has {ratios[0]:.3g} times the speed and {ratios[1]:.3g} times the width of a "
+            "solitary wave",
         )
     if wave.loaded:
         formula = coste_speed((1 + wave.overlap(0.0)) ** wave.delta, wave.delta)
@@ -206,11 +214,15 @@ def check_chain(chain: Chain) -> None:
     """Raise `InputError` unless solitary waves travel unchanged in this chain."""
     chain.refuse_ground("a solitary wave")
     if chain.gravity > 0:
-        raise InputError.at("gravity", "must be 0: contacts that stiffen with depth change a wave")
+        raise InputError.at(
+            "gravity", "must be 0, because contacts that stiffen with depth change a wave"
+        )
     if chain.law.power_of("a solitary wave") == 1:
-        raise InputError.at("exponent", "must be above 1: springs have no solitary wave")
+        raise InputError.at(
+            "exponent", "must be above 1, because linear springs have no solitary waves"
+        )
     if chain.grains == 1:
-        raise InputError.at("grains", "must be several: a single one has no wave")
+        raise InputError.at("grains", "must be two or more: a single grain has no wave")
 
 
 def _uniform_piece(chain: Chain, grains: np.ndarray) -> Chain:

@@ -19,8 +19,11 @@ class FittedNumber:
     Attributes
     ----------
     fit, quantity, unit : str
-    value, error : float
-        The error as the fit defines it; NaN where there is none.
+        Names of the fit and of the quantity, and the unit.
+    value : float
+        Fitted value.
+    error : float
+        Error as defined by the fit; NaN if there is none.
     expected : float
         Value from the scene or theory; NaN if there is no prediction.
     """

@@ -31,15 +31,16 @@ class BesselRegion(NamedTuple):
     Attributes
     ----------
     unevenness : float
-        Relative differences of masses and stiffnesses up to which a chain counts as uniform.
+        Largest relative difference of masses and stiffnesses in a chain that counts as uniform.
     forerunner : float
-        Echoes have not arrived where 2 s = m - 7.4 m^(1/3): there J_m(2 s) is below 1e-10.
+        Factor f in the time 2 s = m - f m^(1/3) before which no echo has arrived: J_m(2 s) is then
+        below 1e-10.
     fewest : int
         Smallest number of values for three parameters and their errors.
     most : int
-        Largest number of values; of more, those of some of the grains are fitted.
+        Largest number of values; if there are more, some of the grains are left out.
     arrival : float
-        Size of a wave that has arrived, over that of the strike.
+        Smallest size of a wave that has arrived, relative to the size of the strike.
     """
 
     unevenness: float = 0.05
@@ -62,18 +63,21 @@ class ModeFit(Fitted, Tabular):
         Frequencies, rad/s, ascending.
     time : (T,) array
         Times, s.
-    amplitude, rate : (T, M) arrays
-        ``a_p = sum_n m_n X_pn phi_n`` with modes orthonormal in mass, m kg^(1/2), and its rate, m
-        kg^(1/2)/s.
-    energy, energy_error : (M,) arrays
-        (a'^2 + w^2 a^2) / 2 of each mode at t = 0, J, and its standard deviation over the samples,
-        0 for a linear wave.
+    amplitude : (T, M) array
+        Mode amplitudes ``a_p = sum_n m_n X_pn phi_n``, m kg^(1/2); the modes are orthonormal in
+        mass.
+    rate : (T, M) array
+        Time derivatives of the amplitudes, m kg^(1/2)/s.
+    energy : (M,) array
+        Energy (a'^2 + w^2 a^2) / 2 of each mode at t = 0, J.
+    energy_error : (M,) array
+        Standard deviation of this energy over the samples, J; 0 for a linear wave.
     given : float
-        Energy of the motion at t = 0 by the scene, with its nonlinear part, J; NaN if unknown.
+        Energy of the scene at t = 0 including its nonlinear part, J; NaN if unknown.
     residual : (T,) array
-        Distance of the linear motion from the state at t = 0, Eqs. (15) and (16), from the
-        trajectory: max|x - x_linear| over the grains over max|x| over grains and samples, the
-        larger of displacement and velocity.
+        Relative deviation of the trajectory from the linear motion with the same state at t = 0,
+        Eqs. (15) and (16): the largest |x - x_linear| of any grain divided by the largest |x| of
+        all grains and samples. It is the larger of the values for displacement and velocity.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "energy": "J", "energy_error": "J"}
@@ -132,7 +136,8 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine, with all grains that move. Time and memory grow as M^2.
+        Run of any engine, in which all M grains that move were recorded. Time and memory grow as
+        M^2.
 
     Returns
     -------
@@ -141,7 +146,8 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
     Raises
     ------
     InputError
-        If nothing can be linearised, grain 1 is driven, or a grain that moves was not recorded.
+        If the chain cannot be linearised, is forced or driven, or a grain that moves was not
+        recorded.
 
     Examples
     --------
@@ -190,31 +196,38 @@ def fit_modes(trajectory: Trajectory) -> ModeFit:
 class BesselFit(Fitted, Tabular):
     """A motion ``amplitude [J_(2|n-p|)(2s) + J_(2(n+p-1))(2s)]`` after a strike on grain p.
 
-    Here s = rate (t - delay). The second term is the image in a free top, Eq. (11) if p = 1; under
-    a wall it is absent, Eq. (6). Standard errors assume independent residuals, as of noise; model
-    errors are not independent.
+    Here s = rate (t - delay). The second term is the reflection from a free top, Eq. (11) if p = 1;
+    it is absent below a wall, Eq. (6). Standard errors assume independent residuals such as noise,
+    but errors of the model are not independent.
 
     Attributes
     ----------
     field : "velocity" or "displacement"
-        Quantity that was given to grain p, and is fitted.
+        Field of the initial motion of grain p, which is fitted.
     struck : int
-        p.
-    amplitude, rate, delay : float
-        m/s or m; sqrt(k / m) there, 1/s, also the speed of long waves in grains a second; when the
-        wave set out, s.
+        Number p of the struck grain.
+    amplitude : float
+        Initial velocity, m/s, or displacement, m, of grain p.
+    rate : float
+        sqrt(k / m) around grain p, 1/s, which is also the speed of long waves in grains/s.
+    delay : float
+        Time at which the wave starts, s.
     kappa : float
-        rate^2 over k_1 / m_1 of the scene: kappa of Eq. (3).
+        rate^2 divided by k_1 / m_1 of the scene: kappa of Eq. (3).
     error : (4,) array
-        One standard error of amplitude, rate, delay and kappa.
+        Standard errors of amplitude, rate, delay and kappa.
     covariance : (3, 3) array
         Covariance of amplitude, rate and delay.
     expected : (4,) array
-        The values that scene and theory give.
-    grain, time, values, model : (P,) arrays
-        Fitted data: grains, times, s, values, m/s or m, and the fit.
+        Amplitude, rate, delay and kappa from the scene and theory.
+    grain : (P,) array
+        Grains of the fitted values.
+    time : (P,) array
+        Times of the fitted values, s.
+    values, model : (P,) arrays
+        Fitted values and their fit, m/s or m.
     residual : float
-        Root mean square of values - model over that of values.
+        Root mean square of values - model relative to the root mean square of values.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -264,7 +277,7 @@ class BesselFit(Fitted, Tabular):
     def front_time(self, grain: int) -> float:
         """Return the time when the main maximum passes a grain, ``2s = m + 0.8086 m^(1/3)``, s.
 
-        Here ``m = 2 |n - p|``, which must be large.
+        The formula holds for large ``m = 2 |n - p|``, where n is the grain and p the struck grain.
         """
         m = 2 * abs(grain - self.struck)
         return self.delay + (m + 0.8086 * np.cbrt(m)) / (2 * self.rate)
@@ -294,14 +307,15 @@ def fit_bessel(
     Parameters
     ----------
     trajectory : Trajectory
-        Of any engine.
+        Run of any engine.
     grains : (first, last), optional
-        By default those around the struck one whose mass and contacts are like its own within 5 %.
+        First and last grain of the fit; by default the grains around the struck grain p whose
+        masses and contacts differ from its own by 5 % or less.
     until : float, optional
-        s. By default each grain is taken until the first echo from the end of that region, or of
-        the chain, can come: until ``2 s = m - 7.4 m^(1/3)``, m = 2 (2 end - n - p), at the nominal
-        rate. Of more than 262144 values, those of every so many of the grains that the wave has
-        reached are fitted.
+        Last time of the fit, s. By default grain n is fitted until the first echo from an end of
+        this range, or of the chain, can arrive. For an end at grain e, this is the time at which
+        ``2 s = m - 7.4 m^(1/3)``, m = 2 |2 e - n - p|, for the nominal rate. If there are more than
+        262144 values, only every k-th grain that the wave has reached is fitted.
 
     Returns
     -------
@@ -334,12 +348,10 @@ def fit_bessel(
         field = "displacement"
         size = strike.displacement
     else:
-        raise InputError.at(
-            "excitation", "takes an impulse or displacement of one grain: strike one"
-        )
+        raise InputError.at("excitation", "must be an impulse or a displacement of one grain")
     if not chain.compressed:
         raise InputError.at(
-            "chain", "carries no force at rest: nothing is linear without gravity or a top load"
+            "chain", "carries no force at rest: linear waves need gravity or a top load"
         )
     chain.refuse_loose("a fit of weak waves")
     if not size:
@@ -354,8 +366,8 @@ def fit_bessel(
     # The value at t = 0 is prescribed.
     largest = np.abs(values[time > 0]).max(initial=0.0)
     if n.size < REGION.fewest or largest < REGION.arrival * abs(size):
-        fault = f"{n.size} values lie where the solution can hold, too few, or without the wave"
-        cure = "record more often or for longer, more grains near it, or give grains and until"
+        fault = f"the fit has {n.size} values, which are too few or do not show the wave"
+        cure = f"record longer, more often, or more grains near grain {p}; or set grains and until"
         raise InputError.at("samples", f"{fault}: {cure}")
     orders = [2 * np.abs(n - p)] + [2 * (n + p - 1)] * (chain.top == "free")
 
@@ -406,7 +418,7 @@ def _window(
     n = trajectory.grains
     time = trajectory.time[:, None]
     if chain.grains == 1:
-        raise InputError.at("grains", "takes a chain of several: a single one has no wave")
+        raise InputError.at("grains", "must be two or more: a single grain has no wave")
     first, last = _uniform_part(chain, p)
     if grains is not None:
         first, last = grains
@@ -416,7 +428,7 @@ def _window(
             )
     elif last - first < 2:
         fault = f"is not uniform within {REGION.unevenness:.0%} around grain {p}"
-        cure = "strike a grain further down, or give grains and until"
+        cure = "strike a grain further down, or set grains and until"
         raise InputError.at("chain", f"{fault}: {cure}")
     inside = (n >= first) & (n <= last)
     if until is not None:
