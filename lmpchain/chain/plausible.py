@@ -32,9 +32,9 @@ class ChainLimits:
         wide as the grain, but the theory assumes that it is far narrower (K. L. Johnson, Contact
         Mechanics, Cambridge 1985, section 4.2).
     usual_diameter : float
-        Largest diameter of a grain without a remark, m.
+        Largest diameter of a grain that causes no remark, m.
     long_chain : int
-        Number of grains from which on arrays are expensive.
+        Smallest number of grains for which arrays are expensive.
     """
 
     least_force: float = 1e-100

@@ -67,7 +67,7 @@ class Layer(NamedTuple):
         Mass of each grain, kg, and stiffness, N/m, and viscosity, s, of the contact beyond it; 0 if
         there is no contact.
     cell : int
-        P: the first P grains and contacts are the cell that repeats before the layer.
+        Period P: the first P grains and contacts are the cell that repeats before the layer.
     """
 
     masses: Array
@@ -123,9 +123,9 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     ----------
     sponge : Layer
     drag : (S,) array
-        gamma of the grains of the layer, 1/s.
+        Drag gamma of each grain of the layer, 1/s.
     frequency : (F,) array
-        rad/s, within the bands of the cell.
+        Angular frequencies within the bands of the cell, rad/s.
     """
     square = frequency**2
     inertia = [m * (square + 1j * g * frequency) for m, g in zip(sponge.masses, drag, strict=True)]
