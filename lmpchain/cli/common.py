@@ -131,8 +131,8 @@ def output(
 ) -> Path:
     """Return the path of a file to write, after checking that it can be written.
 
-    A file that lmpchain did not write may be replaced only by `force`. With `stream`, the name "-"
-    stands for standard output.
+    A file that lmpchain did not write is replaced only with `force`. With `stream`, the name "-"
+    means standard output.
     """
     from ..util.files import expanded, is_foreign
 

@@ -43,8 +43,8 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 class Verb(NamedTuple):
     """A command with its summary and an example.
 
-    Of the arguments in `choice` one may be given. `renamed` maps earlier spellings of options,
-    which are still accepted, to those of today.
+    At most one of the arguments in `choice` may be given. `renamed` maps earlier spellings of
+    options, which are still accepted, to the present ones.
     """
 
     command: Callable[[argparse.Namespace], int]
@@ -190,7 +190,7 @@ VERBS = {
             _argument(
                 "--force",
                 action="store_true",
-                help="replace the file or the run that is there already",
+                help="replace an existing file or run",
             ),
             _argument("--engine", metavar="E", default="auto", help="engine (default: auto)"),
             TOLERANCE,

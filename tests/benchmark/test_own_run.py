@@ -143,7 +143,7 @@ def test_few_digits_are_named_as_the_cause(tmp_path: Path):
     assert "%.17g" in found.causes[1].why
     fine = check(all_digits, small())
     assert causes(fine)["digits"] < 0.1 * left_out
-    assert "round-off of heights" in fine.causes[1].why
+    assert "rounding error of the heights" in fine.causes[1].why
     # The check of the deck predicts the same error before the run.
     (expected,) = (c.error for c in check_deck(tmp_path / "few").causes if c.name == "digits")
     assert left_out < expected < 10 * left_out
@@ -367,7 +367,7 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     assert main(["check", "folder", "--tolerance", "1e-4"]) == 0
     capsys.readouterr()
     for words, fault in (
-        (["run.nc", "--scene", "other.toml"], "scene: is not the one of the run"),
+        (["run.nc", "--scene", "other.toml"], "scene: is not the scene of the run"),
         (["run.nc", "--deck", "deck"], "run: name one"),
         ([], "run: name one"),
         (["run.nc", "--tolerance", "2"], "tolerance: must be between 0 and 1"),
@@ -398,7 +398,7 @@ def test_unrecorded_grains_make_the_energy_unknown():
     found = check(simulate(small().replace(grains="1:5"), Native("verlet", STEP)))
     assert np.isnan(found.error_energy)
     assert found.to_json()["error_energy"] is None
-    assert "grains that move were not recorded" in found.table()
+    assert "moving grains were not recorded" in found.table()
 
 
 def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):

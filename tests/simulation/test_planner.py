@@ -456,7 +456,7 @@ def test_the_expected_cost_in_lammps(capsys: pytest.CaptureFixture[str]):
             ["plan", str(SCENES / "weak.toml"), "--json", "/nowhere/plan.json"],
             "error: /nowhere/plan.json: ",
         ),
-        (["plan", "--calibrate", "--json", "plan.json"], "error: json: goes with a scene"),
+        (["plan", "--calibrate", "--json", "plan.json"], "error: json: needs a scene"),
     ],
 )
 def test_bad_input(words: list[str], said: str, capsys):
