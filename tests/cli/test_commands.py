@@ -131,7 +131,9 @@ def test_warnings_are_printed_before_the_run(
         start_under_mpirun(monkeypatch, 0)
         command = ["run", str(scene), "--force", "--tolerance", "0.1", "--engine", engine]
         assert main(command) == 0
-        one = f"warning: the engine {engine} runs on one rank; --engine lammps would use all ranks\n"
+        one = (
+            f"warning: the engine {engine} runs on one rank; --engine lammps would use all ranks\n"
+        )
         assert capsys.readouterr().err == (one if alone else "")
 
 
