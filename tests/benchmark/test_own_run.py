@@ -270,7 +270,7 @@ def test_a_deck_with_points_contains_its_scene(tmp_path: Path):
     times = [0.0, 1e-6, 2e-5]
     scene = small(Force(grain=1, times=times, force=[0.0, 1e-3, 0.0]), bottom="wall")
     write_deck(scene, tmp_path, step=1e-7)
-    with pytest.raises(InputError, match=r"acts through points.*--scene"):
+    with pytest.raises(InputError, match=r"is given by points.*--scene"):
         check_deck(tmp_path)
     t = simulate(scene, Native("verlet", 1e-7))
     assert check_deck(tmp_path, scene).error == pytest.approx(
@@ -303,7 +303,7 @@ EDITS = [
     (r"fix +motion mobile nve", "fix motion mobile nve/limit 1e-9", r"line \d+ .*nve/limit"),
     (r"\nfix +weight.*", "", r"is not `fix weight"),
     (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* contains no number"),
-    (r"\nrun .*", "\nrun 2.5", r"must hold a whole number"),
+    (r"\nrun .*", "\nrun 2.5", r"must contain a whole number"),
     (r"\nrun .*", "\nrun 1", r"ends before the first dump"),
     (r"\nrun .*", r"\g<0>\nshell touch gone", r"line \d+ \(shell touch gone\) is not known"),
     (r"\nrun .*", "", r"has no command run"),
@@ -340,7 +340,7 @@ def test_invalid_data_are_rejected(tmp_path: Path):
     text = data.read_text()
     for broken in ("", text.replace("Velocities", "Speeds"), text.replace("\n7 1 ", "\n6 1 ")):
         data.write_text(broken)
-        with pytest.raises(InputError, match=r"column.data: is no data file of a column"):
+        with pytest.raises(InputError, match=r"column.data: is not a column's data file"):
             check_deck(tmp_path)
     data.unlink()
     with pytest.raises(InputError, match="there is no file"):

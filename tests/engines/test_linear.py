@@ -305,7 +305,7 @@ def test_scenes_without_linear_theory_are_rejected():
         (
             Chain(grains=5, diameter=1e-3),
             points,
-            "excitation: linear engines solve no motion or force by points",
+            "excitation: linear engines do not support a motion or force by points",
         ),
     ):
         for engine in ENGINES:

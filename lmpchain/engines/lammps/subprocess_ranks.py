@@ -28,6 +28,7 @@ class SubprocessRanks:
     Attributes
     ----------
     ranks : int
+        Number of ranks.
     pids : list of int
         Process numbers of the ranks.
     """
@@ -100,8 +101,7 @@ class SubprocessRanks:
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
         return EngineUnavailable(
-            f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: "
-            f"{self._last_words()}"
+            f"a rank of LAMMPS died, and all {self.ranks} ranks with it: {self._last_words()}"
         )
 
     def _last_words(self) -> str:
@@ -184,7 +184,7 @@ def gather(ranks: int | None, log: str) -> Communicator:
     Raises
     ------
     InputError
-        If they are not to be had.
+        If mpirun has started another number of ranks.
     EngineUnavailable
         If MPI does not work here.
     """
@@ -192,7 +192,7 @@ def gather(ranks: int | None, log: str) -> Communicator:
     if mpi.count_processes() > 1 and ranks not in (None, 1 if world is None else world.size):
         raise InputError.at(
             "ranks",
-            f"mpirun has started {mpi.count_processes()} processes; leave the number of ranks out",
+            f"mpirun has started {mpi.count_processes()} processes: leave the number of ranks out",
         )
     if world:
         return MpiRanks(world, log)
