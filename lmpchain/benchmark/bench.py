@@ -55,7 +55,7 @@ class Effort:
     better : float
         A point with an error below this multiple of the best error is an improvement.
     patience : int
-        Consecutive points without an improvement after which rounding error dominates.
+        Number of consecutive points without an improvement after which rounding error dominates.
     reference_s : float
         Longest allowed computing time of the reference solution, s.
     """

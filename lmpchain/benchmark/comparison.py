@@ -122,7 +122,8 @@ class ComparisonRow:
     equation : int
         Number of the equation of the paper that the engine solves.
     error, error_displacement, error_velocity : float
-        Largest relative error; relative error of the displacement; relative error of the velocity.
+        Larger of the two other errors; relative error of the displacement; relative error of the
+        velocity.
     expected_error : float
         The engine's own estimate, `Trajectory.error_estimate.total`.
     integration_s, compile_s : float

@@ -40,7 +40,7 @@ class Search:
     better : float
         An error below this multiple of the best one counts as an improvement.
     patience : int
-        Consecutive runs without an improvement after which rounding error dominates.
+        Number of consecutive runs without an improvement after which rounding error dominates.
     """
 
     cost_s: float = 3.0

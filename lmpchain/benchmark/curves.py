@@ -44,7 +44,7 @@ class CurvePoint(ComparisonRow):
     step_s : float
         Time step, s.
     grain_steps_per_s : float
-        Force evaluations times computed grains, per second of integration.
+        Number of force evaluations times number of computed grains, per second of integration.
     longest : bool
         Whether this is the longest stable step: at longer ones the run breaks down or its error
         exceeds 1.

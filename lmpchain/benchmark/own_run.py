@@ -96,8 +96,8 @@ class RunCheck(Shown):
     subject : str
         File, folder or engine that was checked.
     error, error_displacement, error_velocity : float
-        Larger of both errors; error of the displacement; error of the velocity. For a deck, these
-        are expected errors.
+        Larger of the two other errors; error of the displacement; error of the velocity. For a
+        deck, these are expected errors.
     error_energy : float
         Largest difference of the energy above rest, relative to the largest energy; NaN if
         grains that move were not recorded, or if the ground depends on the time.

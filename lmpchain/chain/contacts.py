@@ -68,13 +68,13 @@ class Contacts:
     ----------
     law : ContactLaw
     constant : (..., N+1) array
-        K_n, N/m^delta.
+        Constant K_n of each contact, N/m^delta.
     force : (..., N+1) array
         Force of each contact at rest, N.
     overlap : (..., N+1) array
         Overlap eps_n at rest, m.
     stiffness : (..., N+1) array
-        Linear stiffness at rest, delta K_n eps_n^(delta-1) of a power law, N/m.
+        Linear stiffness at rest, N/m; for a power law, delta K_n eps_n^(delta-1).
     """
 
     law: ContactLaw

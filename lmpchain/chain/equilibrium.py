@@ -32,7 +32,7 @@ class Equilibrium:
     contact_lengths : (..., N+1) array
         Mean diameter of the two grains of every contact, or the grain's diameter at a wall, m.
     diameters, masses : (..., N) arrays
-        Diameters and masses, m and kg.
+        Diameter of each grain, m; mass of each grain, kg.
     """
 
     contacts: Contacts

@@ -20,9 +20,9 @@ class Impurity(Checked):
     grain : int
         Number of the grain, from 1 at the top.
     diameter : float, optional
-        Diameter, m; by default as the other grains.
+        Diameter, m; by default the diameter of the other grains.
     material : Material or name, optional
-        Material; by default as the other grains.
+        Material; by default the material of the other grains.
     mass : float, optional
         Mass, kg; by default it follows from diameter and material.
     """
@@ -97,8 +97,9 @@ class Kinds(NamedTuple):
     Attributes
     ----------
     materials : list of Material
+        Material of each kind.
     diameters, masses : list of float
-        Diameters and masses, m and kg.
+        Diameter of each kind, m; mass of each kind, kg.
     """
 
     materials: list[Material]

@@ -357,7 +357,7 @@ class Law(ContactLaw):
         Raises
         ------
         InputError
-            If the force of the law passes this force, as it grows, at no overlap or at several.
+            If the law reaches this force with a positive slope at no overlap, or at more than one.
         """
         columns = np.broadcast_arrays(force, self._constant(constant), *self.parameters)
         shape = columns[0].shape

@@ -65,7 +65,7 @@ def fput(alpha: Any = 0.0, beta: Any = 0.0, k: Any = None) -> Law:
     Parameters
     ----------
     alpha, beta : float or (N-1,) array, optional
-        Coefficients of the quadratic force, N/m2, and of the cubic force, N/m3.
+        Coefficient of the quadratic force, N/m2; coefficient of the cubic force, N/m3.
     k : float or (N-1,) array, optional
         Contact constant, in N/m; by default it follows from the grains of the chain.
 
@@ -101,7 +101,7 @@ def bilinear(tension: Any, k: Any = None) -> Law:
     Parameters
     ----------
     tension : float or (N-1,) array
-        Stiffness of a stretched spring over that of a pressed one.
+        Ratio of the stiffness in tension to the stiffness in compression.
     k : float or (N-1,) array, optional
         Contact constant, in N/m; by default it follows from the grains of the chain.
 

@@ -1,8 +1,8 @@
 """Absorbing boundaries: layers of grains at an end of a chain, with gradually increasing drag.
 
 The reflection of linear waves is exact: displacement and force are propagated upward from the last
-grain, and decomposed into the two waves of the periodic chain above the layer. The drag of grain j,
-counted away from the chain, is
+grain, and decomposed into the two waves of the periodic chain above the layer. In a layer of S
+grains, the drag of grain j, counted away from the chain, is
 
     gamma_j = gamma_S x_j^p,    x_j = (j - 1/2) / S,    j = 1 ... S.
 """
@@ -34,7 +34,7 @@ class Grading:
     powers : tuple of int
         Candidates for p; short layers are best with the first, long ones with the last.
     weakest, strongest : float
-        Range of gamma_S over the highest frequency of the cell.
+        Smallest and largest ratio of gamma_S to the highest frequency of the cell.
     middle : float
         Central fraction of every band in which the largest reflection is minimised.
     frequencies : int

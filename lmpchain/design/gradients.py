@@ -43,7 +43,7 @@ class GradientRuns:
     halvings : int
         Largest number of halvings of the steps.
     nearby : float
-        Step ratio of the third run, with which an answer is compared.
+        Ratio of the step of the third run to the step of the answer with which it is compared.
     """
 
     look: float = 0.25

@@ -4,9 +4,9 @@ Every engine states which equation it solves, predicts the cost and the error of
 yields the answer in blocks with an estimate of its own error. `lmpchain.simulation` does the rest
 for all engines: light cone, choice of the engine, step control, progress, Ctrl-C and output.
 
-In the terms of solvers of differential equations: an engine is the solver, and `step_control` the
-controller. The engine proposes `Steps`, its `Run` takes them and estimates the error, and if that
-exceeds the tolerance, the engine refines its proposal.
+In the terms of differential equations, an engine is the solver, and `step_control` is the step-size
+controller. The engine proposes `Steps`, and its `Run` integrates with these steps and estimates the
+error. If the error exceeds the tolerance, the engine refines its proposal.
 """
 
 from __future__ import annotations
@@ -207,7 +207,7 @@ class Run(ABC):
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return the energies of every realisation that the run has integrated, by name.
 
-        `errors` are the estimates at the end of the run. The names are those of
+        `errors` are the estimates at the end of the run. The names are listed in
         `trajectory.gathered.ENERGIES`. By default a run integrates no energies.
         """
         return []

@@ -77,16 +77,17 @@ class Attempt(NamedTuple):
     Attributes
     ----------
     proposal : Proposal
+        The engine's proposal for this attempt.
     tolerance : float
         Tolerance of this attempt.
     refusal : str
         Why the tolerance differs from the requested one; empty if it does not.
     planned_s : float
-        Earlier time for proposals and for setting up runs, s.
+        Time of earlier attempts for proposals and for setting up runs, s.
     spent_s : float
-        Earlier time for integrations and error estimates, s.
+        Time of earlier attempts for integrations and error estimates, s.
     compiled_s : float
-        Earlier time for compilation, s; not included in the other two.
+        Time of earlier attempts for compilation, s, which the other two times do not include.
     truncations : tuple of float
         Truncation errors of the earlier attempts that did not break down; infinite for an attempt
         that was ended early.

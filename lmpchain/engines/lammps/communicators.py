@@ -1,8 +1,8 @@
 """Communicators of a LAMMPS run: a single process, or the ranks of an MPI world.
 
 The first process calls a method of the worker by name. Every rank calls this method of its own
-worker, and the first process collects the return values of all ranks. No code outside this module
-depends on the number of ranks.
+worker, and the first process collects the return values of all ranks. Code outside this module
+uses the ranks as if they were a single process.
 """
 
 from __future__ import annotations

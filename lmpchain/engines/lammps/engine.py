@@ -325,9 +325,9 @@ class Lammps(TimeSteppingEngine):
         """Return a bound on the relative rounding error of a run, from one ulp of a height.
 
         Each force evaluation moves every grain and rounds its height, so that the error is a random
-        walk. The error of the velocity is larger by the highest frequency. In 90 % of 60 random
-        scenes the measured rounding error was 0.05 to 1.5 times this bound. Reflections amplified
-        it up to tenfold.
+        walk. The error of the velocity is this error times the highest frequency. In 90 % of 60
+        random scenes the measured rounding error was 0.05 to 1.5 times this bound. Reflections
+        amplified it up to tenfold.
         """
         column = LammpsColumn(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
@@ -339,7 +339,7 @@ class Lammps(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict rounding: a random walk of 0.16 ulp of the largest height per force evaluation.
 
-        The error of the velocities is larger by the highest frequency.
+        The error of the velocities is this error times the highest frequency.
         """
         gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
         return HEIGHTS.typical * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
@@ -495,7 +495,7 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
 def _try_steps(
     native: CompiledSteps, scene: Scene, tolerance: float
 ) -> Outcome[tuple[Array, float]]:
-    """Return the native trial with the longest steps that meet the tolerance, or None.
+    """Return the native trial with the longest steps that meet the tolerance.
 
     If no bound on the strain is known beforehand, the first steps may be much too short.
     """

@@ -186,7 +186,8 @@ class Modes(LinearEngine):
     def round_off(self, scene: Scene) -> float:
         """Return the relative rounding error, including the error of the eigenvectors.
 
-        A burst is the sum of three sines, whose transients nearly cancel shortly after its start.
+        A burst is the sum of three sines. Their transients nearly cancel shortly after its start,
+        so that the rounding error is larger.
         """
         rounding = super().round_off(scene) + EPSILON * 4 * scene.chain.grains
         wave = scene.excitation.waveform

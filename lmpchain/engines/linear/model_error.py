@@ -284,7 +284,8 @@ def expected_error(scene: Scene) -> float:
 def excess(scene: Scene) -> float:
     """Return k'(eps) l / k(eps) of the contacts, delta - 1 for a power; see `ContactLaw.bend`.
 
-    With viscosity the force (1 + A d/dt) s^2 is larger than s^2 by the modulus of 1 + i A omega.
+    With viscosity, the quadratic part of the force, (1 + A d/dt) s^2, is larger than s^2 by the
+    factor |1 + i A omega|.
     """
     turn = scene.chain.damping.longest_time * scene.linear_frequency
     return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
