@@ -114,9 +114,9 @@ def reference(scene: Scene) -> Reference:
     """Solve Eq. (1) by Taylor series in time, in NumPy's long double; other laws by SciPy.
 
     The series of a force follows term by term from the series of the overlap,
-    ``y (y^delta)' = delta y' y^delta``. A term of a viscous force follows from the next term of this
-    series. The series converges until a contact opens or closes, where the force has at most one
-    derivative.
+    ``y (y^delta)' = delta y' y^delta``. A term of a viscous force follows from the next term of
+    this series. The series converges until a contact opens or closes, where the force has at most
+    one derivative.
     The last terms of the series estimate its radius of convergence, so that the adaptive step
     shrinks towards an opening. The last step ends at the opening, at a root of the series of the
     overlap, and steps grow again after a closing. The order is therefore never lost. Lengths are in

@@ -64,8 +64,8 @@ class Layer(NamedTuple):
     Attributes
     ----------
     masses, stiffness, viscosity : (S,) arrays
-        Mass of each grain, kg, and stiffness, N/m, and viscosity, s, of the contact beyond it; 0 if
-        there is no contact.
+        Mass of each grain, kg; stiffness of the contact beyond it, N/m; viscosity of this contact,
+        s. Stiffness and viscosity are 0 if there is no contact.
     cell : int
         Period P: the first P grains and contacts are the cell that repeats before the layer.
     """

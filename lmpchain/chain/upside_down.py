@@ -18,9 +18,9 @@ from .law import Law
 def turn_upside_down(chain: Chain) -> Chain:
     """Return the chain in reverse order, with the forces at rest that its contacts have.
 
-    The reversed chain moves as the chain, with opposite signs, because the motion around rest
-    depends on the forces at rest and not on gravity itself. A held last grain becomes a free first
-    grain, whose motion a drive must prescribe.
+    The reversed chain has the motion of the given chain with opposite signs, because the motion
+    around rest depends on the forces at rest and not on gravity itself. A held last grain becomes a
+    free first grain, whose motion a drive must prescribe.
 
     Parameters
     ----------

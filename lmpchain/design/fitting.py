@@ -46,7 +46,7 @@ class Fit(Fitted, Tabular):
     covariance : (K, K) array
         Covariance of the estimate.
     chi_square : float
-        Sum of the squares of residual divided by noise.
+        Sum of the squared ratios of residual to noise.
     freedom : int
         Number of measured values minus K.
     values : dict

@@ -88,8 +88,8 @@ class ContactForce(NamedTuple):
         Derivative with respect to the approach of the two bodies, N/m; derivative with respect to
         the rate of approach, N s/m.
     by_force, by_constant, by_viscosity : (T,) arrays
-        Derivative with respect to the force at rest, N; derivative with respect to the contact
-        constant, N/m^delta; derivative with respect to the viscosity, s.
+        Derivative with respect to the force at rest; derivative with respect to the contact
+        constant, m^delta; derivative with respect to the viscosity, N/s.
     grains : list of int
         One or two grains of the contact.
     """
