@@ -83,7 +83,7 @@ class ContactLaw(ABC):
     def power_of(self, what: str) -> float:
         """Return the exponent of a power law, which `what` requires, or raise `InputError`."""
         if self.power is None:
-            fault = f"{what} holds for powers of the overlap only, not for {self.name}"
+            fault = f"must be a power of the overlap for {what} (got {self.name})"
             raise InputError.at("chain.law", f"{fault}: give an exponent instead")
         return self.power
 

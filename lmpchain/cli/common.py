@@ -147,9 +147,9 @@ def output(
         endings = either(suffixes)
         raise InputError.at(name, f"must end in {endings}")
     if path.exists() and source.exists() and path.samefile(source):
-        raise InputError.at(name, "is the file that is read; name another file")
+        raise InputError.at(name, "is the input file: name another file")
     if not path.parent.is_dir():
-        raise InputError.at(name, f"there is no folder {path.parent}; make it first")
+        raise InputError.at(name, f"there is no folder {path.parent}: create it first")
     # The folder must accept a new file, because outputs are written beside the target and renamed.
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):

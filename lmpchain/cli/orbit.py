@@ -86,7 +86,7 @@ def _describe(family: Family) -> list[str]:
         for event in family.events
     ]
     if not family.reached:
-        goal = f"{family.parameter} asked for"
+        goal = f"requested {family.parameter}"
         lines.append(f"the family does not reach the {goal}: {family.ended}")
     return lines
 

@@ -112,8 +112,8 @@ OF_A_RUN = (
     *(
         _argument(f"--{key}", metavar="X", type=float, help=f"with --from: {text}")
         for key, text in {
-            "young": "Young's modulus in Pa, in place of a material",
-            "poisson": "Poisson's ratio, in place of a material",
+            "young": "Young's modulus in Pa, instead of a material",
+            "poisson": "Poisson's ratio, instead of a material",
             "density": "density in kg/m3, if the run has no masses",
             "timestep": "time step in s, if the run does not have it",
             "duration": "duration in s, if the run does not have it",

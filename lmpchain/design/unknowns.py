@@ -92,7 +92,7 @@ class Problem:
         symbol = params.unit(self.scene, name)
         if isinstance(choice, str) and choice == "common":
             if not base.any():
-                cure = "begin with a guess above 0" if name in MAY_VANISH else "name entries"
+                cure = "start from a guess above 0" if name in MAY_VANISH else "name entries"
                 raise InputError.at(name, f"is 0 everywhere, so a factor cannot change it: {cure}")
             entries = base[base != 0]
             # Equal entries are estimated in their own unit, unequal entries by a factor.

@@ -597,7 +597,7 @@ def test_an_orbit_is_described_in_numbers():
     told = orbit._describe(Family([first, loose]))
     assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
     assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
-    assert told[6] == "the family does not reach the energy asked for: it turns back"
+    assert told[6] == "the family does not reach the requested energy: it turns back"
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("warning", 0), ("fault", 1)])
@@ -673,8 +673,8 @@ def test_invalid_outputs(tmp_path: Path):
     assert fault(folder, (".png",)).endswith(f"such as {folder}")
     assert fault(f"{tmp_path}/pipe") == "is a device or a pipe, not a file; name a file"
     assert fault(f"{tmp_path}/a.txt", (".png", ".pdf", ".svg")) == "must end in .png, .pdf or .svg"
-    assert fault(str(scene)) == "is the file that is read; name another file"
-    assert fault(f"{tmp_path}/no/a.nc") == f"there is no folder {tmp_path}/no; make it first"
+    assert fault(str(scene)) == "is the input file: name another file"
+    assert fault(f"{tmp_path}/no/a.nc") == f"there is no folder {tmp_path}/no: create it first"
     assert common.output(f"{tmp_path}/a.PNG", str(scene), (".png",)) == tmp_path / "a.PNG"
     (tmp_path / "there.nc").touch()
     assert common.output(f"{tmp_path}/there.nc", f"{tmp_path}/none.toml") == tmp_path / "there.nc"

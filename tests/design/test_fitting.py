@@ -223,7 +223,7 @@ def test_jacobians_of_forces_of_damped_chains_agree_with_differences(field: str)
 
 def test_a_fit_of_damping_starts_above_0():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
-    with pytest.raises(InputError, match=r"damping\.viscoelastic: .*begin with a guess above 0"):
+    with pytest.raises(InputError, match=r"damping\.viscoelastic: .*start from a guess above 0"):
         fit(traces, SCENE, ["damping.viscoelastic"])
 
 

@@ -112,7 +112,7 @@ class SubprocessRanks:
         for line in lines:
             if line.startswith("error:") or "EXIT CODE" in line or "Error" in line:
                 return line.removeprefix("error: ")
-        return lines[-1] if lines else "no reason is known"
+        return lines[-1] if lines else "the reason is unknown"
 
     def close(self) -> None:
         """Shut the ranks down, and kill any that do not stop."""

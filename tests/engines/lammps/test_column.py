@@ -468,7 +468,7 @@ def test_choice_of_communicator(monkeypatch):
 @pytest.mark.parametrize(
     ("lines", "reason"),
     [
-        ("", "no reason is known"),
+        ("", "the reason is unknown"),
         ("first\nlast |\n", "last"),
         ("error: no such host\nmore", "no such host"),
         ("== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", "EXIT CODE: 9"),
