@@ -12,7 +12,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Print the true error of a run, its causes and cures; exit code 1 if it misses a tolerance."""
     subject = arguments.run or arguments.deck
     if not subject or (arguments.run and arguments.deck):
-        raise InputError.at("run", "is missing: name a dump or a saved run, or use --deck FOLDER")
+        raise InputError.at("run", "give either a dump or saved run, or --deck FOLDER")
     scene, numbers, _ = collect(
         lambda: arguments.scene and read_scene(arguments.scene),
         lambda: check_numbers(arguments, arguments.scene or subject),

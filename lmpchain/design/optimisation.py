@@ -483,7 +483,8 @@ class _StartStore:
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError.at(
                 "folder",
-                f"{self.path} is damaged, or lmpchain did not write it: use another folder",
+                f"{self.path} is damaged, or lmpchain did not write it: move it, or use another "
+                "folder",
             ) from error
         if task != self.task or any(start.at.shape != (self._size,) for start in starts):
             message = f"{self.path} belongs to another task: use another folder, or remove it"

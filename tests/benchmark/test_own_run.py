@@ -368,8 +368,8 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     capsys.readouterr()
     for words, fault in (
         (["run.nc", "--scene", "other.toml"], "scene: is not the scene of the run"),
-        (["run.nc", "--deck", "deck"], "run: name one"),
-        ([], "run: name one"),
+        (["run.nc", "--deck", "deck"], "run: give either a dump"),
+        ([], "run: give either a dump"),
         (["run.nc", "--tolerance", "2"], "tolerance: must be between 0 and 1"),
         (["none.nc"], "none.nc: there is no such file"),
     ):

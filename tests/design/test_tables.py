@@ -95,7 +95,10 @@ def test_a_contact_beyond_the_wave_causes_a_remark():
     weight = 50 * column.chain.masses[0] * 9.81
     far = sensitivity(column, "peak_force:50")
     assert far.value == pytest.approx(weight, rel=1e-12)
-    said = "no wave reaches contact 50 within 2e-06 s: record for longer; this is its force at rest"
+    said = (
+        "no wave reaches contact 50 within 2e-06 s: use a longer duration; "
+        "this is its force at rest"
+    )
     assert far.table().splitlines()[1] == far.remark == said
     assert far.to_json()["remark"] == said
     for of in ("momentum:50", "kinetic_energy:40-50", "energy:40-50"):
@@ -155,7 +158,7 @@ def test_a_table_is_sorted_by_influence():
         "by the uncertainty of diameters: 0.3 N",
         "by the uncertainty of gravity: 0.4 N",
         "uncertainty to first order: 0.5 N (25 %)",
-        "by 32 drawn chains: 0.25 N, the mean shifted by -0.013",
+        "by 32 random chains: 0.25 N, the mean shifted by -0.013",
     ]
     assert shown().table().splitlines()[-1] == "relative error of the derivatives: 2.0e-05"
     unknown = shown(float("nan"), gravity=0.4).table().splitlines()[-1]
