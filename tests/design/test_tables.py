@@ -424,6 +424,6 @@ def test_an_unreachable_tolerance_is_reported_with_the_best_value():
 
     scene = FLYING.replace(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-3))
     with pytest.raises(
-        ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+; use a shorter time"
+        ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+: use a shorter time"
     ):
         gradient(scene, Momentum([1]), ["masses"], 1e-16)
