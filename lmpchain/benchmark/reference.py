@@ -523,7 +523,8 @@ class _Motion:
     ) -> Long:
         """Return the time, up to `longest`, for which a contact closing at `root` is negligible.
 
-        `strength` is the push and the viscosity of the contact.
+        `strength` is the coefficient of the force of the contact and its relaxation time, in the
+        units of `_Motion`.
         """
         push, viscosity = strength
         depth = np.maximum(_at(overlap, root), 0)

@@ -249,7 +249,7 @@ class PowerForce(ContactLaw):
     def approach(self, energy: Any, constant: Any) -> Any:
         """Return the overlap at which a contact without force at rest stores this energy, m.
 
-        The contact stores the energy ``K r^(delta+1) / (delta+1)``.
+        At the overlap r the contact stores the energy ``K r^(delta+1) / (delta+1)``.
         """
         power = self.onset + 1
         return (power * energy / constant) ** (1 / power)
