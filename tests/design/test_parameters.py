@@ -214,7 +214,7 @@ def test_names_are_checked_at_once():
     with pytest.raises(InputError) as error:
         parameters.check(scene(), ["colour", "amplitude"])
     assert str(error.value).startswith("parameters: ")
-    assert "amplitude: belongs to" in str(error.value)
+    assert "amplitude: needs a drive or force" in str(error.value)
     with pytest.raises(
         InputError, match=r"^parameters: name one or more of masses, contact_constants"
     ):
