@@ -362,7 +362,7 @@ def test_closed_forms_reject_unsuitable_scenes():
             Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
             strike,
             "bessel",
-            "masses: bessel needs grains",
+            "masses: bessel needs equal grains",
         ),
         (
             chain,
