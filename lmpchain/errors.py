@@ -51,7 +51,8 @@ class InputError(LmpchainError, ValueError):
     Parameters
     ----------
     faults : iterable of (key, message)
-        Every fault found: the key, what is wrong and how to correct it.
+        Each fault is given by its key and a message, which states what is wrong and how to correct
+        it.
     """
 
     def __init__(self, faults: Iterable[tuple[str, str]]):

@@ -45,7 +45,7 @@ class Effort:
     density : float
         Ratio of the steps of neighbouring points.
     sharpness : float
-        Factor to which the longest stable step is known.
+        Factor within which the longest stable step is determined.
     steps : int
         Largest number of steps between two samples; the search for a stable step ends there.
     runs, most_runs : int
@@ -55,9 +55,9 @@ class Effort:
     better : float
         A point with an error below this multiple of the best error is an improvement.
     patience : int
-        Consecutive points without an improvement after which rounding error dominates.
+        Number of consecutive points without an improvement after which rounding error dominates.
     reference_s : float
-        Longest time of the reference, s.
+        Longest allowed computing time of the reference solution, s.
     """
 
     density: float = math.sqrt(2)
@@ -82,7 +82,7 @@ class Bench:
     share_s : float
         Time limit of each engine, without compilation, s.
     dropped : int
-        Points left out because their error is below ten times that of the reference.
+        Number of points left out because their error is below ten times the reference error.
     versions : dict of str
         Versions of the engines and libraries that ran.
     """
@@ -108,7 +108,7 @@ class Bench:
     def over_tolerances(self, name: str) -> Iterator[CurvePoint]:
         """Yield points at ever tighter tolerances, until one is not met.
 
-        A tolerance that leads to the same steps as the one before is skipped.
+        A tolerance that leads to the same steps as the previous tolerance is skipped.
         """
         steps = 0
         for tolerance in TOLERANCES:
@@ -242,15 +242,15 @@ def work_precision(
 ) -> WorkPrecision:
     """Measure the error and time of every engine and integrator that supports a scene.
 
-    Steps are shortened from the longest stable one by factors of sqrt(2) until the error stops
-    falling or the time is used up, tolerances by factors of sqrt(10). Each time is the least of
-    three runs or more after one to warm up.
+    Steps decrease from the longest stable step by factors of sqrt(2), and tolerances by factors of
+    sqrt(10), until the error stops decreasing or the time is used up. Each time is the shortest of
+    three or more runs after a warm-up run.
 
     Parameters
     ----------
     scene : Scene
     budget_s : float
-        About how long it may take beside the reference and compilation, s.
+        Approximate total time, s, without the reference and compilation.
     progress : bool
         Whether to show a progress bar.
 
@@ -262,14 +262,14 @@ def work_precision(
     Raises
     ------
     InputError
-        If the budget is not a time above 0, or the reference would take more than ten minutes.
+        If the budget is not a time above 0, or if the reference would take more than ten minutes.
     """
     if not 0 < budget_s < math.inf:
         raise InputError.at("budget", f"must be a time above 0 s (got {budget_s:g})")
     check_scene(scene)
     needed = expected_seconds(scene)
     if needed > EFFORT.reference_s:
-        message = f"the reference alone would take about {needed:.2g} s: shorten it"
+        message = f"the reference alone would take about {needed:.2g} s: use a shorter duration"
         raise InputError.at("duration", message)
     cure = "a smaller budget or a shorter duration takes less"
     announce(needed + budget_s, "the chart with its reference", cure)
@@ -314,7 +314,7 @@ def _scans(scene: Scene, budget_s: float) -> tuple[list[Scan], list[str]]:
             ]
         # The cost at a tolerance of 0.5, which every engine meets, is a lower bound.
         elif (cost := engine.propose(engine.part(scene), 0.5).cost_s) > budget_s / 10:
-            refusals.append(f"{name}: a run would take about {cost:.2g} s; give more time")
+            refusals.append(f"{name}: a run would take about {cost:.2g} s: increase the budget")
         else:
             scans.append(Scan(name, "", partial(Bench.once, name=name)))
     return scans, refusals

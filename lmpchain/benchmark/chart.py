@@ -28,7 +28,7 @@ KNOWN = 10.0
 def time_to(error: float, points: Iterable[tuple[float, float]]) -> float:
     """Return the time to reach an error, s, from points (seconds, error); NaN if none does.
 
-    Between two points it is interpolated as a power law.
+    Between two points the time is interpolated as a power law.
 
     Examples
     --------
@@ -340,15 +340,15 @@ def _title(scene: Scene) -> str:
 
 def _footer(result: Any) -> str:
     versions = ", ".join(f"{name} {version}" for name, version in result.versions.items())
-    dropped = f"{result.dropped} points within {KNOWN:g} times of that are left out"
-    left_out = dropped if result.dropped else f"no point is within {KNOWN:g} times of that"
+    dropped = f"{result.dropped} points below {KNOWN:g} times this error are left out"
+    left_out = dropped if result.dropped else f"no point is below {KNOWN:g} times this error"
     text = (
-        "Error: the larger of those of displacement and velocity, each the largest over samples "
-        "and grains relative to the largest motion of any grain at any time. "
+        "Error: the larger of the errors of displacement and velocity, each the largest over "
+        "samples and grains relative to the largest motion of any grain at any time. "
         f"Reference: {result.reference.method}; its error is {result.reference.error:.0e}, and "
-        f"{left_out}. To a tolerance, integrator and step are chosen by the engine, so that time "
-        "and error jump where its choice changes; points follow one another by tolerance. "
-        "Times: of the integration, to a tolerance with the error estimate, and the least of "
-        f"several runs after a first, on {result.machine}; {versions}."
+        f"{left_out}. To a tolerance, the engine chooses integrator and step, so that time "
+        "and error jump where its choice changes; points are connected in order of tolerance. "
+        "Times: the shortest of several runs after a first run, for the integration and, to a "
+        f"tolerance, the error estimate, on {result.machine}; {versions}."
     )
     return textwrap.fill(text, 235)

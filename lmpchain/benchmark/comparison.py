@@ -34,8 +34,9 @@ __dir__ = listed(__name__)
 def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     """Return the relative errors of displacement and velocity, each relative to its largest value.
 
-    Each is ``max|x - x_true|`` over all samples and recorded grains over the largest ``|x_true|``
-    of any grain of the chain at any time of the run. It is NaN where the trajectory is.
+    Each error is ``max|x - x_true|`` over all samples and recorded grains, divided by the largest
+    ``|x_true|`` of any grain of the chain at any time of the run. It is NaN if the trajectory
+    contains NaN.
 
     Parameters
     ----------
@@ -45,12 +46,12 @@ def errors(trajectory: Trajectory, reference: Reference) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        Of displacement and of velocity.
+        Errors of the displacement and of the velocity.
 
     Raises
     ------
     InputError
-        If the two were not recorded at the same times or are of different chains.
+        If both were recorded at different times, or if their numbers of grains differ.
     """
     displacement, velocity = _relative(trajectory, reference)
     return float(displacement.max()), float(velocity.max())
@@ -67,7 +68,7 @@ def error(trajectory: Trajectory, reference: Reference) -> float:
     Returns
     -------
     float
-        Relative to the largest value.
+        Error relative to the largest value.
     """
     # Unlike the maximum of Python, this one returns NaN if any value is NaN.
     return float(np.max(errors(trajectory, reference)))
@@ -84,6 +85,7 @@ def error_over_time(trajectory: Trajectory, reference: Reference) -> Array:
     Returns
     -------
     (T,) array
+        Relative error at each sample.
     """
     return np.maximum(*_relative(trajectory, reference))
 
@@ -96,7 +98,7 @@ def _relative(trajectory: Trajectory, reference: Reference) -> tuple[Array, Arra
         message = "the trajectory and the reference were recorded at different times"
         raise InputError.at("time", message)
     if trajectory.scene.chain.grains != grains:
-        message = f"{trajectory.scene.chain.grains} grains, but {grains} in the reference"
+        message = f"the run has {trajectory.scene.chain.grains}, but the reference {grains}"
         raise InputError.at("grains", message)
     columns = trajectory.grains - 1
 
@@ -116,14 +118,18 @@ class ComparisonRow:
     Attributes
     ----------
     engine, integrator : str
+        Name of the engine; name of the integrator.
     equation : int
+        Number of the equation of the paper that the engine solves.
     error, error_displacement, error_velocity : float
-        Errors as returned by `error` and `errors`.
+        Larger of the two other errors; relative error of the displacement; relative error of the
+        velocity.
     expected_error : float
-        `Trajectory.error_estimate.total`, the engine's own estimate.
+        The engine's own estimate, `Trajectory.error_estimate.total`.
     integration_s, compile_s : float
-        Times, s; compilation at the first call is not part of the integration.
+        Time of the integration without compilation, s; time of compilation at the first call, s.
     steps, force_evaluations : int
+        Number of steps; number of force evaluations, each for all grains.
     """
 
     engine: str
@@ -147,11 +153,11 @@ class Comparison(Shown, Tabular):
     ----------
     reference : Reference
     trajectories : tuple of Trajectory
-    rows : tuple of Row
+    rows : tuple of ComparisonRow
         One row for each trajectory, in the same order.
-    lossless : Row, optional
-        The chain without its damping: its error is what leaving damping out changes, and what was
-        expected of it is `Scene.damping_effect`.
+    lossless : ComparisonRow, optional
+        Row of the chain without damping. Its error is the change if damping is left out, and its
+        expected error is `Scene.damping_effect`.
     """
 
     reference: Reference
@@ -192,13 +198,13 @@ class Comparison(Shown, Tabular):
         error = f"{self.reference.error:.1e}"
         source = f"reference: {self.reference.method}; its own error is about {error}"
         meaning = (
-            "error: max|x - x_true| over samples and grains over max|x_true| at any time, "
+            "error: max|x - x_true| over samples and grains, divided by max|x_true| at any time, "
             "the larger of displacement and velocity; evaluations: of the forces of all contacts"
         )
         sentences = [source, meaning]
         if self.lossless:
             sentences.append(
-                "without damping: what leaving it out changes, and at most by the plan"
+                "without damping: the change if damping is left out, and its bound by the plan"
             )
         return "\n".join([*align(self._summary()), *wrap(*sentences)])
 
@@ -208,8 +214,8 @@ class Comparison(Shown, Tabular):
         Parameters
         ----------
         ax : axes, or up to four of them, optional
-            In one the trajectories alone are drawn; by default these, errors, costs and the motion
-            over time and depth in a figure of their own.
+            On a single axes only the trajectories are drawn. By default a new figure shows the
+            trajectories, errors, costs, and the motion over time and depth.
         """
         if ax is None:
             picture = window(10.5, 7.6)
@@ -243,10 +249,10 @@ def compare(
     Parameters
     ----------
     trajectories : list of Trajectory
-        Of the same scene.
+        Trajectories of the same scene.
     reference : Reference
     lossless : Trajectory, optional
-        Of the same scene without its damping.
+        Trajectory of the same scene without damping.
 
     Returns
     -------

@@ -32,15 +32,15 @@ class Search:
     Attributes
     ----------
     cost_s : float
-        Longest expected time of a run to try, s.
+        Longest expected time of a trial run, s.
     growth : float
         Largest factor by which the number of steps grows between two runs.
     room : float
-        Fraction of the target error at which the next step aims.
+        Fraction of the target error for which the next step is chosen.
     better : float
         An error below this multiple of the best one counts as an improvement.
     patience : int
-        Consecutive runs without an improvement after which rounding error dominates.
+        Number of consecutive runs without an improvement after which rounding error dominates.
     """
 
     cost_s: float = 3.0
@@ -59,7 +59,9 @@ class Cure(NamedTuple):
     Attributes
     ----------
     target : float
+        Requested error.
     integrator : str
+        Name of the integrator.
     step_s : float
         Time step, s; NaN if no step reaches the error in a run of some seconds.
     steps : int
@@ -67,9 +69,10 @@ class Cure(NamedTuple):
     error : float
         Measured error of the native engine with this step; NaN without a step.
     heights : float
-        Expected rounding error of heights in LAMMPS; NaN if LAMMPS lacks the integrator.
+        Expected relative rounding error of heights in LAMMPS; NaN if LAMMPS lacks the integrator.
     diameter : str
-        Diameter for this rounding: "physical", or "gauge" if the physical one is too coarse.
+        Diameter in LAMMPS that this rounding error assumes: "physical", or "gauge" if the rounding
+        error with the physical diameter is too large.
     """
 
     target: float
@@ -103,7 +106,7 @@ def height_round_off(
 ) -> float:
     """Return the expected relative rounding error of heights in LAMMPS after a number of steps.
 
-    The `gauge` is the diameter with which grains are drawn, m, 0 for the physical one.
+    `gauge` is the gauge diameter of the grains in LAMMPS, m; 0 for their physical diameters.
     """
     # Both damped methods use the step sequence of velocity Verlet.
     name = "verlet" if integrator == LAGGED.name else integrator
@@ -152,7 +155,7 @@ def _fewest_steps(
 ) -> int | None:
     """Return about the fewest steps per sample that reach the target error; None if none does.
 
-    Errors by numbers of steps are kept in `measured`.
+    `measured` stores the measured error for each number of steps.
     """
     method = methods_of(scene.chain)[integrator]
     engine = Native(integrator)

@@ -35,21 +35,21 @@ class CurvePoint(ComparisonRow):
     Attributes
     ----------
     tolerance : float or None
-        The tolerance, None for a given step.
+        Requested tolerance; None for a given step.
     setup_s, estimate_s : float
-        Time for setting up and for the error estimate, s; not part of `integration_s`.
+        Time for setting up, s; time for the error estimate, s. `integration_s` includes neither.
     seconds : float
-        Time in the chart, s: of the integration, with that of the error estimate where a tolerance
-        was asked for.
+        Time in the chart, s: the integration time, and with a tolerance also the time of the error
+        estimate.
     step_s : float
         Time step, s.
     grain_steps_per_s : float
-        Force evaluations times computed grains, per second of integration.
+        Number of force evaluations times number of computed grains, per second of integration.
     longest : bool
         Whether this is the longest stable step: at longer ones the run breaks down or its error
         exceeds 1.
     pareto : bool
-        Whether the point is on the Pareto front: no other is faster and as accurate.
+        Whether the point is on the Pareto front: no other point is faster and as accurate.
     """
 
     tolerance: float | None
@@ -70,13 +70,13 @@ class Choice(NamedTuple):
     target : float
         Requested error.
     engine, integrator : str
-        The engine is empty if none reaches it.
+        Name of the engine, empty if no point reaches the error; name of the integrator, or empty.
     step_s : float
         Time step, s; NaN for a solution without steps.
     error : float
         Error of the choice; NaN without a choice.
     seconds : float
-        Time as in `CurvePoint.seconds`.
+        Time as in `CurvePoint.seconds`, s.
     to_tolerance : bool
         Whether the engine chose the step itself, so that its time includes the error estimate.
     why : str
@@ -115,8 +115,9 @@ class EngineCurve:
     Attributes
     ----------
     engine, integrator : str
-        The integrator is empty where the engine has none or chooses one.
-    points : tuple of Point
+        Name of the engine; name of the integrator, empty if the engine has none or chooses one.
+    points : tuple of CurvePoint
+        Measured points, cheapest first.
     """
 
     engine: str
@@ -143,12 +144,14 @@ class WorkPrecision(Shown, Tabular):
     ----------
     scene : Scene
     reference : Reference
-    curves : tuple of Curve
+    curves : tuple of EngineCurve
+        One curve for each engine and integrator.
     dropped : int
-        Points left out because their error is below ten times that of the reference.
+        Number of points left out because their error is below ten times the reference error.
     left_out : tuple of str
         Engines that cannot solve the scene, with the reasons.
     versions : dict of str
+        Versions of the engines and libraries that ran.
     machine : str
         Processor and number of available cores.
     """
@@ -172,7 +175,7 @@ class WorkPrecision(Shown, Tabular):
         Parameters
         ----------
         engine : str, optional
-            Of this engine alone, such as "lammps"; by default of all.
+            Engine whose points are considered, such as "lammps"; by default all engines.
         """
         curves = [curve for curve in self.curves if engine in ("", curve.engine)]
         return [self._choose(curves, target, engine) for target in TARGETS]
@@ -234,7 +237,7 @@ class WorkPrecision(Shown, Tabular):
     def table(self, others: Mapping[str, Iterable[tuple[float, float]]] = {}) -> str:
         """Return the cheapest way to several errors, and the time that each curve takes to them.
 
-        Curves of other codes are given as {name: (seconds, error) ...}.
+        `others` are the curves of other codes by name, as points (seconds, error).
         """
         curves: dict[str, Iterable[tuple[float, float]]] = {}
         for curve in self.curves:
@@ -258,8 +261,8 @@ class WorkPrecision(Shown, Tabular):
         Parameters
         ----------
         ax : axes, or three of them, optional
-            In one the errors against time alone are drawn; by default, in a figure of their own,
-            those against force evaluations too, and the times to reach an error of 1e-6.
+            On a single axes only the errors against time are drawn. By default a new figure also
+            shows the errors against force evaluations, and the times to reach an error of 1e-6.
         others : sequence of mappings
             Points of other codes: code, error, seconds, force_evaluations (or None).
         """

@@ -43,11 +43,12 @@ class DigitLimits:
     Attributes
     ----------
     printed : float
-        Multiple of the last printed digit.
+        Largest distance in units of the rounding error of the printed numbers.
     heights : float
-        Multiple of the bound on the rounding of heights: reflections amplify it up to tenfold.
+        Largest distance in units of the bound on the rounding error of heights. Reflections amplify
+        this rounding error up to tenfold.
     amplified : float
-        Error of a reference above which the scene counts as one that amplifies rounding.
+        Error of the reference above which the scene amplifies rounding errors.
     """
 
     printed: float = 2.0
@@ -72,9 +73,11 @@ class Cause(NamedTuple):
     Attributes
     ----------
     name : str
+        Name of the cause.
     error : float
-        Relative error, as for the run.
+        Relative error due to this cause, defined as the error of the run.
     why : str
+        Explanation of the cause.
     """
 
     name: str
@@ -91,23 +94,26 @@ class RunCheck(Shown):
     Attributes
     ----------
     subject : str
-        File, folder or engine.
+        File, folder or engine that was checked.
     error, error_displacement, error_velocity : float
-        Errors against the reference; `error` is the larger of the other two. For a deck, expected.
+        Larger of the two other errors; error of the displacement; error of the velocity. For a
+        deck, these are expected errors.
     error_energy : float
         Largest difference of the energy above rest, relative to the largest energy; NaN if
         grains that move were not recorded, or if the ground depends on the time.
-    arrival : Arrival or None
-        Arrival error of the velocity front; None if no front passes or is resolved by samples.
+    arrival : ArrivalError or None
+        Arrival error of the velocity front; None if no front passes, or if samples do not resolve
+        it.
     integrator : str
+        Name of the integrator; empty for a solution without steps.
     step_s, steps : float, int
-        Largest step, s, and the number of steps, which is higher where they adapt; 0 of a solution
-        without steps.
+        Largest step, s; number of steps. Both are 0 for a solution without steps.
     limit_s : float
         Longest stable step of the integrator on the chain at rest, s; infinite without load.
     causes : tuple of Cause
         Causes of the error: equation or step, and digits.
     cures : tuple of Cure
+        Steps with which an integrator reaches smaller errors.
     reference : Reference
     """
 
@@ -139,7 +145,7 @@ class RunCheck(Shown):
         yield "  displacement", _percent(self.error_displacement), ""
         yield "  velocity", _percent(self.error_velocity), ""
         unknown = math.isnan(self.error_energy) and math.isfinite(self.error)
-        why = "grains that move were not recorded, or a ground in time" if unknown else ""
+        why = "moving grains were not recorded, or the ground depends on time" if unknown else ""
         yield "energy", number(self.error_energy, ".2g", missing="-"), why
         if self.arrival:
             late = f"{self.arrival.seconds:.2g} s at grain {self.arrival.grain}"
@@ -162,14 +168,14 @@ class RunCheck(Shown):
             lines += ["", *align(self._remedies())]
             if self.integrator == LAGGED.name:
                 lines += wrap(
-                    f"{LAGGED.name} is `fix nve`, whose forces see the velocity of half a step, so "
-                    "that its order is 1 with damping; verlet is `fix mvv/dpd 1.0` here, of order "
-                    "2, as `lmpchain deck` writes it."
+                    f"{LAGGED.name} is `fix nve`, whose damping forces use the velocity of the "
+                    "previous half step, so that its order is 1; verlet is `fix mvv/dpd 1.0` here, "
+                    "of order 2, as `lmpchain deck` writes it."
                 )
             lines += wrap(
-                "digits in LAMMPS: round-off of heights that it adds, with the physical diameter, "
-                "or with --diameter gauge where that one is too large. `lmpchain deck` writes "
-                "verlet and kahan-li6, `lmpchain run` has rkn6, too."
+                "digits in LAMMPS: rounding error of heights, with the physical diameter, or with "
+                "--diameter gauge if it is too large with the physical one. `lmpchain deck` writes "
+                "verlet and kahan-li6; `lmpchain run` also offers rkn6."
             )
         lines += wrap(f"reference: {self.reference.method}; error {self.reference.error:.0e}")
         return "\n".join(lines)
@@ -208,20 +214,21 @@ def check(
 ) -> RunCheck:
     """Measure the true error of a run and its parts from the time step and from rounding.
 
-    The error is that against a Taylor series in extended precision. A native run with the
-    integrator and the step of the run, in displacements, has its error of the step and not its
-    digits: heights of LAMMPS, single precision, or what a dump leaves out. Dumps are taken as
-    velocity Verlet, or as "kahan-li6" of `lmpchain deck` where that fits and the other does not; of
-    a damped chain, as `fix mvv/dpd 1.0`, or as `fix nve` ("lagged-verlet") where that fits better.
+    The reference is a Taylor series in extended precision. A native run with the same integrator
+    and step has the same error of the time step, but not the same rounding error. The difference
+    from this run is therefore the rounding error: of heights in LAMMPS, of single precision, or of
+    the digits that a dump leaves out. For a dump, the nearest of the possible methods is assumed:
+    velocity Verlet or "kahan-li6" of `lmpchain deck`; in a damped chain, `fix mvv/dpd 1.0` or
+    `fix nve` ("lagged-verlet").
 
     Parameters
     ----------
     run : Trajectory or path
         A trajectory, a file or a folder that lmpchain saved, or a LAMMPS dump.
     scene : Scene, optional
-        Of a dump, which must have one; of a saved run it must be its own.
+        Scene of the run. A dump requires it; a saved run contains it.
     units : str or (length, time, mass), optional
-        Of a dump, as for `Trajectory.from_dump`.
+        Units of a dump, as for `Trajectory.from_dump`.
     progress : bool
         Whether to show a progress bar.
 
@@ -232,7 +239,7 @@ def check(
     Raises
     ------
     InputError
-        If it cannot be read, or is of another scene.
+        If the run cannot be read, or if its scene is not the given one.
 
     Examples
     --------
@@ -257,16 +264,17 @@ def check_deck(
 ) -> RunCheck:
     """Predict the error of a LAMMPS deck from `in.column` and `column.data` before it runs.
 
-    Nothing in it is executed. Its chain is read from the two files, also where they were edited,
-    and a native run with its integrator and its step is compared with the reference; the round-off
-    of its heights is what such runs are expected to have.
+    Nothing in the deck is executed. The chain is read from the two files, including edits by the
+    user. A native run with the integrator and the step of the deck is compared with the reference.
+    The rounding error of the heights is an estimate for typical runs.
 
     Parameters
     ----------
     folder : path
-        Of a deck that `lmpchain deck` wrote.
+        Folder of a deck that `lmpchain deck` wrote.
     scene : Scene, optional
-        The one that it was written for; needed only if its force or drive goes through points.
+        Scene for which the deck was written; required only if its force or drive is given by
+        points.
     progress : bool
         Whether to show a progress bar.
 
@@ -278,7 +286,7 @@ def check_deck(
     Raises
     ------
     InputError
-        If the deck cannot be understood.
+        If the deck is not valid or contains unsupported commands.
     """
     deck = read_deck(folder, scene)
     scene = deck.scene
@@ -286,7 +294,7 @@ def check_deck(
     twin = twin_run(scene, deck.integrator, deck.step)
     steps = round(scene.duration / deck.step)
     heights = height_round_off(scene, deck.integrator, steps, solution, deck.gauge)
-    why = "expected round-off of heights, which LAMMPS holds"
+    why = "expected rounding error of the heights that LAMMPS stores"
     printed = 0.5 * 10.0 ** (1 - deck.digits)
     if printed > heights:
         why = _few_digits(f"the dump will have {deck.digits} digits")
@@ -305,7 +313,7 @@ def _read(
         answer = run
     elif is_dump(run):
         if scene is None:
-            cure = "make it from the dump, lmpchain new scene.toml --from DUMP"
+            cure = "create it with lmpchain new scene.toml --from DUMP"
             raise InputError.at(
                 "scene", f"is missing, and a dump does not contain its scene: {cure}"
             )
@@ -313,9 +321,9 @@ def _read(
     else:
         answer = Trajectory.load(run)
     if units is not None:
-        raise InputError.at("units", "goes with a LAMMPS dump; leave it out for a saved run")
+        raise InputError.at("units", "is only for a LAMMPS dump: leave it out for a saved run")
     if scene is not None and scene != answer.scene:
-        raise InputError.at("scene", "is not the one of the run; leave it out for a saved run")
+        raise InputError.at("scene", "is not the scene of the run: leave it out for a saved run")
     return answer
 
 
@@ -325,13 +333,13 @@ def _causes(answer: Trajectory, solution: Reference) -> tuple[str, float, tuple[
     cost = answer.cost
     wrong = error(answer, solution)
     if cost.integrator not in (*BY_NAME, UNKNOWN_METHOD):
-        why = f"it solves Eq. ({answer.equation}), and takes no steps"
+        why = f"it solves Eq. ({answer.equation}) without time steps"
         return "", 0.0, (Cause("equation", wrong, why),)
     if answer.engine == Native.name:
         engine = Native(cost.integrator)
         rounding = engine.typical_round_off(scene, cost.steps, float(solution.scale[1]))
         step = Cause("step", wrong, _compare_with_limit(scene, engine.integrator, cost.step_s))
-        why = "expected round-off of double precision; displacements are stored, not heights"
+        why = "expected rounding error of double precision; displacements are stored, not heights"
         return engine.integrator, cost.step_s, (step, Cause("digits", rounding, why))
     pairs = _possible_steps(answer)
     twins = [(twin_run(scene, *pair), *pair) for pair in pairs]
@@ -404,22 +412,22 @@ def _digits(
         places = max(1, round(-math.log10(min(printed, 0.1))))
         why = _few_digits(f"the dump has about {places} digits of the largest motion")
     elif distance <= DIGITS.heights / HEIGHTS.typical * heights:
-        why = "round-off of heights, which LAMMPS holds"
+        why = "rounding error of the heights that LAMMPS stores"
         if answer.provenance.get("diameter") != "gauge":
             why += ": smaller with --diameter gauge"
     else:
         return Cause(
             "another cause",
             distance,
-            f"a difference from {integrator} at this step beyond round-off: it was run "
-            "with another step or integrator, in single precision, or with forces that the scene "
-            "lacks",
+            f"the run differs from {integrator} with this step by more than rounding: it had "
+            "another step or integrator, single precision, or forces that the scene does not "
+            "contain",
         )
     return Cause("digits", distance, why)
 
 
 def _few_digits(fault: str) -> str:
-    return f"{fault}: write all, dump_modify ... format float %.17g"
+    return f"{fault}: write all digits with dump_modify ... format float %.17g"
 
 
 def _record(

@@ -54,9 +54,10 @@ class ReferenceCost:
     Attributes
     ----------
     smooth, broken : float
-        Usual step while all contacts stay closed, and where some open, in units of the scene.
+        Usual step while all contacts stay closed; usual step if contacts open. The unit is the
+        scene's unit of time.
     step_s, grain_s : float
-        Time of a step, and of a grain in it, s.
+        Computing time of a step, s; additional time for each grain, s.
     """
 
     smooth: float = 0.4
@@ -83,14 +84,15 @@ class Reference:
     time : (T,) array
         Times, s.
     displacement, velocity : (T, N) arrays
-        Motion of every grain, recorded or not, from equilibrium, positive downward; m and m/s.
+        Displacement of every grain (recorded or not) from equilibrium, positive downward, m;
+        velocity of every grain, m/s.
     error : float
         Error of the reference, as defined for `lmpchain.trajectory.record.ErrorEstimate`.
     method : str
         Description of the method.
     largest : (2,) array, optional
-        Largest displacement and speed of any grain at any time, m and m/s; by default those at the
-        samples.
+        Largest displacement and speed of any grain at any time, m and m/s; by default the largest
+        at the samples.
     """
 
     time: Array
@@ -111,21 +113,23 @@ class Reference:
 def reference(scene: Scene) -> Reference:
     """Solve Eq. (1) by Taylor series in time, in NumPy's long double; other laws by SciPy.
 
-    The series of a force follows term by term from that of the overlap,
-    ``y (y^delta)' = delta y' y^delta``; that of a viscous force, from the next term. It converges
-    until a contact opens or closes, where the force is once differentiable at best; its last terms
-    estimate how far. So the adaptive step size shrinks towards an opening, the last step ends
-    there, at a root of the series of the overlap, and steps grow again after a closing: the order
-    is never lost. Lengths are in units of the largest excursion and forces are computed as
-    differences from equilibrium, ``F_n expm1(delta log1p(s))``: weak waves keep all their digits.
-    Grains that the wave has not reached are left out.
+    The series of a force follows term by term from the series of the overlap,
+    ``y (y^delta)' = delta y' y^delta``. A term of a viscous force follows from the next term of
+    this series. The series converges until a contact opens or closes, where the force has at most
+    one derivative.
+    The last terms of the series estimate its radius of convergence, so that the adaptive step
+    shrinks towards an opening. The last step ends at the opening, at a root of the series of the
+    overlap, and steps grow again after a closing. The order is therefore never lost. Lengths are in
+    units of the largest excursion, and forces are computed as differences from equilibrium,
+    ``F_n expm1(delta log1p(s))``, so that weak waves keep their relative accuracy. Grains that the
+    wave has not reached are left out.
 
-    Its error is the difference to a run of order 24 at a hundred times the tolerance, so with other
-    steps, plus the part that both share: they begin with the same digits and end in double
-    precision. It is some 4e-16 in all unless the scene is chaotic, and 1e-14 to 1e-12 where long
-    double is no better than double.
+    The error is the difference from a run of order 24 with other steps, at a hundred times the
+    tolerance, plus the rounding error that both runs share: they start from the same numbers and
+    end in double precision. The error is about 4e-16 unless the scene is chaotic, and 1e-14 to
+    1e-12 on machines whose long double is no better than double.
 
-    Jorba and Zou, Experimental Mathematics 14, 99 (2005), for the steps.
+    The steps follow Jorba and Zou, Experimental Mathematics 14, 99 (2005).
 
     Parameters
     ----------
@@ -171,7 +175,7 @@ def expected_seconds(scene: Scene) -> float:
     Returns
     -------
     float
-        s.
+        Expected time, s.
     """
     if _needs_scipy(scene):
         evaluations = 2 * SCIPY_EVALUATIONS * (1 + scene.total_phase)
@@ -192,8 +196,8 @@ def expected_seconds(scene: Scene) -> float:
 def _solve_by_scipy(scene: Scene) -> Reference:
     """Solve Eq. (1) with the law of a formula by SciPy's DOP853, in double precision.
 
-    The error is ten times the difference to a run at ten times the tolerance, because both
-    lose the order of the method where a force has a kink.
+    The error is ten times the difference from a run at ten times the tolerance, because both runs
+    lose the order of the method at kinks of the force.
     """
     runs = [_integrate(scene, tolerance) for tolerance in SCIPY_TOLERANCES]
     (u, v, largest), (coarse_u, coarse_v, _) = runs
@@ -275,7 +279,7 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
             max_step=MOST_RADIANS / scene.highest_frequency,
         )
         if run.status:
-            raise RunFailed(f"the reference by SciPy gave up: {run.message}")
+            raise RunFailed(f"the reference by SciPy stopped: {run.message}")
         state = run.y[:, -1]
         rows.append(run.y.T[np.isin(run.t, times)])
         peaks.append(np.abs(run.y.reshape(2, grains, -1)).max(axis=(1, 2)))
@@ -299,9 +303,9 @@ def _look_times(scene: Scene, begin: float, end: float) -> Array:
 class _Motion:
     """Eq. (1) for one scene, with `length` and `time` as units.
 
-    Contact n lies between grains n and n + 1, contact 0 between grain 1 and a wall above, contact N
-    between grain N and a wall below. The overlap y of a contact is in units of that at rest, or of
-    `length` where that is none.
+    Contact n is between grains n and n + 1, contact 0 between grain 1 and a wall above it, and
+    contact N between grain N and a wall below it. The unit of the overlap y of a contact is its
+    overlap at rest, or `length` if this overlap is 0.
     """
 
     def __init__(self, scene: Scene):
@@ -352,7 +356,7 @@ class _Motion:
     def solve(self, series: TaylorSettings) -> tuple[Array, Array]:
         """Return the displacement and velocity, (2, T, N), and their maxima at any time, (2,).
 
-        In m and m/s.
+        The units are m and m/s.
         """
         solution = np.zeros((2, self.instants.size, self.start.shape[1]))
         solution[:, :1] = self.start[:, None] * self.units
@@ -371,7 +375,7 @@ class _Motion:
                 step = self._step(x, y, moving, stop - t, series.tolerance)
                 if not step > NEGLIGIBLE:
                     time = float(t * self.time)
-                    raise RunFailed(f"the reference gave up at t = {time:.4g} s: its steps vanish")
+                    raise RunFailed(f"the reference stopped at t = {time:.4g} s: its steps vanish")
                 end = stop if step == stop - t else t + step
                 now = int(np.searchsorted(self.instants, end, side="right"))
                 samples = _motion_at(x, self.instants[done:now, None] - t)
@@ -519,7 +523,8 @@ class _Motion:
     ) -> Long:
         """Return the time, up to `longest`, for which a contact closing at `root` is negligible.
 
-        `strength` is its push and its viscosity.
+        `strength` is the coefficient of the force of the contact and its relaxation time, in the
+        units of `_Motion`.
         """
         push, viscosity = strength
         depth = np.maximum(_at(overlap, root), 0)
@@ -557,7 +562,7 @@ def _contacts(grains: slice) -> slice:
 def _first_root(gap: Longs, end: Long) -> Long:
     """Return a lower bound of the first root of a polynomial: the root itself, or at least `end`.
 
-    Newton's method with a bound of the second derivative, so that it never steps over a root.
+    Newton's method uses a bound on the second derivative, so that it never steps over a root.
     """
     slope = _slope(gap)
     bend = _bend(gap, end)

@@ -32,7 +32,8 @@ def truth(scene: Scene, tolerance: float = 1e-6, *, progress: bool = False) -> R
     ----------
     scene : Scene
     tolerance : float
-        Of the answers that are compared with it: the native engine is a hundred times as accurate.
+        Tolerance of the answers that are compared with the reference. The native engine runs at a
+        hundredth of this tolerance.
     progress : bool
         Whether to show a progress bar.
 
@@ -102,18 +103,20 @@ MOST_POINTS = 2000
 def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     """Return a scene whose force or drive has fewer points, and a sentence about the difference.
 
-    A low pass at half of the highest frequency that the remaining points can show comes first. The
-    scene itself and no words are returned if it has few points during the run.
+    The trace is first filtered by a low pass at half of the highest frequency that the remaining
+    points can represent. A scene with few points during the run is returned unchanged, with an
+    empty sentence.
 
     Parameters
     ----------
     scene : Scene
     tolerance : float
-        Of the two native runs that show how much the answer changes.
+        Tolerance of the two native runs that show how much the answer changes.
 
     Returns
     -------
     Scene and str
+        Scene with fewer points; sentence about the difference.
     """
     excitation = scene.excitation
     if not isinstance(excitation, Drive | Force) or excitation.times is None:
@@ -140,7 +143,7 @@ def thin_trace(scene: Scene, tolerance: float) -> tuple[Scene, str]:
     )
     kept = int(np.searchsorted(times[::every], scene.duration)) + 1
     return thinner, (
-        f"trace: through {kept} of the {points} points of this run ({options}), because steps of "
+        f"trace: {kept} of the {points} points of this run are used ({options}), because steps of "
         f"the reference end at every point; {_change(scene, thinner, tolerance)}; to compare "
         "another trace, give every and lowpass with its file"
     )
@@ -152,7 +155,7 @@ def _change(scene: Scene, thinner: Scene, tolerance: float) -> str:
         with warnings_aside():
             whole, part = (simulate(each, "native", tolerance) for each in (scene, thinner))
     except LmpchainError as error:
-        return f"how much this changes the answer is not known ({str(error).splitlines()[0]})"
+        return f"the effect on the answer is unknown ({str(error).splitlines()[0]})"
     pairs = ((whole.displacement, part.displacement), (whole.velocity, part.velocity))
     change = max(np.abs(a - b).max() / (np.abs(a).max() or 1.0) for a, b in pairs)
     return f"this changes the answer by {change:.1e} (native)"

@@ -79,7 +79,7 @@ def bounds(
     walls : sequence of Material
         Wall materials that differ from the grains.
     top_load, gravity : float
-        N and m/s2.
+        Top load, N; gravity, m/s2.
     law : ContactLaw
     """
     moduli = [*kinds.moduli, *(wall.plane_strain_modulus for wall in walls)]

@@ -40,56 +40,58 @@ from .plausible import LIMITS, least_compression, remarks, too_compressed
 class Chain(ChainPicture, Checked):
     """A vertical column of grains that touch, numbered 1 to N from the top.
 
-    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), [o] 0
-    below 0; another law takes the place of the powers.
+    Grain n obeys ``m_n z_n'' = K_(n-1) [o_(n-1)]^delta - K_n [o_n]^delta + m_n g`` (Eq. 1), with
+    [o] = 0 for o < 0. A law given by a formula replaces the powers.
 
     Parameters
     ----------
     grains : int
-        N; a single grain needs a wall.
+        Number of grains N; a single grain needs a wall.
     material : Material, name, or N of them
+        Material of all grains, or one for each grain.
     diameter : float or (N,) array
-        m.
+        Diameter of all grains or of each grain, m.
     gravity : float
-        m/s2; 0 for a horizontal chain.
+        Acceleration of gravity, m/s2; 0 for a horizontal chain.
     exponent : float
-        delta, 1 (linear springs) to 3; 1.5 is Hertz.
+        Exponent delta of the contact force, from 1 (linear springs) to 3; 1.5 is Hertz's law.
     law : Law, or dict, optional
-        The force of the contacts by a formula, in place of an exponent. A dict is the table of a
-        scene file.
+        Contact force as a formula, instead of an exponent. A dict is the table of a scene file.
     ground : Law, or dict, optional
-        A force ``F(u, t)`` that pulls every grain back, of its displacement u from rest, m, and the
-        time t, s: ``m phi'' = ... - F(phi, t)``.
+        Force ``F(u, t)`` that pulls every grain back, as a function of its displacement u from
+        rest, m, and the time t, s: ``m phi'' = ... - F(phi, t)``.
     top_load : float
-        Force that presses on grain 1 at rest, N: a constant one on a free top, or that of a wall.
+        Force that presses on grain 1 at rest, N. It is constant at a free top; at a wall, the wall
+        exerts it.
     load_grain : int
-        The grain that the top load acts on, from 1 to the last one that moves. Those above carry
-        nothing but their weight: without gravity they only touch, and grain 1 is a striker. A wall
-        at the top then carries nothing, and the load is a constant force.
+        Number of the grain that the top load acts on, from 1 to the last grain that moves. The
+        grains above it carry only their weight: without gravity they only touch, and grain 1 is a
+        striker. If it is not 1, a top wall exerts no force at rest, and the load is constant.
     top, bottom : str
-        top "free" or "wall"; bottom "fixed" (grain N is held), "wall" or "free" (only without
-        gravity and load). Walls stand still; a wall at the top just touches grain 1 at rest unless
-        there is a top load.
+        Kind of the top end, "free" or "wall"; kind of the bottom end, "fixed" (grain N is held),
+        "wall", or "free" (only without gravity and load). Walls stand still. A top wall without a
+        top load just touches grain 1 at rest.
     masses : (N,) array, optional
-        kg; instead of those that follow from material and diameter.
+        Masses of the grains, kg; by default they follow from material and diameter.
     contact_constants : (N-1,) array, optional
-        K_n, N/m^delta; instead of ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The constant of a wall
-        is then in the same proportion to that of the contact next to it as it would be without.
+        Contact constants K_n, N/m^delta; by default ``(4/3) E* sqrt(R*) dbar^(1.5 - delta)``. The
+        constant of a wall is scaled by the same factor as that of the adjacent contact.
     impurity : list of Impurity, optional
-        Grains that differ.
+        Grains that differ from the others.
     top_material, bottom_material : Material or name, optional
-        Of the walls; by default that of the grain which touches it, so that K_wall = sqrt(2) K.
+        Materials of the walls; by default a wall has the material of the grain that touches it, so
+        that K_wall = sqrt(2) K.
     wall_constants : (top, bottom), optional
-        N/m^delta, instead of those of the materials; 0 where there is no wall. One of ``2^delta K``
-        mirrors the chain.
+        Contact constants of the walls, N/m^delta, 0 without a wall; by default they follow from the
+        materials. A wall with the constant ``2^delta K`` acts as a mirror of the chain.
     damping : Damping or dict, optional
-        Viscosity of the contacts, s, and drag on the grains, 1/s; by default there is none, and
-        energy is conserved.
+        Viscosity of the contacts, s, and drag on the grains, 1/s. By default there is no damping,
+        and energy is conserved.
 
     Raises
     ------
     InputError
-        With every fault found.
+        With all faults found.
 
     Examples
     --------
@@ -135,7 +137,7 @@ class Chain(ChainPicture, Checked):
         """Yield faults of chains in which a grain would fall or has no contact."""
         if self.grains == 1 and (self.bottom == "fixed" or "wall" not in (self.top, self.bottom)):
             cure = 'use bottom = "wall", or more grains'
-            yield "grains", f"a single grain that is held, or touches nothing: {cure}"
+            yield "grains", f"a single grain must move and touch a wall: {cure}"
         if self.bottom == "free" and (self.gravity > 0 or self.top_load > 0):
             cure = "a free chain would fall"
             yield "bottom", f'must be "fixed" or "wall" under gravity or a top load: {cure}'
@@ -149,7 +151,7 @@ class Chain(ChainPicture, Checked):
         for key in ("gravity", "top_load"):
             if 0 < getattr(self, key) < LIMITS.least_force:
                 bound = f"must be 0, or at least {LIMITS.least_force:g} in SI units"
-                yield key, f"{bound}: below, squares of overlaps underflow"
+                yield key, f"{bound}, because squares of smaller overlaps underflow"
 
     def _extremes(self) -> Iterator[tuple[str, str]]:
         """Yield properties outside the floating-point range, and extreme compressions."""
@@ -173,7 +175,7 @@ class Chain(ChainPicture, Checked):
             cure = "press the contacts by gravity or a load"
             yield "law", f"is infinitely stiff where contacts only touch: {cure}"
         elif not computable:
-            cure = "or contacts too hard or too soft: use SI units"
+            cure = "or contacts are too hard or too soft: use SI units"
             yield "masses", f"are too small or too large to compute with, {cure}"
         elif compression.max() > LIMITS.compression:
             worst = int(compression.argmax())
@@ -221,7 +223,7 @@ class Chain(ChainPicture, Checked):
         if law.onset == 0:
             yield "law.force", "has a jump: replace it by a ramp of finite width"
         if "k" in law.given and self.given_contact_constants is not None:
-            yield "contact_constants", "are given by law.k, too: give one of them"
+            yield "contact_constants", "are also given by law.k: give one of them"
         for key, value in law.given.items():
             if isinstance(value, tuple) and len(value) != self.grains - 1:
                 count = f"one number, or {self.grains - 1} for {self.grains} grains"
@@ -243,10 +245,10 @@ class Chain(ChainPicture, Checked):
         if len(constants) != 2 or any(
             k < 0 or (k > 0) != (end == "wall") for k, end in zip(constants, ends, strict=True)
         ):
-            fault = 'above 0 where the end is "wall", 0 where it is not'
-            yield "wall_constants", f"must be two, of top and bottom: {fault}"
+            fault = 'above 0 if the end is "wall", otherwise 0'
+            yield "wall_constants", f"must be two numbers, for top and bottom: {fault}"
         elif any(material is not None for material in materials):
-            fault = "take the place of the materials of the walls: leave one of them out"
+            fault = "replace the materials of the walls: leave one of them out"
             yield "wall_constants", fault
 
     @cached_property
@@ -280,7 +282,7 @@ class Chain(ChainPicture, Checked):
     def of_material(self, prop: str, drawn: Array | None = None) -> Array:
         """Return a property of the grains' materials, (..., N), or (1,) if all grains share it.
 
-        Values that were drawn, (..., N), take the place of that of all grains but impurities.
+        Drawn values, (..., N), replace the values of all grains except impurities.
         """
         values: Any = drawn
         if drawn is None and isinstance(self.material, Material):
@@ -486,14 +488,15 @@ class Chain(ChainPicture, Checked):
     def part(self, first: int, last: int) -> Chain:
         """Return grains first ... last as a chain that moves equally until a wave reaches its ends.
 
-        Grains above become a load on grain `first`, and grain `last` is held unless the chain ends
-        with it. Masses and constants are kept, and so are forces and overlaps if `first` is 1, else
-        but for last bits. Many left out cost nothing.
+        The weight of the grains above becomes a load on grain `first`. Grain `last` is held unless
+        it is the last grain of the chain. Masses and contact constants do not change. Forces and
+        overlaps at rest do not change if `first` is 1; otherwise they differ by rounding errors.
 
         Raises
         ------
         InputError
-            Unless there are such grains, two or more, or all there are.
+            If there are no such grains, if the part is a single grain of a longer chain, or if the
+            part would have two loads.
         """
         self._check_part(first, last)
         fields = self.given() | {"grains": int(last - first + 1)}
@@ -540,13 +543,15 @@ class Chain(ChainPicture, Checked):
             grains = f"two or more of grains 1 to {self.grains} (got {first} to {last})"
             raise InputError.at("part", f"must be {grains}")
         if first != self.first_of_part(first):
-            cure = f"begin with grain 1, or with one from grain {self.load_grain} on"
-            raise InputError.at("part", f"would have two loads, of weight and on top: {cure}")
+            cure = f"begin with grain 1, or with grain {self.load_grain} or a later one"
+            fault = "would have two loads, the weight of the grains above it and the top load"
+            raise InputError.at("part", f"{fault}: {cure}")
 
     def first_of_part(self, grain: int) -> int:
         """Return the first grain of the smallest allowed part that contains this grain.
 
-        Between grain 1 and the load on a lower grain, those above would press besides.
+        Under gravity, a part that begins between grain 1 and the loaded grain would have two loads:
+        the weight of the grains above it and the top load.
         """
         two_loads = self.gravity > 0 and self.top_load > 0 and grain < self.load_grain
         return 1 if two_loads else grain
@@ -579,7 +584,8 @@ class Chain(ChainPicture, Checked):
     def dynamical_matrix(self) -> tuple[Array, Array]:
         """Return the tridiagonal dynamical matrix D of the linearised chain, 1/s2, at t = 0.
 
-        Its diagonal (M,) and off-diagonal (M-1,), with sqrt(m) phi'' = -D sqrt(m) phi.
+        The result is the diagonal (M,) and the off-diagonal (M-1,) of D. The equation of motion is
+        sqrt(m) phi'' = -D sqrt(m) phi.
         """
         diagonal, coupling = self.equilibrium.dynamical_matrix(self.movable)
         if self.ground is not None:
@@ -607,7 +613,7 @@ class Chain(ChainPicture, Checked):
     def _first(self) -> int:
         """Number of the contact below grain 1, or above grain 1 if that is the only grain.
 
-        Where grains only touch above the load, it is that below the grain which the load presses.
+        If the grains above the load only touch, it is the contact below the loaded grain.
         """
         return self.loose_grains + int(self.contacts.exists[self.loose_grains + 1])
 
@@ -627,12 +633,13 @@ class Chain(ChainPicture, Checked):
     ) -> Array:
         """Return the energy above rest, (...) J: kinetic, contacts, ground, load, weight.
 
-        It is conserved by Eq. (1) and zero at rest; weak waves keep their relative accuracy.
+        Eq. (1) conserves this energy, and it is zero at rest. Its relative accuracy does not depend
+        on the amplitude of the wave.
 
         Parameters
         ----------
         displacement, velocity : (..., N) arrays
-            m, positive downward; m/s.
+            Displacement, m, positive downward; velocity, m/s.
         wall : (...) array, optional
             Displacement of the top wall, m; by default 0.
         """

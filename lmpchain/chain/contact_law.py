@@ -5,7 +5,7 @@ symbol    variable      meaning
 ========  ============  ==================================================
 o         overlap       of two bodies, m; below 0 there is a gap
 K         constant      of a contact; its unit is N/m^delta for a power
-F, k      force, ...    force, N, and dF/do, N/m
+F, k      force, ...    force, N, and stiffness dF/do, N/m
 r         r             change of the overlap since rest, m
 delta     exponent      of a power law, K o^delta; 1.5 is Hertz's
 ========  ============  ==================================================
@@ -53,18 +53,19 @@ class RestingContacts(Protocol):
 class ContactLaw(ABC):
     """Contact force as a function of the overlap: `PowerForce`, or a `Law` of a user.
 
-    The formulas of (o, K, p) take arrays; p are the `parameters`.
+    The formulas are functions of (o, K, p) that accept arrays; p are the `parameters`.
 
     Parameters
     ----------
     force_formula, stiffness_formula, curvature_formula : functions
-        Force (N) and its first two overlap derivatives (N/m, N/m2). A force grows with the
-        overlap, and is 0 where there is none.
+        Force, N; its first derivative with respect to the overlap, N/m; its second derivative,
+        N/m2.
     onset : float
-        The power of the overlap with which the force sets in as a contact closes.
+        Power of the overlap with which the force of a closing contact begins to grow.
     parameters : tuple of numbers, or of (..., N+1) arrays, optional
+        Parameters of all contacts or of each contact.
     name : str, optional
-        For messages.
+        Name of the law in messages.
     """
 
     force_formula: Formula
@@ -82,7 +83,7 @@ class ContactLaw(ABC):
     def power_of(self, what: str) -> float:
         """Return the exponent of a power law, which `what` requires, or raise `InputError`."""
         if self.power is None:
-            fault = f"{what} holds for powers of the overlap only, not for {self.name}"
+            fault = f"must be a power of the overlap for {what} (got {self.name})"
             raise InputError.at("chain.law", f"{fault}: give an exponent instead")
         return self.power
 
@@ -92,9 +93,9 @@ class ContactLaw(ABC):
         Parameters
         ----------
         modulus, radius : float or (...) arrays
-            E*, Pa, and R*, m, of the pairs in contact, as `pair_value` gives them.
+            Effective modulus E* of each pair, Pa; effective radius R*, m (see `pair_value`).
         length : float or (...) array
-            Mean diameter, m, by which powers other than Hertz's keep the unit of a force.
+            Mean diameter of each pair, m; used by powers other than Hertz's.
         """
         return 4 / 3 * modulus * radius**0.5
 
@@ -139,7 +140,7 @@ class ContactLaw(ABC):
     def length(self, contacts: RestingContacts) -> Array:
         """Return the change of overlap at which a wave is no longer weak, (..., N+1) m.
 
-        It is the overlap at rest, where a contact opens.
+        It is the overlap at rest: the contact opens if its overlap decreases by this length.
         """
         return contacts.overlap
 
@@ -189,8 +190,8 @@ class ContactLaw(ABC):
     def energy_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
-        It is the integral of F(eps + r) - F(eps) over r, accurate in relative terms for the weakest
-        waves.
+        It is the integral of F(eps + r) - F(eps) over r. Its relative accuracy does not depend on
+        the amplitude of the wave.
         """
 
     @abstractmethod
@@ -201,7 +202,7 @@ class ContactLaw(ABC):
     def elastic_share(self) -> float:
         """Mean fraction of an uncompressed chain's energy in its contacts (virial theorem).
 
-        For other laws than powers it is that of weak motions.
+        For laws other than powers it is the fraction in weak motions.
         """
         return 2 / (self.onset + 3)
 
@@ -215,7 +216,7 @@ class PowerForce(ContactLaw):
     Parameters
     ----------
     exponent : float
-        delta, 1 (linear springs) or more; 1.5 is Hertz.
+        Exponent delta, 1 (linear springs) or more; 1.5 is Hertz's law.
     """
 
     def __init__(self, exponent: float):
@@ -248,7 +249,7 @@ class PowerForce(ContactLaw):
     def approach(self, energy: Any, constant: Any) -> Any:
         """Return the overlap at which a contact without force at rest stores this energy, m.
 
-        Its energy is ``K r^(delta+1) / (delta+1)``.
+        At the overlap r the contact stores the energy ``K r^(delta+1) / (delta+1)``.
         """
         power = self.onset + 1
         return (power * energy / constant) ** (1 / power)
@@ -256,7 +257,7 @@ class PowerForce(ContactLaw):
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on the increase of overlaps from rest, m.
 
-        A contact holds at least ``K r^(delta+1) / (delta+1)`` and ``k r^2 / 2``.
+        A contact stores at least ``K r^(delta+1) / (delta+1)``, and at least ``k r^2 / 2``.
         """
         of_law = self.approach(energy, contacts.constant)
         # Without energy and stiffness the second bound is NaN, which fmin ignores.

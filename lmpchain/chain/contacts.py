@@ -47,9 +47,9 @@ def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     stiffness : (..., N+1) array
-        Of the contacts at rest, N/m.
+        Stiffness of each contact at rest, N/m.
     masses : (..., M) array
-        Of the grains that move, kg.
+        Masses of the grains that move, kg.
     """
     moving = masses.shape[-1]
     diagonal = (stiffness[..., :-1] + stiffness[..., 1:])[..., :moving] / masses
@@ -60,21 +60,21 @@ def dynamical_matrix(stiffness: Array, masses: Array) -> tuple[Array, Array]:
 class Contacts:
     """All contacts of a chain of N grains, walls included, or of many such chains.
 
-    Contact n lies between grains n and n + 1; contact 0 between grain 1 and a wall above it,
-    contact N between grain N and a wall below it. Where there is no wall the constant is 0, and so
-    is everything else.
+    Contact n is between grains n and n + 1, contact 0 between grain 1 and a wall above it, and
+    contact N between grain N and a wall below it. All values of the contact with a missing wall
+    are 0.
 
     Attributes
     ----------
     law : ContactLaw
     constant : (..., N+1) array
-        K_n, N/m^delta.
+        Constant K_n of each contact, N/m^delta.
     force : (..., N+1) array
         Force of each contact at rest, N.
     overlap : (..., N+1) array
         Overlap eps_n at rest, m.
     stiffness : (..., N+1) array
-        Linear stiffness at rest, delta K_n eps_n^(delta-1) of a power law, N/m.
+        Linear stiffness at rest, N/m; for a power law, delta K_n eps_n^(delta-1).
     """
 
     law: ContactLaw
@@ -145,7 +145,8 @@ class Contacts:
     def closer(displacement: Array, wall: Array | None = None, base: Array | None = None) -> Array:
         """Return the increase of every overlap from rest, (..., N+1) m.
 
-        The top wall and the base, the bottom wall, are at (...) m, by default where they rest.
+        `wall` and `base` are the displacements of the top and the bottom wall, (...) m; by default
+        0.
         """
         u = np.asarray(displacement)
         # The array is filled in place, because numpy's diff with two ends would copy long records
@@ -169,7 +170,7 @@ class Contacts:
     def energy(self, r: Array) -> Array:
         """Return the contact energy above that at rest for a change r of the overlap, (..., N+1) J.
 
-        It is accurate in relative terms for the weakest waves.
+        Its relative accuracy does not depend on the amplitude of the wave.
         """
         # Most of a long chain rests, and the powers are the most expensive part.
         if np.ndim(r) == 2 and not (moves := r.any(axis=0)).all():
@@ -181,7 +182,8 @@ class Contacts:
     def collision_overlap(self, speed: Array, inverse_mass: Array) -> Array:
         """Return the largest overlap, m, in a collision of two bodies at a speed, (N+1,) m/s.
 
-        The sum of their inverse masses is (N+1,) 1/kg; where it is 0 nothing meets.
+        `inverse_mass` is the sum of the inverse masses of both bodies, (N+1,) 1/kg. If it is 0, the
+        bodies do not collide, and the overlap is 0.
         """
         meets = (inverse_mass > 0) & self.exists
         energy = speed**2 / (2 * np.where(meets, inverse_mass, np.inf))
@@ -195,8 +197,8 @@ class Contacts:
     def approach_bound(self, energy: float | Array) -> Array:
         """Return an upper bound on the increase of each overlap from rest, (..., N+1) m.
 
-        The bound is rigorous: no contact can hold more than the whole conserved energy above rest,
-        (...) J.
+        The bound is rigorous, because no contact can store more than the conserved energy of the
+        whole chain above rest, (...) J.
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             return np.where(self.exists, self.law.approach_bound(self, energy), 0.0)

@@ -2,11 +2,11 @@
 
 A closed contact with the overlap o exerts the force ``K (1 + A d/dt) o^delta`` (Kuwabara and Kono,
 Jpn. J. Appl. Phys. 26, 1230, 1987; Brilliantov et al., Phys. Rev. E 53, 5382, 1996), and drag
-exerts the force ``-m gamma v`` on a grain. With the reduced velocities
+exerts the force ``-m gamma v`` on a grain. Instead of v, the methods integrate the reduced velocity
 
     w = v - b(x) + gamma x,    b_n = (A_(n-1) F_(n-1) - A_n F_n) / m_n,
 
-in place of v, where F_n are the elastic forces alone, no force depends on a velocity:
+where F_n are the elastic forces alone. Then no force depends on a velocity:
 
     x' = w + b(x) - gamma x,    w' = (F_(n-1) - F_n) / m_n + g.
 
@@ -55,10 +55,10 @@ class Damping(Checked):
     Parameters
     ----------
     viscoelastic : float or (N-1,) array
-        A, s, of all contacts, or of each contact between grains, from the top. A wall contact has
-        the value of the adjacent contact.
+        Relaxation time A of all contacts, or of each contact between grains, from the top, s. A
+        wall contact has the value of the adjacent contact.
     drag : float or (N,) array
-        gamma, 1/s, of all grains or of each.
+        Decay rate gamma of all grains or of each grain, 1/s.
 
     Raises
     ------
@@ -107,17 +107,18 @@ class Damping(Checked):
     def effect(self, omega: float, duration: float) -> float:
         """Return an estimate of the relative change of a solution by damping, at most 1.
 
-        It is exp(x) - 1 with x = (A omega^2 + gamma) T / 2, in linear theory and relative to the
-        largest damped motion: in the time T a mode of frequency omega decays by exp(-x), and all
-        others decay less. From 1 on, the lossless solution is unrelated to the damped one. If
-        contacts open, frequencies depend on amplitudes, and phases in long runs deviate sooner.
+        In linear theory, relative to the largest damped motion, the change is exp(x) - 1 with
+        x = (A omega^2 + gamma) T / 2: in the time T a mode of frequency omega decays by the factor
+        exp(-x), and all slower modes decay less. At a change of 1, the lossless solution is
+        unrelated to the damped one. If contacts open, frequencies depend on amplitudes, and phases
+        in long runs deviate sooner.
 
         Parameters
         ----------
         omega : float
             The highest frequency of the undamped motion, rad/s.
         duration : float
-            T, s.
+            Duration T, s.
 
         Examples
         --------
@@ -166,19 +167,21 @@ class Damping(Checked):
         Parameters
         ----------
         restitution : float
-            Relative velocity after the collision over that before it, above 0, at most 1.
+            Relative velocity after the collision divided by the relative velocity before it, above
+            0, at most 1.
         velocity : float
             Relative velocity before the collision, m/s.
         material : Material or name
+            Material of both spheres.
         diameter : float
-            m.
+            Diameter of both spheres, m.
         exponent : float
-            delta.
+            Exponent delta of the contact force.
 
         Raises
         ------
         InputError
-            If a number is out of its range, or no viscosity gives this restitution.
+            If a number is out of its range, or if no viscosity gives this restitution.
 
         Examples
         --------
@@ -207,9 +210,9 @@ def viscous_force(contacts: Contacts, viscosity: Array, overlap: Array, closing:
     ----------
     contacts : Contacts
     viscosity : (C,) array
-        A, s.
+        Relaxation time A of each contact, s.
     overlap, closing : (..., C) arrays
-        o, m, and o', m/s.
+        Overlap o, m; its rate of change o', m/s.
     """
     # An open contact exerts no viscous force.
     stiffness = contacts.stiffness_at(np.maximum(overlap, 0.0))
@@ -252,8 +255,8 @@ def two_spheres(materials: Sequence[Material], diameters: Sequence[float], expon
 def rebound(viscosity: float, exponent: float) -> float:
     """Return the restitution of two bodies for A in units of `Pair.time`; 0 if they stick.
 
-    It is exact to 1e-12, from an integration of y' = w - A y^delta, w' = -y^delta from y = 0, w = 1
-    until y returns to 0; the coefficient is the final value of -w.
+    The equations y' = w - A y^delta, w' = -y^delta are integrated from y = 0, w = 1 until y returns
+    to 0. The coefficient is the final value of -w, with an error of about 1e-12.
     """
     from scipy.integrate import solve_ivp
 

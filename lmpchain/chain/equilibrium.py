@@ -32,7 +32,7 @@ class Equilibrium:
     contact_lengths : (..., N+1) array
         Mean diameter of the two grains of every contact, or the grain's diameter at a wall, m.
     diameters, masses : (..., N) arrays
-        Diameters and masses, m and kg.
+        Diameter of each grain, m; mass of each grain, kg.
     """
 
     contacts: Contacts
@@ -78,16 +78,16 @@ class Equilibrium:
 def derive_chain(chain: Any, drawn: Mapping[str, Array] | None = None) -> Equilibrium:
     """Return the equilibrium of a chain, or of R chains with R drawn values of some properties.
 
-    A value that all grains share stays one, in a (1,) array, until rows of grains are filled, so
-    that a chain of like grains takes little time.
+    A value that all grains share stays in a (1,) array until rows of grains are filled, so that a
+    chain of equal grains costs little time.
 
     Parameters
     ----------
     chain : Chain
-        Its module imports this one, which therefore cannot name its type.
+        The annotation is `Any`, because the module of `Chain` imports this module.
     drawn : mapping of (R, N) or (R, N-1) arrays, optional
-        What takes the place of fields of the chain: "diameter", "masses", "contact_constants", or
-        "material.density", "material.youngs_modulus", "material.poissons_ratio". Impurities keep
+        Values that replace fields of the chain: "diameter", "masses", "contact_constants",
+        "material.density", "material.youngs_modulus" or "material.poissons_ratio". Impurities keep
         their own values.
     """
     drawn = drawn or {}
@@ -136,11 +136,11 @@ def force_at_rest(weight: NDArray[Any], top_load: float, load_grain: int) -> NDA
     Parameters
     ----------
     weight : (..., N) array
-        Of every grain and all above it, N.
+        Weight of every grain together with all grains above it, N.
     top_load : float
-        N.
+        Top load, N.
     load_grain : int
-        The grain that it acts on, from 1.
+        Number of the grain that the top load acts on, from 1.
     """
     force = np.zeros((*weight.shape[:-1], weight.shape[-1] + 1), weight.dtype)
     force[..., 1:] = weight
@@ -154,17 +154,17 @@ def _contact_constants(
 ) -> Ends:
     """Return the constants of the top contact, the contacts between grains, and the bottom contact.
 
-    In N/m^delta; 0 where there is no wall.
+    The unit is N/m^delta; the constant of a missing wall is 0.
 
     Parameters
     ----------
     chain : Chain
     modulus, diameter : (..., N) or (1,) arrays
-        Plane-strain moduli, Pa, and m.
+        Plane-strain moduli, Pa; diameters, m.
     lengths : Ends
         Mean diameters of the same contacts, m.
     given : (..., N-1) array, optional
-        Constants between grains, in place of those of Hertz's law.
+        Constants of the contacts between grains; by default they follow from the contact law.
     """
     natural = chain.law.constant(
         reduced(*_neighbours(modulus)), reduced(*_neighbours(diameter / 2)), lengths[1]
@@ -198,7 +198,7 @@ def _contact_constants(
 def _neighbours(values: Array) -> tuple[Array, Array]:
     """Return the values (..., N) of the upper and the lower grain of every contact between grains.
 
-    A value that all grains share stands for both.
+    A value that all grains share is returned for both.
     """
     return (values, values) if values.size == 1 else (values[..., :-1], values[..., 1:])
 

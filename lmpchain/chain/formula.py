@@ -1,17 +1,17 @@
 """Formulas of force laws: a safe parser, derivatives, integrals and conversion to functions.
 
-A formula comes from a scene file, perhaps of a stranger. Python's parser turns its text into a
-syntax tree, of which only numbers, names, arithmetic and the functions below are accepted; nothing
-evaluates the text itself. Every formula that is computed or written to a LAMMPS deck is printed
-from this tree again.
+A scene file from a stranger may contain any formula. Python's parser turns the text into a syntax
+tree, in which only numbers, names, arithmetic and the functions below are accepted. The text itself
+is never evaluated: every formula that is computed or written to a LAMMPS deck is printed from this
+tree again.
 
 =====================  ===============================================
 in a formula           meaning
 =====================  ===============================================
 + - * / **             arithmetic; ``**`` is a power
-min max                of two or more
+min max                smallest or largest of two or more values
 abs sqrt exp log       log is the natural logarithm
-sin cos tanh           of an angle in rad; hyperbolic tangent
+sin cos tanh           sine and cosine of rad; hyperbolic tangent
 step                   step(x) is 1 for x >= 0 and 0 below
 =====================  ===============================================
 """
@@ -64,11 +64,13 @@ class Formula:
     Attributes
     ----------
     operation : str
-        "number", "name", "negative", an operator, a function, "select": the second part if the
-        first is 0 or more, else the third, or "growth": (1 + s)^p - 1 of s and p, -1 for s < -1.
+        "number", "name", "negative", an operator, a function, "select" or "growth". "select" is the
+        second part if the first part is 0 or more, otherwise the third part. "growth" of s and p is
+        (1 + s)^p - 1, and -1 for s < -1.
     parts : tuple of Formula
+        Operands of the operation.
     value : float or str
-        Value of a number, or name.
+        Value of a number, or text of a name.
     """
 
     operation: str
@@ -152,7 +154,7 @@ class Formula:
     def change(self, variable: str, by: str) -> Formula:
         """Return the change of the formula if a variable grows by `by`.
 
-        No two values are subtracted that nearly agree, so that the relative accuracy does not
+        The result never subtracts two nearly equal values, so that its relative accuracy does not
         depend on the size of the change.
         """
         after = self._after(variable, by)
@@ -180,7 +182,7 @@ class Formula:
     def without(self, known: Iterable[str], stem: str) -> tuple[Formula, list[Formula]]:
         """Replace the parts that depend only on known names by new names; return formula and parts.
 
-        The new names are `stem` with a number from 0 on.
+        A new name is `stem` followed by a number, counted from 0.
         """
         constant = set(known)
         parts: list[Formula] = []
@@ -250,8 +252,9 @@ class Formula:
     def integral(self, variable: str) -> Formula | None:
         """Return the integral of a formula of one variable from 0; None without a closed form.
 
-        Between kinks the formula is smooth and has an integral G of its own. The variable enters G
-        held between the kinks, so that their sum is right everywhere.
+        Between two neighbouring kinks the formula is smooth and has its own antiderivative G. The
+        argument of each G is limited to the interval between its kinks, so that the sum over all
+        intervals is the integral at any value of the variable.
         """
         kinks = sorted({k for place in self.kinks(variable) if (k := place.number) is not None})
         edges = [-math.inf, *kinks, math.inf]
@@ -281,13 +284,13 @@ class Formula:
         Parameters
         ----------
         arguments : str
-            Of the function, separated by commas.
+            Names of the arguments of the function, separated by commas.
         functions : mapping
-            The functions ``maximum minimum absolute sqrt exp log sin cos tanh select``, and
-            ``expm1 log1p growth`` of a change, that it calls, by name, and ``__name__``, the
-            module that it belongs to.
+            Functions that the code calls, by name: ``maximum minimum absolute sqrt exp log sin cos
+            tanh select``, and ``expm1 log1p growth`` in a formula of a change. The entry
+            ``__name__`` is the module that the function belongs to.
         codes : mapping, optional
-            What stands in the function for names of the formula that are no arguments.
+            Code that replaces each name of the formula that is not an argument.
         """
         made: dict[Formula, str] = {}
         lines: list[str] = []
@@ -468,7 +471,7 @@ def parse(text: str) -> Formula:
     Raises
     ------
     InputError
-        With the key "force", if it is no formula, too long, or nested too deeply.
+        With the key "force", if the text is not a formula, is too long, or is nested too deeply.
     """
     if not isinstance(text, str):
         raise _fault("must be a text such as 'k*max(o, 0)**1.5'")

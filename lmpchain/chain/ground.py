@@ -41,7 +41,7 @@ def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
         if isinstance(value, tuple) and len(value) != grains:
             yield (
                 f"ground.{key}",
-                f"must be one number, or {grains}, one per grain, not {len(value)}",
+                f"must be one number, or {grains} (one per grain), not {len(value)}",
             )
     bends = law.formula.conditions("t")
     if bends:
@@ -55,7 +55,7 @@ def misfits(law: Any, grains: int) -> Iterator[tuple[str, str]]:
         return
     if not _rests(law):
         fault = "is not 0 at u = 0 at all times, so that grains would not rest"
-        yield "ground.force", f"{fault}: write the force from the equilibrium on"
+        yield "ground.force", f"{fault}: subtract the force at u = 0"
     else:
         with np.errstate(all="ignore"):
             stiffness = law.stiffness(0.0, 0.0)
@@ -99,9 +99,9 @@ def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
     ----------
     law : Law
     displacement : float
-        The stiffness is looked for up to this displacement, m.
+        Largest displacement, m, at which the stiffness is evaluated.
     duration : float
-        And from t = 0 to this time, s, at 65 times.
+        Latest time, s; the stiffness is evaluated at 65 times from t = 0.
     """
     times = MOMENTS * duration if "t" in law.formula.names else np.zeros(1)
     # Grains with individual parameters are evaluated together, one time after the other.
@@ -119,8 +119,8 @@ def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
 def energy(law: Law, displacement: Array) -> Array:
     """Return the energy of the ground under every grain at these displacements, (..., N) J.
 
-    It is the integral of the force over the displacement from rest, at t = 0. Weak waves keep
-    their relative accuracy.
+    It is the integral of the force at t = 0 over the displacement from rest. Its relative accuracy
+    does not depend on the amplitude of the wave.
     """
     pieces = 1
     coarse = _work(law, displacement, pieces)
@@ -146,7 +146,8 @@ def _work(law: Law, displacement: Array, pieces: int) -> Array:
 def join_contacts(force: Array, pull: Array) -> Array:
     """Return forces of contacts, (T, N+1) N, whose differences include the pulls, (T, N) N.
 
-    The force above a grain less that below it then is all that pushes the grain down.
+    In the result, the force above a grain minus the force below it is the sum of the forces of both
+    contacts and of the ground on the grain.
     """
     joined = force.copy()
     joined[:, 1:] += np.cumsum(pull, axis=1)
@@ -160,6 +161,7 @@ class GroundKernel:
     Attributes
     ----------
     force : Formula
+        Force that pulls a grain back, a function of u and t.
     codes : dict
         Index expression of each parameter in an array with a column for each body.
     """

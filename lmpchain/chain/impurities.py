@@ -18,12 +18,13 @@ class Impurity(Checked):
     Parameters
     ----------
     grain : int
-        Its number, from 1 at the top.
+        Number of the grain, from 1 at the top.
     diameter : float, optional
-        m.
+        Diameter, m; by default the diameter of the other grains.
     material : Material or name, optional
+        Material; by default the material of the other grains.
     mass : float, optional
-        kg; instead of the one that follows from diameter and material.
+        Mass, kg; by default it follows from diameter and material.
     """
 
     grain: Annotated[Whole, Field(ge=1)]
@@ -69,8 +70,8 @@ def misfits(
         elif constants_given and (impurity.diameter or impurity.material):
             yield (
                 f"impurity.{place}",
-                "may only have its own mass if contact_constants are given, because these do not "
-                "follow from an impurity",
+                "may only have its own mass if contact_constants are given, because an impurity "
+                "does not change these constants: leave out its diameter and material",
             )
 
 
@@ -96,8 +97,9 @@ class Kinds(NamedTuple):
     Attributes
     ----------
     materials : list of Material
+        Material of each kind.
     diameters, masses : list of float
-        Diameters and masses, m and kg.
+        Diameter of each kind, m; mass of each kind, kg.
     """
 
     materials: list[Material]

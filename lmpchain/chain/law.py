@@ -4,7 +4,7 @@
 symbol    in formula  meaning
 ========  ==========  ========================================================
 o         o           overlap of a contact, m; below 0 a gap or a stretched bond
-K         k           constant of a contact, of the chain unless it is given
+K         k           constant of a contact; by default from the chain
 u         u           displacement of a grain from rest, m, in a ground law
 t         t           time, s, in a ground law
 ========  ==========  ========================================================
@@ -76,7 +76,8 @@ PARTS = np.linspace(0.0, 1.0, 33)[1:]
 def _smooth_rule(size: int = 24) -> Array:
     """Return nodes from 0 to 1 and weights of a quadrature rule, (2, size).
 
-    Gauss's nodes crowd at both ends by a step of order 4, so that roots there are integrated too.
+    A smooth step of order 4 moves Gauss's nodes towards both ends, so that fractional powers of the
+    distance to an end are integrated accurately.
     """
     nodes, weights = leggauss(size)
     t = (nodes + 1) / 2
@@ -92,7 +93,8 @@ def solve_growing(
 ) -> Array:
     """Return the x >= 0 at which a function that grows from 0 has this value; infinite if none.
 
-    Newton's method, and bisection where that leaves the bracket. 0 and infinity stay what they are.
+    Newton's method is used, and bisection if a step leaves the bracket. For the value 0 or infinity
+    the value itself is returned.
     """
     target = np.asarray(target)
     with np.errstate(all="ignore"):
@@ -120,24 +122,25 @@ def solve_growing(
 class Law(ContactLaw):
     """The force of a contact, or of a spring to the ground, given by a formula.
 
-    Two laws are equal if their formulas, as printed, and their parameters are.
+    Two laws are equal if their printed formulas and their parameters are equal.
 
     Parameters
     ----------
     force : str
-        The force in N. Of a contact: with which two grains push each other apart, as a function of
-        the overlap ``o`` in m; ``o < 0`` is a gap, or a stretched bond if the force is not 0 there.
-        Of the ground: that pulls a grain back, as a function of its displacement ``u`` from rest in
-        m, and of the time ``t`` in s. `lmpchain.chain.formula` lists what a formula may hold.
+        Formula of the force, N. A contact law is the force that pushes two grains apart, as a
+        function of the overlap ``o``, m; ``o < 0`` is a gap, or a stretched bond if the force is
+        not 0 there. A ground law is the force that pulls a grain back, as a function of its
+        displacement ``u`` from rest, m, and of the time ``t``, s. `lmpchain.chain.formula` lists
+        the operations and functions that a formula may contain.
     **parameters : float or (N-1,) array
-        Numbers for the other names, of all contacts or of each (of a ground: of each grain). ``k``
-        is the constant of the contacts of the chain unless it is given. A wall has the parameters
-        of the contact next to it.
+        Values of the other names in the formula, for all contacts or for each contact (in a ground
+        law, for each grain). If ``k`` is not given, it is the contact constant of the chain. A wall
+        contact has the parameters of the adjacent contact.
 
     Raises
     ------
     InputError
-        With the key ``force``, or that of a parameter.
+        With the key ``force`` or the name of a parameter, if one of them is not valid.
 
     Examples
     --------
@@ -250,7 +253,7 @@ class Law(ContactLaw):
     def _nodes(self, rest: Array, r: Array, constant: Array) -> Iterator[tuple[Array, Array]]:
         """Yield quadrature nodes s between 0 and r, and their weights, (n, ...).
 
-        Pieces end at kinks, and grow with the distance to them.
+        The interval is divided into pieces that end at kinks. Pieces far from a kink are longer.
         """
         ends: list[Any] = [0 * r, r]
         for kink in self.kinks(constant):
@@ -349,12 +352,12 @@ class Law(ContactLaw):
     def overlap(self, force: Any, constant: Any = None) -> Any:
         """Return the overlap at which a contact is at rest under this force, m.
 
-        It is 0 without a force, if that of the law is 0 there and does not fall.
+        Without a force it is 0, if the law has no force and no negative stiffness at overlap 0.
 
         Raises
         ------
         InputError
-            If there is no such overlap at which the force grows, or more than one.
+            If the law reaches this force with a positive slope at no overlap, or at more than one.
         """
         columns = np.broadcast_arrays(force, self._constant(constant), *self.parameters)
         shape = columns[0].shape
@@ -531,8 +534,8 @@ class Law(ContactLaw):
     def length(self, contacts: RestingContacts) -> Array:
         """Return the change of overlap at which a wave is no longer weak, (..., N+1) m.
 
-        It is the distance to the nearest kink or, if that is far, the change by which the slope or
-        the bend of the stiffness would change all of it.
+        It is the distance to the nearest kink, or the length over which the first or the second
+        derivative of the stiffness changes the stiffness by its own value, if that is smaller.
         """
         constant = np.where(contacts.exists, contacts.constant, 1.0)
         length = np.full(contacts.overlap.shape, LONGEST)
@@ -564,7 +567,7 @@ class Law(ContactLaw):
     def approach(self, energy: Any, constant: Any) -> Any:
         """Return the largest change of overlap at which a contact stores this energy, m.
 
-        The energy is that above rest without a load.
+        The energy is measured from rest without a load.
         """
         energy, constant = np.broadcast_arrays(energy, constant)
         rest = np.zeros(energy.shape)
@@ -579,7 +582,8 @@ class Law(ContactLaw):
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on the change of overlaps from rest, m.
 
-        Without a force that never falls there is none: energy may come from other contacts.
+        The bound is infinite if the force decreases anywhere, because a contact may then receive
+        unlimited energy from other contacts.
         """
         shape = np.broadcast_shapes(np.shape(energy), contacts.constant.shape)
         if not self._shape[1]:
@@ -596,7 +600,7 @@ class Law(ContactLaw):
     def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
         """Return the closing (side 1) or stretch (side -1) at which a contact has this energy, m.
 
-        It is infinite for an energy without a bound, as that of a forced motion.
+        It is infinite if the energy has no upper bound, as in a forced motion.
         """
         energy = np.where(energy < LARGEST, energy, np.inf)
         with np.errstate(all="ignore"):
@@ -634,13 +638,14 @@ class Law(ContactLaw):
         Parameters
         ----------
         what : "energy" or "force"
+            Quantity that the formula computes.
         overlap : str
-            What stands for the overlap o, itself a formula: of the distance ``r`` for instance. Of
-            a ground law: what stands for the displacement u.
+            Formula that replaces the overlap o, for example with the distance ``r``. In a ground
+            law it replaces the displacement u.
         constant : float, optional
-            K; that of the law by default.
+            Contact constant K; by default the constant that the law itself contains.
         contact : int
-            Index of the contact of which parameters are taken, from 0.
+            Index of the contact whose parameters are used, from 0.
 
         Raises
         ------
@@ -661,7 +666,7 @@ class Law(ContactLaw):
             energy = formula.integral(variable)
             if energy is None:
                 fault = f"has no energy in closed form: {self.text}"
-                raise InputError.at("force", f"{fault}; use the native engine, which needs none")
+                raise InputError.at("force", f"{fault}: use the native engine")
             formula = energy
         return formula.substitute({variable: parse(overlap)}).lepton
 
@@ -709,11 +714,12 @@ class LawKernel:
     Attributes
     ----------
     force_change, stiffness : Formula
-        Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. Their
-        names are ``o``, ``k``, ``_p0`` ... of the parameters, and ``_q0`` ... of what is kept at
-        rest.
+        Change of the force for a change ``r`` of the overlap, and stiffness at ``o + r``. They
+        contain the names ``r``, ``o`` and ``k``, ``_p0`` ... for the parameters, and ``_q0`` ...
+        for the values stored at rest.
     codes : mapping
-        Index expression of each name in an array with a column per contact: ``given[0, n]`` is o.
+        Index expression of each name in an array with a column for each contact: ``given[0, n]`` is
+        o.
     change : function
         Function of (o, r, k, p) for the change of the force.
     kept : list of functions
@@ -778,7 +784,7 @@ def _misfits(
             yield key, "is a variable of formulas: give the parameter another name"
         elif key not in needed:
             known = ", ".join(needed) or "none"
-            yield key, f"is not in the formula, whose parameters are: {known}"
+            yield key, f"is not in the formula: its parameters are {known}"
 
 
 def _number(key: str, value: Any) -> float | tuple[float, ...]:
@@ -790,7 +796,7 @@ def _number(key: str, value: Any) -> float | tuple[float, ...]:
     except (ValueError, TypeError):
         sound = False
     if not sound:
-        raise InputError.at(key, "must be a number, or a list of one for each contact")
+        raise InputError.at(key, "must be a number, or a list with one number for each contact")
     if not (np.abs(array) <= MAX_NUMBER).all():
         raise InputError.at(key, f"must be finite, and no more than {MAX_NUMBER:g}")
     if array.ndim == 0:
@@ -821,7 +827,8 @@ def bend_powers(
 ) -> list[float]:
     """Return the powers of the distance with which a formula bends at its kinks (see `_bend_at`).
 
-    Its only name is the variable; `values` are those of the names in the `places` of the kinks.
+    The formula contains no name except the variable. `places` are the kinks as formulas, and
+    `values` are the values of the names in these formulas.
     """
     kinks = {place.substitute(values).number for place in places}
     return [_bend_at(formula, kink, variable) for kink in kinks if kink is not None]
@@ -830,7 +837,7 @@ def bend_powers(
 def _bend_at(formula: Formula, kink: float, variable: str) -> float:
     """Return the lowest power of the distance to a kink in which its two sides differ.
 
-    0 is a jump of the force, 1 one of the stiffness.
+    The power is 0 at a jump of the force, and 1 at a jump of the stiffness.
     """
     distance = NEAR_KINK * abs(kink) or 1e-40
     below, above = (formula.between_kinks(variable, kink + side) for side in (-distance, distance))

@@ -1,6 +1,6 @@
 """Contact and ground laws of the literature, each written as a `Law`.
 
-Without k, contacts have the constants of the chain; a ground needs its stiffness.
+Without k, a contact law uses the contact constants of the chain. A ground law always needs k.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ def hertz(k: Any = None) -> Law:
 def power(exponent: Any, k: Any = None) -> Law:
     """Return ``k o^exponent`` of a closed contact, with one exponent or one for each contact.
 
-    Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001), section 1.11; exponents below
-    1 are those of Herbold and Nesterenko, Phys. Rev. Lett. 110, 144101 (2013).
+    Nesterenko, Dynamics of Heterogeneous Materials (Springer, 2001), section 1.11. Herbold and
+    Nesterenko, Phys. Rev. Lett. 110, 144101 (2013), consider exponents below 1.
 
     Parameters
     ----------
@@ -59,12 +59,13 @@ def power(exponent: Any, k: Any = None) -> Law:
 def fput(alpha: Any = 0.0, beta: Any = 0.0, k: Any = None) -> Law:
     """Return ``k o - alpha o^2 + beta o^3``, the spring of Fermi, Pasta, Ulam and Tsingou.
 
-    Their alpha belongs to the extension of a bond, which is -o (Los Alamos report LA-1940, 1955).
+    The sign of alpha is that of the original report (Los Alamos report LA-1940, 1955), where alpha
+    multiplies the square of the extension -o.
 
     Parameters
     ----------
     alpha, beta : float or (N-1,) array, optional
-        Coefficients of the quadratic force, N/m2, and of the cubic force, N/m3.
+        Coefficient of the quadratic force, N/m2; coefficient of the cubic force, N/m3.
     k : float or (N-1,) array, optional
         Contact constant, in N/m; by default it follows from the grains of the chain.
 
@@ -100,7 +101,7 @@ def bilinear(tension: Any, k: Any = None) -> Law:
     Parameters
     ----------
     tension : float or (N-1,) array
-        Stiffness of a stretched spring over that of a pressed one.
+        Ratio of the stiffness in tension to the stiffness in compression.
     k : float or (N-1,) array, optional
         Contact constant, in N/m; by default it follows from the grains of the chain.
 
@@ -119,7 +120,7 @@ def bilinear(tension: Any, k: Any = None) -> Law:
 def softening(length: Any, k: Any = None) -> Law:
     """Return ``k length tanh(o / length)``, whose force is bounded by ``k length``.
 
-    A bounded contact force as in models of softening metamaterials; its energy is in closed form.
+    Models of softening metamaterials use bounded contact forces. The energy has a closed form.
 
     Parameters
     ----------
@@ -138,8 +139,9 @@ def softening(length: Any, k: Any = None) -> Law:
 def dmt(pull: Any, reach: Any, k: Any = None) -> Law:
     """Return Hertz's force minus an adhesive pull that decreases to 0 over a given gap, m.
 
-    Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 314 (1975). Their pull ends at
-    once; here it falls linearly over the reach, because a jump of the force has no order.
+    Derjaguin, Muller and Toporov, J. Colloid Interface Sci. 53, 314 (1975). The pull of the
+    original law ends abruptly. Here it decreases linearly over the reach, because no integration
+    method keeps its order at a jump of the force.
 
     Parameters
     ----------
@@ -180,7 +182,7 @@ def bistable(a: Any, b: Any, k: Any = None) -> Law:
 def klein_gordon(k: Any, beta: Any = 0.0) -> Law:
     """Return the ground law ``k u + beta u^3`` of a Klein-Gordon chain.
 
-    Without beta it is a linear spring; both occur in disordered chains in arXiv:2112.02254.
+    Without beta the ground is a linear spring. arXiv:2112.02254 studies both in disordered chains.
 
     Parameters
     ----------
@@ -206,7 +208,7 @@ def frenkel_kontorova(k: Any, period: Any) -> Law:
     k : float or (N,) array
         Stiffness at rest, N/m.
     period : float or (N,) array
-        Of the potential, m.
+        Period of the potential, m.
 
     Returns
     -------
@@ -225,16 +227,17 @@ def frenkel_kontorova(k: Any, period: Any) -> Law:
 def mathieu(k: Any, depth: Any, frequency: Any) -> Law:
     """Return the ground law ``k (1 + depth cos(w t)) u``, a stiffness modulated in time.
 
-    A grain on it follows Mathieu's equation; Digital Library of Mathematical Functions, chapter 28.
+    A single grain then follows Mathieu's equation (Digital Library of Mathematical Functions,
+    chapter 28).
 
     Parameters
     ----------
     k : float or (N,) array
         Mean stiffness, N/m.
     depth : float or (N,) array
-        Modulation over the mean.
+        Amplitude of the modulation divided by the mean stiffness.
     frequency : float or (N,) array
-        w / 2 pi, Hz.
+        Frequency of the modulation, w / 2 pi, Hz.
 
     Returns
     -------

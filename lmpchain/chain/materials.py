@@ -24,13 +24,13 @@ class Material(Checked):
     Parameters
     ----------
     density : float
-        kg/m3.
+        Density, kg/m3.
     youngs_modulus : float
-        Pa.
+        Young's modulus, Pa.
     poissons_ratio : float
-        Between -1 and 0.5.
+        Poisson's ratio, between -1 and 0.5.
     name, source : str
-        Name in scene files, and source of the values.
+        Name in scene files; source of the values.
     """
 
     density: Positive
@@ -171,8 +171,8 @@ RUBBER = _material(
     1100.0,
     2.8e6,
     0.48,
-    "average of rubbers: 0.4e3 psi and 0.48 of textbook tables, density amid 960 to 1280 (Gere); "
-    "small strains alone",
+    "average of rubbers: 0.4e3 psi and 0.48 of textbook tables, density between 960 and 1280 "
+    "(Gere); for small strains only",
 )
 MATERIALS = {
     material.name: material

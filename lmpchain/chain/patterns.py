@@ -33,13 +33,14 @@ def tapered(grains: int, diameter: float, taper: float, **rest: Any) -> Chain:
     Parameters
     ----------
     grains : int
-        N.
+        Number of grains N.
     diameter : float
         Diameter of grain 1, m.
     taper : float
-        Below 1. Grains become smaller downward if it is positive, and larger if it is negative.
+        Relative decrease of the diameter from grain to grain, below 1. A negative taper makes
+        grains larger downward.
     **rest
-        As for `Chain`.
+        Other arguments of `Chain`.
 
     Returns
     -------
@@ -74,15 +75,15 @@ def decorated(grains: int, diameter: float, ratio: float, taper: float = 0.0, **
     Parameters
     ----------
     grains : int
-        N, the number of large and small grains.
+        Number N of large and small grains together.
     diameter : float
         Diameter of grain 1, m.
     ratio : float
-        Diameter of a small grain over that of the large one above it, at most 1.
+        Diameter of a small grain divided by the diameter of the large grain above it, at most 1.
     taper : float
-        As for `tapered`, but from one large grain to the next.
+        Relative decrease of the diameter from one large grain to the next, below 1.
     **rest
-        As for `Chain`.
+        Other arguments of `Chain`.
 
     Returns
     -------
@@ -117,7 +118,7 @@ def periodic(
     Parameters
     ----------
     grains : int
-        N.
+        Number of grains N.
     diameters : float or list of float
         Diameter of each kind, m; one number if all are equal.
     materials : Material, name, or list of them
@@ -125,7 +126,7 @@ def periodic(
     counts : int or list of int
         Number of consecutive grains of each kind in a cell.
     **rest
-        As for `Chain`.
+        Other arguments of `Chain`.
 
     Returns
     -------
@@ -162,14 +163,15 @@ def repeated(grains: int, cell: Any, taper: float = 0.0, **rest: Any) -> Chain:
     Parameters
     ----------
     grains : int
-        N.
+        Number of grains N.
     cell : list of materials, names or {material, diameter}
         One entry for each grain. The first cell starts at grain 1; the last one may be incomplete.
         The keywords `material` and `diameter` give the values that an entry does not specify.
     taper : float
-        Below 1. The diameter of grain n is that in the cell times (1 - taper)^(n-1).
+        Relative decrease of the diameter from grain to grain, below 1. The diameter of grain n is
+        its diameter in the cell times (1 - taper)^(n-1).
     **rest
-        As for `Chain`.
+        Other arguments of `Chain`.
 
     Returns
     -------
@@ -221,19 +223,19 @@ def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
     """Return a chain with absorbing boundaries: additional layers of grains with graded drag.
 
     A layer continues the last cell of up to 8 grains (uniform, dimer, trimer ...), or repeats the
-    last grain if there is no cell. The drag grows as x^p, 0 < x < 1 into the layer. The power p (2,
-    3 or 4) and the strength minimise the reflection of linear waves around the load at rest, in the
-    middle 80 % of all bands. A wall, a held grain or a free end remains, behind the layer.
-    `theory.scattering.reflection` computes the reflection; the page on scenes lists it for usual
-    chains.
+    last grain if there is no cell. The drag increases as x^p with the relative depth x in the
+    layer, 0 < x < 1. The power p (2, 3 or 4) and the strength minimise the reflection of weak waves
+    in the middle 80 % of all bands. The end of the layer is the former end of the chain: a wall, a
+    held grain or a free end. `theory.scattering.reflection` computes the reflection; the page on
+    scenes lists it for usual chains.
 
-    Under gravity a layer at the bottom continues the column: the load increases in it, too. The
-    cell before the layer is evaluated with the load at the beginning of the layer.
+    Under gravity a layer at the bottom continues the column, so that the load increases in the
+    layer, too. The cell before the layer is evaluated with the load at the beginning of the layer.
 
     Parameters
     ----------
     chain : Chain
-        Must be compressed by a load or gravity. The numbers of its grains increase by `top`.
+        Chain that is compressed by a load or gravity. Its grain numbers increase by `top`.
     bottom, top : int
         Numbers of grains of the layers: three cells or more, or 0 for no layer.
 
@@ -263,11 +265,11 @@ def absorbing(chain: Chain, bottom: int = 60, top: int = 0) -> Chain:
         if isinstance(grains, bool) or not isinstance(grains, int | np.integer) or grains < 0:
             raise InputError.at(key, f"must be a whole number of grains (got {shown(grains)})")
     if not (bottom or top):
-        raise InputError.at("bottom", "must be positive, unless top is: give a number of grains")
+        raise InputError.at("bottom", "must be positive if top is 0: give a number of grains")
     if top and chain.gravity > 0:
         raise InputError.at("top", "would load the chain by its weight: use bottom alone")
     if top and chain.load_grain > 1:
-        raise InputError.at("top", "would be loose above the load grain: use bottom alone")
+        raise InputError.at("top", "would not be pressed above the load grain: use bottom alone")
     return sponge.add(chain, int(top), int(bottom))
 
 

@@ -25,16 +25,16 @@ class ChainLimits:
     stiffness_over_mass : float
         Largest entry of the dynamical matrix with a finite square, 1/s2.
     compression : float
-        Largest overlap over diameter at rest or in the first collision; Hertz's law does not
+        Largest ratio of overlap to diameter at rest or in the first collision; Hertz's law does not
         describe a contact beyond it.
     hertz_compression : float
-        Overlap over diameter up to which Hertz's law is accurate. The contact is then a tenth as
-        wide as the grain, but the theory assumes that it is far narrower (K. L. Johnson, Contact
-        Mechanics, Cambridge 1985, section 4.2).
+        Ratio of overlap to diameter up to which Hertz's law is accurate. The contact is then a
+        tenth as wide as the grain, but the theory assumes that it is far narrower (K. L. Johnson,
+        Contact Mechanics, Cambridge 1985, section 4.2).
     usual_diameter : float
-        Largest diameter of a grain without a remark, m.
+        Largest diameter of a grain that causes no remark, m.
     long_chain : int
-        Number of grains from which on arrays are expensive.
+        Smallest number of grains for which arrays are expensive.
     """
 
     least_force: float = 1e-100

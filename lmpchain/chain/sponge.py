@@ -1,8 +1,8 @@
 """Absorbing boundaries: layers of grains at an end of a chain, with gradually increasing drag.
 
 The reflection of linear waves is exact: displacement and force are propagated upward from the last
-grain, and decomposed into the two waves of the periodic chain above the layer. The drag of grain j,
-counted away from the chain, is
+grain, and decomposed into the two waves of the periodic chain above the layer. In a layer of S
+grains, the drag of grain j, counted away from the chain, is
 
     gamma_j = gamma_S x_j^p,    x_j = (j - 1/2) / S,    j = 1 ... S.
 """
@@ -34,7 +34,7 @@ class Grading:
     powers : tuple of int
         Candidates for p; short layers are best with the first, long ones with the last.
     weakest, strongest : float
-        Range of gamma_S over the highest frequency of the cell.
+        Smallest and largest ratio of gamma_S to the highest frequency of the cell.
     middle : float
         Central fraction of every band in which the largest reflection is minimised.
     frequencies : int
@@ -64,10 +64,10 @@ class Layer(NamedTuple):
     Attributes
     ----------
     masses, stiffness, viscosity : (S,) arrays
-        Mass of each grain, kg, and stiffness, N/m, and viscosity, s, of the contact beyond it; 0 if
-        there is no contact.
+        Mass of each grain, kg; stiffness of the contact beyond it, N/m; viscosity of this contact,
+        s. Stiffness and viscosity are 0 if there is no contact.
     cell : int
-        P: the first P grains and contacts are the cell that repeats before the layer.
+        Period P: the first P grains and contacts are the cell that repeats before the layer.
     """
 
     masses: Array
@@ -123,9 +123,9 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     ----------
     sponge : Layer
     drag : (S,) array
-        gamma of the grains of the layer, 1/s.
+        Drag gamma of each grain of the layer, 1/s.
     frequency : (F,) array
-        rad/s, within the bands of the cell.
+        Angular frequencies within the bands of the cell, rad/s.
     """
     square = frequency**2
     inertia = [m * (square + 1j * g * frequency) for m, g in zip(sponge.masses, drag, strict=True)]

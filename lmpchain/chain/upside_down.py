@@ -18,8 +18,8 @@ from .law import Law
 def turn_upside_down(chain: Chain) -> Chain:
     """Return the chain in reverse order, with the forces at rest that its contacts have.
 
-    The motion of the reversed chain is that of the chain with opposite signs, because forces at
-    rest, and not gravity itself, determine the motion around rest. A held last grain becomes a
+    The reversed chain has the motion of the given chain with opposite signs, because the motion
+    around rest depends on the forces at rest and not on gravity itself. A held last grain becomes a
     free first grain, whose motion a drive must prescribe.
 
     Parameters

@@ -12,7 +12,7 @@ def check(arguments: argparse.Namespace) -> int:
     """Print the true error of a run, its causes and cures; exit code 1 if it misses a tolerance."""
     subject = arguments.run or arguments.deck
     if not subject or (arguments.run and arguments.deck):
-        raise InputError.at("run", "name one: a dump or a saved run, or else --deck FOLDER")
+        raise InputError.at("run", "give either a dump or saved run, or --deck FOLDER")
     scene, numbers, _ = collect(
         lambda: arguments.scene and read_scene(arguments.scene),
         lambda: check_numbers(arguments, arguments.scene or subject),
@@ -21,7 +21,7 @@ def check(arguments: argparse.Namespace) -> int:
     from ..benchmark.own_run import check, check_deck
 
     if arguments.deck and arguments.units:
-        raise InputError.at("units", "goes with a LAMMPS dump; leave it out for a deck")
+        raise InputError.at("units", "is only for a LAMMPS dump: leave it out for a deck")
     if arguments.deck:
         result = check_deck(subject, scene, progress=on_terminal())
     else:

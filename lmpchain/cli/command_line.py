@@ -1,7 +1,7 @@
 """The command line: parses the arguments of a verb, runs its function and reports faults.
 
-Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time of
---max-wall was over before the run was, 130 after Ctrl-C, 143 after SIGTERM.
+Exit codes: 0 done, 1 the run failed or missed its tolerance, 2 the input is wrong, 75 the time
+limit --max-wall was reached before the end of the run, 130 after Ctrl-C, 143 after SIGTERM.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ class _Terminated(BaseException):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code; under mpirun, rank 0 runs it.
 
-    Only a run in LAMMPS joins the processes of mpirun. A command that another program started may
-    have its variables, but is none of them.
+    Only a run in LAMMPS joins the processes of mpirun. A command that was started by a program
+    under mpirun inherits the variables of mpirun, but is not one of its processes.
 
     Parameters
     ----------
     argv : list of str, optional
-        Arguments without the name of the program; those of the process by default.
+        Arguments without the name of the program; by default the arguments of the process.
     """
     gc.set_threshold(OBJECTS_BETWEEN_LOOKS)
     # A file name may contain letters that the encoding of the output lacks.

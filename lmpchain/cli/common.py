@@ -131,8 +131,8 @@ def output(
 ) -> Path:
     """Return the path of a file to write, after checking that it can be written.
 
-    A file that lmpchain did not write may be replaced only by `force`. With `stream`, the name "-"
-    stands for standard output.
+    A file that lmpchain did not write is replaced only with `force`. With `stream`, the name "-"
+    means standard output.
     """
     from ..util.files import expanded, is_foreign
 
@@ -147,9 +147,9 @@ def output(
         endings = either(suffixes)
         raise InputError.at(name, f"must end in {endings}")
     if path.exists() and source.exists() and path.samefile(source):
-        raise InputError.at(name, "is the file that is read; name another file")
+        raise InputError.at(name, "is the input file: name another file")
     if not path.parent.is_dir():
-        raise InputError.at(name, f"there is no folder {path.parent}; make it first")
+        raise InputError.at(name, f"there is no folder {path.parent}: create it first")
     # The folder must accept a new file, because outputs are written beside the target and renamed.
     writable = os.access(path.parent, os.W_OK | os.X_OK)
     if not writable or (path.exists() and not os.access(path, os.W_OK)):

@@ -92,7 +92,7 @@ def _able(names: list[str], scene: Scene) -> tuple[list[str], dict[str, str]]:
     Raises
     ------
     InputError
-        If none of them can.
+        If none of the engines supports the scene.
     """
     from .. import engines
 
@@ -137,9 +137,9 @@ def _run_engines(
 ) -> tuple[list[Trajectory], list[str], list[str]]:
     """Run every engine; return the trajectories, the failures and the warnings.
 
-    An engine that would exceed the budget, in s, gets ten times its tolerance in `tolerances`,
-    again and again, and is left out if none below 1 is within the budget, which holds for all
-    these attempts together.
+    If an engine would exceed the budget, in s, its entry in `tolerances` is multiplied by ten until
+    a run fits the budget. The engine is left out if this needs a tolerance of 1 or more. The budget
+    includes all attempts of an engine.
     """
     from ..engines.cost_model import TooLong, budget
 
@@ -178,7 +178,7 @@ def _run_engines(
 def _run(scene: Scene, name: str, tolerance: float, budget_s: float) -> Trajectory:
     """Return the trajectory of an engine, with the time of the fastest of several short runs.
 
-    Short runs are repeated: the first one also loads what was compiled.
+    Short runs are repeated, because the first run also loads compiled code.
     """
     from ..engines.cost_model import budget
     from ..simulation.api import simulate

@@ -47,7 +47,7 @@ def read_axis(text: str) -> tuple[str, list[Any]]:
     low, high = (_number(key, word) for word in bounds[:2])
     count = _count(key, bounds[2]) if len(bounds) == 3 else RUNS_OF_KEY
     if not low < high:
-        raise InputError.at(key, f"the range must go up (got {low:g}:{high:g})")
+        raise InputError.at(key, f"the range must ascend (got {low:g}:{high:g})")
     if log and low <= 0:
         raise InputError.at(key, f"a range in equal ratios must begin above 0 (got {low:g})")
     # NumPy is imported late, because the help does not need it.
@@ -66,7 +66,7 @@ def _count(key: str, word: str) -> int:
     # A number with more digits is rejected later in any case.
     count = int(word[:9]) if word.isdecimal() else 0
     if count < 2:
-        raise InputError.at(key, f"the number of runs must be from 2 (got {shown(word)})")
+        raise InputError.at(key, f"the number of runs must be 2 or more (got {shown(word)})")
     return count
 
 

@@ -21,7 +21,7 @@ EXAMPLES = {
     "hammer": "the force of an impact hammer, from the file of an oscilloscope, on steel balls",
     "vibrometer": "a shaker drives a row of PTFE balls by a measured motion",
     "disorder": "balls of random diameters scatter a wave",
-    "law": "a Toda chain, by a contact law of its own",
+    "law": "a Toda chain, with a contact law given by a formula",
     "lammps": "steel balls on a wall, as a LAMMPS deck and in LAMMPS",
 }
 
@@ -41,10 +41,10 @@ def new(arguments: argparse.Namespace) -> int:
     name = arguments.new_scene
     if arguments.run:
         if arguments.example:
-            raise InputError.at("example", "does not go with --from; leave one of them out")
+            raise InputError.at("example", "cannot be combined with --from: leave one of them out")
         return _from_run(arguments, _new(name, ".toml", arguments.force))
     if given := [key for key in OF_RUNS if getattr(arguments, key) is not None]:
-        raise InputError([(key, "goes with --from; leave it out") for key in given])
+        raise InputError([(key, "is only for --from: leave it out") for key in given])
     example = arguments.example or DEFAULT_EXAMPLE
     path, data = collect(
         lambda: _new(name, ".toml", arguments.force),
@@ -116,5 +116,5 @@ def _new(name: str, suffix: str, force: bool) -> Path:
     """Return the path of a new file; an existing file is replaced only with `force`."""
     path = output(name, "", (suffix,), force=True, stream=True)
     if path != STDOUT and path.exists() and not force:
-        raise InputError.at(name, "is there already: name another file, or add --force")
+        raise InputError.at(name, "already exists: name another file, or add --force")
     return path

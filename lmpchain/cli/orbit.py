@@ -45,7 +45,7 @@ def _read_goal(arguments: argparse.Namespace) -> tuple[str, float]:
     mode = arguments.mode is not None and arguments.energy is not None
     if mode == (arguments.follow is not None):
         cure = "give --mode and --energy, or --follow drive.frequency=1.2e4"
-        raise InputError.at("orbit", f"follows a mode or the response to a drive: {cure}")
+        raise InputError.at("orbit", f"needs a mode or a drive to follow: {cure}")
     if mode:
         return "", 0.0
     name, _, value = arguments.follow.partition("=")
@@ -71,7 +71,7 @@ def _describe(family: Family) -> list[str]:
     last = family[-1]
     state = "stable" if last.stable else f"unstable, largest multiplier {abs(last.unstable[0]):.6g}"
     driven = last.drive is not None
-    first = "at the begin" if driven else "linear"
+    first = "at the start" if driven else "linear"
     frequencies = f"{1 / last.period:.6g} Hz; {first}: {1 / family[0].period:.6g} Hz"
     lines = [
         f"period: {last.period:.12g} s ({frequencies})",
@@ -86,8 +86,8 @@ def _describe(family: Family) -> list[str]:
         for event in family.events
     ]
     if not family.reached:
-        goal = f"{family.parameter} asked for"
-        lines.append(f"the family does not come to the {goal}: {family.ended}")
+        goal = f"requested {family.parameter}"
+        lines.append(f"the family does not reach the {goal}: {family.ended}")
     return lines
 
 

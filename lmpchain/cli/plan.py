@@ -14,7 +14,7 @@ def plan(arguments: argparse.Namespace) -> int:
     if arguments.scene is None and not arguments.calibrate:
         raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
     if arguments.scene is None and arguments.json:
-        raise InputError.at("json", "goes with a scene file; name one")
+        raise InputError.at("json", "needs a scene file: name one")
     scene, numbers, _ = collect(
         lambda: arguments.scene and read_scene(arguments.scene),
         lambda: check_numbers(arguments, arguments.scene or ""),

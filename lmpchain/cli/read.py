@@ -117,12 +117,12 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
         raise InputError.at(path, "is a LAMMPS dump: give its scene as well, --scene SCENE.toml")
     if scene is not None and not dump and expanded(path).is_file():
         raise InputError.at(
-            "scene", f"goes with a LAMMPS dump, which {path} is not; leave it out for a saved run"
+            "scene", f"is only for a LAMMPS dump, which {path} is not: leave it out for a saved run"
         )
     for key in ("axis", "units"):
         if getattr(arguments, key) and scene is None:
             raise InputError.at(
-                key, "goes with a LAMMPS dump and its scene; leave it out for a saved run"
+                key, "is only for a LAMMPS dump and its scene: leave it out for a saved run"
             )
     from ..trajectory.trajectory import Trajectory
 
@@ -134,7 +134,7 @@ def _run_or_dump(arguments: argparse.Namespace) -> Trajectory:
     # A run folder has no samples yet if its run has just started.
     if run.time.size < 2:
         raise InputError.at(
-            path, "has too few samples yet: go on with the run, or run the scene anew"
+            path, "has too few samples so far: continue the run, or run the scene again"
         )
     return run
 

@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
         name = engine.name if engine else arguments.engine
         able = either(each for each in engines.names() if engines.class_of(each).ranks_of_mpi)
         warn(
-            f"the engine {name} runs on one rank; --engine {able} would use them all",
+            f"the engine {name} runs on one rank; --engine {able} would use all ranks",
             stacklevel=1,
         )
     return _report(
@@ -111,7 +111,7 @@ def resume(arguments: argparse.Namespace) -> int:
     elif state["state"] == "killed":
         progress = f"at sample {state['samples_done']} of {state['samples']} or later"
         print(
-            f"{arguments.folder}: {state['reason']} {progress}; going on from its last checkpoint"
+            f"{arguments.folder}: {state['reason']} {progress}; continuing from its last checkpoint"
         )
     return _report(
         lambda: resume(
@@ -164,7 +164,7 @@ def _new_file(name: str, scene: str, force: bool) -> Path:
     path = output(name, scene, force=True)
     if path.exists() and not force:
         raise InputError.at(
-            name, "is there already: replace it with --force, or name another file with -o"
+            name, "already exists: replace it with --force, or name another file with -o"
         )
     return path
 

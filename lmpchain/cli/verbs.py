@@ -43,8 +43,8 @@ Argument = tuple[tuple[str, ...], dict[str, Any]]
 class Verb(NamedTuple):
     """A command with its summary and an example.
 
-    Of the arguments in `choice` one may be given. `renamed` maps earlier spellings of options,
-    which are still accepted, to those of today.
+    At most one of the arguments in `choice` may be given. `renamed` maps earlier spellings of
+    options, which are still accepted, to the present ones.
     """
 
     command: Callable[[argparse.Namespace], int]
@@ -112,8 +112,8 @@ OF_A_RUN = (
     *(
         _argument(f"--{key}", metavar="X", type=float, help=f"with --from: {text}")
         for key, text in {
-            "young": "Young's modulus in Pa, in place of a material",
-            "poisson": "Poisson's ratio, in place of a material",
+            "young": "Young's modulus in Pa, instead of a material",
+            "poisson": "Poisson's ratio, instead of a material",
             "density": "density in kg/m3, if the run has no masses",
             "timestep": "time step in s, if the run does not have it",
             "duration": "duration in s, if the run does not have it",
@@ -190,7 +190,7 @@ VERBS = {
             _argument(
                 "--force",
                 action="store_true",
-                help="replace the file or the run that is there already",
+                help="replace an existing file or run",
             ),
             _argument("--engine", metavar="E", default="auto", help="engine (default: auto)"),
             TOLERANCE,

@@ -25,7 +25,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
     Raises
     ------
     InputError
-        If the scene has no such parameter, or does not allow these values.
+        If the scene has no such parameter, or if it does not allow these values.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def changed(scene: Scene, values: Mapping[str, Array]) -> Scene:
             case _:
                 chain[name] = number
     if scene.chain.impurity and {"diameter", "masses", "material"} & chain.keys():
-        message = "give every grain its own diameter and material in place of impurities"
+        message = "give every grain its own diameter and material instead of impurities"
         raise InputError.at("impurity", message)
     if chain:
         scene = scene.replace(chain=scene.chain.replace(**chain))

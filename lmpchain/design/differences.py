@@ -2,8 +2,8 @@
 
 With changes h and h/2 of a parameter, central differences D(h) and D(h/2) have errors of order h^2.
 Richardson's extrapolation ``(4 D(h/2) - D(h)) / 3`` is of order h^4, and ``|D(h) - D(h/2)|`` bounds
-its error. All runs have the same steps, so that their truncation errors cancel up to the derivative
-of this error, which runs at other steps show.
+its error. All runs have the same steps, so that only the derivative of their truncation error
+remains. Runs with other steps show the size of this derivative.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class FixedRun(NamedTuple):
     grains : (G,) array
         Numbers of the observed grains.
     displacement, velocity : (T, G) arrays
-        Motion, m and m/s.
+        Displacement, m; velocity, m/s.
     step : float
         Longest step, s.
     steps : int
@@ -106,9 +106,9 @@ class Differences(NamedTuple):
     Attributes
     ----------
     slope : (D, ...) array
-        Extrapolated derivatives, per length of the direction.
+        Extrapolated derivatives with respect to the multiple of each direction.
     spread : (D, ...) array
-        Absolute difference between the derivatives by both changes.
+        Absolute difference between the derivatives for both changes.
     rounding : float
         Rounding error of the derivatives.
     """
@@ -133,7 +133,8 @@ def differentiate(
 ) -> Differences:
     """Return the derivatives of a function of the scene along directions of one parameter.
 
-    The change is chosen so that the difference between both derivatives is within the accuracy.
+    The size of the change is chosen so that the derivatives for both changes agree within the
+    accuracy.
 
     Parameters
     ----------
@@ -143,7 +144,7 @@ def differentiate(
     directions : (D, P) array
         Directions, in the unit of the parameter.
     value : function
-        Returns an array for a scene.
+        Function that returns an array for a scene.
     rounding : float
         Rounding error of a value.
     accuracy : float
@@ -181,15 +182,15 @@ def differentiate(
 
 
 def scales_of(scene: Scene, name: str) -> Array:
-    """Return the size of every entry of a parameter, (P,), which is that of its changes.
+    """Return the size of every entry of a parameter, (P,), by which its changes are scaled.
 
-    An entry of 0 has the size of the largest one. Missing walls and the motion of grains that are
-    held have the size 0.
+    An entry of 0 gets the size of the largest entry. The size is 0 for missing walls and for the
+    motion of held grains.
 
     Raises
     ------
     InputError
-        If all entries are 0, because no size of a change follows.
+        If all entries are 0, so that the size of a change is undefined.
     """
     base = np.abs(params.values(scene, name))
     if name == "wall_constants":
@@ -200,7 +201,7 @@ def scales_of(scene: Scene, name: str) -> Array:
     if name == "displacement":
         largest = max(largest, scene.strike_velocity / scene.highest_frequency)
     if largest == 0:
-        message = "is 0, from which no size of a change follows: give a value other than 0"
+        message = "is 0, so that the size of a change is undefined: give a value other than 0"
         raise InputError.at(name, message)
     scales = np.where(base > 0, base, largest)
     if name in ("velocity", "displacement"):

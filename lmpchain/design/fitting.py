@@ -37,14 +37,16 @@ class Fit(Fitted, Tabular):
     Attributes
     ----------
     scene : Scene
+        The fitted scene.
     names : list of str
         Names of the K fitted parameters.
     estimate : (K,) array
-        A factor where entries of one parameter differ and change together, else in the unit of the
-        parameter.
+        Fitted values. The value is a factor if different entries of a parameter change together;
+        otherwise it has the unit of the parameter.
     covariance : (K, K) array
+        Covariance of the estimate.
     chi_square : float
-        Sum of squared residuals over the noise.
+        Sum of the squared ratios of residual to noise.
     freedom : int
         Number of measured values minus K.
     values : dict
@@ -78,7 +80,7 @@ class Fit(Fitted, Tabular):
 
     def notes(self) -> Iterator[str]:
         """Yield a sentence on the goodness of fit and the source of the noise level."""
-        noise = "" if self._problem.noisy else "; the noise is that of the residuals"
+        noise = "" if self._problem.noisy else "; the noise is estimated from the residuals"
         yield f"chi square: {self.chi_square:.5g} of {self.freedom}{noise}"
 
     def profile(self, name: str, reach: float = 3.0, points: int = 13) -> tuple[Array, Array]:
@@ -89,7 +91,9 @@ class Fit(Fitted, Tabular):
         name : str
             One of `names`.
         reach : float
-            Standard deviations to either side.
+            Largest distance from the estimate, in standard deviations.
+        points : int
+            Number of values.
         """
         if name not in self.names:
             message = f"must be one of {', '.join(self.names)} (got {shown(name)})"
@@ -111,8 +115,8 @@ class Fit(Fitted, Tabular):
     def posterior(self, samples: int = 10000, walkers: int = 32, seed: int = 0) -> Array:
         """Return samples (S, K) of the posterior with flat priors, drawn by `emcee`.
 
-        It must be installed; D. Foreman-Mackey, D. W. Hogg, D. Lang and J. Goodman, Publ. Astron.
-        Soc. Pacific 125, 306 (2013).
+        The package `emcee` must be installed (D. Foreman-Mackey, D. W. Hogg, D. Lang and J.
+        Goodman, Publ. Astron. Soc. Pacific 125, 306, 2013).
         """
         try:
             import emcee
@@ -144,8 +148,8 @@ class Fit(Fitted, Tabular):
     def plot(self, ax: Axes | Sequence[Axes] | None = None) -> Axes | list[Axes]:
         """Plot measured and fitted values against time, and return the axes.
 
-        One axes for every unit of the traces: a list of them, of which so many may be given, where
-        there are several.
+        Each unit of the traces has its own axes. If there are several units, `ax` may be a list of
+        as many axes, and a list is returned.
         """
         problem = self._problem
         units = list(dict.fromkeys(FIELD_UNITS[trace.field] for trace in problem.traces))
@@ -193,7 +197,7 @@ class Fit(Fitted, Tabular):
 def _check_reach(scene: Scene, latest: float) -> None:
     """Raise `InputError` if the scene ends before the last value of a trace."""
     if latest > scene.duration * (1 + 1e-6):
-        message = f"of the scene must reach to the last value, {latest:.6g} s or more"
+        message = f"must reach the last value of the traces: use {latest:.6g} s or more"
         raise InputError.at("duration", message)
 
 
@@ -201,8 +205,8 @@ def _check_noise(traces: Sequence[Traces]) -> None:
     """Raise `InputError` unless all traces of different units have a given noise."""
     units = {FIELD_UNITS[trace.field] for trace in traces}
     if len(units) > 1 and any(trace.noise is None for trace in traces):
-        weights = f"of each trace, as squares of {' and '.join(sorted(units))} cannot be added"
-        raise InputError.at("noise", f"must be given {weights}")
+        reason = f"because squares of {' and '.join(sorted(units))} cannot be added"
+        raise InputError.at("noise", f"must be given for each trace, {reason}")
 
 
 def fit(
@@ -210,32 +214,35 @@ def fit(
 ) -> Fit:
     """Fit a scene to measured traces; return it with the covariance of its parameters.
 
-    Gauss-Newton with exact Jacobians, from the tangent of the native integrator along each unknown
-    number. With a law by formula or a ground, Jacobians are differences of native runs. Steps are
-    halved until they add less than a twentieth of a standard deviation to every estimate.
+    The Gauss-Newton method is used with exact Jacobians, from the tangent of the native integrator
+    along each unknown. With a law by formula or a ground, Jacobians are differences of native runs.
+    Steps are halved until the step error of every estimate is below a twentieth of its standard
+    deviation.
 
     Parameters
     ----------
     traces : Traces, or several
+        Measured traces.
     scene : Scene
-        With a guess of the parameters, and long enough for the traces.
+        Scene with a guess of the parameters, and with a duration that includes the traces.
     parameters : mapping, or names
-        By a name that `gradient` knows: "common", one factor for all entries, which a name alone
-        means; "each"; or the numbers of entries, from 1. Parameters of formulas, such as
-        "chain.law.c", keep the sign of the guess.
+        Unknowns by the parameter names of `gradient`: "common" is one factor for all entries,
+        "each" makes every entry an unknown, and a list selects entries by number, from 1. A name
+        alone means "common". Parameters of formulas, such as "chain.law.c", keep the sign of the
+        guess.
 
     Returns
     -------
     Fit
-        Its `estimate` and `covariance`, `scene` and `values`.
+        The fitted `scene` with `estimate`, `covariance` and `values`.
 
     Raises
     ------
     InputError
-        If traces, scene and parameters do not fit together, or the traces do not tell the
-        parameters apart.
+        If traces, scene and parameters do not fit together, or if the traces cannot distinguish the
+        parameters.
     ToleranceNotMet
-        If halving steps does not help any more.
+        If the step error remains too large after several halvings of the steps.
 
     Examples
     --------
@@ -272,7 +279,7 @@ def fit(
     # At most eight attempts: no step suffices for chaos, and each halving doubles the cost.
     best, excess = halve(attempt, 8)
     if excess > 1:
-        message = "the steps change the estimates however short they are: use a shorter time"
+        message = "the estimates depend on the time step even if it is short: fit a shorter time"
         raise ToleranceNotMet(message)
     estimates = problem.estimates(theta)
     # The end of a trace in the scene is known only after the strike time is fitted.
@@ -309,7 +316,7 @@ def _estimate(problem: Problem, theta: Array) -> _Estimate:
     residuals, jacobian = problem.residuals(theta, True)
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale > 0).all() or np.linalg.cond(jacobian / scale) > 1e10:
-        message = "the traces do not tell these apart: fit fewer of them"
+        message = "the traces cannot distinguish these parameters: fit fewer of them"
         raise InputError.at("parameters", message)
     # Scaled columns keep the inverse accurate whatever the units of the unknowns are.
     inverse = np.linalg.inv((jacobian / scale).T @ (jacobian / scale)) / np.outer(scale, scale)

@@ -43,7 +43,7 @@ class GradientRuns:
     halvings : int
         Largest number of halvings of the steps.
     nearby : float
-        Step ratio of the third run, with which an answer is compared.
+        Ratio of the step of the third run to the step of the answer with which it is compared.
     """
 
     look: float = 0.25
@@ -62,17 +62,20 @@ class Gradient(Mapping[str, Array]):
     Attributes
     ----------
     value : float
+        Value of the objective.
     gradients : dict
         Derivatives (P,) by parameter name: per kg, per N/m^delta and so on.
     errors : dict
         Estimated largest error of each gradient, in the same units.
     error : float
-        The largest error relative to the largest derivative for the same kind of parameter. Where
-        these are nothing but round-off, relative to the terms that they are the sum of.
+        Largest error, relative to the largest derivative with the same parameter name. If these
+        derivatives are only rounding errors, it is relative to the terms whose sum they are.
     value_error : float
         Estimated error of the value, in its unit.
     step_s : float
+        Longest time step, s.
     integrator : str
+        Name of the integrator.
     """
 
     value: float
@@ -116,10 +119,11 @@ class DifferenceSlopes(NamedTuple):
     Attributes
     ----------
     slope : (P,) array
+        Extrapolated derivatives.
     spread : (P,) array
-        Difference between the derivatives by two changes of the parameter.
+        Difference between the derivatives for two changes of the parameter.
     terms : (P,) array
-        Size of the terms of the value, over the size of the entry.
+        Size of the terms of the value, divided by the size of the entry.
     rounding : (P,) array
         Rounding error of the derivatives.
     """
@@ -140,6 +144,7 @@ class GradientTask(NamedTuple):
     names : tuple of str
     method : Splitting or DormandPrince
     adaptive : bool
+        Whether steps are shorter where contacts open or close.
     accuracy : float
         Desired relative error of differences, if a law by formula or a ground requires them.
     """
@@ -154,8 +159,8 @@ class GradientTask(NamedTuple):
     def solve(self, step: float, finer: int = 1) -> Answer:
         """Return the value and its derivatives, with steps of at most this length.
 
-        Derivatives are by all inputs; with a law by formula or a ground they are
-        `DifferenceSlopes` by name.
+        The derivatives are with respect to all inputs. With a law by formula or a ground, they are
+        `DifferenceSlopes` by parameter name.
 
         Raises
         ------
@@ -233,8 +238,8 @@ class GradientTask(NamedTuple):
 def shortens(scene: Scene, method: AnyMethod) -> bool:
     """Return whether steps are shortened where contacts open or close, possibly by default.
 
-    There the stiffness of a viscous contact, by which small changes creep, has a vertical tangent:
-    derivatives by equal steps would be of order delta only.
+    The derivatives depend on the stiffness of viscous contacts, which has a vertical tangent at an
+    opening. With equal steps, derivatives would only be of order delta.
     """
     return method.name == "dop853" and scene.largest_strain >= 1
 
@@ -271,16 +276,18 @@ def refine(
     Parameters
     ----------
     solve : function
-        Of the longest step and of how much finer than at first an objective is to look.
+        Returns an answer for the longest step, s, and the factor by which the number of evaluation
+        times of the objective increases.
     judge : function
-        Of the answer and of those with other steps: twice as long, and if that is enough half again
-        as long or shorter, too, as where contacts open two may agree by chance.
+        Returns a judgement of an answer, given answers with other steps: the first has steps twice
+        as long. If the error is within the tolerance, a second one with steps 1.5 times as long or
+        short is added, because two answers may agree by chance if contacts open.
     excess : function
-        Of a judgement: its error over the error allowed.
+        Returns the ratio of the error of a judgement to the allowed error.
     first : float
-        The longest step of an answer, s; it is judged by one twice as long.
+        Longest step of the first answer, s; the comparison uses a step twice as long.
     answers : int
-        Most of them.
+        Largest number of answers.
 
     Returns
     -------
@@ -359,8 +366,8 @@ def _floor(task: GradientTask, run: AnyRun | FixedRun) -> float:
 def _terms(scene: Scene, value: float, inputs: Inputs) -> Inputs:
     """Return the sums of the absolute terms of a value's derivatives with respect to all inputs.
 
-    Such as that value over an input, or, as it may be 0 itself, the part of it that an initial
-    motion or a drive adds.
+    The sum for an input includes the value divided by the input. Because the value may be 0, the
+    contributions of the initial motion and of the drive are added to it first.
     """
     present = params.inputs(scene)
     pairs = list(zip(inputs, present, strict=True))
@@ -408,49 +415,52 @@ def gradient(
 ) -> Gradient:
     """Return an objective and its derivatives with respect to parameters, exact for powers.
 
-    The adjoint of the native integrator is run at the step of the answer and at one twice as long,
-    whose difference is the error; steps are halved until it is within the tolerance. Where contacts
-    open, the two may agree by chance: the difference to a third one, at a step half again as long,
-    is added. An objective that looks between samples looks half as often in the run of the longest
-    steps, so that the difference shows motion that it misses in between, too.
+    The adjoint of the native integrator is run with the step of the answer and with a step twice as
+    long. The difference is the error estimate, and steps are halved until it is within the
+    tolerance. Because two runs may agree by chance if contacts open, the difference from a third
+    run with a step 1.5 times as long is included. An objective with evaluation times between the
+    samples has half as many of them in the run with the longest steps, so that the difference also
+    includes the error of these times.
 
-    With a law by formula or a ground, derivatives are central differences of native runs with two
-    changes of each entry, extrapolated (four runs per entry). The difference between the two, and
-    the rounding error of the runs over the change, are added to the error.
+    With a law by formula or a ground, derivatives are extrapolated central differences of native
+    runs with two changes of each entry (four runs per entry). The error then includes the
+    difference between the derivatives for both changes, and the rounding error of the runs divided
+    by the change.
 
     Parameters
     ----------
     scene : Scene
     objective : Objective
-        Such as `PeakForce(40)`.
+        Objective, such as `PeakForce(40)`.
     parameters : names
-        Of "masses", "contact_constants", "wall_constants", "diameters", "youngs_modulus",
+        Any of "masses", "contact_constants", "wall_constants", "diameters", "youngs_modulus",
         "top_load", "gravity", "displacement" and "velocity" (at t = 0), "drive" and "force" (their
-        samples), "amplitude" and "frequency", "damping.viscoelastic" and "damping.drag"; of a law
-        by formula "chain.law.NAME", and of a ground "chain.ground.NAME", for each parameter NAME.
+        samples), "amplitude", "frequency", "damping.viscoelastic" and "damping.drag"; also
+        "chain.law.NAME" for each parameter NAME of a law by formula, and "chain.ground.NAME" for
+        each parameter of a ground.
     tolerance : float
-        Of the gradient, relative to its largest entry of each name.
+        Largest error of the gradient, relative to the largest entry with the same name.
     integrator : "verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8" or "dop853", optional
-        By default rkn6, or rkn4 where the objective looks between samples; dop853 of a damped
-        chain and of damping.
+        By default dop853 for a damped chain or a damping parameter; otherwise rkn4 if the objective
+        has evaluation times between the samples, or rkn6.
     step : float, optional
-        s; no tolerance is enforced then.
+        Longest step, s. If it is given, no tolerance is enforced.
     adaptive : bool
         Whether steps are shorter where contacts open or close, which keeps the order of the
-        method; in the derivatives they are held. Not of verlet; always of dop853 where contacts may
-        open.
+        method. The steps count as constant in the derivatives. verlet does not support this option;
+        dop853 always uses it if contacts may open.
 
     Returns
     -------
     Gradient
-        Its `value`, arrays by name, `error` and `errors`.
+        Derivatives by parameter name, with `value`, `error` and `errors`.
 
     Raises
     ------
     InputError
-        If a parameter is unknown, or has no derivative in this scene.
+        If a parameter is unknown, or if it has no derivative in this scene.
     ToleranceNotMet
-        If halving steps does not help any more.
+        If the error remains too large after several halvings of the steps.
 
     Examples
     --------
@@ -468,7 +478,7 @@ def gradient(
     if step is not None and not 0 < step < math.inf:
         raise InputError.at("step", f"must be above 0, in s (got {shown(step)})")
     if step is not None and not scene.duration / step < MOST_STEPS:
-        least = f"longer than {scene.duration / MOST_STEPS:.1g} s, or a run takes hours"
+        least = f"longer than {scene.duration / MOST_STEPS:.1g} s, because runs would take hours"
         raise InputError.at("step", f"must be {least} (got {step:g})")
     method = _method(scene, objective, names, integrator, adaptive)
     adaptive = adaptive or shortens(scene, method)
@@ -483,5 +493,5 @@ def gradient(
     if step or answer.error <= tolerance:
         return answer
     raise ToleranceNotMet(
-        f"the error of the gradient is {answer.error:.2g}; use a shorter time or a larger tolerance"
+        f"the error of the gradient is {answer.error:.2g}: use a shorter time or a larger tolerance"
     )

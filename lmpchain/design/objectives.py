@@ -1,8 +1,9 @@
 """Objectives: scalar functions of a motion and the chain, with their derivatives.
 
-An objective looks at some grains at times that are equal parts of the duration: at the samples of
-the scene or, where it is `dense`, so often that the fastest motion turns by a quarter of a radian
-at most in between, and twice as often whenever the steps of a gradient are halved.
+An objective uses the motion of some grains at equally spaced times. By default these are the
+samples of the scene. A `dense` objective uses so many times that the fastest motion turns by at
+most a quarter of a radian between them, and twice as many whenever the steps of a gradient are
+halved.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ class Seen(NamedTuple):
     grains : (G,) array
         Grain numbers, from 1.
     displacement, velocity : (T, G) arrays
-        Motion, m and m/s, positive downward.
+        Displacement, positive downward, m; velocity, m/s.
     """
 
     scene: Scene
@@ -59,11 +60,12 @@ class Slopes(NamedTuple):
     Attributes
     ----------
     value : float
+        Value of the objective.
     displacement, velocity : (T, G) arrays
-        Derivatives with respect to the motion.
+        Derivative with respect to the displacement; derivative with respect to the velocity.
     masses, constants, forces, viscosity : (N,) and (N+1,) arrays
-        Derivatives by masses, and by constants, forces at rest and viscosities of contacts, if the
-        objective itself depends on them.
+        Derivatives with respect to the masses, and to the constants, forces at rest and viscosities
+        of contacts, if the objective depends on them directly.
     """
 
     value: float
@@ -83,9 +85,11 @@ class ContactForce(NamedTuple):
     value : (T,) array
         Force, N.
     by_closer, by_closing : (T,) arrays
-        Derivatives with respect to the approach of the two bodies, m, and its rate, m/s.
+        Derivative with respect to the approach of the two bodies, N/m; derivative with respect to
+        the rate of approach, N s/m.
     by_force, by_constant, by_viscosity : (T,) arrays
-        Derivatives with respect to the force at rest (N), constant (N/m^delta), viscosity (s).
+        Derivative with respect to the force at rest; derivative with respect to the contact
+        constant, m^delta; derivative with respect to the viscosity, N/s.
     grains : list of int
         One or two grains of the contact.
     """
@@ -102,7 +106,8 @@ class ContactForce(NamedTuple):
 def contact_force(view: Seen, contact: int) -> ContactForce:
     """Return the force of a contact and its derivatives.
 
-    With a law by formula, those by the force at rest and by the constant are NaN.
+    With a law by formula, the derivatives with respect to the force at rest and to the contact
+    constant are NaN.
     """
     chain = view.scene.chain
     law = chain.contacts.of(contact)
@@ -217,14 +222,16 @@ def _check_still(scene: Scene, contact: int) -> None:
 class PeakForce:
     """The peak force at a contact, N, including the force at rest: a smooth maximum over time.
 
-    The mean of the force F over time with weights F^sharpness is below the peak by some
-    1 / (2 sharpness) of it, 0.5 % where the sharpness is 100.
+    The value is the mean of the force F over time with weights F^sharpness. It is below the peak by
+    a fraction of about 1 / (2 sharpness), which is 0.5 % for a sharpness of 100.
 
     Parameters
     ----------
     contact : int
-        n, below grain n; 0 is at the top wall and N at the bottom one.
+        Number n of the contact below grain n; 0 is the contact with the top wall, and N the contact
+        with the bottom wall.
     sharpness : float
+        Exponent of the weights.
     """
 
     contact: int
@@ -279,7 +286,7 @@ class _AtTime:
     group : sequence of int
         Numbers of the grains.
     time : float, optional
-        s; by default the end. The nearest sample is taken.
+        Time of the sample, s; by default the end. The nearest sample is used.
     """
 
     group: Sequence[int]
@@ -314,9 +321,10 @@ class KineticEnergy(_AtTime):
 class Energy(_AtTime):
     """The energy of a group of grains above rest at one sample, J.
 
-    As `measure.energy.shares` divides it: kinetic energy, half the energy of contacts with other
-    grains, less the work that load and weight do as they give way, and all of those with walls and
-    with the ground.
+    The energy is divided among the grains as in `measure.energy.shares`. A grain has its kinetic
+    energy, half of the energy of each contact with another grain, and the whole energy of contacts
+    with walls and with the ground. The work of load and weight on a contact is subtracted from its
+    energy.
     """
 
     def grains(self, scene: Scene) -> Sequence[int]:
@@ -387,13 +395,15 @@ class Momentum(_AtTime):
 class ArrivalTime:
     """The time at which the speed of a grain first reaches a threshold, s.
 
-    Between the times looked at, the velocity is the cubic through the four nearest ones.
+    Between the evaluation times, the velocity is interpolated by a cubic through the four nearest
+    values.
 
     Parameters
     ----------
     grain : int
+        Number of the grain.
     velocity : float
-        The threshold, m/s; negative for an upward motion.
+        Threshold, m/s; negative for an upward motion.
     """
 
     grain: int
@@ -415,7 +425,7 @@ class ArrivalTime:
             if above.size:
                 reason = "has that velocity at t = 0: use another threshold"
             elif np.abs(v).max() < AHEAD:
-                reason = "is reached by no wave: record for longer"
+                reason = "is not reached by any wave: use a longer duration"
             raise InputError.at("velocity", f"grain {self.grain} {reason}")
         # The crossing is between the second and the third time, except at the ends.
         first = int(np.clip(above[0] - 2, 0, v.size - 4))
@@ -444,12 +454,13 @@ class Misfit:
     Parameters
     ----------
     group : sequence of G int
-        Grains of which there are traces.
+        Grains with measured traces.
     values : (T, G) array
-        One row a sample, m/s or m.
+        Measured values, m/s or m, with one row for each sample.
     field : "velocity" or "displacement"
+        Measured quantity.
     scale : float
-        Noise, by which differences are divided.
+        Noise by which the differences are divided.
     """
 
     group: Sequence[int]
@@ -481,9 +492,9 @@ class Misfit:
 class DriveWork:
     """The work done by the drive of grain 1, J, in addition to the work against forces at rest.
 
-    Its kinetic energy at the end, less that at t = 0, and the force of the contact below it times
-    its velocity, over the times looked at by the trapezoidal rule with Gregory's corrections at the
-    ends.
+    The work is the increase of the kinetic energy of grain 1, plus the time integral of its
+    velocity times the force of the contact below it. The integral is computed by the trapezoidal
+    rule with Gregory's corrections at both ends.
     """
 
     dense = True
@@ -500,8 +511,8 @@ class DriveWork:
         force = contact_force(view, 1)
         # A sum over times has no derivative, because viscous forces open with a vertical tangent.
         if view.scene.chain.contact_viscosity[1] > 0 and not force.by_closing.all():
-            message = "DriveWork needs a viscous contact that stays closed: press it more, or look"
-            raise InputError.at("objective", f"{message} at the Energy of grains")
+            message = "DriveWork needs a viscous contact that stays closed: press it more, or use"
+            raise InputError.at("objective", f"{message} the Energy of grains")
         change = force.value - view.scene.chain.contacts.force[1]
         m = view.scene.chain.masses[0]
         v = view.velocity[:, 0]
@@ -536,9 +547,12 @@ class Function:
     Parameters
     ----------
     function : callable
-        Takes time (T,) s, displacement (T, G) m and velocity (T, G) m/s, and returns a number and
-        its derivatives by displacement and by velocity, of the same shapes.
+        Function of time, (T,) s, displacement, (T, G) m, and velocity, (T, G) m/s. It returns a
+        number and its derivatives with respect to displacement and velocity, (T, G) each.
     group : sequence of G int
+        Numbers of the grains that the function uses.
+    dense : bool
+        Whether the function needs evaluation times between the samples.
     """
 
     function: Callable[[Array, Array, Array], tuple[float, Array, Array]]

@@ -32,8 +32,9 @@ from .objectives import Objective
 def fingerprint(*values: Any) -> str:
     """Return a hash that differs if any of these values differs.
 
-    Of a function it is of what it computes: its code, what that refers to in its own module, its
-    defaults and what it has taken from the function around it, but not of its name or its place.
+    The hash of a function depends on its code, on the objects of its own module that the code uses,
+    on its default values, and on the variables that it uses from an enclosing function. It does not
+    depend on the name and the location of the function.
     """
     digest = hashlib.sha256()
     for piece in _pieces(values, ()):
@@ -116,10 +117,11 @@ class Optimum(Tabular):
     Attributes
     ----------
     scene : Scene
+        The best scene.
     value, error : float
-        Value of the objective, and its estimated error.
+        Value of the objective; estimated error of the value.
     values : dict
-        Parameters by name.
+        Best parameters by name.
     history : list of arrays
         Values of all runs, one array per start.
     runs : int
@@ -162,7 +164,7 @@ class _Box:
 
     def __init__(self, scene: Scene, names: Sequence[str], bounds: Mapping[str, tuple[Any, Any]]):
         faults = [
-            ("bounds", f"give a lower and an upper one of {name}")
+            ("bounds", f"give a lower and an upper bound of {name}")
             for name in names
             if name not in bounds
         ]
@@ -189,12 +191,12 @@ class _Box:
         low = bound(0)
         high = bound(1)
         if not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
-            raise InputError.at("bounds", "must be finite, the lower one not above the upper one")
+            raise InputError.at("bounds", "must be finite, and no lower bound above the upper one")
         self.low = low
         self.width = high - low
         self.free = high > low
         if not self.free.any():
-            raise InputError.at("bounds", "leave nothing free")
+            raise InputError.at("bounds", "leave no parameter free: use wider bounds")
         start = (np.concatenate(present) - low)[self.free] / self.width[self.free]
         self.start = np.clip(start, 0.0, 1.0)
 
@@ -218,7 +220,7 @@ class _Box:
 class Start(NamedTuple):
     """A finished start: its best value, the parameters there, and the values of all its runs.
 
-    The value has the sign of a minimisation; parameters are numbers from 0 to 1.
+    The sign of the value is that of a minimisation. Parameters are numbers from 0 to 1.
     """
 
     value: float
@@ -247,45 +249,48 @@ def optimise(
 ) -> Optimum:
     """Return the scene that minimises or maximises an objective.
 
-    SciPy's L-BFGS-B, or SLSQP where there are constraints, goes down from the scene itself and from
-    points of a Latin hypercube, by exact gradients of runs with rkn4. One start comes after
-    another: the compiled loops take a quarter of a run with gradients of 100 grains, so that a
-    batch of starts, or a thread for each, would gain little.
+    SciPy's L-BFGS-B, or SLSQP with constraints, starts from the scene itself and from points of a
+    Latin hypercube, and uses exact gradients of runs with rkn4. The starts run one after another:
+    parallel starts would save little time, because the compiled loops take only a quarter of a
+    gradient run with 100 grains.
 
     Parameters
     ----------
     scene : Scene
     objective : Objective
-        Such as `PeakForce(20)`.
+        Objective, such as `PeakForce(20)`.
     parameters : names
-        As of `gradient`.
+        Parameter names, as for `gradient`.
     bounds : mapping
-        By name a lower and an upper bound, numbers or arrays; entries with equal bounds stay there.
+        Lower and upper bound of each parameter by name, numbers or arrays. Entries with equal
+        bounds do not change.
     constraints : sequence of functions, optional
-        Each takes parameters by name and returns a number that must be 0 or above, and its
-        derivatives by name.
+        Functions of the parameters by name. Each returns a number that must be 0 or above, and the
+        derivatives of this number by name.
     maximise : bool
+        Whether to maximise the objective.
     starts, runs, seed : int
-        Number of starts, the most runs of each, and the seed that starts are drawn with.
+        Number of starts; largest number of runs of each start; seed of the random starts.
     tolerance : float
-        Relative, of the value at the end. Steps on the way are those that it needs at the start.
+        Largest relative error of the final value. The step of all runs is the one that this
+        tolerance requires at the start.
     folder : path, optional
-        Keeps every finished start; a call with the same task, constraints and all other options
-        included, goes on from there.
+        Folder that stores every finished start. A call with the same task, including constraints
+        and all other options, continues from there.
     progress : bool
         Whether to show a progress bar.
 
     Returns
     -------
     Optimum
-        With ``scene``, ``value``, ``values`` and ``history``.
+        The best scene, with ``value``, ``values`` and ``history``.
 
     Raises
     ------
     InputError
-        If parameters and bounds do not fit, or the folder is of another task.
+        If parameters and bounds do not fit together, or if the folder belongs to another task.
     RunFailed
-        If no start comes to an answer.
+        If no start converges.
 
     Examples
     --------
@@ -368,7 +373,7 @@ class _Descent(NamedTuple):
     objective : Objective
     constraints : sequence of functions
     sign : float
-        -1 to maximise.
+        1 to minimise, -1 to maximise.
     runs : int
         Largest number of runs.
     turn : float
@@ -474,14 +479,15 @@ class _StartStore:
                 for start in text["starts"]
             ]
             if not isinstance(task, str) or any(start.history.ndim != 1 for start in starts):
-                raise ValueError("it holds no starts")
+                raise ValueError("it contains no starts")
         except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
             raise InputError.at(
                 "folder",
-                f"{self.path} is damaged, or not lmpchain's: move it, or use another folder",
+                f"{self.path} is damaged, or lmpchain did not write it: move it, or use another "
+                "folder",
             ) from error
         if task != self.task or any(start.at.shape != (self._size,) for start in starts):
-            message = f"{self.path} is of another task: use another folder, or remove it"
+            message = f"{self.path} belongs to another task: use another folder, or remove it"
             raise InputError.at("folder", message)
         return starts
 

@@ -1,10 +1,11 @@
 """Parameters of a chain and its excitation, and the derivatives of the motion's inputs by them.
 
 The motion depends on masses, contact constants K_n, forces at rest
-``F_n = F_top + g (m_1 + ... + m_n)`` and on the excitation. Displacements are from equilibrium,
-whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all of them, so that a mass acts by its
-inertia and by its weight on every contact below. Diameters and moduli act through Hertz's constants
-``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and masses, where these are not given on their own.
+``F_n = F_top + g (m_1 + ... + m_n)`` and on the excitation. Displacements are relative to
+equilibrium, whose overlaps ``eps_n = (F_n / K_n)^(1/delta)`` depend on all these quantities. A mass
+therefore acts through its inertia, and through its weight on every contact below it. Diameters and
+moduli act through Hertz's constants ``K = (4/3) E* sqrt(R*) dbar^(1.5 - delta)`` and through the
+masses, unless these are given.
 
 Parameters of laws by formula are named after their keys, ``chain.law.c`` and ``chain.ground.k``.
 """
@@ -101,24 +102,24 @@ def _refuse(scene: Scene, name: str) -> str:
         case "top_load" | "gravity" if not chain.compressed:
             return "has no derivative in a chain without compression: add a load or gravity"
         case "top_load" if chain.top == "wall" and chain.load_grain == 1 and chain.top_load == 0:
-            return "has no derivative at 0, where the top wall only touches: give a top_load"
+            return "has no derivative at 0, because the top wall only touches: give a top_load"
         case "contact_constants" if chain.grains == 1:
             return "there is no contact between grains: use wall_constants"
         case "contact_constants" if chain.law.given_constant is not None:
-            return f"are those of the law: use {LAW}k"
+            return f"are given by the law: use {LAW}k"
         case "diameters" | "masses" | "youngs_modulus" if chain.impurity and by_differences(scene):
             return "has no derivative with impurities and formulas: give every grain its own value"
         case "displacement" | "velocity" if course is not None and by_differences(scene):
-            return "has no derivative with formulas while a drive or force acts: use its own"
+            return "has no derivative with formulas and a drive or force: use parameters of these"
         case "wall_constants" if not chain.wall_constants.any():
             return 'there is no wall: use top or bottom = "wall"'
         case "amplitude" | "frequency" if getattr(course, name, None) is None:
-            return "belongs to a sine or burst of a drive or force, which this scene lacks"
+            return "needs a drive or force that is a sine or a burst"
         case "drive" | "force" if course is None or course.kind != name or course.times is None:
-            return f"contains the samples of a {name} through points, which this scene lacks"
+            return f"needs a {name} that is given by points"
         case "drive" | "force" if course and course.interpolation == "pchip":
             cure = 'use interpolation = "linear" or "spline"'
-            return f"has no derivative everywhere where a curve is kept monotone: {cure}"
+            return f"has no derivative everywhere with monotone interpolation: {cure}"
     known = [*UNITS, *names_of_formulas(chain)]
     return "" if name in known else not_among(name, known)
 
@@ -265,7 +266,8 @@ def _dependence(scene: Scene, name: str) -> dict[str, sparse.csr_array]:
 def _between(chain: Chain) -> sparse.csr_array:
     """Return the derivatives (N+1, N-1) of all contact constants by those between grains.
 
-    Constants of walls change in proportion, unless they are given."""
+    The constant of a wall changes in proportion to that of the adjacent contact, unless it is
+    given."""
     grains = chain.grains
     constant = chain.contacts.constant
     row = np.arange(1, grains)
@@ -281,8 +283,9 @@ def _between(chain: Chain) -> sparse.csr_array:
 def _by_body(chain: Chain, above: Array, below: Array) -> sparse.csr_array:
     """Return dK per property of the grains, (N+1, N), given d(log K) per upper and lower grain.
 
-    Given constants do not depend on the property. A wall constant that does depend on it includes
-    the part of the neighbour that does not.
+    Given constants do not depend on the property. If only the constants between grains are given,
+    a wall constant depends on the property through the ratio of the wall's and the adjacent
+    contact's constants that would follow from the grains.
     """
     last = chain.grains
     contact = np.arange(last + 1)

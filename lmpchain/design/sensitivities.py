@@ -69,20 +69,20 @@ class Sensitivity(Tabular):
     Attributes
     ----------
     of, unit : str
-        Name of the result, and its unit.
+        Name of the result; unit of the result.
     gradient : Gradient
         The result and its derivatives, with errors.
     relative : dict
-        Change of the result by a relative change of each entry, by name, in the unit of the
-        answer.
+        Change of the result for a relative change of each entry, by parameter name, in the unit of
+        the result.
     uncertainty : dict
-        Standard deviation to first order by the uncertainties of single parameters, by name.
+        Standard deviation of the result to first order, due to each uncertain parameter, by name.
     deviation : float
-        Standard deviation of the answer by all of them, to first order.
+        Standard deviation of the result to first order, due to all uncertain parameters.
     scatter, shift : float
-        Standard deviation and mean change of the answer beyond first order, by `PAIRS` pairs of
-        drawn chains that differ from the scene by as much to either side; NaN where one of them has
-        no such answer.
+        Standard deviation of the result beyond first order; mean change of the result. Both follow
+        from `PAIRS` pairs of random chains that differ from the scene by opposite amounts, and are
+        NaN if a chain has no such result.
     remark : str
         Remark if no wave reaches the grains of the result; otherwise empty.
     """
@@ -130,7 +130,7 @@ class Sensitivity(Tabular):
             if changes.size > 1:
                 total = changes.sum()
                 rows.append((f"all {name}", f"{total / 100:+.4g}", f"{total / size:+.4f}"))
-        lines += [*align(rows), f"derivatives known to {self.gradient.error:.1e}"]
+        lines += [*align(rows), f"relative error of the derivatives: {self.gradient.error:.1e}"]
         for name, deviation in self.uncertainty.items():
             lines.append(f"by the uncertainty of {name}: {deviation:.3g} {self.unit}")
         if self.uncertainty:
@@ -141,7 +141,7 @@ class Sensitivity(Tabular):
             if np.isfinite(self.scatter):
                 scatter = f"{self.scatter:.3g} {self.unit}"
                 shift = f"the mean shifted by {self.shift:+.2g}"
-                beyond = f"by {2 * PAIRS} drawn chains: {scatter}, {shift}"
+                beyond = f"by {2 * PAIRS} random chains: {scatter}, {shift}"
             lines.append(beyond)
         return "\n".join(lines)
 
@@ -251,24 +251,25 @@ def sensitivity(
     ----------
     scene : Scene
     of : str or Objective
-        "peak_force:CONTACT", "energy:FIRST-LAST", "kinetic_energy:FIRST-LAST", "momentum:GRAIN",
-        "arrival_time:GRAIN@VELOCITY".
+        Result: "peak_force:CONTACT", "energy:FIRST-LAST", "kinetic_energy:FIRST-LAST",
+        "momentum:GRAIN", "arrival_time:GRAIN@VELOCITY", or an objective.
     uncertain : mapping, optional
-        By name of a parameter, such as "diameters", the relative standard deviation of every entry.
+        Relative standard deviation of every entry of a parameter, by parameter name, such as
+        "diameters".
     tolerance : float
-        Of the derivatives.
+        Largest relative error of the derivatives.
 
     Returns
     -------
     Sensitivity
-        Its `table`, `plot`, `relative` changes and `uncertainty`.
+        The `relative` changes and the `uncertainty`, with `table` and `plot`.
 
     Raises
     ------
     InputError
-        If there is no such answer, or a parameter or its deviation is none.
+        If there is no such result or parameter, or if a relative deviation is not from 0 to 1.
     ToleranceNotMet
-        As `gradient`.
+        As for `gradient`.
 
     Examples
     --------
@@ -286,7 +287,7 @@ def sensitivity(
         if name not in names:
             raise InputError.at("uncertain", not_among(name, tuple(names)))
         if not 0 <= share < 1:
-            message = f"must be from 0 to 1, a part of each entry (got {shown(share)})"
+            message = f"must be from 0 to 1, relative to each entry (got {shown(share)})"
             raise InputError.at(name, message)
     slopes = gradient(scene, answer, names, tolerance)
     relative = {name: slopes[name] * params.values(scene, name) for name in names}
@@ -302,7 +303,7 @@ def sensitivity(
 
 def _remark(scene: Scene, answer: Objective, value: float) -> str:
     """Return a remark if no wave reaches the grains of a result, otherwise an empty text."""
-    within = f"within {scene.duration:g} s: record for longer"
+    within = f"within {scene.duration:g} s: use a longer duration"
     if isinstance(answer, PeakForce):
         rest = float(scene.chain.contacts.force[answer.contact])
         at_rest = abs(value - rest) <= AT_REST * rest
@@ -320,8 +321,9 @@ def _draw_pairs(
 ) -> tuple[float, float]:
     """Return the standard deviation and mean change of a result beyond first order.
 
-    The chains of a pair differ from the scene by as much, to either side. The odd part of their
-    changes, over the linear one, corrects the first order; the even part adds to it.
+    The two chains of a pair differ from the scene by opposite amounts. The odd part of their
+    changes, divided by the linear change, corrects the standard deviation of first order; the even
+    part adds to it.
     """
     first = sum(
         float((share * relative[name]) @ (share * relative[name]))

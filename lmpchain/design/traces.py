@@ -34,24 +34,25 @@ class Traces(Shown, Tabular):
     Parameters
     ----------
     time : (T,) array
-        Increasing, s.
+        Increasing times, s.
     places : (G,) integers
-        Numbers of grains, or of contacts: 0 at the top wall, N at the bottom one.
+        Numbers of grains, or of contacts: 0 is at the top wall, N at the bottom wall.
     values : (T, G) array
-        m/s, m or N, velocity and displacement positive downward.
+        Measured values, in m/s, m or N. Velocity and displacement are positive downward.
     field : "velocity", "displacement", "force" or "contact"
-        The force that a sensor in a grain shows, the mean of its two contacts, or the force of a
-        contact, both above rest.
+        Measured quantity. "force" is the force that a sensor in a grain shows, the mean of its two
+        contacts, and "contact" the force of a contact; both are relative to rest.
     noise : float or (G,) array, optional
-        Standard deviation, in the unit of the values; by default that of the residuals of the fit.
+        Standard deviation of the noise, in the unit of the values; by default it is estimated from
+        the residuals of the fit.
     trigger, gain, offset : bool
-        Whether the time of the strike, a factor of all values, and a constant added to each trace
-        are unknown.
+        Whether the time of the strike is unknown; whether a factor of all values is unknown;
+        whether a constant added to each trace is unknown.
 
     Raises
     ------
     InputError
-        With every fault found.
+        With all faults found.
     """
 
     time: Array
@@ -95,23 +96,24 @@ class Traces(Shown, Tabular):
     def from_csv(cls, path: str | PathLike[str], places: Sequence[int], **options: Any) -> Traces:
         """Read the times and one column per place from an instrument's file.
 
-        Delimiter, decimal comma, lines above the table and units in its header are recognised; what
-        was understood is said in one line.
+        Delimiter, decimal comma, lines above the table and units in its header are detected, and
+        a line of text describes them.
 
         Parameters
         ----------
         path : path
+            Path of the file.
         places : (G,) integers
-            Columns that `lmpchain export` names after them, such as force_10, are known by it.
+            Numbers of grains or contacts. Columns that `lmpchain export` names after them, such as
+            force_10, are found by their names.
         options
-            Those of `Traces`, and those of `TraceFile`: columns, skip, time_scale, scale, offset or
-            baseline, trigger, lowpass, every. Of both `offset` and `trigger`, True is a number to
-            be fitted.
+            Options of `Traces`, and of `TraceFile`: columns, skip, time_scale, scale, offset or
+            baseline, trigger, lowpass, every. If `offset` or `trigger` is True, it is fitted.
 
         Raises
         ------
         InputError
-            If the file cannot be read, or does not tell which columns these are.
+            If the file cannot be read, or if its columns are ambiguous.
 
         Examples
         --------
@@ -164,7 +166,7 @@ def model(
     change : Inputs, optional
         D changes of the inputs.
     motion : pair of (D, T, grains) arrays, optional
-        How displacements and velocities change with them.
+        Changes of the displacements and of the velocities due to these changes of the inputs.
     """
     view = Seen(scene, run.time, run.grains, run.displacement, run.velocity)
     if traces.field in ("velocity", "displacement"):

@@ -38,7 +38,7 @@ class Problem:
     names : list of str
         Names of the unknowns: parameters of the scene, then nuisance parameters of the traces.
     units, origin : lists of float
-        Estimates are origin + units theta.
+        Scale and origin of the estimates, which are origin + units theta.
     symbols : list of str
         Units of the estimates as text; empty for a factor or a gain.
     along : list
@@ -92,8 +92,8 @@ class Problem:
         symbol = params.unit(self.scene, name)
         if isinstance(choice, str) and choice == "common":
             if not base.any():
-                cure = "begin with a guess above 0" if name in MAY_VANISH else "name entries"
-                raise InputError.at(name, f"is 0 everywhere, which no factor changes: {cure}")
+                cure = "start from a guess above 0" if name in MAY_VANISH else "name entries"
+                raise InputError.at(name, f"is 0 everywhere, so a factor cannot change it: {cure}")
             entries = base[base != 0]
             # Equal entries are estimated in their own unit, unequal entries by a factor.
             alike = bool((entries == entries[0]).all())
@@ -136,7 +136,8 @@ class Problem:
     def _tables(self, scene: Scene, derivatives: bool) -> tuple[Array, list[Array]]:
         """Return the times of a run, (L,), and for each trace its values and derivatives there.
 
-        Each is an array (L, D+1, G), with the derivatives by D unknowns of the scene, if requested.
+        Each array, (L, D+1, G), contains the values and the derivatives with respect to D unknowns
+        of the scene; D is 0 if no derivatives are requested.
         """
         method = method_for(self.scene, [name for name, _ in self.along], "rkn4")
         if params.by_differences(self.scene):
@@ -241,8 +242,9 @@ class Problem:
         Parameters
         ----------
         start : (K,) array
+            Relative changes at the start.
         free : index
-            Of those that may change; by default all may.
+            Index of the unknowns that may change; by default all.
         """
         from scipy.optimize import least_squares
 

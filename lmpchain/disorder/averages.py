@@ -34,24 +34,25 @@ class Ensemble(StreamedAverages, Tabular):
     seed : int
         Seed of the random numbers.
     law, of : str
-        As for `disordered`.
+        Distribution of the random factors; quantity that they change, as for `disordered`.
     engine : str
         Name of the engine.
     equation : int
-        Number in the paper of the equation solved.
+        Number of the equation of the paper that the engine solves.
     realisations : int
-        R, the number of chains.
+        Number R of chains.
     time : (T,) array
         Times, s.
     grains : (G,) array
         Numbers of the recorded grains.
     displacement, velocity : (T, G) arrays
-        Means over the chains, m and m/s, positive downward.
+        Mean displacement, positive downward, m; mean velocity, m/s.
     displacement_error, velocity_error : (T, G) arrays
-        Standard errors of the means: the standard deviation over sqrt(R); NaN for a single chain.
+        Standard error of the mean displacement, m, NaN for a single chain; standard error of the
+        mean velocity, m/s.
     model_error, solver_error : float
-        Largest errors of any chain, as defined for a trajectory. The model error shows how
-        nonlinear the motion was.
+        Largest model error of any chain, which shows how nonlinear the motion was; largest solver
+        error of any chain. Both are defined as for a trajectory.
     squeezed : int
         Number of chains with a contact whose overlap at rest exceeds a tenth of the diameter.
     """
@@ -97,19 +98,19 @@ def ensemble(
 ) -> Ensemble:
     """Simulate a scene for many disordered chains and average.
 
-    Memory contains only running means and variances, for any number of chains. Chain i is that of
-    `realisation`; its solution is the same to the last bit, independent of the number of chains.
+    Memory contains only running means and variances, for any number of chains. Chain i is the one
+    that `realisation` returns, and its solution does not depend on the number of chains.
 
     Parameters
     ----------
     scene : Scene
         The scene with the ordered chain.
     m : float
-        As for `factors`.
+        Shape parameter of the distribution, as for `factors`.
     realisations : int
         Number of chains.
     seed : int
-        0 or more; the same seed gives the same bytes.
+        Seed of the random numbers, 0 or more; the same seed gives the same bytes.
     engine : str or Engine
         "chebyshev" or "modes" for Eq. (3), "native" for Eq. (1), or one of these as an object with
         options.
@@ -128,7 +129,7 @@ def ensemble(
     Raises
     ------
     InputError
-        If an option is wrong, or the engine cannot solve the scene with random chains.
+        If an option is wrong, or if the engine cannot solve the scene with random chains.
     ToleranceNotMet
         If shorter steps do not reduce the error below the tolerance.
     RunFailed
@@ -177,12 +178,13 @@ def at_the_end(
     Returns
     -------
     (N,) array and list of M Ensemble
-        Velocities, m/s, and averages of all grains at two samples, the start and the end.
+        Velocities of the ordered chain, m/s, and averages of all grains at two samples, the start
+        and the end.
 
     Raises
     ------
     InputError
-        As `ensemble`.
+        As for `ensemble`.
     """
     check(fault_of_count(realisations, 2), fault_of_whole("seed", seed, 0))
     end = Scene(chain=scene.chain, excitation=scene.excitation, duration=scene.duration, samples=2)

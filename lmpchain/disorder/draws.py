@@ -1,11 +1,11 @@
 """Chains with random contacts or random grains.
 
-The stiffness of each contact of a disordered chain is that of the ordered chain times an
-independent factor zeta_n from Dyson's distribution: a gamma distribution of shape m, mean 1 and
-variance 1/m (F. J. Dyson, Phys. Rev. 92, 1331, 1953), which approaches order as m grows. Masses,
-diameters and moduli of grains are drawn in the same way. Eq. (23) as printed has an additional
-power of zeta, and therefore shape m + 1, mean 1 + 1/m and variance (m+1)/m^2. The mean of 1/zeta is
-then 1 for every m, so that disorder does not change the speed of the longest waves.
+The stiffness of each contact of the ordered chain is multiplied by an independent factor zeta_n
+from Dyson's distribution: a gamma distribution of shape m, mean 1 and variance 1/m (F. J. Dyson,
+Phys. Rev. 92, 1331, 1953). The chain becomes ordered as m increases. Masses, diameters and moduli
+of grains are drawn in the same way. Eq. (23) as printed has an additional power of zeta, and
+therefore shape m + 1, mean 1 + 1/m and variance (m+1)/m^2. The mean of 1/zeta is then 1 for every
+m, so that disorder does not change the speed of the longest waves.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
         Number of factors.
     rng : numpy.random.Generator
     law : "dyson" or "paper"
-        Mean 1 and variance 1/m, `theory.dyson.density`; or Eq. (23) as printed, with mean 1 + 1/m
-        and variance (m+1)/m^2, `theory.dyson.weight`.
+        Distribution. "dyson" has mean 1 and variance 1/m (`theory.dyson.density`). "paper" is
+        Eq. (23) as printed, with mean 1 + 1/m and variance (m+1)/m^2 (`theory.dyson.weight`).
 
     Returns
     -------
@@ -54,7 +54,7 @@ def factors(m: float, size: int, rng: np.random.Generator, law: Law = "dyson") -
     Raises
     ------
     InputError
-        If m is not a number above 0, or the law is unknown.
+        If m is not a number above 0, or if the law is unknown.
 
     Examples
     --------
@@ -82,11 +82,11 @@ def disordered(
     m, rng, law
         As for `factors`.
     of : str
-        The quantity multiplied by zeta_n. "stiffness": the linear kappa_n, as in Eqs. (3) and
-        (23); at a given force it is proportional to K^(1/delta), so K_n becomes K_n zeta_n^delta.
-        "constant": the contact constant K_n itself; the stiffness then changes by zeta_n^(1/delta)
-        only. With one factor for each grain: "mass"; "diameter", with the masses and contacts that
-        follow from it; or "youngs_modulus", with the contacts that follow from it.
+        Quantity that is multiplied by zeta_n. "stiffness" is the linear stiffness kappa_n, as in
+        Eqs. (3) and (23); at a given force it is proportional to K^(1/delta), so that K_n becomes
+        K_n zeta_n^delta. "constant" is the contact constant K_n itself, so that the stiffness
+        changes only by zeta_n^(1/delta). "mass", "diameter" and "youngs_modulus" have one factor
+        for each grain; masses and contacts follow from the diameter, and contacts from the modulus.
 
     Returns
     -------
@@ -121,17 +121,17 @@ def realisation(
 ) -> Scene:
     """Return the scene with random chain number `index` (from 0) for this seed.
 
-    The realisation depends only on seed and index, not on the number of other ones. Unlike
-    `disordered`, this function accepts arbitrarily soft contacts, because rejecting such chains
-    would change the distribution; `Ensemble.squeezed` counts them.
+    The realisation depends only on seed and index, not on the number of realisations. Unlike
+    `disordered`, this function accepts arbitrarily soft contacts, because rejecting chains with
+    soft contacts would change the distribution; `Ensemble.squeezed` counts these chains.
 
     Parameters
     ----------
     scene : Scene
     m : float
-        As for `factors`.
+        Shape parameter of the distribution, as for `factors`.
     seed, index : int
-        0 or more.
+        Seed of the random numbers, 0 or more; number of the chain, 0 or more.
     law, of : str
         As for `disordered`.
 
@@ -142,7 +142,7 @@ def realisation(
     Raises
     ------
     InputError
-        As `disordered`, except for soft contacts.
+        As for `disordered`, except for soft contacts.
 
     Examples
     --------
@@ -263,8 +263,8 @@ def _check_of(chain: Chain, of: Of) -> None:
     check(_fault_of_choice("of", of, get_args(Of)))
     if of == "stiffness" and not chain.compressed:
         reason = "without gravity and load the stiffness of contacts at rest is 0"
-        cure = f'{reason}; use of="constant"'
+        cure = f'{reason}: use of="constant"'
         raise InputError.at("gravity", cure)
     if of in ("diameter", "youngs_modulus") and chain.given_contact_constants is not None:
-        cure = f'contact constants are given and do not follow from {of}; use of="constant"'
+        cure = f'contact constants are given and do not follow from {of}: use of="constant"'
         raise InputError.at("contact_constants", cure)

@@ -61,9 +61,10 @@ class MeasuredEnsemble(Shown, Tabular):
     values : (R, ...) array
         Values of each chain.
     x : array or None
-        Coordinate of a curve.
+        Coordinate of a curve; None for a number.
     model_error, solver_error : float
-        Largest errors of any run, relative, as defined for a trajectory.
+        Largest relative model error of any run; largest relative solver error of any run. Both are
+        defined as for a trajectory.
     """
 
     values: Array
@@ -95,10 +96,10 @@ class MeasuredEnsemble(Shown, Tabular):
     def interval(self) -> tuple[Array, Array]:
         """Ends of the 95 % confidence interval of the mean, corrected for skewness.
 
-        They follow from Hall's transformation of Student's t by the skewness of the values (P.
-        Hall, J. R. Statist. Soc. B 54, 221, 1992). Of many ensembles of 30 chains or more, 94.5 to
-        96.5 % of the intervals contain the mean, for normal, uniform, gamma and exponential
-        distributions; of ensembles of 10, 93.5 to 97 %.
+        The ends follow from Hall's transformation of Student's t, which uses the skewness of the
+        values (P. Hall, J. R. Statist. Soc. B 54, 221, 1992). For normal, uniform, gamma and
+        exponential distributions, 94.5 to 96.5 % of the intervals contain the true mean if there
+        are 30 chains or more, and 93.5 to 97 % if there are 10 chains.
         """
         quantile = float(student.ppf((1 + LEVEL) / 2, self.realisations - 1))
         ends = (_invert_hall(t, self._skewness) for t in (quantile, -quantile))
@@ -122,8 +123,8 @@ class MeasuredEnsemble(Shown, Tabular):
     def quantile_interval(self, share: float) -> tuple[Array, Array]:
         """Return the ends of a 95 % confidence interval of a quantile, (...) each.
 
-        They are order statistics, so that the interval holds for every continuous distribution. An
-        end is infinite if the chains are too few.
+        The ends are order statistics, so that the interval is valid for every continuous
+        distribution. An end is infinite if there are too few chains.
         """
         _check_share(share)
         low, high = binom.ppf([(1 - LEVEL) / 2, (1 + LEVEL) / 2], self.realisations, share)
@@ -149,14 +150,14 @@ class MeasuredEnsemble(Shown, Tabular):
         Parameters
         ----------
         ax : axes, optional
-            By default those of a new figure.
+            Axes to draw on; by default the axes of a new figure.
         label, x_label : str
-            Of the quantity and of its coordinate, with their units.
+            Name of the quantity with its unit; name of its coordinate with its unit.
 
         Raises
         ------
         InputError
-            If the quantity has more than one dimension.
+            If the quantity is neither a number nor a curve.
         """
         title = f"{self.realisations} chains"
         if self.values.ndim == 1:
@@ -175,7 +176,7 @@ class MeasuredEnsemble(Shown, Tabular):
             return finish(ax, title)
         if self.values.ndim > 2:
             shape = self.values.shape[1:]
-            raise InputError.at("measure", f"returns an array {shape}: draw a curve of it")
+            raise InputError.at("measure", f"returns an array of shape {shape}: select a curve")
         ax = chart(ax, x_label, label)
         x = np.arange(self.values.shape[1]) if self.x is None else self.x
         lowest, highest = (self.quantile(share) for share in BAND)
@@ -204,19 +205,19 @@ def statistics(
     values : (R, ...) array_like, or xarray.DataArray
         One row for each of two chains or more, or a variable of `load_sweep`.
     over : str, optional
-        Dimension of the chains in a DataArray, as "realisation" or "draw".
+        Dimension of the chains in a DataArray, such as "realisation" or "draw".
     x : array_like, optional
         Coordinate of a curve, for pictures.
 
     Returns
     -------
     MeasuredEnsemble
-        Its errors of runs are NaN.
+        Statistics of the values; the model error and the solver error are NaN.
 
     Raises
     ------
     InputError
-        If there is no such dimension, or values are missing, because a scene failed.
+        If there is no such dimension, or if values are missing because a scene failed.
 
     Examples
     --------
@@ -235,7 +236,7 @@ def statistics(
     missing = np.flatnonzero(np.isnan(rows).reshape(len(rows), -1).any(1))
     if missing.size:
         message = f"are missing for {missing.size} of {len(rows)} chains, first for {missing[0]}"
-        raise InputError.at("values", f"{message}: leave these out if they do not bias the rest")
+        raise InputError.at("values", f"{message}: leave them out if this causes no bias")
     coordinate = None if x is None else numbers(x, "x")
     return MeasuredEnsemble(rows, coordinate, np.nan, np.nan)
 
@@ -261,10 +262,10 @@ def measured_over(
     scene : Scene
         The scene with the ordered chain.
     measure : function
-        Returns a number, an array or several of them by name from a trajectory; arrays of all
-        chains have the same shape.
+        Function of a trajectory that returns a number, an array, or several of them by name. The
+        arrays of all chains must have the same shape.
     m, realisations, seed, engine, tolerance, law, of
-        As for `ensemble`; two chains or more.
+        As for `ensemble`, but with two chains or more.
     x : array_like, optional
         Coordinate of a curve, for pictures.
     progress : bool
@@ -277,9 +278,9 @@ def measured_over(
     Raises
     ------
     InputError
-        As `ensemble`, or from the measure; the number of the chain is named.
+        As for `ensemble`, or if `measure` raises it. The message names the number of the chain.
     ToleranceNotMet, RunFailed
-        As `ensemble`.
+        As for `ensemble`.
 
     Examples
     --------
@@ -319,17 +320,18 @@ def within(
     Parameters
     ----------
     scene : Scene
-        With the nominal values.
+        Scene with the nominal values.
     tolerances : dict of float
-        Standard deviations, or half widths of a uniform distribution, in SI units: of "diameter",
-        "youngs_modulus" or "mass" of the grains, "top_load", "gravity", and of a number of the
-        excitation, such as "excitation.velocity". With a diameter mass and contacts change as well.
+        Standard deviations, or half widths of a uniform distribution, in SI units, by name:
+        "diameter", "youngs_modulus" or "mass" of the grains, "top_load", "gravity", or a number of
+        the excitation, such as "excitation.velocity". A changed diameter also changes the mass and
+        the contacts of a grain.
     measure, realisations, seed, engine, tolerance
         As for `measured_over`.
     distribution : "normal" or "uniform"
     common : tuple of str
-        Those properties of grains that are drawn once for all grains, as the modulus of one batch
-        of beads; others are drawn for each grain.
+        Properties of grains that are drawn once for all grains, such as the modulus of one batch of
+        beads. The other properties are drawn for each grain.
     x, progress
         As for `measured_over`.
 
@@ -340,9 +342,10 @@ def within(
     Raises
     ------
     InputError
-        If a tolerance is of none of these, negative, or so wide that a value leaves its range.
+        If the name of a tolerance is unknown, or if a tolerance is negative or so wide that a value
+        leaves its range.
     ToleranceNotMet, RunFailed
-        As `measured_over`.
+        As for `measured_over`.
 
     Examples
     --------
@@ -407,7 +410,7 @@ def _drawn(
             change = draw(key, 1 if key in common else chain.grains)
             factor = 1 + np.broadcast_to(change, chain.grains) / _nominal(chain, key)
             if not (factor > 0).all():
-                message = f"{widths[key]:g} is so wide that a value is below 0: use a smaller one"
+                message = f"{widths[key]:g} is so wide that a value is negative: use a smaller one"
                 raise InputError.at(f"tolerances.{key}", message)
             chain = change_chain(chain, factor, OF_GRAINS[key])
         elif key in OF_CHAIN:

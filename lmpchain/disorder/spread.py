@@ -34,12 +34,12 @@ class Spreading(StreamedAverages, Tabular):
     time : (T,) array
         Times, s.
     second_moment, second_moment_error : (T,) arrays
-        Mean square distance of the energy from its centre at t = 0, grains squared.
+        Mean square distance of the energy from its centre at t = 0, grains squared; standard error.
     participation, participation_error : (T,) arrays
-        Participation number, 1 / sum of the squared fractions of the energy: the number of grains
-        over which the energy is spread.
+        Participation number, 1 / sum of the squared fractions of the energy, which is the number of
+        grains over which the energy is spread; standard error.
     transmitted, transmitted_error : (T, N) arrays
-        Fraction of the energy below each grain.
+        Fraction of the energy below each grain; standard error.
     model_error, solver_error, squeezed
         As for `Ensemble`.
     """
@@ -73,8 +73,8 @@ class Spreading(StreamedAverages, Tabular):
         """Return the exponent of the growth of the second moment in time, and its standard error.
 
         The exponent is the least-squares slope of the logarithms from `start` to `end`, s, with
-        equal weight for all octaves of time. The error is that of a jackknife over groups of
-        chains, NaN for a single chain.
+        equal weight for all octaves of time. The error is a jackknife estimate over groups of
+        chains, and NaN for a single chain.
 
         Raises
         ------
@@ -140,8 +140,8 @@ def spreading(
     Parameters
     ----------
     scene : Scene
-        The scene with the ordered chain, long enough that no energy reaches its ends. All grains
-        are used, independent of the recording.
+        The scene with the ordered chain, which must be so long that no energy reaches its ends. All
+        grains are used, whichever grains are recorded.
     m, realisations, seed, engine, tolerance, law, of, progress
         As for `ensemble`. "chebyshev" and "modes" solve Eq. (3), with the energies of its springs.
 
@@ -152,7 +152,7 @@ def spreading(
     Raises
     ------
     InputError, ToleranceNotMet, RunFailed
-        As `ensemble`; or if the excitation gives no energy at t = 0.
+        As for `ensemble`, or if the excitation provides no energy at t = 0.
 
     Examples
     --------

@@ -43,7 +43,7 @@ class Draw(NamedTuple):
 class Average:
     """Running means and sums of squared deviations of Q quantities of random chains, (Q, T, ...).
 
-    The default quantities are displacement and velocity, (2, T, G). The method is that of B. P.
+    The default quantities are displacement and velocity, (2, T, G). The method is from B. P.
     Welford, Technometrics 4, 419 (1962).
     """
 
@@ -132,12 +132,12 @@ def take_average(
     engine, tolerance, progress
         As for `ensemble`.
     first : Average
-        An average over no chain, to start from.
+        Empty average to which the chains are added.
 
     Raises
     ------
     InputError, ToleranceNotMet, RunFailed
-        As `ensemble`.
+        As for `ensemble`.
     """
     check_tolerance(tolerance)
     check(fault_of_count(realisations, 1))

@@ -12,10 +12,9 @@ Lyapunov exponent, the inverse of the localisation length. The fraction of negat
 integrated density of states (F. J. Dyson, Phys. Rev. 92, 1331, 1953; H. Schmidt, Phys. Rev. 105,
 425, 1957).
 
-In a chain shorter than its localisation length all waves end at about the same phase, and so do
-log|u| and the number of nodes, so that the bias of their means would exceed their scatter.
-Therefore, at both ends, the amplitude and the phase of the wave in the mean chain replace u and
-the number of nodes.
+In a chain shorter than its localisation length, all waves end with about the same phase, log|u| and
+number of nodes, so that the bias of the means would exceed their scatter. Therefore, at both ends,
+the amplitude and the phase of the wave in the mean chain replace u and the number of nodes.
 """
 
 from __future__ import annotations
@@ -62,7 +61,7 @@ class Localisation(Shown, Tabular):
     frequency : (F,) array
         Frequencies, rad/s.
     exponent, error : (F,) arrays
-        Mean growth of log|u| from grain to grain, and its standard error.
+        Mean growth of log|u| from grain to grain; its standard error.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "exponent": "", "error": ""}
@@ -93,7 +92,7 @@ class DensityOfStates(Shown, Tabular):
     frequency : (F,) array
         Frequencies, rad/s.
     integrated, error : (F,) arrays
-        Fraction of the modes below each frequency, and its standard error.
+        Fraction of the modes below each frequency; its standard error.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "integrated": "", "error": ""}
@@ -130,17 +129,17 @@ def lyapunov(
     Parameters
     ----------
     frequency : (F,) array_like
-        rad/s.
+        Angular frequencies, rad/s.
     stiffness, masses : float or distribution
         Stiffness of contacts, N/m, and masses of grains, kg: a number, or a frozen distribution of
         `scipy.stats` from which each value is drawn.
     ratios : distribution, optional
-        Distribution of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly solvable chain;
-        replaces stiffness and masses.
+        Distribution of all k_n / m_n and k_n / m_(n+1), 1/s2, as in Dyson's exactly solvable chain.
+        It replaces stiffness and masses.
     grains, chains : int
-        Length of each chain, and number of chains; the spread between them gives the error.
+        Number of grains in each chain; number of chains, whose scatter gives the error.
     seed : int
-        0 or more; the same seed gives the same bits.
+        Seed of the random numbers, 0 or more; the same seed gives the same bits.
     progress : bool
         Whether to show a progress bar.
 
@@ -191,7 +190,7 @@ def density_of_states(
     Parameters
     ----------
     frequency : (F,) array_like
-        rad/s.
+        Angular frequencies, rad/s.
     stiffness, masses : float or distribution
         As for `lyapunov`.
     ratios : distribution, optional
@@ -277,7 +276,8 @@ def _wave(z: Array, omega2: Array, slowness: float) -> tuple[Array, Array]:
     Parameters
     ----------
     z, omega2 : (F,) arrays
-        Ratio of force to displacement, and square of the frequency, 1/s2.
+        Force below a grain divided by its mass and displacement, 1/s2; square of the frequency,
+        1/s2.
     slowness : float
         Mean of m_n / k_n, s2.
     """

@@ -65,7 +65,7 @@ def get(engine: str | Engine, **options: Any) -> Engine:
     Raises
     ------
     InputError
-        If there is no such engine or an option is wrong.
+        If there is no such engine, or if an option is wrong.
     """
     if not isinstance(engine, str) and isinstance(engine, Engine):
         if options:
@@ -114,7 +114,7 @@ def obstacles(engine: Engine, scene: Scene) -> list[tuple[str, str]]:
     # Recorded quantities are computed from accelerations, which only the equations of grains
     # provide.
     if scene.quantities and not engine.moves_grains:
-        why = f"{engine.name} computes no accelerations of grains, which quantities require"
+        why = f"{engine.name} does not compute accelerations of grains, which quantities require"
         cure = f"use {_those_that(lambda engine: engine.moves_grains)}"
         reasons = [*reasons, ("quantities", f"{why}; {cure}")]
     return reasons

@@ -4,9 +4,9 @@ Every engine states which equation it solves, predicts the cost and the error of
 yields the answer in blocks with an estimate of its own error. `lmpchain.simulation` does the rest
 for all engines: light cone, choice of the engine, step control, progress, Ctrl-C and output.
 
-In the terms of solvers of differential equations: an engine is the solver, and `step_control` the
-controller. The engine proposes `Steps`, its `Run` takes them and estimates the error, and if that
-exceeds the tolerance, the engine refines its proposal.
+In the terms of differential equations, an engine is the solver, and `step_control` is the step-size
+controller. The engine proposes `Steps`, and its `Run` integrates with these steps and estimates the
+error. If the error exceeds the tolerance, the engine refines its proposal.
 """
 
 from __future__ import annotations
@@ -41,17 +41,17 @@ class Proposal(NamedTuple):
     engine : str
         Name of the engine.
     equation : int or None
-        Number in the paper of the equation that the engine solves; None if the engine was not
-        asked.
+        Number of the equation of the paper that the engine solves; None if the engine was not
+        considered.
     steps : Steps
         Time steps; an exact solution has one step from sample to sample.
     active_grains : int
         Number of computed grains; 0 if the engine cannot solve the scene.
     model_error, solver_error : float
-        Expected relative errors of the equation and of its numerical solution; NaN if not
-        estimated.
+        Expected relative error of the equation; expected relative error of its numerical solution.
+        Both are NaN if not estimated.
     cost_s : float
-        Expected time, s.
+        Expected computing time, s.
     tolerance : float
         Tolerance for which the steps were chosen; infinite with a given step.
     fixed : bool
@@ -124,17 +124,17 @@ class ErrorBudget(NamedTuple):
     Attributes
     ----------
     truncation, roundoff : float
-        Truncation error of the steps, and rounding error.
+        Truncation error of the steps; rounding error.
     order : float
-        Trusted order of convergence of the truncation error.
+        Order of convergence of the truncation error, as far as it can be trusted.
     model : float
         Estimated error of the equation itself; 0 for Eq. (1).
     remark : str
-        Why the equation does not hold for this scene; empty if it does or if nothing is known.
+        Why the equation is not valid for this scene; empty if it is valid or if this is unknown.
     model_bound : float
-        An upper bound on the error of the equation, if it is larger than the estimate.
+        Upper bound on the error of the equation, if it is larger than the estimate; otherwise 0.
     amplified : (T,) array
-        Rounding error, amplified by the scene, at each sample; empty if it was not measured.
+        Rounding error at each sample, as amplified by the scene; empty if it was not measured.
     """
 
     truncation: float
@@ -168,9 +168,8 @@ class ErrorBudget(NamedTuple):
     def last_known(self, tolerance: float, time: Array) -> float:
         """Return the first time, s, at which the amplified rounding error exceeds the tolerance.
 
-        The time is infinite if the error never does.
-
-        `time` holds the times of the samples, (T,) s.
+        The time is infinite if the error never exceeds the tolerance. `time` are the times of the
+        samples, (T,) s.
         """
         beyond = np.flatnonzero(self.amplified > tolerance)
         return float(time[beyond[0]]) if beyond.size else float("inf")
@@ -182,7 +181,8 @@ class Run(ABC):
     Attributes
     ----------
     judge : callable
-        Called with the run at some samples before the end; raises an exception to end the attempt.
+        Function that is called with the run at some samples before the end. It raises an exception
+        to end the attempt.
     """
 
     judge: Callable[[Run], None] = staticmethod(lambda _: None)
@@ -207,7 +207,7 @@ class Run(ABC):
     def energies(self, errors: Sequence[ErrorBudget]) -> list[dict[str, Array]]:
         """Return the energies of every realisation that the run has integrated, by name.
 
-        `errors` are the estimates at the end of the run. The names are those of
+        `errors` are the estimates at the end of the run. The names are listed in
         `trajectory.gathered.ENERGIES`. By default a run integrates no energies.
         """
         return []
@@ -231,11 +231,12 @@ class Engine(ABC):
     Attributes
     ----------
     name : str
+        Name of the engine.
     equation : int
-        Number in the paper of the equation that the engine solves.
+        Number of the equation of the paper that the engine solves.
     auto : "never", "cheapest" or "last"
-        When "auto" chooses the engine: never, if it is the cheapest, or if no other can solve
-        the scene.
+        Whether "auto" chooses the engine never, if it is the cheapest engine, or if no other engine
+        can solve the scene.
     style : (str, str)
         Colour and marker of the engine in charts.
     citation : str
@@ -243,9 +244,9 @@ class Engine(ABC):
     integrators : tuple of str
         Names of the methods that a user may choose; empty if the engine does not step through time.
     inputs, logs : tuple of str
-        Files in a run folder: inputs with which a proposal runs without this package, and logs.
+        Input files in a run folder, with which a proposal runs without this package; log files.
     integrator, step
-        Options as given by the user.
+        Integrator as given by the user; longest step as given by the user, s.
     batches : bool
         Whether a batch of similar scenes takes less time than single runs.
     whole : bool
@@ -260,7 +261,7 @@ class Engine(ABC):
     ranks_of_mpi : bool
         Whether the ranks of MPI share a scene.
     start_up_s, seconds_per_grain_step : float
-        Times of the cost model, s: of every answer, and of a force evaluation for one grain;
+        Start-up time of every answer, s; time of a force evaluation for one grain, s. Both were
         measured by analysis/calibration/cost_model.py.
     """
 
@@ -307,7 +308,7 @@ class Engine(ABC):
         Raises
         ------
         ToleranceNotMet
-            If it is clear beforehand that no steps can.
+            If it is known beforehand that no steps can meet the tolerance.
         """
 
     @abstractmethod
@@ -323,7 +324,7 @@ class Engine(ABC):
     def batch_key(self, scene: Scene, proposal: Proposal) -> Hashable:
         """Return a key; scenes of one key have equal results and errors in a batch and alone.
 
-        By default the key is None: the scene is answered alone.
+        By default the key is None, and the scene is solved alone.
         """
         return None
 
@@ -339,7 +340,7 @@ class Engine(ABC):
     def describe(self, scene: Scene, proposal: Proposal) -> dict[str, str]:
         """Return the options that affect the result, besides the choices of a proposal.
 
-        For example versions of compilers and libraries; by default nothing.
+        Examples are the versions of compilers and libraries. By default the dict is empty.
         """
         return {}
 
@@ -349,7 +350,7 @@ class Engine(ABC):
         Raises
         ------
         InputError
-            If one of them cannot be written to a file.
+            If one of the arguments cannot be written to a file.
         """
         return {name: getattr(self, name) for name in signature(type(self)).parameters}
 

@@ -1,12 +1,12 @@
 """The cost model: expected time of a solution on this machine.
 
 An engine predicts how its work grows with the scene. Two numbers convert work to time: the start-up
-time of every answer (`Engine.start_up_s`), and the slowness of this machine relative to the one on
-which the engine was timed, 1 unless it was measured. `lmpchain.simulation.calibration` measures
-both when a user asks for it (`lmpchain plan --calibrate`), and stores them in the user's cache
-folder. It never does so by itself, because plans should be reproducible. Without a measurement the
-shipped numbers are used: where the choice matters, engines differ by factors of ten, machines by
-two.
+time of every answer (`Engine.start_up_s`), and the slowness of this machine relative to the machine
+on which the engine was timed, 1 unless it was measured. `lmpchain plan --calibrate` measures both
+numbers (`lmpchain.simulation.calibration`) and stores them in the user's cache folder. No other
+command measures them, because plans should be reproducible. Without a measurement the shipped
+numbers are sufficient: where the choice matters, engines differ by factors of ten, and machines by
+factors of two.
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ _announced: ContextVar[bool] = ContextVar("work that the caller has announced", 
 def budget(budget_s: float) -> Iterator[None]:
     """Let `announce` and `check_time` raise `TooLong` for work beyond a time, s.
 
-    Within another budget, work may use half of the remaining CPU time, so that another attempt with
-    a larger tolerance has some time, too.
+    Within another budget, the work may use half of the remaining CPU time, so that time remains for
+    another attempt with a larger tolerance.
     """
     now = _cpu_time()
     left_s = min(OVERRUN * budget_s, (_limits.get()[1] - now) / 2)
@@ -74,14 +74,14 @@ def announce(cost_s: float, work: str, cure: str, spent_s: float = 0.0) -> None:
     cost_s : float
         Expected time of the work, s.
     work, cure : str
-        What the work is and why it takes so long, and which choice takes less.
+        Description of the work and why it takes long; the choice that takes less time.
     spent_s : float
         Time already spent on the same answer, s, which counts towards the budget.
 
     Raises
     ------
     TooLong
-        If the caller has set a `budget`, and the work exceeds it.
+        If the work exceeds a `budget` of the caller.
     """
     check_budget(cost_s + spent_s, work)
     if cost_s > PATIENCE_S and not _announced.get():
@@ -111,7 +111,7 @@ def check_time() -> None:
     limit_s = _limits.get()[1]
     # Without a budget no clock is read.
     if limit_s < math.inf and _cpu_time() > limit_s:
-        raise TooLong("the work took far longer than was expected")
+        raise TooLong("the work took far longer than expected")
 
 
 def _cpu_time() -> float:

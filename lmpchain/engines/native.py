@@ -23,16 +23,19 @@ class Native(CompiledSteps):
     Parameters
     ----------
     integrator : "auto", "rkn6", "rkn4", "kahan-li8", "kahan-li6", "verlet", "dop853" or "gear4"
-        "auto" is the cheaper one of rkn4 and rkn6, or dop853 for damped chains.
+        Method of time integration. "auto" is the cheaper of rkn4 and rkn6, or dop853 for damped
+        chains.
     step : float, optional
-        Step, s. The largest step that divides the sampling interval and is at most `step` is used,
-        and no tolerance is enforced.
+        Longest step, s. The largest step that divides the sampling interval and is at most `step`
+        is used, and no tolerance is enforced.
     threads : int
         Number of threads. They share a batch of chains, or one long chain if each thread gets at
-        least 4096 moving grains; dop853 and gear4 share no chain. The bits are those of one thread.
+        least 4096 moving grains; with dop853 and gear4 they do not share a chain. The result has
+        the same bits as with one thread.
     force : "auto", "exact" or "plain"
-        Form of the force: "exact" keeps all digits of the weakest waves. "plain" is faster; its
-        error is one ulp of the force at rest. "auto" is the fastest form without a loss.
+        Form of the force. "exact" keeps the relative accuracy of the weakest waves. "plain" is
+        faster, with an error of one ulp of the force at rest. "auto" is the fastest form that does
+        not increase the error.
     adaptive : bool
         Whether steps are shorter near the opening or closing of a contact, which keeps the order of
         the method. A given step is never adaptive.

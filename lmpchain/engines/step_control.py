@@ -1,7 +1,7 @@
 """Step-size control: shortens steps until the tolerance is met or proves to be unreachable.
 
-Single runs, batches of like scenes and sweeps share it: `next_attempt` judges an attempt by its
-error estimate, `solve_to_tolerance` makes one attempt after another.
+Single runs, batches of similar scenes and sweeps use it. `next_attempt` judges an attempt by its
+error estimate, and `solve_to_tolerance` makes one attempt after another.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ class Patience:
     hopeless : float
         Ratio of rounding error to tolerance beyond which no attempt can meet the tolerance.
     hopeless_attempts : int
-        Largest number of attempts beyond `hopeless`, where shorter steps would only improve an
-        answer that misses its tolerance anyway.
+        Largest number of attempts beyond `hopeless`. There, shorter steps would only improve an
+        answer that misses its tolerance in any case.
     breakdowns : int
         Largest number of attempts that break down before the last one.
     stalls, stalled : int, float
@@ -43,14 +43,14 @@ class Patience:
         Ratio of error to tolerance at which an attempt ends early; analysis/lost_attempts.py.
     known : float
         An unpredictable run ends when the amplified rounding error reaches this fraction of the
-        tolerance. The rest is left for the shorter steps of the next attempt, which round more
-        often.
+        tolerance. The next attempt has more steps and therefore a larger rounding error, for which
+        the rest of the tolerance remains.
     visible : float
         Amplified rounding error, relative to the motion, beyond which a run with a given step is
         called unpredictable.
     beginning : int
-        Attempts at an unpredictable run after which its duration is halved. The scene amplifies
-        truncation errors as much as rounding errors, and they must be as small.
+        Number of attempts after which the duration of an unpredictable run is halved. The scene
+        amplifies truncation errors as much as rounding errors, so that both must be equally small.
     """
 
     attempts: int = 12
@@ -77,16 +77,17 @@ class Attempt(NamedTuple):
     Attributes
     ----------
     proposal : Proposal
+        The engine's proposal for this attempt.
     tolerance : float
         Tolerance of this attempt.
     refusal : str
         Why the tolerance differs from the requested one; empty if it does not.
     planned_s : float
-        Earlier time for proposals and for setting up runs, s.
+        Time of earlier attempts for proposals and for setting up runs, s.
     spent_s : float
-        Earlier time for integrations and error estimates, s.
+        Time of earlier attempts for integrations and error estimates, s.
     compiled_s : float
-        Earlier time for compilation, s; not included in the other two.
+        Time of earlier attempts for compilation, s, which the other two times do not include.
     truncations : tuple of float
         Truncation errors of the earlier attempts that did not break down; infinite for an attempt
         that was ended early.
@@ -137,6 +138,7 @@ class Outcome(NamedTuple, Generic[Collected]):
     collected : object
         Return value of `collect`.
     attempt : Attempt
+        The last attempt.
     errors : list of ErrorBudget
         Error of every scene.
     error : ErrorBudget
@@ -146,8 +148,8 @@ class Outcome(NamedTuple, Generic[Collected]):
     missed : str
         Why the tolerance was missed; empty if it was met, or if none is enforced.
     known_until : float
-        Time at which the amplified rounding error exceeds the tolerance, s; infinite if it never
-        does, or if the answer met its tolerance.
+        Time at which the amplified rounding error exceeds the tolerance, s. It is infinite if this
+        never happens, or if the answer met its tolerance.
     """
 
     collected: Collected
@@ -171,13 +173,13 @@ def first_attempt(
 ) -> Attempt:
     """Return the first attempt.
 
-    With `best_effort`, a tolerance that cannot be met is multiplied by four until it can.
+    With `best_effort`, a tolerance that cannot be met is multiplied by four until it can be met.
 
     Raises
     ------
     ToleranceNotMet
-        If it is known beforehand that the tolerance cannot be met, or with `best_effort` that
-        nothing tighter than 0.1 can.
+        If it is known beforehand that the tolerance cannot be met; with `best_effort`, if no
+        tolerance below 0.1 can be met.
     """
     began = clock()
     compiled = compiled_s()
@@ -206,32 +208,34 @@ def solve_to_tolerance(
 ) -> Outcome[Collected]:
     """Run a scene, or a batch of similar scenes, with shorter and shorter steps.
 
-    The last attempt meets the tolerance, or shows that no steps can. An attempt ends early when its
-    error estimate shows that it will miss the tolerance.
+    The last attempt meets the tolerance, or shows that no steps can meet it. An attempt ends early
+    when its error estimate shows that it will miss the tolerance.
 
     Parameters
     ----------
     engine : Engine
     scenes : sequence of Scene
-        The parts of scenes that the engine computes. The scene with the largest error decides.
+        The parts of scenes that the engine computes. The largest error of any scene must meet the
+        tolerance.
     attempt : Attempt
         The first attempt.
     collect : callable
-        Called with a run; iterates over its blocks and returns what is kept of them.
+        Function that is called with a run. It iterates over the blocks of the run and returns the
+        data to be stored.
     begin : callable
-        Called with every attempt before it starts; returns the state from which the run continues,
-        or None.
+        Function that is called with every attempt before it starts. It returns the state from which
+        the run continues, or None.
     patient : bool
-        Whether to search for the best answer if the first attempt shows that none can meet the
-        tolerance.
+        Whether to search for the best answer even if the first attempt shows that no answer can
+        meet the tolerance.
 
     Raises
     ------
     RunFailed
         If a run with a given step, or the last of several attempts, breaks down.
     ToleranceNotMet
-        If an attempt shows that the scene cannot be predicted to its end, unless `patient`; or if
-        the part up to the predictability horizon takes too many attempts.
+        If an attempt shows that the scene cannot be predicted to its end, unless `patient` is true;
+        or if the part up to the predictability horizon needs too many attempts.
     """
     compiled = compiled_s() - attempt.compiled_s
     while True:
@@ -318,7 +322,8 @@ def _judge(engine: Engine, scene: Scene, attempt: Attempt, patient: bool, run: R
     Raises
     ------
     ToleranceNotMet
-        If no steps can, because the scene amplifies rounding errors, unless `patient`.
+        If no steps can meet the tolerance, because the scene amplifies rounding errors, unless
+        `patient` is true.
     """
     error = _worst(run.errors())
     tolerance = attempt.tolerance
@@ -353,19 +358,20 @@ def next_attempt(
     Parameters
     ----------
     engine, scene, attempt
+        As for `solve_to_tolerance`.
     error : ErrorBudget, optional
         Error of the attempt; None if it broke down.
     patient : bool
-        See `solve_to_tolerance`.
+        As for `solve_to_tolerance`.
     ended : bool
         Whether the run is complete; otherwise the error is extrapolated to its end.
 
     Returns
     -------
     attempt : Attempt or None
-        None if this was the last one.
+        The next attempt; None if this was the last attempt.
     missed : str
-        Empty if the tolerance was met, or if another attempt follows.
+        The reason; empty if the tolerance was met, or if another attempt follows.
     """
     proposal = attempt.proposal
     if error is None:
@@ -394,8 +400,8 @@ def _is_worth_repeating(
 ) -> bool:
     """Return whether to repeat the best earlier attempt, because its samples were not stored.
 
-    Shorter steps may have given a larger error by chance. If rounding is the limit, the shortest
-    steps are right for the longest time.
+    Shorter steps may have given a larger error by chance. If rounding errors limit the accuracy,
+    the shortest steps are accurate for the longest time, and no attempt is repeated.
     """
     return best != proposal and error.roundoff <= tolerance
 
@@ -405,10 +411,10 @@ def _shorten(
 ) -> Proposal | None:
     """Return a proposal of shorter steps, or None if they do not help.
 
-    If the rounding error alone exceeds the tolerance, a patient run still aims at the tolerance for
-    its truncation error. Other runs accept three times the rounding error, because the distances
-    between runs, counted twice, are then as large as rounding. If the rounding error is hopeless,
-    they end after a few attempts.
+    If the rounding error alone exceeds the tolerance, a patient run still reduces its truncation
+    error to the tolerance. Other runs accept a truncation error of twice the rounding error. The
+    truncation error is estimated as twice the difference between runs, which is then as large as
+    the rounding error. If the rounding error is hopeless, these runs end after a few attempts.
     """
     proposal = attempt.proposal
     tolerance = attempt.tolerance
@@ -438,24 +444,26 @@ def _explain(scene: Scene, error: ErrorBudget, attempt: Attempt) -> str:
     above = f"{unknown}, above the tolerance of {tolerance:.2g}"
     reason = f"the error is estimated at {solver:.2g}{above}"
     if len(attempt.truncations) == PATIENCE.attempts:
-        reason += f", after {PATIENCE.attempts} attempts at ever shorter steps"
+        reason += f", after {PATIENCE.attempts} attempts with ever shorter steps"
     elif _stalls(attempt):
         reason += f", and steps shorter than {attempt.proposal.step:.2g} s do not help"
     if error.roundoff > tolerance / 2:
-        reason += f", because round-off alone may make {min(error.roundoff, LARGEST_ERROR):.2g}"
+        floor = min(error.roundoff, LARGEST_ERROR)
+        reason += f", because round-off alone may make an error of {floor:.2g}"
     time_s = _find_horizon(error, tolerance, scene)
     if time_s == math.inf:
-        return f"{reason}: ask for less"
+        return f"{reason}: use a larger tolerance"
     return (
         f"{reason}: this scene amplifies round-off, which may exceed the tolerance at "
-        f"t = {time_s:.4g} s; record up to there, ask for less, or take {AVERAGES}"
+        f"t = {time_s:.4g} s; record up to this time, use a larger tolerance, or take {AVERAGES}"
     )
 
 
 def _find_horizon(error: ErrorBudget, tolerance: float, scene: Scene) -> float:
     """Return the time until which the amplified rounding error leaves room for other errors, s.
 
-    The time is infinite if it does to the end, or if rounding is too large from the beginning.
+    The time is infinite if the rounding error leaves this room to the end of the scene, or if it is
+    too large from the beginning.
     """
     if error.amplified.max(initial=0.0) <= tolerance:
         return math.inf

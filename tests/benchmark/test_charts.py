@@ -221,7 +221,7 @@ def test_title_and_footer_describe_the_measurement():
     footer = " ".join(picture._supxlabel.get_text().split())
     for words in (
         "Reference: a series; its error is 2e-15, "
-        "and 3 points within 10 times of that are left out",
+        "and 3 points below 10 times this error are left out",
         "on a box; numpy 2.0, lammps 7.",
     ):
         assert words in footer
@@ -523,7 +523,7 @@ def test_the_table_of_a_comparison_in_numbers():
     assert cells[2] == "lammps (1) rkn4 5.00e-01 3.00e-04 0.3 s 40 160"
     assert cells[3] == "reference: made up; its own error is about 1.0e-12"
     assert cells[4].startswith(
-        "error: max|x - x_true| over samples and grains over max|x_true| at any time"
+        "error: max|x - x_true| over samples and grains, divided by max|x_true| at any"
     )
     assert comparison.rows[0].compile_s == 2.0
     assert comparison.to_json()["rows"][1]["compile_s"] == 2.0

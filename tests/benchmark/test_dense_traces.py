@@ -93,7 +93,7 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
     scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=51)
     thinner, words = truth.thin_trace(scene, 1e-8)
     kept = int((thinner.excitation.times < 1e-4).sum()) + 1
-    assert words.startswith(f"trace: through {kept} of the 2501 points of this run (every=26, ")
+    assert words.startswith(f"trace: {kept} of the 2501 points of this run are used (every=26, ")
     assert kept < 100
     whole, part = (
         simulate(each, engines.Native(integrator="verlet", step=2e-9)) for each in (scene, thinner)
@@ -119,4 +119,4 @@ def test_compare_ends_soon_for_a_hammer_trace_of_25_megasamples(
     )
     assert main(["compare", str(tmp_path / "scene.toml"), "--engines", "lammps,native"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "trace: through 98 of the 2501 points of this run (every=26, lowpass=2.4e+05)" in out
+    assert "trace: 98 of the 2501 points of this run are used (every=26, lowpass=2.4e+05)" in out

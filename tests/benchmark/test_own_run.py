@@ -143,7 +143,7 @@ def test_few_digits_are_named_as_the_cause(tmp_path: Path):
     assert "%.17g" in found.causes[1].why
     fine = check(all_digits, small())
     assert causes(fine)["digits"] < 0.1 * left_out
-    assert "round-off of heights" in fine.causes[1].why
+    assert "rounding error of the heights" in fine.causes[1].why
     # The check of the deck predicts the same error before the run.
     (expected,) = (c.error for c in check_deck(tmp_path / "few").causes if c.name == "digits")
     assert left_out < expected < 10 * left_out
@@ -270,7 +270,7 @@ def test_a_deck_with_points_contains_its_scene(tmp_path: Path):
     times = [0.0, 1e-6, 2e-5]
     scene = small(Force(grain=1, times=times, force=[0.0, 1e-3, 0.0]), bottom="wall")
     write_deck(scene, tmp_path, step=1e-7)
-    with pytest.raises(InputError, match=r"acts through points.*--scene"):
+    with pytest.raises(InputError, match=r"is given by points.*--scene"):
         check_deck(tmp_path)
     t = simulate(scene, Native("verlet", 1e-7))
     assert check_deck(tmp_path, scene).error == pytest.approx(
@@ -303,7 +303,7 @@ EDITS = [
     (r"fix +motion mobile nve", "fix motion mobile nve/limit 1e-9", r"line \d+ .*nve/limit"),
     (r"\nfix +weight.*", "", r"is not `fix weight"),
     (r"\ntimestep.*", "\ntimestep $(v_dt/2)", r"line \d+ \(timestep .* contains no number"),
-    (r"\nrun .*", "\nrun 2.5", r"must hold a whole number"),
+    (r"\nrun .*", "\nrun 2.5", r"must contain a whole number"),
     (r"\nrun .*", "\nrun 1", r"ends before the first dump"),
     (r"\nrun .*", r"\g<0>\nshell touch gone", r"line \d+ \(shell touch gone\) is not known"),
     (r"\nrun .*", "", r"has no command run"),
@@ -340,7 +340,7 @@ def test_invalid_data_are_rejected(tmp_path: Path):
     text = data.read_text()
     for broken in ("", text.replace("Velocities", "Speeds"), text.replace("\n7 1 ", "\n6 1 ")):
         data.write_text(broken)
-        with pytest.raises(InputError, match=r"column.data: is no data file of a column"):
+        with pytest.raises(InputError, match=r"column.data: is not a column's data file"):
             check_deck(tmp_path)
     data.unlink()
     with pytest.raises(InputError, match="there is no file"):
@@ -367,9 +367,9 @@ def test_saved_runs_contain_their_scene(tmp_path: Path, monkeypatch, capsys):
     assert main(["check", "folder", "--tolerance", "1e-4"]) == 0
     capsys.readouterr()
     for words, fault in (
-        (["run.nc", "--scene", "other.toml"], "scene: is not the one of the run"),
-        (["run.nc", "--deck", "deck"], "run: name one"),
-        ([], "run: name one"),
+        (["run.nc", "--scene", "other.toml"], "scene: is not the scene of the run"),
+        (["run.nc", "--deck", "deck"], "run: give either a dump"),
+        ([], "run: give either a dump"),
         (["run.nc", "--tolerance", "2"], "tolerance: must be between 0 and 1"),
         (["none.nc"], "none.nc: there is no such file"),
     ):
@@ -398,7 +398,7 @@ def test_unrecorded_grains_make_the_energy_unknown():
     found = check(simulate(small().replace(grains="1:5"), Native("verlet", STEP)))
     assert np.isnan(found.error_energy)
     assert found.to_json()["error_energy"] is None
-    assert "grains that move were not recorded" in found.table()
+    assert "moving grains were not recorded" in found.table()
 
 
 def test_the_steps_of_a_saved_run_are_its_own(tmp_path: Path):

@@ -249,7 +249,7 @@ def test_the_picture(found, tmp_path):
     assert list(times.values()) == sorted(times.values())
     save(picture, tmp_path / "chart.png")
     footer = picture._supxlabel.get_text().replace("\n", " ")
-    assert f"after a first, on {found.machine}; " in footer
+    assert f"the error estimate, on {found.machine}; " in footer
 
 
 def test_runs_to_a_tolerance_are_named_however_few(found):

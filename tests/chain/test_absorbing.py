@@ -133,14 +133,14 @@ def test_a_striker_stays_on_its_side_of_the_chain():
     striker = UNIFORM.replace(load_grain=2)
     absorbs = patterns.absorbing(striker, bottom=60)
     assert absorbs.load_grain == 2
-    with pytest.raises(InputError, match="would be loose"):
+    with pytest.raises(InputError, match="would not be pressed"):
         patterns.absorbing(striker, top=60)
 
 
 @pytest.mark.parametrize(
     ("chain", "sizes", "message"),
     [
-        (UNIFORM, {"bottom": 0}, "must be positive, unless top is"),
+        (UNIFORM, {"bottom": 0}, "must be positive if top is 0"),
         (UNIFORM, {"bottom": 2.5}, "whole number of grains"),
         (UNIFORM, {"bottom": -1}, "whole number of grains"),
         (DIMER, {"bottom": 5}, "three cells or more, 6 grains"),

@@ -585,7 +585,7 @@ FAULTY = {  # Arguments, the key in the message, and a part of the message.
     "size beside own constants": (
         OWN | {"impurity": [{"grain": 2, "diameter": 2e-3}]},
         "impurity.0",
-        "do not follow from an impurity",
+        "does not change these constants",
     ),
     "material beside own constants": (
         OWN | {"impurity": [{"grain": 2, "material": "ptfe"}]},

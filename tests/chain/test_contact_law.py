@@ -120,7 +120,7 @@ def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
     assert Scene.from_toml(tmp_path / "power.toml") == power
     with pytest.raises(InputError, match="law: takes the place of an exponent"):
         chain.replace(exponent=2.0)
-    with pytest.raises(InputError, match="law: an exponent holds for powers"):
+    with pytest.raises(InputError, match="law: must be a power of the overlap for an exponent"):
         _ = chain.exponent
     with pytest.raises(InputError, match="law: is not a law"):
         Chain(grains=3, diameter=1e-3, law="hertz")

@@ -108,7 +108,7 @@ def test_one_grain(name: str, strike: float):
 
 @pytest.mark.parametrize("end", [{"bottom": "fixed"}, {"bottom": "free", "top": "free"}])
 def test_one_grain_that_is_fixed_or_has_no_contact(end: dict[str, str]):
-    with pytest.raises(InputError, match="grains: a single grain that is held, or touches nothing"):
+    with pytest.raises(InputError, match="grains: a single grain must move and touch a wall"):
         Chain(grains=1, diameter=1e-3, gravity=0.0, **{"top": "wall"} | end)
 
 

@@ -172,7 +172,7 @@ def test_a_run_replaces_an_older_file_only_by_force(
     for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
         assert main(words) == 2
         assert capsys.readouterr().err.startswith(
-            f"error: {file}: is there already: replace it with --force, "
+            f"error: {file}: already exists: replace it with --force, "
         )
         assert file.read_text() == "older"
     assert main(["run", str(scene), "--force"]) == 0

@@ -131,7 +131,9 @@ def test_warnings_are_printed_before_the_run(
         start_under_mpirun(monkeypatch, 0)
         command = ["run", str(scene), "--force", "--tolerance", "0.1", "--engine", engine]
         assert main(command) == 0
-        one = f"warning: the engine {engine} runs on one rank; --engine lammps would use them all\n"
+        one = (
+            f"warning: the engine {engine} runs on one rank; --engine lammps would use all ranks\n"
+        )
         assert capsys.readouterr().err == (one if alone else "")
 
 
@@ -225,7 +227,7 @@ def test_a_killed_run_names_the_resume_command(
     first, *rest = capsys.readouterr().out.splitlines()
     assert (
         first
-        == f"{tmp_path}: Killed. at sample 7 of 11 or later; going on from its last checkpoint"
+        == f"{tmp_path}: Killed. at sample 7 of 11 or later; continuing from its last checkpoint"
     )
     said = lines("\n".join(rest))
     assert said["folder"] == str(tmp_path)
@@ -595,7 +597,7 @@ def test_an_orbit_is_described_in_numbers():
     told = orbit._describe(Family([first, loose]))
     assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
     assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
-    assert told[6] == "the family does not come to the energy asked for: it turns back"
+    assert told[6] == "the family does not reach the requested energy: it turns back"
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("warning", 0), ("fault", 1)])
@@ -671,8 +673,8 @@ def test_invalid_outputs(tmp_path: Path):
     assert fault(folder, (".png",)).endswith(f"such as {folder}")
     assert fault(f"{tmp_path}/pipe") == "is a device or a pipe, not a file; name a file"
     assert fault(f"{tmp_path}/a.txt", (".png", ".pdf", ".svg")) == "must end in .png, .pdf or .svg"
-    assert fault(str(scene)) == "is the file that is read; name another file"
-    assert fault(f"{tmp_path}/no/a.nc") == f"there is no folder {tmp_path}/no; make it first"
+    assert fault(str(scene)) == "is the input file: name another file"
+    assert fault(f"{tmp_path}/no/a.nc") == f"there is no folder {tmp_path}/no: create it first"
     assert common.output(f"{tmp_path}/a.PNG", str(scene), (".png",)) == tmp_path / "a.PNG"
     (tmp_path / "there.nc").touch()
     assert common.output(f"{tmp_path}/there.nc", f"{tmp_path}/none.toml") == tmp_path / "there.nc"

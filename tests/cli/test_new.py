@@ -63,7 +63,7 @@ def test_examples_with_a_file_of_an_instrument(tmp_path: Path, monkeypatch, caps
     # No file is replaced without --force, and data cannot go to standard output.
     (tmp_path / "other.csv").write_text("mine")
     assert main(["new", str(tmp_path / "other.toml"), "--example", "hammer"]) == 2
-    assert "other.csv: is there already" in capsys.readouterr().err
+    assert "other.csv: already exists" in capsys.readouterr().err
     assert not (tmp_path / "other.toml").exists()
     assert main(["new", "-", "--example", "hammer"]) == 2
     assert "name a file" in capsys.readouterr().err
@@ -88,7 +88,7 @@ def test_existing_files_are_not_overwritten(tmp_path: Path, capsys: pytest.Captu
     path = tmp_path / "scene.toml"
     path.write_text("mine")
     assert main(["new", str(path)]) == 2
-    assert "is there already: name another file, or add --force" in capsys.readouterr().err
+    assert "already exists: name another file, or add --force" in capsys.readouterr().err
     assert path.read_text() == "mine"
     assert main(["new", str(path), "--force"]) == 0
     assert Scene.from_toml(path)

@@ -71,8 +71,8 @@ def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.Captur
         ("--follow", "drive.frequency"): "--follow: must be a number and its last value",
         ("--follow", "drive.speed=1"): "parameter: must be period, a number of the drive",
         ("--follow", "drive.frequency=1.3e4", "--of", "force:9"): "of: the contacts are numbered",
-        ("--mode", "1"): "orbit: follows a mode or the response to a drive",
-        (): "orbit: follows a mode or the response to a drive",
+        ("--mode", "1"): "orbit: needs a mode or a drive to follow",
+        (): "orbit: needs a mode or a drive to follow",
     }.items():
         assert main(["orbit", str(scene), *wrong]) == 2
         assert message in capsys.readouterr().err

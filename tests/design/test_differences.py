@@ -328,7 +328,7 @@ def test_optima_and_sensitivities_take_parameters_of_formulas() -> None:
     [
         ("chain.law.b", {"law": HERTZ}, "parameters: must be masses | .* | chain.law.c"),
         ("chain.law.c", {}, "parameters: must be masses"),
-        ("chain.law.c", {"law": Law(HERTZ.text, c=0.0)}, "chain.law.c: is 0, from which no size"),
+        ("chain.law.c", {"law": Law(HERTZ.text, c=0.0)}, "chain.law.c: is 0, so that the size"),
         ("contact_constants", {"law": laws.toda(b=1e5, k=1e6)}, "use chain.law.k"),
         ("masses", {"law": HERTZ, "impurity": [{"grain": 2, "mass": 1e-6}]}, "with impurities"),
     ],
@@ -343,7 +343,7 @@ def test_a_drive_excludes_initial_motion() -> None:
     scene = PLAIN.replace(
         chain=PRESSED.replace(law=HERTZ), excitation=Drive(amplitude=1e-7, frequency=1e5)
     )
-    with pytest.raises(InputError, match="velocity: has no derivative with formulas while a drive"):
+    with pytest.raises(InputError, match="velocity: has no derivative with formulas and a drive"):
         gradient(scene, Momentum([2]), ["velocity"])
 
 

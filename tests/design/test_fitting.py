@@ -103,7 +103,10 @@ def test_traces_come_from_oscilloscopes(tmp_path: Path):
 def test_undetermined_parameters_are_rejected():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
     for parameters, text in (
-        ({"youngs_modulus": "common", "contact_constants": "common"}, "tell these apart"),
+        (
+            {"youngs_modulus": "common", "contact_constants": "common"},
+            "distinguish these parameters",
+        ),
         ({"youngs_modulus": [11]}, "1 to 10"),
         (["modulus"], "youngs_modulus"),
     ):
@@ -122,7 +125,7 @@ def test_undetermined_parameters_are_rejected():
 
 def test_traces_beyond_the_end_of_a_scene_are_refused():
     """Traces after the end of a scene were once compared with its end, and gave a wrong fit."""
-    with pytest.raises(InputError, match="must reach to the last value"):
+    with pytest.raises(InputError, match="must reach the last value"):
         fit(Traces(SCENE.time + 1e-5, LOOKED_AT, measured()), guess(), ["youngs_modulus"])
 
 
@@ -220,7 +223,7 @@ def test_jacobians_of_forces_of_damped_chains_agree_with_differences(field: str)
 
 def test_a_fit_of_damping_starts_above_0():
     traces = Traces(SCENE.time, LOOKED_AT, measured())
-    with pytest.raises(InputError, match=r"damping\.viscoelastic: .*begin with a guess above 0"):
+    with pytest.raises(InputError, match=r"damping\.viscoelastic: .*start from a guess above 0"):
         fit(traces, SCENE, ["damping.viscoelastic"])
 
 

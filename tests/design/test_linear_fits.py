@@ -327,13 +327,13 @@ def test_a_scene_must_reach_to_the_last_value():
     """The tolerance is a millionth; with a trigger, the strike may shift the last value."""
     time = SCENE.time * (1 + 1e-4)
     with pytest.raises(
-        InputError, match=r"^duration: of the scene must reach to the last value, 6.0006e-05 s"
+        InputError, match=r"^duration: must reach the last value of the traces: use 6.0006e-05 s"
     ):
         fit(Traces(time, [2, 5], noisy(1)), SCENE, ["velocity"])
     nearly = fit(Traces(SCENE.time * (1 + 1e-7), [2, 5], noisy(1)), SCENE, ["velocity"])
     assert nearly.estimate[0] == pytest.approx(1.1 * WEAK, rel=0.02)
     late = Traces(SCENE.time - 1e-6, [2, 5], 1.1 * WEAK * wave(), trigger=True)
     with pytest.raises(
-        InputError, match=r"^duration: of the scene must reach to the last value, 6.00"
+        InputError, match=r"^duration: must reach the last value of the traces: use 6.00"
     ):
         fit(late, SCENE.replace(duration=5.95e-5), ["velocity"])

@@ -177,14 +177,14 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
         ),
         ("top_load", {"top_load": 0.0, "top": "wall"}, "strike", "has no derivative at 0"),
         ("wall_constants", {}, "strike", "there is no wall"),
-        ("amplitude", {}, "strike", "belongs to a sine"),
-        ("frequency", {}, "points", "belongs to a sine"),
-        ("amplitude", {}, "force", "belongs to a sine"),
-        ("drive", {}, "strike", "contains the samples of a drive"),
-        ("drive", {}, "sine", "contains the samples of a drive"),
-        ("drive", {}, "force", "contains the samples of a drive"),
-        ("force", {}, "points", "contains the samples of a force"),
-        ("force", {}, "sine force", "contains the samples of a force"),
+        ("amplitude", {}, "strike", "needs a drive or force that is a sine"),
+        ("frequency", {}, "points", "needs a drive or force that is a sine"),
+        ("amplitude", {}, "force", "needs a drive or force that is a sine"),
+        ("drive", {}, "strike", "needs a drive that is given by points"),
+        ("drive", {}, "sine", "needs a drive that is given by points"),
+        ("drive", {}, "force", "needs a drive that is given by points"),
+        ("force", {}, "points", "needs a force that is given by points"),
+        ("force", {}, "sine force", "needs a force that is given by points"),
     ],
 )
 def test_missing_properties_have_no_derivative(
@@ -214,7 +214,7 @@ def test_names_are_checked_at_once():
     with pytest.raises(InputError) as error:
         parameters.check(scene(), ["colour", "amplitude"])
     assert str(error.value).startswith("parameters: ")
-    assert "amplitude: belongs to" in str(error.value)
+    assert "amplitude: needs a drive or force" in str(error.value)
     with pytest.raises(
         InputError, match=r"^parameters: name one or more of masses, contact_constants"
     ):

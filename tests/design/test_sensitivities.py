@@ -106,7 +106,7 @@ def test_the_command_ranks_and_draws(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "energy:3-9" in said
     assert "by the uncertainty of diameters" in said
     assert "to first order" in said
-    assert "by 32 drawn chains" in said
+    assert "by 32 random chains" in said
     assert picture.stat().st_size > 1000
     kept = json.loads(numbers.read_text())
     assert len(kept["derivatives"]["diameters"]) == 12

@@ -66,7 +66,7 @@ def test_no_uncertainty_gives_no_scatter_and_invalid_draws_give_nan():
     exact = sensitivity(FLYING, Function(cubed, [1]))
     assert (exact.scatter, exact.shift, exact.deviation) == (0.0, 0.0, 0.0)
     with pytest.raises(
-        InputError, match=r"^velocity: must be from 0 to 1, a part of each entry \(got 1\)"
+        InputError, match=r"^velocity: must be from 0 to 1, relative to each entry \(got 1\)"
     ):
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": 1})
     with pytest.raises(InputError, match=r"^velocity: must be from 0"):
@@ -95,14 +95,19 @@ def test_a_contact_beyond_the_wave_causes_a_remark():
     weight = 50 * column.chain.masses[0] * 9.81
     far = sensitivity(column, "peak_force:50")
     assert far.value == pytest.approx(weight, rel=1e-12)
-    said = "no wave reaches contact 50 within 2e-06 s: record for longer; this is its force at rest"
+    said = (
+        "no wave reaches contact 50 within 2e-06 s: use a longer duration; "
+        "this is its force at rest"
+    )
     assert far.table().splitlines()[1] == far.remark == said
     assert far.to_json()["remark"] == said
     for of in ("momentum:50", "kinetic_energy:40-50", "energy:40-50"):
         assert sensitivity(column, of).remark.startswith("no wave reaches these grains within 2e-0")
     for of in ("peak_force:1", "momentum:2", "energy:1-60"):
         assert sensitivity(column, of).remark == ""
-    with pytest.raises(InputError, match="grain 50 is reached by no wave: record for longer"):
+    with pytest.raises(
+        InputError, match="grain 50 is not reached by any wave: use a longer duration"
+    ):
         sensitivity(column, "arrival_time:50@1e-6")
 
 
@@ -149,13 +154,13 @@ def test_a_table_is_sorted_by_influence():
         "diameters 4 +0 +0.0000",
         "all diameters -0.015 -0.7500",
         "all contact_constants +0.006 +0.3000",
-        "derivatives known to 2.0e-05",
+        "relative error of the derivatives: 2.0e-05",
         "by the uncertainty of diameters: 0.3 N",
         "by the uncertainty of gravity: 0.4 N",
         "uncertainty to first order: 0.5 N (25 %)",
-        "by 32 drawn chains: 0.25 N, the mean shifted by -0.013",
+        "by 32 random chains: 0.25 N, the mean shifted by -0.013",
     ]
-    assert shown().table().splitlines()[-1] == "derivatives known to 2.0e-05"
+    assert shown().table().splitlines()[-1] == "relative error of the derivatives: 2.0e-05"
     unknown = shown(float("nan"), gravity=0.4).table().splitlines()[-1]
     assert unknown == "beyond first order: unknown, because some random chains have no value"
     many = shown()
@@ -305,9 +310,9 @@ def test_a_box_scales_parameters_to_numbers_from_0_to_1():
     slopes = box.slopes({"top_load": np.array([3.0])})
     np.testing.assert_allclose(slopes, [0.0, 0.0, 1.2], rtol=1e-12)
     for wrong, message in (
-        ({"masses": (0, 1)}, "^bounds: give a lower and an upper one of top_load"),
+        ({"masses": (0, 1)}, "^bounds: give a lower and an upper bound of top_load"),
         (bounds | {"gravity": (1, 2)}, "^bounds: 'gravity' is not one of the parameters"),
-        (bounds | {"top_load": (0.5, 0.1)}, "^bounds: must be finite, the lower one not above"),
+        (bounds | {"top_load": (0.5, 0.1)}, "^bounds: must be finite, and no lower bound above"),
         (bounds | {"top_load": (0.1, np.inf)}, "^bounds: must be finite"),
         (bounds | {"top_load": (-np.inf, 0.1)}, "^bounds: must be finite"),
     ):
@@ -383,7 +388,7 @@ def test_starts_go_down_to_the_least_value_and_are_kept(
         {"maximise": True},
         {"bounds": {"velocity": (-9, 9)}},
     ):
-        with pytest.raises(InputError, match=r"^folder: .*starts.json is of another task"):
+        with pytest.raises(InputError, match=r"^folder: .*starts.json belongs to another task"):
             optimise(**(task | change), folder=tmp_path / "new" / "folder")
     (tmp_path / "new" / "folder" / "starts.json").write_text("[]")
     with pytest.raises(InputError, match=r"^folder: .*starts.json is damaged, .*: move it"):
@@ -419,6 +424,6 @@ def test_an_unreachable_tolerance_is_reported_with_the_best_value():
 
     scene = FLYING.replace(chain=Chain(grains=2, diameter=1e-3), excitation=Impulse(velocity=1e-3))
     with pytest.raises(
-        ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+; use a shorter time"
+        ToleranceNotMet, match=r"^the error of the gradient is [0-9.e-]+: use a shorter time"
     ):
         gradient(scene, Momentum([1]), ["masses"], 1e-16)

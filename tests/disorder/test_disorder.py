@@ -450,7 +450,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
         assert (after.density, after.poissons_ratio) == (before.density, before.poissons_ratio)
     with pytest.raises(
         InputError,
-        match=r"^contact_constants: contact constants are given .* from diameter; use",
+        match=r"^contact_constants: contact constants are given .* from diameter: use",
     ):
         disordered(
             Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]),

@@ -206,7 +206,7 @@ def test_pictures_have_labels() -> None:
     curve = MeasuredEnsemble(rng.normal(size=(30, 5)), np.arange(5.0), 0.0, 0.0)
     axes = curve.plot(label="force (N)", x_label="time (s)")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time (s)", "force (N)")
-    with pytest.raises(InputError, match="draw a curve"):
+    with pytest.raises(InputError, match="select a curve"):
         MeasuredEnsemble(rng.normal(size=(4, 3, 2)), None, 0.0, 0.0).plot()
 
 

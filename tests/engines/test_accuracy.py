@@ -248,8 +248,8 @@ def test_step_beyond_the_stability_limit_is_an_input_error():
 @pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-15), ("lammps", 1e-13)])
 def test_tolerances_below_rounding_are_rejected(engine, tolerance):
     scene = paper("fig5 g", samples=3)
-    with pytest.raises(ToleranceNotMet, match=r"round-off|holds heights"):
+    with pytest.raises(ToleranceNotMet, match=r"round-off|stores heights"):
         simulate(scene, engine, tolerance)
-    with pytest.warns(UserWarning, match=r"round-off|holds heights"):
+    with pytest.warns(UserWarning, match=r"round-off|stores heights"):
         best = simulate(scene, engine, tolerance, on_miss="warn")
     assert tolerance < best.error_estimate.total < 1e-9

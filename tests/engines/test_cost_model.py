@@ -71,7 +71,7 @@ def test_work_beyond_a_budget_is_stopped(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.undo()
     # Work with an underestimated time is stopped as well.
     monkeypatch.setattr(Native, "cost", lambda *_: 0.0)
-    with budget(1e-9), pytest.raises(TooLong, match="far longer than was expected"):
+    with budget(1e-9), pytest.raises(TooLong, match="far longer than expected"):
         simulate(SCENE, "native")
 
 

@@ -177,7 +177,7 @@ def test_damping_that_couples_modes_is_rejected(key, damping):
     chain = column(damping=damping)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5)
     words = f"damping.{key}: differs from .* one number"
-    with pytest.raises(InputError, match=f"{words}, or use the engine native"):
+    with pytest.raises(InputError, match=f"{words}, or use the native engine"):
         simulate(scene, engine="modes")
     with pytest.raises(InputError, match=f"{words}$"):
         modes.eigenmodes(chain)

@@ -305,7 +305,7 @@ def test_scenes_without_linear_theory_are_rejected():
         (
             Chain(grains=5, diameter=1e-3),
             points,
-            "excitation: linear engines solve no motion or force by points",
+            "excitation: linear engines do not support a motion or force by points",
         ),
     ):
         for engine in ENGINES:
@@ -362,7 +362,7 @@ def test_closed_forms_reject_unsuitable_scenes():
             Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
             strike,
             "bessel",
-            "masses: bessel needs grains",
+            "masses: bessel needs equal grains",
         ),
         (
             chain,

@@ -179,16 +179,17 @@ def test_a_limit_by_rounding_is_reported_with_its_time(now):
     engine.last = True
     reason = (
         "the error is estimated at 3.3e-06, above the tolerance of 1e-06, "
-        "because round-off alone may make 3.3e-06: "
+        "because round-off alone may make an error of 3.3e-06: "
     )
     time = f"{SCENE.time[2]:.4g}"
     assert solve(engine).missed == (
         f"{reason}this scene amplifies round-off, which may exceed the tolerance at t = {time} s; "
-        "record up to there, ask for less, or take averages over time (lmpchain.averages)"
+        "record up to this time, use a larger tolerance, or take averages over time "
+        "(lmpchain.averages)"
     )
     engine = Scripted([budget(2e-9, 3.3e-6)._replace(amplified=np.zeros(0))], now)
     engine.last = True
-    assert solve(engine).missed == f"{reason}ask for less"
+    assert solve(engine).missed == f"{reason}use a larger tolerance"
 
 
 def test_three_attempts_without_improvement_end_the_search(now):
@@ -199,7 +200,7 @@ def test_three_attempts_without_improvement_end_the_search(now):
     assert outcome.missed == (
         "the error is estimated at 0.001, above the tolerance of 1e-06, and steps shorter than "
         "5e-08 s do not help: "
-        "ask for less"
+        "use a larger tolerance"
     )
 
 
@@ -241,7 +242,9 @@ def test_there_are_at_most_twelve_attempts(now):
     engine = Scripted([budget(error) for error in errors], now)
     outcome = solve(engine)
     assert len(engine.steps) == 12
-    assert outcome.missed.endswith("after 12 attempts at ever shorter steps: ask for less")
+    assert outcome.missed.endswith(
+        "after 12 attempts with ever shorter steps: use a larger tolerance"
+    )
 
 
 def test_the_best_possible_result_is_returned_on_request(now):
@@ -259,7 +262,7 @@ def test_the_best_possible_result_is_returned_on_request(now):
             assert following.proposal.step < attempt.proposal.step
             attempt = following
     assert following is None
-    assert "because round-off alone may make 3e-06" in missed
+    assert "because round-off alone may make an error of 3e-06" in missed
 
 
 def test_a_hopeless_tolerance_ends_with_the_third_attempt():
@@ -273,7 +276,7 @@ def test_a_hopeless_tolerance_ends_with_the_third_attempt():
         patient, _ = next_attempt(engine, SCENE, attempt, error, patient=True)
         assert patient is not None
         attempt = following
-    assert "because round-off alone may make 1e-06" in missed
+    assert "because round-off alone may make an error of 1e-06" in missed
 
 
 def test_a_tolerance_is_loosened_fourfold_until_it_is_met():

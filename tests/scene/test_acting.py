@@ -496,7 +496,7 @@ FAULTS = {
     "wall_constants: must be two": lambda: Chain(
         grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]
     ),
-    "wall_constants: take the place": lambda: Chain(
+    "wall_constants: replace": lambda: Chain(
         grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
     ),
     "grains: a single grain": lambda: Chain(grains=1, diameter=1e-3),

@@ -454,8 +454,8 @@ def test_a_refusal_is_one_line_and_exit_code_2(tmp_path: Path, capsys):
     assert not (tmp_path / "s.toml").exists()
     command = ["new", str(tmp_path / "s.toml"), "--from", str(path)]
     assert main([*command, "--example", "dimer"]) == 2
-    assert "example: does not go with --from" in capsys.readouterr().err
+    assert "example: cannot be combined with --from" in capsys.readouterr().err
     assert main([*command[:-1], str(tmp_path), "nothing.in"]) == 2
     assert "is a folder; name a file in it" in capsys.readouterr().err
     assert main(["new", str(tmp_path / "s.toml"), "--material", "steel"]) == 2
-    assert "material: goes with --from; leave it out" in capsys.readouterr().err
+    assert "material: is only for --from: leave it out" in capsys.readouterr().err

@@ -331,7 +331,7 @@ def test_invalid_requests_are_rejected_in_one_line():
     )
     for name in ("bessel", "continuum"):
         with pytest.raises(
-            InputError, match=f"quantities: {name} computes no accelerations .* use native"
+            InputError, match=f"quantities: {name} does not compute accelerations .* use native"
         ):
             simulate(scene, name)
 

@@ -438,7 +438,7 @@ def test_the_expected_cost_in_lammps(capsys: pytest.CaptureFixture[str]):
     ]
     assert max(map(len, said.splitlines())) <= 80
     assert main([*words, "--tolerance", "1e-13"]) == 1
-    assert "LAMMPS holds heights in double precision" in capsys.readouterr().err
+    assert "LAMMPS stores heights in double precision" in capsys.readouterr().err
     assert main(["plan", str(SCENES / "fig5_1g.toml"), "--engine", "lamps"]) == 2
     assert "did you mean 'lammps'" in capsys.readouterr().err
 
@@ -456,7 +456,7 @@ def test_the_expected_cost_in_lammps(capsys: pytest.CaptureFixture[str]):
             ["plan", str(SCENES / "weak.toml"), "--json", "/nowhere/plan.json"],
             "error: /nowhere/plan.json: ",
         ),
-        (["plan", "--calibrate", "--json", "plan.json"], "error: json: goes with a scene"),
+        (["plan", "--calibrate", "--json", "plan.json"], "error: json: needs a scene"),
     ],
 )
 def test_bad_input(words: list[str], said: str, capsys):

@@ -253,7 +253,7 @@ def test_a_run_folder_cannot_contain_commands(stopped: Path):
         ({"include": str(stopped / "more.in")}, "has the command shell"),
         ({"include": f"shell touch {mark}\n"}, "has the command shell"),
         ({"include": f'print x "file" {mark}\n'}, "give a plain file name"),
-        ({"template": str(stopped / "more.in")}, "leave it out with a run folder"),
+        ({"template": str(stopped / "more.in")}, "leave it out in a run folder"),
     ):
         asked |= {"engine": "lammps", "options": options | {"integrator": "verlet", "step": 1e-7}}
         path.write_text(

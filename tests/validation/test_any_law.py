@@ -160,7 +160,7 @@ def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None
     ("refused", "message"),
     [
         (lambda scene: lmpchain.simulate(scene, "continuum"), "law: continuum needs a power"),
-        (lambda scene: scene.chain.exponent, "law: an exponent holds for powers"),
+        (lambda scene: scene.chain.exponent, "law: must be a power of the overlap for an exponent"),
     ],
 )
 def test_functions_for_powers_only_reject_the_law_by_name(refused: Any, message: str) -> None:

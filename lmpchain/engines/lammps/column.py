@@ -1,9 +1,9 @@
 """A scene in LAMMPS terms: grain types, pair coefficients, heights, box and drives.
 
-A driven grain follows its path by `fix move variable`, a driven wall is a region that moves, and a
-force is that of `fix addforce`. LAMMPS evaluates their formulas in double precision at its own
-times, `step*dt`: they are right to 1e-16 (1 + omega t) of their amplitude. That holds for velocity
-Verlet; methods of several drifts take the values from outside, at the times of the method.
+A driven grain follows its path by `fix move variable`, a driven wall is a moving region, and an
+external force is applied by `fix addforce`. With velocity Verlet, LAMMPS evaluates their formulas
+in double precision at its own times, `step*dt`, with an error of 1e-16 (1 + omega t) relative to
+the amplitude. For methods with several drifts, lmpchain sets the values at the times of the method.
 """
 
 from __future__ import annotations
@@ -92,8 +92,9 @@ NO_TANGENTIAL = "tangential linear_nohistory 0.0 0.0"
 class Contact(NamedTuple):
     """Constants of a contact in LAMMPS: k_n of its force, and eta of its damping.
 
-    The force is k_n sqrt(R o) o + eta m sqrt(R o) o', with reduced radius R and mass m, in the
-    model hertz with damping viscoelastic, and k_n o + eta o' in hooke with damping velocity.
+    With the reduced radius R and mass m, the force is k_n sqrt(R o) o + eta m sqrt(R o) o' in the
+    model hertz with viscoelastic damping, and k_n o + eta o' in the model hooke with velocity
+    damping.
     """
 
     stiffness: float
@@ -124,17 +125,17 @@ class LammpsColumn:
     ----------
     scene : Scene
     gauge : float
-        Diameter to draw all grains with, m, or 0 for the physical ones. Only overlaps enter the
-        force, and the round-off of a height is proportional to the height, so a gauge diameter of a
-        few times the largest overlap of the run lowers the round-off of the run in proportion.
+        Diameter of all grains in LAMMPS, m; 0 for their physical diameters. The force depends only
+        on overlaps, and the rounding error of a height is proportional to the height. A gauge
+        diameter of a few times the largest overlap therefore reduces the rounding error of the run.
     pair_style : str
         One of `PAIR_STYLES`.
     remarks : tuple of str
         Lines for the head of the deck.
     template, include : str
-        The user's own text in place of the deck, and in a place of it.
+        Text of the user that replaces the deck; text of the user that is inserted in the deck.
     lagged : bool
-        Whether damping takes `fix nve`, too, as decks of earlier versions have it.
+        Whether damping may also use `fix nve`, as in decks of earlier versions.
 
     Raises
     ------
@@ -205,12 +206,12 @@ class LammpsColumn:
         Raises
         ------
         InputError
-            If it is not the same for all grains that move.
+            If the rate differs between the grains that move.
         """
         first, last = self.mobile
         drag = self.chain.drag[first - 1 : last]
         if drag.size and (drag != drag[0]).any():
-            fault = "LAMMPS has one number for all grains: use that, or the engine native"
+            fault = "LAMMPS supports one number for all grains: use that, or the native engine"
             raise InputError.at("chain.damping.drag", fault)
         return float(drag[0]) if drag.size else 0.0
 
@@ -255,8 +256,8 @@ class LammpsColumn:
     def _wall_arguments(self, radius: Array) -> list[str]:
         """Return the arguments for the contacts with the top and the bottom wall.
 
-        By formula, these are the energy as a function of the distance r to the wall, and the
-        distance up to which it acts: all of the box.
+        For a law by formula, the arguments are the energy as a function of the distance r to the
+        wall, and the range of the force, which is the height of the box.
         """
         constants = self.chain.wall_constants
         if self.formula is None:
@@ -275,8 +276,8 @@ class LammpsColumn:
     def bonds(self) -> tuple[list[int], list[str]]:
         """Bond type of each contact for a law by formula, and the `bond_coeff` of each type.
 
-        The energy is a function of r, the distance of two grains less that at which they touch, so
-        that the overlap is -r.
+        The energy is a function of r, the distance of two grains minus the distance at which they
+        touch, so that the overlap is -r.
         """
         law = self.formula
         assert law
@@ -299,9 +300,9 @@ class LammpsColumn:
         Parameters
         ----------
         constants, radius, mass : (C,) arrays
-            K, N/m^delta, and reduced radii, m, and masses, kg.
+            Contact constant K, N/m^delta; reduced radius, m; reduced mass, kg.
         numbers : sequence of C int or slice
-            Of these among all contacts of the chain.
+            Numbers of these contacts among all contacts of the chain.
         """
         viscosity = self.chain.contact_viscosity[numbers]
         if self.model == "hooke":
@@ -390,9 +391,9 @@ class LammpsColumn:
     def _types_and_contacts(self) -> tuple[list[int], dict[tuple[int, int], Contact]]:
         """Types of the grains, and the contact of each touching pair of types.
 
-        A grain takes a type whose pair with the grain above has the right contact already; or else
-        the type with most pairs still free; or a new one. N unlike contacts then need about sqrt(2
-        N) types.
+        A grain gets a type whose pair with the type of the grain above already has the right
+        contact. Otherwise it gets the type with the most free pairs, or a new type. N different
+        contacts then need about sqrt(2 N) types.
         """
         chain = self.chain
         d = self.diameters
@@ -427,11 +428,11 @@ class LammpsColumn:
         granular = self.pair_style == "granular"
         limit = MOST_TYPES if granular else 1
         if grain_type > limit:
-            cure = "the engine native" if granular else "pair_style granular or the engine native"
+            cure = "the native engine" if granular else "pair_style granular or the native engine"
             raise InputError.at(
                 "contact_constants",
                 f"contact {number} differs from those above it, and {limit} grain type(s) "
-                f"cannot express that in pair_style {self.pair_style}; use {cure}",
+                f"cannot express it in pair_style {self.pair_style}; use {cure}",
             )
 
 

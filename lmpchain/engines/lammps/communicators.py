@@ -1,7 +1,8 @@
 """Communicators of a LAMMPS run: a single process, or the ranks of an MPI world.
 
-One process leads: it asks for something by name, every rank does it, and the answers of all come
-back. The others only follow, so nothing outside this module knows of ranks.
+The first process calls a method of the worker by name. Every rank calls this method of its own
+worker, and the first process collects the return values of all ranks. Code outside this module
+uses the ranks as if they were a single process.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def setup(column: LammpsColumn, data: str, step: float, splitting: Splitting, do
     refuse_run(
         "template",
         column.template,
-        'put {% include "run.column" %} there, and lmpchain run does the rest',
+        'use {% include "run.column" %} instead, which runs the column',
     )
     return _fill(column, step, splitting, done, data=f'"{data}"', alone=False)
 
@@ -85,8 +85,8 @@ def script(column: LammpsColumn, step: float, splitting: Splitting) -> str:
 def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitting) -> Path:
     """Write the complete input script."""
     if splitting.order > 2 and (column.scene.excitation.does_work or column.chain.ground_in_time):
-        acting = "a ground in time" if column.chain.ground_in_time else "a drive or a force"
-        raise InputError.at("integrator", f"a deck can carry {acting} with verlet only; use that")
+        acting = "a time-dependent ground" if column.chain.ground_in_time else "a drive or a force"
+        raise InputError.at("integrator", f"must be verlet in a deck with {acting}")
     text = script(column, step, splitting)
     with write_aside(path, overwrite=True) as aside:
         aside.write_text(f"{text.rstrip()}\n\n{_seal(text)}\n", encoding="utf-8")
@@ -96,7 +96,7 @@ def write_deck(column: LammpsColumn, path: Path, step: float, splitting: Splitti
 def check_folder(folder: Path) -> None:
     """Raise `InputError` if a folder contains a deck or deck files that lmpchain did not write.
 
-    Files beside a deck that lmpchain wrote belong to that deck.
+    The other files in the folder of a deck that lmpchain wrote belong to that deck.
     """
     path = folder / "in.column"
     if not path.exists():
@@ -138,7 +138,7 @@ def check_carried(splitting: Splitting, key: str) -> None:
     """Raise `InputError` under this key if a deck cannot express the splitting."""
     if not carries(splitting):
         raise InputError.at(
-            key, f"a deck cannot carry the kicks of {splitting.name}; use verlet or kahan-li6"
+            key, f"a deck cannot contain the kicks of {splitting.name}: use verlet or kahan-li6"
         )
 
 
@@ -164,7 +164,7 @@ def data_file(column: LammpsColumn, folder: Path | None) -> Iterator[Path]:
 def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
     """Return whether the data file contains velocities and heights at rest, for users.
 
-    Else LAMMPS gets the velocities in memory, in a fraction of the time.
+    Otherwise the velocities are passed to LAMMPS in memory, which is much faster.
     """
     return folder is not None or not column.bare or column.ground is not None
 
@@ -202,7 +202,7 @@ def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
 def _lines(line: str, *columns: Array) -> Iterator[str]:
     """Yield lines of a data file, many grains at a time: the number and these values.
 
-    Values with %s are equal for many grains, and those are converted once.
+    Values with %s are equal for many grains, so that each different value is converted once.
     """
     shared = [field == "s" for field in re.findall("%(.)", line)[1:]]
     for begin in range(0, columns[0].size, LINES):
@@ -249,7 +249,7 @@ def _fill(
     if values["alone"] and count > STEPS_OF_A_RUN:
         most = f"{count} steps are more than LAMMPS counts in a run, {STEPS_OF_A_RUN}"
         raise InputError.at(
-            "duration", f"{most}: shorten it, take longer steps, or let lmpchain run the scene"
+            "duration", f"{most}: use a shorter duration or longer steps, or lmpchain run"
         )
     values |= {
         "column": column,
@@ -274,6 +274,6 @@ def _fill(
     # Without this check, the user's commands could be missing from the deck without a message.
     if column.include not in text:
         raise InputError.at(
-            "include", "the template has no place for it: put {{ include }} where it belongs"
+            "include", "the template does not contain {{ include }}: insert it where it belongs"
         )
     return text

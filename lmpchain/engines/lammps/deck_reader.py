@@ -69,13 +69,13 @@ class Deck(NamedTuple):
     ----------
     scene : Scene
     integrator : str
-        Method as in the native engine: "lagged-verlet" for a damped chain with fix nve.
+        Name of the method in the native engine; "lagged-verlet" for a damped chain with fix nve.
     step : float
         Time step, s.
     gauge : float
-        Gauge diameter of all grains, m; 0 for their own diameters.
+        Gauge diameter of all grains, m; 0 for their physical diameters.
     digits : int
-        Digits of the numbers in the dump.
+        Number of digits of the values in the dump.
     """
 
     scene: Scene
@@ -95,8 +95,8 @@ class _DeckLine(NamedTuple):
 class _Grains(NamedTuple):
     """Grains of a data file from the top, z upward: types and properties in SI units.
 
-    `own` has a column for each parameter of the ground that differs from grain to grain, and
-    `bonds` a row for each contact by a formula: number, type and grains.
+    `own` has a column for each parameter of the ground that differs from grain to grain. `bonds`
+    has a row for each contact with a law by formula: number, type and grains.
     """
 
     path: Path
@@ -149,7 +149,7 @@ class _Script:
         """Return the first command that begins with these words; raise `InputError` without one."""
         line = self.find(*words)
         if line is None:
-            fault = f"has no command {' '.join(words)}: is it a deck that lmpchain deck wrote?"
+            fault = f"has no command {' '.join(words)}: use a deck that lmpchain deck wrote"
             raise self.refuse(None, fault)
         return line
 
@@ -190,7 +190,7 @@ class _Script:
         # LAMMPS does not accept 1e2 as an integer.
         whole = text.isdigit() or text.startswith("$(")
         if not (whole and least <= number <= deck.STEPS_OF_A_RUN and number == int(number)):
-            fault = f"must hold a whole number from {least} to {deck.STEPS_OF_A_RUN}"
+            fault = f"must contain a whole number from {least} to {deck.STEPS_OF_A_RUN}"
             raise self.refuse(line, f"{fault} (got {number:g})")
         return int(number)
 
@@ -221,8 +221,8 @@ class _Script:
                 steps = count if line.words[2:] else steps + count
                 kinds[step, digits] = None
                 if len(kinds) > 1:
-                    fault = "has another time step, or format of dumps, than the run before"
-                    raise self.refuse(line, f"{fault}: leave one of each")
+                    fault = "has another time step or dump format than the previous run"
+                    raise self.refuse(line, f"{fault}: use the same in all runs")
         (step, digits), *_ = kinds
         return step, steps, digits
 
@@ -238,14 +238,17 @@ class _Script:
 def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     """Read the scene of a deck from `in.column` and `column.data` without executing anything.
 
-    Chain and excitation follow from the numbers in both files. The commands must be those that
-    lmpchain writes for them; variables, the time step and the length of the run may differ.
+    Chain and excitation follow from the numbers in both files. The commands must be the commands
+    that lmpchain writes for this scene; variables, the time step and the length of the run may
+    differ.
 
     Parameters
     ----------
     folder : path
+        Folder of the deck.
     scene : Scene, optional
-        The one that it was written for: needed for a force or a drive through points.
+        Scene that the deck was written for; required for a force or a drive that is given by
+        points.
 
     Returns
     -------
@@ -254,7 +257,7 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     Raises
     ------
     InputError
-        If it cannot be understood.
+        If the deck is not valid or contains unsupported commands.
     """
     folder = expanded(folder)
     if not folder.is_dir():
@@ -287,7 +290,7 @@ def read_deck(folder: str | PathLike[str], scene: Scene | None = None) -> Deck:
     _check_heights(scene, grains)
     timed = scene.excitation.does_work or scene.chain.ground_in_time
     if timed and step != script.variable("dt"):
-        fault = "is not the variable dt, by which forces and drives tell the time: set that one"
+        fault = "is not the variable dt, from which forces and drives compute the time: set dt"
         raise script.refuse(script.need("timestep"), fault)
     lagged = scene.chain.damped and script.find("fix", "motion", "mobile", "nve") is not None
     pair_style = "granular" if script.find("bond_style") else _pair_style(script)[1][0]
@@ -333,7 +336,7 @@ def _read_data(path: Path) -> _Grains:
     try:
         title, rows = _read_sections(parts)
     except ValueError:
-        fault = f"is no data file of a column: it needs {' or '.join(COLUMNS)}, Velocities and Rest"
+        fault = f"is not a column's data file: it needs {' or '.join(COLUMNS)}, Velocities and Rest"
         raise InputError.at(str(path), fault) from None
     atoms, speeds, rest = (rows[name] for name in (title, *DATA_ROWS))
     for name, (_, _, zeros) in _forms(title, atoms.shape[1]).items():
@@ -393,7 +396,7 @@ def _chain(script: _Script, grains: _Grains, gauge: float) -> Chain:
     """Return the chain that a deck describes."""
     if formula := script.find("bond_style") or script.find("fix", "ground"):
         cure = "give its scene, --scene"
-        raise script.refuse(formula, f"has a formula with its numbers filled in: {cure}")
+        raise script.refuse(formula, f"has a formula with numbers instead of parameters: {cure}")
     masses = grains.masses
     d = grains.diameters
     model, stiffness, damping = _contacts(script, grains.types)
@@ -441,8 +444,8 @@ def _ends(script: _Script, diameters: Array, hertz: bool) -> dict[str, Any]:
 def _load(script: _Script, grains: _Grains, constant: float, exponent: float) -> float:
     """Return the load on the top of a deck's chain, N.
 
-    On a grain that is driven, or below a wall, it is none of the commands, but in the overlap of
-    the first contact at rest.
+    If grain 1 is driven or below a wall, no command contains the load. It then follows from the
+    overlap of the first contact at rest.
     """
     if not (script.find("group", "driven") or script.find("fix", "top", "at_top")):
         return script.variable("load")
@@ -526,7 +529,7 @@ def _excitation(script: _Script, grains: _Grains) -> Excitation:
         grain = script.count(script.argument(struck, 3), struck)
         return Impulse(velocity=script.variable("v0"), grain=grain)
     if line := script.find("variable", "c0"):
-        fault = "acts through points, which the deck does not contain: give its scene, --scene"
+        fault = "is given by points, which the deck does not contain: give its scene, --scene"
         raise script.refuse(line, fault)
     if "amplitude" not in script.variables:
         displacement = grains.rest - grains.heights
@@ -561,7 +564,7 @@ def _check_heights(scene: Scene, grains: _Grains) -> None:
             str(grains.path),
             f"grains {worst + 1} and {worst + 2} overlap by {overlaps[worst]:.6g} m at rest, but "
             f"by {expected[worst]:.6g} under gravity, load and contacts of in.column: write the "
-            "deck anew, lmpchain deck",
+            "deck again with lmpchain deck",
         )
     u, v = scene.initial()
     if isinstance(scene.excitation, Impulse):
@@ -595,13 +598,15 @@ def _check_data(column: LammpsColumn, grains: _Grains) -> None:
     wrong = [words for words in grains.header if not any(_alike(words, ours) for ours in header)]
     if wrong or len(grains.header) != len(header) or grains.title != f"Atoms # {column.atoms}":
         fault = f"does not have the header of a column of {grains.rest.size} grains"
-        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+        raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
     for key in ("types", "diameters"):
         values, ours = (np.asarray(getattr(part, key)) for part in (grains, column))
         if not np.allclose(values, ours, rtol=SAME_NUMBER, atol=0.0):
             worst = int(np.abs(values - ours).argmax()) + 1
             fault = f"grain {worst} differs in the {key} from lmpchain's deck, {ours[worst - 1]:g}"
-            raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+            raise InputError.at(
+                str(grains.path), f"{fault}: write the deck again with lmpchain deck"
+            )
 
 
 def _check_formulas(column: LammpsColumn, grains: _Grains) -> None:
@@ -611,12 +616,12 @@ def _check_formulas(column: LammpsColumn, grains: _Grains) -> None:
     bonds = np.column_stack((numbers, types, numbers, numbers + 1))
     if not np.array_equal(grains.bonds, bonds):
         fault = "has other bonds than the contacts of the scene"
-        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+        raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
     own = [*column.ground.own.values()] if column.ground else []
     read = grains.own.T
     if len(read) != len(own) or (own and not np.allclose(read, own, SAME_NUMBER, 0.0)):
         fault = f"has other parameters of the ground under {OWN} than the scene"
-        raise InputError.at(str(grains.path), f"{fault}: write the deck anew, lmpchain deck")
+        raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
 
 
 def _check_commands(script: _Script, column: LammpsColumn, integrator: str, step: float) -> None:

@@ -56,11 +56,13 @@ class HeightRoundOff(NamedTuple):
     Attributes
     ----------
     headroom : float
-        Gauge diameter over the largest overlap, so that grain n + 2 is never touched.
+        Ratio of the gauge diameter to the largest overlap, at which grain n never touches grain
+        n + 2.
     rounding : float
-        Bound on the random walk, in ulp of the largest height per root of force evaluations.
+        Bound on the random walk of rounding errors, in ulp of the largest height per square root of
+        the number of force evaluations.
     typical : float
-        Median of the walk over that bound, in 140 random scenes.
+        Median of the ratio of the random walk to this bound, in 140 random scenes.
     """
 
     headroom: float = 3.0
@@ -74,38 +76,43 @@ HEIGHTS = HeightRoundOff()
 class Lammps(TimeSteppingEngine):
     """Integrate Eq. (1) in LAMMPS, by default with `pair_style granular`.
 
-    LAMMPS holds heights, not displacements, and so loses what is below the last digit of a height.
-    How much that is gets estimated beforehand, and measured during the run against a native twin.
+    LAMMPS stores heights and not displacements, so that it rounds each displacement to one ulp of
+    the height. This rounding error is estimated before the run, and measured during the run by a
+    native run with the same steps.
 
     Parameters
     ----------
     integrator : "rkn6", "kahan-li6" or "verlet"
-        By default "rkn6"; with `template` or `include` "verlet", whose steps are LAMMPS's own.
+        Method of time integration. By default "rkn6"; with `template` or `include` "verlet", whose
+        steps are the steps of LAMMPS.
     step : float, optional
-        s; the largest step up to it that divides the sample interval is used, and no tolerance is
-        enforced.
+        Longest step, s. The largest step that divides the sampling interval and is at most `step`
+        is used, and no tolerance is enforced.
     diameter : "auto", "physical" or "gauge"
-        How large the grains are drawn. Only overlaps enter the force, so a gauge diameter of a few
-        overlaps is the same chain with less round-off; auto takes it where the physical one cannot
-        meet the tolerance, or if its round-off exceeds the error of a given step.
+        Diameter of the grains in LAMMPS. The force depends only on overlaps, so that a gauge
+        diameter of a few overlaps gives the same chain with a smaller rounding error. "auto" is the
+        gauge diameter if the physical diameter cannot meet the tolerance, or if its rounding error
+        exceeds the error of a given step.
     pair_style : "granular" or "gran/hertz/history"
-        The second is faster, for uniform contacts of exponent 1.5.
+        Pair style of LAMMPS. The second one is faster, but supports only uniform contacts with the
+        exponent 1.5.
     keep : path, optional
-        Folder that keeps the deck, the data file, LAMMPS's log and a dump of the last run (not for
-        "rkn6", which no deck can carry).
+        Folder that stores the deck, the data file, LAMMPS's log and a dump of the last run (not for
+        "rkn6", which a deck cannot contain).
     ranks : int, optional
-        MPI ranks that share the column, started for the run; by default those of a surrounding
-        mpirun, or one. The answer is the same to the last bit.
+        Number of MPI ranks that share the column and are started for the run; by default the ranks
+        of a surrounding mpirun, or one. The result has the same bits for any number.
     template : path, optional
-        File that takes the place of `templates/in.column`: LAMMPS commands with the placeholders
-        named there, for Jinja2 in a sandbox. Dump and run commands come from `{% include
-        "run.column" %}`, which is empty where the library runs the column, as here; so it may have
-        none of its own.
+        File that replaces `templates/in.column`: LAMMPS commands with the placeholders named there,
+        filled in by Jinja2 in a sandbox. `{% include "run.column" %}` inserts the dump and run
+        commands; it is empty if the library itself runs the column, as this engine does. The
+        template must not contain other run commands.
     include : path or str, optional
-        File of LAMMPS commands, taken as they stand, at the end of the set-up: fixes, computes,
-        dumps; a text with a line break is the commands themselves. What it does to the motion is
-        not in the scene, and shows as an error of the answer. In a run folder its commands may
-        only watch the run, and each start of LAMMPS writes their files to a new folder in it.
+        File of LAMMPS commands that are added unchanged at the end of the set-up: fixes, computes
+        or dumps. A text with a line break is the commands themselves. If they change the motion,
+        the change counts as an error of the answer, because the scene does not contain it. In a run
+        folder the commands may only watch the run, and each start of LAMMPS writes their files to a
+        new subfolder.
 
     Raises
     ------
@@ -175,7 +182,7 @@ class Lammps(TimeSteppingEngine):
     def refuses(self, scene: Scene) -> list[tuple[str, str]]:
         """Return the reasons why LAMMPS cannot solve this scene."""
         if scene.excitation.from_below:
-            return [("end", "decks drive no base from below; use the engine native")]
+            return [("end", "decks cannot drive the base; use the native engine")]
         if scene.chain.damped and self.splitting(scene) != VERLET:
             fault = "damping requires verlet in LAMMPS: use it, or leave the integrator out"
             return [("integrator", fault)]
@@ -187,7 +194,7 @@ class Lammps(TimeSteppingEngine):
         elif law.power not in exponents:
             allowed = " and ".join(f"{exponent:g}" for exponent in exponents)
             got = law if law.power is None else f"{law.power:g}"
-            fault = f"supports only {allowed} (got {got}); use the engine native"
+            fault = f"supports only {allowed} (got {got}); use the native engine"
             return [("exponent", f"{self.pair_style} in LAMMPS {fault}")]
         grains = scene.chain.grains
         if (self.ranks or 1) > grains:
@@ -215,9 +222,9 @@ class Lammps(TimeSteppingEngine):
             return [
                 ("pair_style", f"{self.pair_style} does not support a law by formula: leave it out")
             ]
-        native = "use the engine native"
+        native = "use the native engine"
         if scene.chain.contact_viscosity.any():
-            fault = "LAMMPS supports no viscous contacts with a law by formula, only drag"
+            fault = "LAMMPS supports only drag with a law by formula, and no viscous contacts"
             return [("chain.damping.viscoelastic", f"{fault}; {native}")]
         if scene.excitation.wall is not None:
             return [("excitation", f"LAMMPS cannot move a wall with a law by formula; {native}")]
@@ -226,7 +233,7 @@ class Lammps(TimeSteppingEngine):
     def trial_s(self, scene: Scene, tolerance: float) -> float:
         """Return the expected time of the native trial for the step, s; infinite if impossible.
 
-        Only its first attempt is foreseen.
+        The time is that of its first attempt only.
         """
         try:
             return self._trial(scene).propose(scene, tolerance / 2).cost_s
@@ -244,7 +251,7 @@ class Lammps(TimeSteppingEngine):
         if steps.per_landing > deck.STEPS_OF_A_RUN:
             # This call rejects runs of years, because more samples would not shorten them.
             super().propose_steps(scene, tolerance, method, steps)
-            most = f"{steps.per_landing} steps per sample exceed the largest number in LAMMPS"
+            most = f"{steps.per_landing} steps per sample exceed the limit of LAMMPS"
             raise InputError.at("samples", f"must be more: {most}, {deck.STEPS_OF_A_RUN}")
         fixed = self.step is not None
         bounded = self.diameter == "gauge" and _bounds_overlaps(scene)
@@ -265,15 +272,15 @@ class Lammps(TimeSteppingEngine):
             min(self.round_off(scene, drawn, taken, peaks), LARGEST_ERROR) for drawn in (0.0, gauge)
         )
         # A given step has no tolerance, so its truncation error limits the allowed rounding error.
-        asked_for = f"the given step leaves {trial.error.truncation:.1g}"
+        asked_for = f"the error of the given step is {trial.error.truncation:.1g}"
         if not fixed:
-            asked_for = f"{tolerance:.1g} is asked for"
+            asked_for = f"the tolerance is {tolerance:.1g}"
         goal = 2 * trial.error.truncation if fixed else tolerance
         small = self._takes_gauge(scene, errors, goal, fixed)
         if trial.missed:
             raise _without_heights(trial.missed, trial.known_until)
         reason = (
-            f"round-off in heights leaves about {errors[0]:.1g} with the physical diameter, "
+            f"round-off in heights is about {errors[0]:.1g} with the physical diameter, "
             f"{errors[1]:.1g} with the gauge diameter; {asked_for}"
         )
         choices = _choices(gauge if small else 0.0, reason) | {"gauge_m": gauge}
@@ -293,19 +300,19 @@ class Lammps(TimeSteppingEngine):
         Raises
         ------
         ToleranceNotMet
-            If round-off alone is above the tolerance, unless the step is fixed.
+            If the rounding error alone exceeds the tolerance, unless the step is fixed.
         """
         physical, gauge = errors
         small = self.diameter == "gauge" or (self.diameter == "auto" and physical > tolerance / 2)
         floor = gauge if small else physical
         if floor > tolerance and not fixed:
-            cure = "the engine native keeps displacements and has no such floor"
+            cure = "use the native engine, which stores displacements"
             if not small and gauge < tolerance:
-                cure = f"the gauge diameter leaves {gauge:.1g}, and {cure}"
+                cure = f"use the gauge diameter, with an error of {gauge:.1g}, or {cure}"
             elif self.splitting(scene).order == 2 and not scene.chain.damped:
-                cure = f'integrator "rkn6" needs far fewer steps, and {cure}'
+                cure = f'use the integrator "rkn6", which needs far fewer steps, or {cure}'
             raise ToleranceNotMet(
-                "LAMMPS holds heights in double precision, which leaves an error of about "
+                "LAMMPS stores heights in double precision, which causes an error of about "
                 f"{floor:.1g} here, above the tolerance of {tolerance:.1g}: {cure}"
             )
         return small
@@ -317,9 +324,10 @@ class Lammps(TimeSteppingEngine):
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Return a bound on the relative rounding error of a run, from one ulp of a height.
 
-        Each force evaluation moves every grain and rounds its height: a random walk. In the
-        velocity the same error counts times the highest frequency. In 60 random scenes the measured
-        round-off was 0.05 to 1.5 times this in nine of ten; reflections amplified it up to tenfold.
+        Each force evaluation moves every grain and rounds its height, so that the error is a random
+        walk. The error of the velocity is this error times the highest frequency. In 90 % of 60
+        random scenes the measured rounding error was 0.05 to 1.5 times this bound. Reflections
+        amplified it up to tenfold.
         """
         column = LammpsColumn(scene, gauge, self.pair_style)
         ulp = np.spacing(np.abs(column.heights).max())
@@ -331,7 +339,7 @@ class Lammps(TimeSteppingEngine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Predict rounding: a random walk of 0.16 ulp of the largest height per force evaluation.
 
-        In the velocities it counts times the highest frequency.
+        The error of the velocities is this error times the highest frequency.
         """
         gauge = gauge_diameter(scene) if self.diameter == "gauge" else 0.0
         return HEIGHTS.typical * self.round_off(scene, gauge, steps, np.array([np.inf, speed]))
@@ -343,7 +351,7 @@ class Lammps(TimeSteppingEngine):
         gauge = gauge_of(proposal, "gauge_m")
         free = self.diameter == "auto" and gauge and not gauge_of(proposal)
         if free and error and error.roundoff > 0.5 * tolerance:
-            reason = f"the physical diameter left {error.roundoff:.1g}"
+            reason = f"with the physical diameter, round-off was {error.roundoff:.1g}"
             return proposal._replace(choices=_choices(gauge, reason))
         return super().refine(proposal, error, tolerance)
 
@@ -395,10 +403,10 @@ class Lammps(TimeSteppingEngine):
         Raises
         ------
         InputError
-            If it keeps files of LAMMPS, or runs commands of the user that do more than watch, which
-            may hold a state of their own.
+            If the engine stores files of LAMMPS, or if commands of the user do more than watch the
+            run, because such commands may have a state of their own.
         """
-        fault = "LAMMPS cannot go on with that after a stop; leave it out with a run folder"
+        fault = "LAMMPS cannot continue with this option after a stop: leave it out in a run folder"
         faults = [(key, fault) for key in UNKEPT if getattr(self, key)]
         if fault := watching.find_fault(self.include):
             faults.append(("include", fault))
@@ -418,7 +426,7 @@ class Lammps(TimeSteppingEngine):
         try:
             word(log)
         except InputError as error:
-            warn(f"{folder}: there will be no {LOG}: {error}", stacklevel=2)
+            warn(f"{folder}: {LOG} cannot be written: {error}", stacklevel=2)
         else:
             prepared.log = log
         return prepared
@@ -440,19 +448,19 @@ class Lammps(TimeSteppingEngine):
             engine = Lammps(integrator, step, diameter, self.pair_style)
             engine.write_deck(scene, tolerance, folder / DECK, overwrite=False)
         except LmpchainError as error:
-            warn(f"{folder}: there is no deck: {error}", stacklevel=2)
+            warn(f"{folder}: the deck cannot be written: {error}", stacklevel=2)
 
     def write_deck(self, scene: Scene, tolerance: float, folder: Path, overwrite: bool) -> Path:
         """Write a complete deck and its data file; return the path of the deck.
 
-        Where round-off in heights keeps the tolerance out of reach, it is written for the error
-        that can be had.
+        If the rounding error of heights exceeds the tolerance, the deck is written for the smallest
+        tolerance that can be met.
         """
         if not overwrite:
             deck.check_folder(folder)
         attempt = first_attempt(partial(self.propose, self.part(scene)), tolerance, True)
         refusal = attempt.refusal
-        remark = f"the tolerance of {tolerance:.1g} is out of reach: {refusal}" if refusal else ""
+        remark = f"the tolerance of {tolerance:.1g} cannot be met: {refusal}" if refusal else ""
         column = self.column(scene, attempt.proposal, remark)
         make_folder(folder)
         deck.write_data(column, folder / "column.data")
@@ -487,9 +495,9 @@ def _check_options(diameter: str, pair_style: str, ranks: int | None) -> None:
 def _try_steps(
     native: CompiledSteps, scene: Scene, tolerance: float
 ) -> Outcome[tuple[Array, float]]:
-    """Return the native trial with the longest steps that meet the tolerance, or None.
+    """Return the native trial with the longest steps that meet the tolerance.
 
-    Where nothing bounds the strain beforehand, its first steps may be much too short.
+    If no bound on the strain is known beforehand, the first steps may be much too short.
     """
 
     def begin(attempt: Attempt) -> None:
@@ -539,7 +547,8 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
 def _bounds_overlaps(scene: Scene) -> bool:
     """Return whether a bound on the overlaps is available without a trial.
 
-    There is none if the excitation does work, or if the force of a contact falls somewhere.
+    No bound is available if the excitation does work, or if the force of a contact decreases with
+    the overlap anywhere.
     """
     return not scene.excitation.does_work and bool(np.isfinite(scene.overlap_bounds).all())
 

@@ -31,25 +31,27 @@ def write_deck(
     ----------
     scene : Scene
     folder : path
-        Made if it is not there.
+        Folder for the deck; it is created if it does not exist.
     tolerance, step, diameter, pair_style
-        As for `Lammps` and `simulate`. Where round-off in heights keeps the physical diameter from
-        the tolerance, the deck is written for the error that can be had, and says so.
+        As for `Lammps` and `simulate`. If the rounding error of heights exceeds the tolerance, the
+        deck is written for the smallest tolerance that can be met, and contains a remark.
     integrator : "verlet" or "kahan-li6"
+        Method of time integration.
     template, include : path, optional
-        As for `Lammps`, but the template may run and dump as it likes: it is all of the deck.
+        As for `Lammps`, but the template is the complete deck and may contain any dump and run
+        commands.
     overwrite : bool
         Whether to replace a deck that was edited, or files that lmpchain did not write.
 
     Returns
     -------
     Path
-        The deck.
+        Path of the deck.
 
     Raises
     ------
     InputError
-        If LAMMPS cannot do the scene, or an option is wrong.
+        If LAMMPS cannot solve the scene, or if an option is wrong.
     """
     check_scene(scene)
     check_tolerance(tolerance)

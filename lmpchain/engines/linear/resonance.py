@@ -1,10 +1,11 @@
 """Resonance: the motion of a third wave that a pair of waves drives by the curved force law.
 
-Beside its stiffness k times the change s of its overlap D, a contact has the force k c s^2 / (2 D),
-c = delta - 1 for a power (`ContactLaw.bend`). Therefore two waves of frequencies a and b force
-every mode at a + b and |a - b|. A mode of frequency w responds with the amplitude force / (2 w)
-times min(t, 2 / |w - a - b|). In a chain of many grains these many responses have random phases. In
-a chain of few grains, modes may be in resonance by chance, and then a response grows in time.
+If the overlap D of a contact changes by s, its force has the linear part k s and the quadratic part
+k c s^2 / (2 D), with the stiffness k, and c = delta - 1 for a power law (`ContactLaw.bend`).
+Therefore two waves of frequencies a and b force every mode at a + b and |a - b|. A mode of
+frequency w responds with the amplitude force / (2 w) times min(t, 2 / |w - a - b|). In a chain of
+many grains these many responses have random phases. In a chain of few grains, modes may be in
+resonance by chance, and then a response grows in time.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ class PairForces(NamedTuple):
     frequency : (M,) array
         Frequencies of the modes, rad/s.
     force : (P, M) array
-        Force of a pair on a mode, over the root of the modal mass.
+        Force of a pair on a mode, divided by the square root of the modal mass.
     detuning : (P, M) array
-        Difference between the beat of a pair and the frequency of a mode, rad/s.
+        Difference between the beat frequency of a pair and the frequency of a mode, rad/s.
     """
 
     shape: Array
@@ -60,7 +61,7 @@ class Resonance:
     def motion(self, time: float) -> Array:
         """Return the largest displacement (m) and velocity (m/s) up to a time, (2,).
 
-        They are 0 in a chain of more than `FEW` grains.
+        Both are 0 in a chain of more than `FEW` grains.
         """
         chain = self._scene.chain
         driven = self._scene.excitation.driven

@@ -27,8 +27,8 @@ class LinearSolution(Protocol):
     def at(self, times: Array) -> tuple[Array, Array, NDArray[np.intp]]:
         """Return the displacement and velocity, (T, N) m and m/s, and reach, (T, 2).
 
-        The reach at each time is the first grain that may move, counted from 0, and the grain
-        behind the last one. The times of successive calls must increase.
+        The reach at each time is the index, from 0, of the first grain that may move, and the index
+        after the last one. The times of successive calls must increase.
         """
 
     def state(self) -> dict[str, Array]:
@@ -153,7 +153,7 @@ class ModalSolution:
     def _by_sine_of_damped(self, t: Array, amplitude: float, omega: float) -> tuple[Array, Array]:
         """Return the forced motion of damped modes, by the response of their exponentials.
 
-        A driven grain also acts by its velocity, through the viscosity of the contact.
+        A driven grain also exerts a force by its velocity, through the viscosity of its contact.
         """
         turn = 1j * omega
         push = amplitude * (1 + turn * self._viscosity)
@@ -202,19 +202,19 @@ def sum_energies(
     ----------
     scene : Scene
     solve : callable
-        Returns the solution at t = 0.
+        Function that returns the solution, started at t = 0.
     budget : ErrorBudget
         Estimated error of the solution.
     scale : (2,) array
-        Largest displacement and velocity, m and m/s.
+        Largest displacement, m, and velocity, m/s.
     most : int
         Largest number of evaluations.
 
     Returns
     -------
     dict of arrays
-        Empty without damping, because the balance of energy then gives the work, and if the
-        quadrature takes more evaluations.
+        Energies and their errors by name. The dict is empty without damping, because the energy
+        balance then gives the work, and if the quadrature needs more than `most` evaluations.
     """
     excitation = scene.excitation
     left = most // GAUSS_NODES.size
@@ -269,7 +269,7 @@ def sum_energies(
 def _powers(scene: Scene, solution: LinearSolution, times: Array, off: Array) -> Array:
     """Return the powers of damping and of the forcing, and their errors, (T, 4) W.
 
-    Displacements and velocities of the solution have the errors `off`, m and m/s.
+    `off` is the error of the displacement, m, and of the velocity, m/s, of the solution.
     """
     chain = scene.chain
     excitation = scene.excitation

@@ -360,15 +360,15 @@ def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
     assert tight.choices["diameter"] == "gauge"
     assert tight.choices["drawn_m"] == tight.choices["gauge_m"] == gauge_diameter(scene)
     assert tight.record()["drawn_m"] == repr(gauge_diameter(scene))
-    assert "1e-06 is asked for" in tight.choices["why"]
-    assert "round-off in heights leaves about" in tight.choices["why"]
+    assert "the tolerance is 1e-06" in tight.choices["why"]
+    assert "round-off in heights is about" in tight.choices["why"]
     assert tight.solver_error <= 1e-6
     with pytest.raises(
         ToleranceNotMet,
-        match=r"above the tolerance of 1e-06: the gauge diameter leaves .*, and the",
+        match=r"above the tolerance of 1e-06: use the gauge diameter, with an error of .*, or use",
     ):
         Lammps(diameter="physical").propose(scene, 1e-6)
-    with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6" needs far fewer steps'):
+    with pytest.raises(ToleranceNotMet, match=r'integrator "rkn6", which needs far fewer steps'):
         Lammps("verlet").propose(scene.replace(duration=1e-5), 1e-10)
 
 
@@ -379,7 +379,7 @@ def test_a_run_with_too_coarse_heights_is_repeated_with_the_gauge():
     missed = ErrorBudget(1e-9, 0.6e-2, 6.0)
     better = engine.refine(candidate, missed, 1e-2)
     assert better.choices["diameter"] == "gauge"
-    assert better.choices["why"] == "the physical diameter left 0.006"
+    assert better.choices["why"] == "with the physical diameter, round-off was 0.006"
     assert better.steps.per_landing == candidate.steps.per_landing
     assert (
         engine.refine(candidate, missed._replace(roundoff=0.4e-2, truncation=0.1), 1e-2).step
@@ -414,7 +414,7 @@ def test_invalid_options():
         kept = Lammps("verlet", **options)
         assert kept.whole
         with pytest.raises(
-            InputError, match="LAMMPS cannot go on with that after a stop"
+            InputError, match="LAMMPS cannot continue with this option after a stop"
         ) as refused:
             kept.options()
         assert [key for key, _ in refused.value.faults] == list(options)
@@ -456,7 +456,7 @@ def test_choice_of_communicator(monkeypatch):
         == ("world", 3, "none")
     )
     with pytest.raises(
-        InputError, match="ranks: mpirun has started 3 processes; leave the number of ranks out"
+        InputError, match="ranks: mpirun has started 3 processes: leave the number of ranks out"
     ):
         subprocess_ranks.gather(2, "none")
     monkeypatch.setattr(mpi, "current_world", lambda: None)
@@ -468,7 +468,7 @@ def test_choice_of_communicator(monkeypatch):
 @pytest.mark.parametrize(
     ("lines", "reason"),
     [
-        ("", "no reason is known"),
+        ("", "the reason is unknown"),
         ("first\nlast |\n", "last"),
         ("error: no such host\nmore", "no such host"),
         ("== BAD TERMINATION ==\n= EXIT CODE: 9 =\nlast", "EXIT CODE: 9"),

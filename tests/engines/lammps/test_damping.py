@@ -153,7 +153,7 @@ def test_two_spheres_have_the_exact_restitution(viscosity):
 
 def test_unsupported_damping_is_rejected():
     scene = scene_of(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}))
-    with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS has one number"):
+    with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS supports one number"):
         simulate(scene, engine="lammps")
     with pytest.raises(InputError, match="damping requires verlet"):
         simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))

@@ -208,7 +208,7 @@ REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
         {"damping": {"viscoelastic": 1e-7}},
         {},
         STRIKE,
-        "no viscous contacts with a law by formula, only drag",
+        "only drag with a law by formula",
     ),
     "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
     "moving wall": (
@@ -239,7 +239,7 @@ def test_unsupported_features_are_rejected_in_one_line(name: str):
 def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
     scene, step = case(name)
     write_deck(scene, tmp_path, step=step)
-    with pytest.raises(InputError, match="has a formula with its numbers filled in"):
+    with pytest.raises(InputError, match="has a formula with numbers instead of parameters"):
         read_deck(tmp_path)
     read = read_deck(tmp_path, scene)
     assert read.scene.chain == scene.chain

@@ -184,7 +184,7 @@ def test_a_deck_template_may_run_but_a_library_template_may_not():
     assert np.array_equal(dumped.velocity, simulate(small(), engine=Lammps(**VERLET)).velocity)
     with pytest.raises(
         InputError,
-        match=r'template: the command run \(line 8\) cannot be used here: put .*"run.column"',
+        match=r'template: the command run \(line 8\) cannot be used here: use .*"run.column"',
     ):
         simulate(small(), engine=Lammps(**VERLET, template="my.template"))
 
