@@ -132,7 +132,7 @@ def test_waves_of_the_wrong_type_are_rejected() -> None:
     for law in laws:
         with pytest.raises(InputError, match=r"overlap: must .* or there is no shock"):
             law(AHEAD, less)
-    with pytest.raises(InputError, match="overlap: must not exceed that ahead"):
+    with pytest.raises(InputError, match="overlap: must not exceed the overlap ahead"):
         GAS.rarefaction(AHEAD, 2 * AHEAD.overlap)
 
 
