@@ -224,8 +224,8 @@ class Scene(SceneFacts):
     def until(self, time: float) -> Self:
         """Return the scene up to the last sample before a time, s.
 
-        The scene itself is returned if it ends before the time, or if that sample is its first or
-        its last one.
+        The whole scene is returned if it ends before this time, or if the last sample before this
+        time is its first or its last one.
         """
         if time > self.duration:
             return self
@@ -302,7 +302,7 @@ class Scene(SceneFacts):
     def from_text(cls, text: str) -> Self:
         """Create a scene from the text of a scene file that refers to no other file.
 
-        Raises `InputError`, or `ValueError` if the text is not TOML.
+        Raises `InputError` with every fault, or `ValueError` if the text is not TOML.
         """
         return cls.from_dict(tomllib.loads(text), None)
 

@@ -226,8 +226,8 @@ class Waveform:
 
         The result is the inverse of the smallest time between knots, halved repeatedly if the knots
         are denser than the motion requires. A halving is accepted if the frequencies above the new
-        value add less than `NEGLIGIBLE_SPEED` to the speed. For a force, it is the speed of a free
-        mass under this force.
+        value add a fraction of less than `NEGLIGIBLE_SPEED` to the speed of the motion, or to the
+        speed of a free mass under the force.
         """
         assert self.spline is not None
         edge = 1 / self.corner_spacing

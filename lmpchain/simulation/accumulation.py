@@ -1,7 +1,7 @@
 """Quantities accumulated along a run: largest values and fronts of grains, forces of contacts.
 
-The engine solves the scene at finer times than are recorded. `GatheringRun` passes the recorded
-samples on, and all samples to a `Gatherer` for each realisation.
+The engine solves the scene at more times than are recorded. `GatheringRun` passes on the recorded
+samples, and passes all samples to one `Gatherer` for each realisation.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Choice of the engine: the named one, or with "auto" the cheapest one for the scene.
 
-With "auto" engines are compared by their equations, expected costs and expected errors only.
+With "auto", engines are compared only by their equations, expected costs and expected errors.
 """
 
 from __future__ import annotations

@@ -350,7 +350,7 @@ class RunFolder:
         Raises
         ------
         Stopped
-            After a request to stop, when the samples so far are written.
+            After a request to stop, once the samples so far are written.
         """
         request = math.inf
         for block in blocks:

@@ -552,7 +552,7 @@ def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
     """Return the method for a motion, and omega h of its first step.
 
     A method of high order is best for smooth forces. If contacts open, the energy error of an
-    opening does not depend on the order, and velocity Verlet has the shortest steps.
+    opening does not depend on the order, and velocity Verlet has the cheapest steps.
     """
     if scene.largest_strain <= FIRST_STEP.safe_strain:
         method = SPLITTINGS["rkn6"]

@@ -24,10 +24,10 @@ def deepest(scene: Scene) -> float:
 def hertz_excess(strain: ArrayLike) -> Array:
     """Return the relative excess of Hertz's force over the force of spheres, at overlap / diameter.
 
-    The excess is due to the shape alone, because Hertz's theory replaces spheres by paraboloids. A
-    sphere has ``o = 2 a artanh(a/R)`` and ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; I. N.
-    Sneddon, Int. J. Eng. Sci. 3, 47 (1965). The excess is about ``strain / 10``. Deviations from
-    half-spaces and yielding are not included.
+    The excess is due to the shape alone, because Hertz's theory replaces spheres by paraboloids.
+    Spheres of radius R with the contact radius a have ``o = 2 a artanh(a/R)`` and
+    ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; I. N. Sneddon, Int. J. Eng. Sci. 3, 47 (1965). The
+    excess is about ``strain / 10``. Deviations from half-spaces and yielding are not included.
     """
     strain = numbers(strain, "strain")
     # Newton's method for x = a / R.

@@ -49,7 +49,7 @@ class Grid:
     lightest : float
         Smallest mass ratio of a scan.
     spacing : float
-        Distance of the starting points of its searches, in 1 / sqrt(ratio).
+        Distance of the starting points of searches in a scan, in 1 / sqrt(ratio).
     """
 
     period: float = 12.0

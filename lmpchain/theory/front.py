@@ -24,7 +24,7 @@ __dir__ = listed(__name__)
 def decay(delta: float = 1.5) -> tuple[float, float]:
     """Return p and q of the decay: peak velocities as n^(-p), peak displacements as n^(-q).
 
-    For Hertz contacts they are 4/15 and 1/10; the exponent 1/12 of Eq. (8) is valid for waves of a
+    For Hertz contacts p is 4/15 and q is 1/10; the exponent 1/12 of Eq. (8) is valid for waves of a
     single frequency. For delta of 3 or more, both are xi/4.
 
     Parameters
