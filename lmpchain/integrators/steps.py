@@ -121,9 +121,9 @@ class Steps(NamedTuple):
         return -(-self.per_landing * samples // self.stride)
 
     def longest_between(self, begin: Array, end: Array) -> Array:
-        """Return the longest step between two corners, (C,) s, at which steps end as at landings.
+        """Return the longest step between two kinks, (C,) s, at which steps end as at landings.
 
-        The steps between a corner and a landing are equal, and as few as their length allows.
+        The steps between a kink and a landing are equal, and as few as their length allows.
         """
         landing = self.per_landing * self.step
         first = np.minimum(np.ceil(begin / landing) * landing, end)

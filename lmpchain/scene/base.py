@@ -101,9 +101,9 @@ class Excitation(Checked):
         return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property
-    def corner_spacing(self) -> float:
-        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
-        return np.inf if self.waveform is None else self.waveform.corner_spacing
+    def kink_spacing(self) -> float:
+        """Smallest time between kinks, where adaptive steps end, s; infinite without kinks."""
+        return np.inf if self.waveform is None else self.waveform.kink_spacing
 
     @property
     def fastest(self) -> float:

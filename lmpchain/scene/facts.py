@@ -106,17 +106,17 @@ class SceneFacts(Recording):
         return read_only(self.numbers(self.chain))
 
     @cached_property
-    def corners(self) -> tuple[float, ...]:
+    def kinks(self) -> tuple[float, ...]:
         """Times between t = 0 and the end at which the applied force or motion has a kink, s."""
         waveform = self.excitation.waveform
         if waveform is None:
             return ()
-        return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
+        return tuple(t for t in waveform.kinks if 0.0 < t < self.duration)
 
     @cached_property
-    def corner_spacing(self) -> float:
+    def kink_spacing(self) -> float:
         """Smallest time between kinks of the applied force or motion, s; infinite without kinks."""
-        return self.excitation.corner_spacing
+        return self.excitation.kink_spacing
 
     @cached_property
     def driven_from_above(self) -> Self:

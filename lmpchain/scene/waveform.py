@@ -202,14 +202,14 @@ class Waveform:
         return ((a / 2, w), (-a / 4, w + 2 * e), (-a / 4, w - 2 * e)) if e else ((a, w),)
 
     @property
-    def corners(self) -> tuple[float, ...]:
+    def kinks(self) -> tuple[float, ...]:
         """Times, s, at which the formula changes: the end, or the knots of a spline."""
         if self.spline is not None:
             return tuple(self.spline.x.tolist())
         return () if np.isinf(self.end) else (self.end,)
 
     def smooth_until(self, duration: float) -> bool:
-        """Return whether there is no corner before a time, s, except where a step can end."""
+        """Return whether there is no kink before a time, s, except where a step can end."""
         return self.spline is None or bool(self.spline.x[1] >= duration)
 
     @property
@@ -230,7 +230,7 @@ class Waveform:
         speed of a free mass under the force.
         """
         assert self.spline is not None
-        edge = 1 / self.corner_spacing
+        edge = 1 / self.kink_spacing
         # In its last piece a curve is constant, so that piece is excluded.
         end = self.spline.x[-2]
         intervals = end * edge
@@ -258,8 +258,8 @@ class Waveform:
         return float(edge)
 
     @property
-    def corner_spacing(self) -> float:
-        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
+    def kink_spacing(self) -> float:
+        """Smallest time between kinks, where adaptive steps end, s; infinite without kinks."""
         return self.end if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:

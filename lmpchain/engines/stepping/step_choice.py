@@ -270,9 +270,9 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
         alone = min(reach / 2, longest * stable) if strain < math.inf else 0.0
         reach = max(min(reach, stable / 4), alone)
     if adaptive:
-        # All runs end steps on the corners of an applied force. The longest steps of an auxiliary
-        # run must fit between two corners, or corners would cut the steps of all runs alike.
-        spacing = scene.corner_spacing / LONGER[-1]
+        # All runs end steps on the kinks of an applied force. The longest steps of an auxiliary
+        # run must fit between two kinks, or kinks would cut the steps of all runs alike.
+        spacing = scene.kink_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach
 
