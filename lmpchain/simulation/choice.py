@@ -22,7 +22,7 @@ from ..util.suggestions import not_among
 
 AUTO = "auto"
 REFUSED = "cannot do it: "  # Start of the verdict on an engine that refuses a scene.
-GIVEN_STEP = "none, because a step was given"  # Recorded instead of a tolerance.
+GIVEN_STEP = "none, for a step was given"  # Recorded instead of a tolerance.
 # Names of theories by equation.
 THEORY = {3: "linear theory", 4: "the homogeneous chain", 27: "the continuum"}
 

@@ -255,7 +255,7 @@ def test_engines_by_name():
 def test_a_record_states_the_request():
     made = Native().propose(SCENE, 1e-6)
     given = record(Native(step=1e-7), SCENE, made, 1e-6)
-    assert given["tolerance"] == "none, because a step was given"
+    assert given["tolerance"] == "none, for a step was given"
     kept = record(Native(), SCENE, made, 1e-6)
     assert kept["tolerance"] == "1e-06"
     assert kept["force"] == made.choices["force"]
