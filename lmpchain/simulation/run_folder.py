@@ -185,7 +185,7 @@ class RunFolder:
     attempt : Attempt or None
         The attempt to continue; None if the run starts from the beginning.
     samples : int
-        Number of samples that are computed.
+        Number of samples computed so far.
     requests : Requests
         Requests to stop.
     """
