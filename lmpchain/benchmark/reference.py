@@ -266,7 +266,7 @@ def _integrate(scene: Scene, tolerance: float) -> tuple[Array, Array, Array]:
     rows = [state[np.newaxis]]
     peaks = [(u, v)]
     begin = 0.0
-    for end in (*scene.corners, scene.duration):
+    for end in (*scene.kinks, scene.duration):
         times = scene.time[(scene.time > begin) & (scene.time <= end)]
         run = solve_ivp(
             rates,
@@ -351,7 +351,7 @@ class _Motion:
         self.start = np.array([u / self.length, v * (self.time / self.length)])
         self.units = np.array([self.length, self.length / self.time])[:, None, None]
         self.instants = scene.time.astype(Long) / self.time
-        self.knots = np.array(self.wave.corners if self.wave else (), dtype=Long) / self.time
+        self.knots = np.array(self.wave.kinks if self.wave else (), dtype=Long) / self.time
 
     def solve(self, series: TaylorSettings) -> tuple[Array, Array]:
         """Return the displacement and velocity, (2, T, N), and their maxima at any time, (2,).

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 __dir__ = listed(__name__)
 
-# Gauss-Legendre quadrature between corners, exact up to degree 9.
+# Gauss-Legendre quadrature between kinks, exact up to degree 9.
 MOST_TURN = 1000.0  # Largest phase between samples, rad.
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(5)
 
@@ -707,10 +707,10 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     assert wave
     moves = scene.drive is not None
     unknown = np.full(time.size - 1, np.nan)
-    corners = np.array(wave.corners)
-    corners = corners[(corners > 0) & (corners <= time[-1])]
-    # The slope at a corner is the right-hand one, so an interval that ends there has a corner.
-    known = (np.diff(np.searchsorted(corners, time, side="right")) > 0) | (not moves)
+    kinks = np.array(wave.kinks)
+    kinks = kinks[(kinks > 0) & (kinks <= time[-1])]
+    # The slope at a kink is the right-hand one, so an interval that ends there has a kink.
+    known = (np.diff(np.searchsorted(kinks, time, side="right")) > 0) | (not moves)
     # Viscous forces on a driven body do not follow from displacements alone.
     pieces = _Pieces(unknown, unknown, unknown, unknown)
     if not known.any() or (moves and scene.chain.damped):
@@ -718,7 +718,7 @@ def _known_pieces(scene: Scene, time: Array, push: Push, u: Array, v: Array) -> 
     turn = min(wave.fastest * time[-1] / (time.size - 1), MOST_TURN)
     count = 1 if moves else math.ceil(turn)
     between = np.interp(np.arange(count * (time.size - 1)) / count, np.arange(time.size), time)
-    edges = np.unique(np.concatenate((time, between, corners)))
+    edges = np.unique(np.concatenate((time, between, kinks)))
     half = np.diff(edges)[:, None] / 2
     x = edges[:-1, None] + half * (1 + NODES)
     begin = np.searchsorted(edges, time[:-1])

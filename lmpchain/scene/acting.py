@@ -35,9 +35,9 @@ class WaveformLimits:
     spacing : float
         Smallest time between two points, relative to the time of the last point.
     overshoot : float
-        Largest distance by which a spline may leave the range of its points, relative to that
-        range. A spline through a step or through noise exceeds this limit and does not represent
-        the data.
+        Largest distance by which a spline may leave the range of its points, relative to the width
+        of the range. A spline through a step or through noise exceeds this limit and does not
+        represent the data.
     """
 
     frequency: float = 1e20
@@ -184,34 +184,43 @@ class Drive(_Acting):
 
     Parameters
     ----------
-    amplitude, frequency : float
-        A, m, and f, Hz, of a sine ``phi_1 = A sin(2 pi f t)``.
+    amplitude : float
+        Amplitude A of a sine ``phi_1 = A sin(2 pi f t)``, m.
+    frequency : float
+        Frequency f of the sine, Hz.
     cycles : float, optional
         Number of cycles of a Hann tone burst ``A sin(2 pi f t) sin(pi f t / cycles)^2``, followed
         by rest.
-    shape, velocity, rise
-        For ``shape = "piston"``, in place of amplitude and frequency: a motion at the constant
-        ``velocity``, m/s, after a smooth start during the time ``rise``, s. The acceleration grows
-        and falls linearly during the start, so that the position is ``velocity (t - rise / 2)``
-        afterwards.
-    times, displacement : arrays
-        Points of a curve, s and m, given in place of amplitude and frequency. The body rests before
-        the first point, and keeps its position after the last point.
+    shape : "piston", optional
+        In place of amplitude and frequency: a motion at constant speed after a smooth start. During
+        the start the acceleration increases and decreases linearly. Afterwards the position is
+        ``velocity (t - rise / 2)``.
+    velocity : float
+        Constant speed of a piston, m/s.
+    rise : float
+        Duration of the start of a piston, s.
+    times : array
+        Times of the points of a curve, s, given in place of amplitude and frequency. The body rests
+        before the first point, and keeps its position after the last point.
+    displacement : array
+        Displacements at these times, m.
     interpolation : "pchip", "linear" or "spline"
         The curve: monotone between points (SciPy's PCHIP), straight lines, or a cubic spline
-        (not-a-knot), which is refused if it leaves the range of its points by more than a tenth.
+        (not-a-knot). A spline is rejected if it leaves the range of its points by more than a
+        tenth of this range.
     file : path, optional
-        A file of an instrument, given in place of times and displacement, with its options columns,
-        skip, time_scale, scale (m/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
-        With one of offset, baseline, trigger and lowpass, displacements are measured from the
-        position at t = 0.
+        A file of an instrument, given in place of times and displacement. Its options are columns,
+        skip, time_scale, scale (m/V), offset or baseline, trigger, lowpass and every; see
+        `TraceFile`. If offset, baseline, trigger or lowpass is given, displacements are measured
+        from the position at t = 0.
     grain : 0 or 1
-        0 moves the top wall, of a chain with ``top = "wall"``.
+        1 drives the first grain, and 0 the top wall of a chain with ``top = "wall"``.
     end : "top" or "bottom"
         "bottom" moves the base of the column, as a shaker does: the wall of a chain with
-        ``bottom = "wall"``, or the last grain of one with ``bottom = "fixed"``. Leave `grain` out.
+        ``bottom = "wall"``, or the last grain of a chain with ``bottom = "fixed"``. In this case
+        `grain` must be omitted.
     start : Profile, optional
-        Displacement and velocity at t = 0 of the other grains; at rest by default.
+        Displacement and velocity of the other grains at t = 0. By default they are at rest.
 
     Examples
     --------
@@ -274,7 +283,7 @@ class Drive(_Acting):
     def _faults(self) -> Iterator[tuple[str, str]]:
         yield from super()._faults()
         if self.from_below and "grain" in self.model_fields_set:
-            yield "grain", 'is that of a drive from above: leave it out with end = "bottom"'
+            yield "grain", 'applies only to a drive from above: leave it out with end = "bottom"'
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         yield from super()._point_faults(key, values)
@@ -301,7 +310,7 @@ class Drive(_Acting):
             yield "end", f"the chain has no base to be moved: {cure}"
         if chain.ground is not None:
             cure = "leave the ground out, or drive the top"
-            yield "end", f"a base cannot be driven beside a force from the ground: {cure}"
+            yield "end", f"a base cannot be driven together with a force from the ground: {cure}"
         if chain.loose_grains:
             yield "end", f"a base cannot be driven if {chain.loose}"
 
@@ -347,7 +356,8 @@ class Drive(_Acting):
     def largest(self, chain: Chain) -> tuple[Array, Array]:
         """Return the largest displacement and velocity (N,) of the start and of the drive.
 
-        The values of the first or last grain include the motion of the driven body.
+        The value of the first grain, or of the last grain for a drive from below, includes the
+        motion of the driven body.
         """
         fields = self._begin(chain)
         place = -1 if self.from_below else 0
@@ -413,24 +423,30 @@ class Force(OneGrain, _Acting):
     ----------
     grain : int
         Number of the grain.
-    amplitude, frequency : float
-        A, N, and f, Hz, of a sine ``A sin(2 pi f t)``.
+    amplitude : float
+        Amplitude A of a sine ``A sin(2 pi f t)`` or of a half-sine, N.
+    frequency : float
+        Frequency f of the sine, Hz.
     cycles : float, optional
         Number of cycles of a Hann tone burst ``A sin(2 pi f t) sin(pi f t / cycles)^2``, without a
         force afterwards.
-    shape, amplitude, duration
-        For ``shape = "half-sine"``: the force ``A sin(pi t / duration)``, N and s, as exerted by a
-        hammer, without a force afterwards.
-    times, force : arrays
-        Points of a curve, s and N. There is no force before the first point; after the last point
-        the force falls to 0 within the time between the last two points.
+    shape : "half-sine", optional
+        In place of a frequency: the force ``A sin(pi t / duration)``, as exerted by a hammer,
+        without a force afterwards.
+    duration : float
+        Duration of a half-sine, s.
+    times : array
+        Times of the points of a curve, s. There is no force before the first point. After the last
+        point the force falls to 0 within the time between the last two points.
+    force : array
+        Forces at these times, N.
     file : path, optional
-        A file of an instrument, given in place of times and force, with its options columns, skip,
-        time_scale, scale (N/V), offset or baseline, trigger, lowpass, every, see `TraceFile`.
+        A file of an instrument, given in place of times and force. Its options are columns, skip,
+        time_scale, scale (N/V), offset or baseline, trigger, lowpass and every; see `TraceFile`.
     interpolation : "pchip", "linear" or "spline"
-        See `Drive`.
+        The curve through the points, as in `Drive`.
     start : Profile, optional
-        Displacement and velocity of every grain at t = 0; at rest by default.
+        Displacement and velocity of every grain at t = 0. By default all grains are at rest.
 
     Examples
     --------

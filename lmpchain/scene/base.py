@@ -22,15 +22,20 @@ class Push(NamedTuple):
 
     Attributes
     ----------
-    force, rate : (T,) arrays
-        N and N/s, without the inertial force of a driven grain, its mass times the acceleration.
-    speed, acceleration : (T,) arrays
-        Motion of the body, m/s and m/s2.
+    force : (T,) array
+        The force, N. The inertial force of a driven grain, mass times acceleration, is not
+        included.
+    rate : (T,) array
+        Time derivative of `force`, N/s.
+    speed : (T,) array
+        Velocity of the grain or wall, m/s.
+    acceleration : (T,) array
+        Acceleration of the grain or wall, m/s2.
     inertia : float
-        Mass of the grain if it is driven, kg, else 0.
+        Mass of the grain if it is driven, kg; otherwise 0.
     on_grain : bool
-        Whether it acts on a grain; otherwise it acts on the wall, which transmits it by its
-        contact.
+        Whether the force acts on a grain. Otherwise it acts on a wall, and the contact of the wall
+        transmits it to the chain.
     """
 
     force: Array
@@ -44,20 +49,21 @@ class Push(NamedTuple):
 class Excitation(Checked):
     """The cause of the motion of a chain.
 
-    The defaults apply to initial data, after which no external force acts on the chain; other
-    excitations override them.
+    The default methods describe an excitation at t = 0, after which no external force acts on the
+    chain. Excitations that act later override them.
 
     Attributes
     ----------
     kind : str
         Name of the excitation in scene files.
     strength : tuple of str
-        Fields to which the motion of a linear chain is proportional. The first one is named in
-        messages about an excitation that is too strong.
+        Names of the fields to which the motion of a linear chain is proportional. Messages about
+        an excitation that is too strong name the first one.
     does_work : bool
-        Whether it acts after t = 0, so that the energy of the chain is not known beforehand.
+        Whether the excitation acts after t = 0, so that the energy of the chain is not known
+        beforehand.
     of_chain : bool
-        Whether the imposed motion also depends on masses and contacts of the chain.
+        Whether the imposed motion also depends on the masses and contacts of the chain.
     """
 
     kind: ClassVar[str]
@@ -95,9 +101,9 @@ class Excitation(Checked):
         return self.waveform is None or self.waveform.smooth_until(duration)
 
     @property
-    def corner_spacing(self) -> float:
-        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
-        return np.inf if self.waveform is None else self.waveform.corner_spacing
+    def kink_spacing(self) -> float:
+        """Smallest time between kinks, where adaptive steps end, s; infinite without kinks."""
+        return np.inf if self.waveform is None else self.waveform.kink_spacing
 
     @property
     def fastest(self) -> float:
@@ -175,8 +181,14 @@ class Excitation(Checked):
 
         Parameters
         ----------
-        force, rate : (T, N+1) arrays
-            Force of every contact less its force at rest, N, and its rate, N/s.
+        chain : Chain
+            The chain that is excited.
+        time : (T,) array
+            Times, s.
+        force : (T, N+1) array
+            Force of every contact minus its force at rest, N.
+        rate : (T, N+1) array
+            Time derivative of `force`, N/s.
         velocity : (T, N) array
             Velocity of every grain, m/s.
         """

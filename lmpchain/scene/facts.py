@@ -1,6 +1,6 @@
 """Derived facts of a scene: times, strengths, frequencies and reach of the wave.
 
-Each fact has one definition, here, and is computed once, when it is first read.
+Each fact is defined only here, and is computed once, when it is first read.
 """
 
 from __future__ import annotations
@@ -35,12 +35,14 @@ class Cut:
     Attributes
     ----------
     unseen : float
-        Motion over that of the grain that is struck which no answer holds.
+        Grains that move by less than this fraction of the motion of the struck grain count as at
+        rest.
     share : float
-        Fraction of the grains: if more are reached, all are computed
-        (analysis/calibration/light_cone.py).
+        Fraction of the grains. If the wave can have reached more of them, the whole chain is
+        computed (analysis/calibration/light_cone.py).
     shortest : int
-        Grains: a shorter chain is computed as a whole, for less than it takes to cut it.
+        Number of grains. Shorter chains are computed as a whole, because restricting them would
+        cost more than it saves.
     """
 
     unseen: float = 1e-22
@@ -59,9 +61,9 @@ class LightCone(NamedTuple, Generic[Part]):
     scene : Scene
         Scene of this part with all of its grains recorded.
     rows : slice or (C,) array
-        Indices, among the recorded grains of this part, of grains that the whole scene records.
+        Indices, among the recorded grains of this part, of the grains that the whole scene records.
     columns : slice or (C,) array
-        Their places among the recorded grains of the whole scene.
+        Indices of the same grains among the recorded grains of the whole scene.
     """
 
     scene: Part
@@ -72,7 +74,7 @@ class LightCone(NamedTuple, Generic[Part]):
 class SceneFacts(Recording):
     """A chain, an excitation and a recording, with all quantities derived from them before a run.
 
-    `Scene` inherits these facts. Facts of the chain alone are those of `Chain`.
+    `Scene` inherits these facts. Facts that depend on the chain alone are attributes of `Chain`.
     """
 
     chain: Chain
@@ -104,23 +106,23 @@ class SceneFacts(Recording):
         return read_only(self.numbers(self.chain))
 
     @cached_property
-    def corners(self) -> tuple[float, ...]:
+    def kinks(self) -> tuple[float, ...]:
         """Times between t = 0 and the end at which the applied force or motion has a kink, s."""
         waveform = self.excitation.waveform
         if waveform is None:
             return ()
-        return tuple(t for t in waveform.corners if 0.0 < t < self.duration)
+        return tuple(t for t in waveform.kinks if 0.0 < t < self.duration)
 
     @cached_property
-    def corner_spacing(self) -> float:
+    def kink_spacing(self) -> float:
         """Smallest time between kinks of the applied force or motion, s; infinite without kinks."""
-        return self.excitation.corner_spacing
+        return self.excitation.kink_spacing
 
     @cached_property
     def driven_from_above(self) -> Self:
         """The scene itself, or one that is driven from below upside down, with all grains recorded.
 
-        Engines compute this scene, because they only drive the upper end of a chain.
+        Engines compute this scene, because they can drive only the upper end of a chain.
         """
         drive = self.excitation
         if not drive.from_below:
@@ -144,7 +146,8 @@ class SceneFacts(Recording):
     def _surroundings(self) -> tuple[int, Self]:
         """First grain and scene of the grains that the excitation moves, and their neighbours.
 
-        The whole scene if its chain is short, because its contacts are then known as soon.
+        For a short chain this is the whole scene, because computing all of its contacts costs no
+        more.
         """
         # A scene that stored itself would remain in memory until the next garbage collection.
         return (1, self) if self.chain.grains <= FEW_GRAINS else self._struck_part
@@ -171,7 +174,8 @@ class SceneFacts(Recording):
     def energy(self) -> float:
         """Energy above rest at t = 0, J; infinite if that does not bound the energy of contacts.
 
-        It does not if the excitation does work later, or a ground that may be no spring.
+        The result is infinite if the excitation does work after t = 0, or if the chain is on a
+        ground that may not be a spring.
         """
         if self.chain.ground is not None and not ground.is_spring(self.chain.ground):
             return math.inf
@@ -182,7 +186,7 @@ class SceneFacts(Recording):
     def strike_number(self) -> float:
         """Strike relative to the contact below the grain: v0 / (eps_n omega_n) or phi_0 / eps_n.
 
-        Linear theory needs it to be far below 1; it is infinite in the sonic vacuum.
+        Linear theory is valid if this number is far below 1. It is infinite in the sonic vacuum.
         """
         if self.excitation.from_below:
             return self.driven_from_above.strike_number
@@ -219,8 +223,8 @@ class SceneFacts(Recording):
     def first_overlaps(self) -> Array:
         """The largest overlap of every contact at t = 0 or in the first collision, (N+1,) m.
 
-        Two bodies that approach with the relative velocity v, and nothing around them, come closer
-        than at rest by r with ``K r^(delta+1) / (delta+1) = mu v^2 / 2``, mu their reduced mass.
+        Two isolated bodies of the reduced mass mu that collide at the relative velocity v reach the
+        overlap r with ``K r^(delta+1) / (delta+1) = mu v^2 / 2``.
         """
         if self.excitation.from_below:
             return read_only(self.driven_from_above.first_overlaps[::-1].copy())
@@ -307,10 +311,11 @@ class SceneFacts(Recording):
     def linear_strain(self) -> float:
         """Bound on ``|r / eps|`` of all contacts of the linear chain at any time, or infinity.
 
-        Of the energy E put in, a contact that is stretched by r takes at least ``r^2 / 2c``. Its
-        compliance c is 1/k or, between two ends that stand still, where the others must give way,
-        ``(1 - (1/k) / sum 1/k) / k``. What drives a viscous contact works against more than
-        stiffness.
+        If the excitation adds the energy E, a contact stretched by r stores at least ``r^2 / 2c``,
+        so that r is at most ``sqrt(2 c E)``. The compliance c is 1/k. Between two fixed ends the
+        other contacts must give way, and c is ``(1 - (1/k) / sum 1/k) / k``. An excitation that
+        does work also acts against the viscous force of contacts, so its bound is larger by the
+        factor ``1 + A omega``.
         """
         # A spring to the ground takes energy from contacts, but other ground laws may add energy.
         if self.chain.ground is not None and not ground.is_spring(self.chain.ground):
@@ -356,8 +361,9 @@ class SceneFacts(Recording):
     def fastest_motion(self) -> float:
         """The highest frequency that can be excited without damping, rad/s; 0 if nothing moves.
 
-        The band edge of the chain at rest, that of two grains pressed together by the strike, or
-        that of the forcing.
+        The largest of three frequencies is used: the band edge of the chain at rest, the frequency
+        of the two grains that the strike presses together, and the highest frequency of the
+        forcing. The frequency of a grain on its ground is added in quadrature.
         """
         bounds = self.chain.bounds
         fastest = self.linear_frequency
@@ -371,7 +377,7 @@ class SceneFacts(Recording):
     def highest_frequency(self) -> float:
         """Bound on the step of every method, rad/s: the highest frequency that can be excited.
 
-        Or the rate at which damping stops the fastest motion.
+        If damping stops the fastest motion at a larger rate, this rate is the bound.
         """
         # A chain without load and strike has no frequency; any positive value serves.
         return self.chain.damping.fastest_rate(self.fastest_motion) or 1 / self.duration
@@ -428,12 +434,12 @@ class SceneFacts(Recording):
 def find_reached(scene: SceneFacts) -> tuple[int, int]:
     """Return the first and last grain that may have moved by more than 1e-22 of the strike.
 
-    Springs no stiffer than k_max pass on a displacement of 1 by at most the modified Bessel
-    function I_2d(W t) over d grains, W^2 = 4 k_max / m_min, whatever they do in between: all terms
-    of the series of the exact solution are positive there. The stiffest contact is bounded by the
-    energy above rest. A driven chain and a chain on a ground have no such bound, and their light
-    cone is the whole chain. A drag
-    leaves the bound as it is; with viscous contacts it is that of `_damped_distance`.
+    If all springs are at most as stiff as k_max, a unit displacement of one grain moves a grain
+    d grains away by at most the modified Bessel function I_2d(W t), with W^2 = 4 k_max / m_min.
+    This bound holds however the stiffness varies, because all terms of the series of the bounding
+    solution are positive. The energy above rest gives an upper bound on the stiffness of contacts.
+    A driven chain and a chain on a ground have no such bound, and their light cone is the whole
+    chain. A drag does not change the bound; viscous contacts have the bound of `_damped_distance`.
     """
     chain = scene.chain
     grains = chain.grains
@@ -480,8 +486,8 @@ def _fastest(scene: SceneFacts, first: int, last: int) -> float:
 def _lossless_distance(x: float) -> int:
     """Return d from which I_2d(x) <= (x/2)^2d / (2d)! exp(x^2 / (8d + 4)) is negligible.
 
-    The logarithm of that is concave where it falls: Newton's method ends beyond its root, never
-    before.
+    The logarithm of this upper bound is concave where it decreases, so Newton's method approaches
+    the root from larger d and never ends below it.
     """
     d = max(8.0, x / 2)
     log = math.log(x / 2 + 1e-300)
@@ -499,15 +505,18 @@ def _lossless_distance(x: float) -> int:
 def _damped_distance(viscosity: float, time: float) -> int:
     """Return the number of grains beyond which viscous contacts transmit no motion.
 
-    Springs k (1 + A d/dt) between masses m pass on at most what follows from x'' = (k/m) (1 + A
-    d/dt) (x_(n-1) + 2 x_n + x_(n+1)), whose terms are all positive. Its Laplace transform falls by
-    the factor q a grain, with q + 1/q + 2 = s^2 / (k/m) / (1 + A s), so that no more than s exp(s
-    t) q^d arrives over d grains, for any s at which q < 1 exists.
+    Masses m between springs k (1 + A d/dt) move at most as far as the solution of x'' = (k/m) (1 +
+    A d/dt) (x_(n-1) + 2 x_n + x_(n+1)), in which all terms are positive. From grain to grain, the
+    Laplace transform of this solution decreases by the factor q, where q + 1/q + 2 = s^2 / (k/m) /
+    (1 + A s). A grain d grains away therefore moves by at most s exp(s t) q^d, for every s that has
+    a root q < 1.
 
     Parameters
     ----------
-    viscosity, time : float
-        A and t in units of sqrt(m / k).
+    viscosity : float
+        The relaxation time A, in units of sqrt(m / k).
+    time : float
+        The time t, in units of sqrt(m / k).
     """
     rates = np.geomspace(2.0, 1e6, 400)
     # The expression q + 1/q - 2 is positive where the transform decreases.

@@ -81,13 +81,15 @@ class Profile(Measured):
 
     Parameters
     ----------
-    displacement, velocity : (N,) arrays, optional
-        m and m/s; one or both of them.
-    file : path
+    displacement : (N,) array, optional
+        Displacements, m.
+    velocity : (N,) array, optional
+        Velocities, m/s. At least one of the two arrays is required.
+    file : path, optional
         A text file with one row for each grain and columns of these names, given in place of
         arrays.
     columns, skip, scale, offset, optional
-        Options of the file, see `TableFile`.
+        Options for reading the file, as in `TableFile`.
     """
 
     kind: ClassVar[str] = "profile"
@@ -162,9 +164,10 @@ class Extent:
     Attributes
     ----------
     inside : float
-        This part must fit into the chain; the envelope is 1.5e-8 of its height at its ends.
+        Half length of the part that must fit into the chain. The envelope at its ends is 1.5e-8 of
+        the height.
     cut : float
-        The packet is truncated at this distance.
+        Half length at which the packet is truncated.
     """
 
     inside: float = 6.0
@@ -178,18 +181,19 @@ class Packet(Excitation):
     """A Gaussian packet of linear waves of one frequency that travels downward.
 
     Velocities of grains and strains of contacts are samples of one wave ``A(x) cos(theta(x))`` at
-    integer and half-integer positions. The chain is an alternating row of both, in which each
-    drives its neighbours, so that upgoing and downgoing waves differ in wave number. The local wave
-    number q follows from ``w = 2 sqrt(k/m) sin(q/2)`` for each contact, the amplitude from a
-    constant energy flow, the envelope from the travel time (WKB). On a uniform chain the upgoing
-    part is the tail of the Gaussian at q below 0 and above pi, with amplitudes of about ``exp(-(q
-    width)^2/2)`` and ``exp(-((pi - q) width)^2/2)``. If stiffness and mass vary, the chain also
-    reflects a part of the wave, and variations within a wavelength add an error.
+    integer and half-integer positions. In this alternating row each velocity or strain drives its
+    two neighbours, and upgoing and downgoing waves have different wave numbers. The local wave
+    number q of each contact is the root of ``w = 2 sqrt(k/m) sin(q/2)``. The amplitude follows
+    from a constant energy flow, and the envelope from the travel time (WKB approximation). On a
+    uniform chain a small upgoing wave remains: the tails of the Gaussian at q below 0 and above pi,
+    with amplitudes of about ``exp(-(q width)^2/2)`` and ``exp(-((pi - q) width)^2/2)``. If
+    stiffness and mass vary, the chain also reflects a part of the wave, and variations within a
+    wavelength add an error.
 
     Parameters
     ----------
     frequency : float
-        Hz.
+        Frequency of the waves, Hz.
     width : float
         Standard deviation of the envelope ``exp(-x^2 / (2 width^2))`` at its centre, in grains.
     grain : int
@@ -296,8 +300,8 @@ class Riemann(Excitation):
     """A step of velocity and compression between two grains at t = 0, from which shocks develop.
 
     Shock waves and rarefactions propagate from the step to both sides. The ends of the chain are
-    held or free and emit waves, too, so place the step far from them. Positions of grains are
-    measured from the bottom, which does not move if the strain on the right is 0.
+    held or free and emit waves, too, so place the step far from them. Displacements are summed from
+    the bottom: if the strain on the right is 0, grains on the right are not displaced.
 
     Parameters
     ----------
@@ -305,8 +309,8 @@ class Riemann(Excitation):
         Velocities of grains 1 ... grain, and of the grains below, m/s; "left" is towards grain 1.
     strain : (left, right)
         Additional overlap of contacts 1 ... grain, and of the contacts below, over the mean
-        diameter of the two grains. Positive values are compression. Negative values beyond the
-        overlap at rest over the diameter are gaps.
+        diameter of the two grains. Positive values are compression. A negative value opens a gap if
+        it is larger in magnitude than the overlap at rest over the mean diameter.
     grain : int
         Last grain on the left side; contact ``grain`` below it also belongs to the left side.
 

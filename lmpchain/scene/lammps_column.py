@@ -1,7 +1,7 @@
 """The scene of a LAMMPS run: axis, contacts, ends, gravity, load, start and recording.
 
-What the run does not say follows from its first frame: the overlaps of grains at rest give the
-force of every contact, and these forces give gravity and load.
+Gravity and load are inferred from the first frame if the run does not state them: the overlaps of
+grains at rest determine the force of every contact, and these forces determine gravity and load.
 """
 
 from __future__ import annotations
@@ -46,13 +46,21 @@ class RunOptions(NamedTuple):
     Attributes
     ----------
     material : Material, name or dict, optional
-    young, poisson, density : float, optional
-        Pa, 1 and kg/m3, in place of a material.
+        Material of the grains.
+    young : float, optional
+        Young's modulus, Pa, in place of a material.
+    poisson : float, optional
+        Poisson's ratio, in place of a material.
+    density : float, optional
+        Density, kg/m3, in place of a material.
     diameter : float, optional
-        m, if the run does not say.
-    timestep, duration : float, optional
-        s, if the run does not say.
+        Diameter of grains, m, if the run does not contain it.
+    timestep : float, optional
+        Time step of a dump, s, if the run does not contain it.
+    duration : float, optional
+        Duration of the scene, s, if the run does not contain it.
     samples : int, optional
+        Number of recorded times of the scene.
     """
 
     material: Any = None
@@ -71,9 +79,11 @@ class Understood(NamedTuple):
     Attributes
     ----------
     fields : dict
+        Arguments of `Scene` by name.
     facts : list of (fact, text)
+        Findings about the run: the name of each fact, and its description.
     units : str or None
-        Unit style of the input file.
+        Unit style of the input file; None without one.
     """
 
     fields: dict[str, Any]
@@ -88,16 +98,17 @@ class ColumnEnd:
     Attributes
     ----------
     kind : str
-        "free", "held" or "wall".
+        Kind of the end: "free", "held" or "wall".
     constant : float
         Contact constant of the wall, N/m^delta.
     overlap : float
         Overlap of the wall with its grain, m; NaN if unknown.
     line : InputLine or None
+        The command that defines the wall; None without such a command.
     relaxation : float
-        Relaxation time of the wall's damping, s.
+        Relaxation time of the damping at the wall, s.
     model : str
-        Contact model: "hertz" or "hooke".
+        Contact model of the wall: "hertz" or "hooke".
     """
 
     kind: str = "free"
@@ -116,16 +127,17 @@ def infer_scene(
     Parameters
     ----------
     grains : RunGrains
-        At the start of the scene.
+        The grains at the start of the scene.
     source : LammpsInput, optional
-        The input file, which has forces and fixes; without it the material must be given, and
-        gravity and load follow from the overlaps.
+        The input file, which defines forces and fixes. Without an input file the material must be
+        given, and gravity and load are inferred from the overlaps.
     options : RunOptions, optional
+        Information from the user.
 
     Raises
     ------
     InputError
-        If it is not one column that a scene can describe, or something is missing.
+        If the grains are not one column that a scene can describe, or if information is missing.
     """
     options = options or RunOptions()
     for key in ("young", "density", "diameter", "timestep", "duration"):
@@ -148,7 +160,7 @@ class RunColumn:
         if len(grains.numbers) < 2:
             raise self._refuse(f"has {len(grains.numbers)} grain: a column has two or more")
         if not (np.isfinite(grains.positions).all() and np.isfinite(grains.velocities).all()):
-            raise self._refuse("holds numbers that are not finite: the run broke down")
+            raise self._refuse("contains numbers that are not finite: the run broke down")
         self.axis = int(np.argmax(np.ptp(grains.positions, axis=0)))
         self.order = np.argsort(grains.positions[:, self.axis], kind="stable")
         self._complete()
@@ -253,8 +265,8 @@ class RunColumn:
             worst = int(beside.argmax())
             raise self._refuse(
                 f"atom {grains.numbers[worst]} is {beside[worst]:.3g} m beside the line of the "
-                f"others along {AXES[self.axis]}: a scene is one straight column along x, y or z, "
-                "so cut it out of a packing, several columns or an inclined column"
+                f"other grains along {AXES[self.axis]}: a scene is one straight column along x, y "
+                "or z, so extract it from a packing, several columns or an inclined column"
             )
         speed = np.abs(grains.velocities)
         if speed[:, across].max() > SIDEWAYS * speed.max():
@@ -296,7 +308,7 @@ class RunColumn:
             for fix in self._fixes("nve", "nve/sphere"):
                 moving += self._among(fix)
                 if (moving > 1).any():
-                    raise fix.line.refuse("moves grains that another fix moves: leave one of them")
+                    raise fix.line.refuse("moves grains that another fix moves: remove one of them")
             if not moving.any():
                 fault = "has no fix nve or nve/sphere: nothing moves"
                 raise InputError.at(str(self.source.path), fault)
@@ -313,8 +325,8 @@ class RunColumn:
         inner = held[1:-1]
         if inner.any():
             raise self._refuse(
-                f"{self._name(1 + int(inner.argmax()))} is held within the column: a scene holds "
-                "grains at its ends only, one at each"
+                f"{self._name(1 + int(inner.argmax()))} is held within the column: a scene can "
+                "hold only the first and the last grain"
             )
         return held
 
@@ -324,8 +336,8 @@ class RunColumn:
         for fix in fixes[fixes.index(holding) + 1 :]:
             if fix.style not in ("freeze", "setforce") and (self._among(fix) & stopped).any():
                 raise fix.line.refuse(
-                    f"acts on grains behind the {holding.style} of line {holding.line.number}, so "
-                    "that they move: write it before"
+                    f"acts on grains after the {holding.style} of line {holding.line.number} "
+                    "stopped them, so that they move: write it before that line"
                 )
 
     def _stops(self, fix: RunFix) -> bool:
@@ -397,14 +409,14 @@ class RunColumn:
             overlaps = radii - sign * (self.grains.positions[self.order, axis] - plane)
             if axis != self.axis and (overlaps > 0).any():
                 raise fix.line.refuse(
-                    f"touches the column from the side: only walls along {AXES[self.axis]} act"
+                    f"touches the column from the side: remove it, or use {AXES[self.axis]}plane"
                 )
             place = -side
             nearest = float(overlaps[place])
             if axis != self.axis or self.held[place] or not self._among(fix)[place]:
                 continue
             if nearest < -FAR_WALL * radii[place]:
-                self._say(f"wall at {word}", f"left out: no grain is nearer than {-nearest:.3g} m")
+                self._say(f"wall at {word}", f"ignored: its nearest grain is {-nearest:.3g} m away")
                 continue
             if ends[side].kind == "wall":
                 raise fix.line.refuse("is a second wall at one end")
@@ -420,7 +432,7 @@ class RunColumn:
         if source is None or not (bonded or paired):
             return self._materials()
         if bonded and paired and source.state.pair:
-            raise source.state.pair[0].refuse("acts beside bonds: a scene has one of them")
+            raise source.state.pair[0].refuse("acts in addition to bonds: remove one of them")
         frozen = np.any([self._among(fix) for fix in self._fixes("freeze")], axis=0)
         ordered = ColumnGrains(
             numbers=grains.numbers[order],
@@ -432,7 +444,9 @@ class RunColumn:
         forces = (bond_forces if bonded else pair_forces)(source, ordered)
         for end in self.ends:
             if end.line and end.model != forces.model:
-                raise end.line.refuse(f"has contacts of {end.model}, the grains of {forces.model}")
+                raise end.line.refuse(
+                    f"has {end.model} contacts, but the grains have {forces.model} contacts"
+                )
         grains.diameters[order] = forces.diameters
         self._say("contacts", f"{forces.text} ({_place(forces.line)})")
         return forces.fields | self._damping(forces.relaxations, ordered.masses)
@@ -448,8 +462,8 @@ class RunColumn:
             drag += self._among(fix) * gamma / masses
         for end, near in zip(self.ends, relaxations[[0, -1]], strict=True):
             if end.line and abs(end.relaxation - near) > SAME * near:
-                cure = f"give it the relaxation time of the contact beside it, {near:.6g} s"
-                raise end.line.refuse(f"is damped by {end.relaxation:.6g} s: {cure}")
+                cure = f"use the relaxation time of the contact beside it, {near:.6g} s"
+                raise end.line.refuse(f"has the relaxation time {end.relaxation:.6g} s: {cure}")
         if not (relaxations.any() or drag.any()):
             return {}
         # Fixed grains have no drag.
@@ -468,7 +482,7 @@ class RunColumn:
         if self.source and self.source.state.bonds:
             raise self._refuse("has bonds, whose style its input names: name the input, too")
         if self._has_commands:
-            raise self._refuse("has neither pair_style nor bond_style: nothing acts")
+            raise self._refuse("has neither pair_style nor bond_style: grains exert no forces")
         assert self.material is not None
         own = sphere_mass(self.material.density, self.grains.diameters)
         fields: dict[str, Any] = {"material": self.material}
@@ -476,7 +490,7 @@ class RunColumn:
             fields["masses"] = self.grains.masses[self.order]
         label = self.material.name or f"E = {self.material.youngs_modulus:g} Pa"
         self._say("contacts", f"Hertz, of {label} (given)")
-        self._say("damping", "none is assumed: positions do not tell it")
+        self._say("damping", "none is assumed: it cannot be inferred from positions")
         return fields
 
     # Orientation --------------------------------------------------------------------------------
@@ -563,8 +577,8 @@ class RunColumn:
         largest = float(np.abs(self._overlaps()).max())
         if self.grains.digits_lost and self.grains.slack > RESOLVED * largest:
             raise self._refuse(
-                f"its positions are written to {self.grains.slack:.1g} m, too few digits for "
-                f"overlaps of {largest:.1g} m: dump_modify ... format float %.17g"
+                f"its positions are rounded to {self.grains.slack:.1g} m, too few digits for "
+                f"overlaps of {largest:.1g} m: use dump_modify ... format float %.17g"
             )
         gravity = self.gravity
         if gravity is None:
@@ -582,10 +596,10 @@ class RunColumn:
         load = mean_load(rest, errors[quiet], float(np.abs(forces).max()))
         if load < 0:
             raise self._refuse(
-                f"its grains press each other by {-load:.3g} N less than they weigh: the column is "
-                "not at rest, or the material is another one"
+                f"its contact forces are {-load:.3g} N smaller than the weight above them: the "
+                "column is not at rest, or the material is wrong"
             )
-        origin = f"from {quiet.sum()} overlaps, taken to be at rest"
+        origin = f"from {quiet.sum()} overlaps, assumed to be at rest"
         as_force = f"{load:.9g} N ({origin}, as a constant force on grain 1)"
         self._say("load", as_force if load else f"none ({origin})")
         return gravity, load
@@ -595,8 +609,8 @@ class RunColumn:
         spread = np.abs(rest - np.median(rest))
         if (spread > CERTAIN * errors + UNLIKE * np.abs(forces).max()).any():
             raise self._refuse(
-                "its first frame is not at rest, so that its overlaps do not tell the load: dump "
-                "from the strike on, or name the input file beside the dump"
+                "its first frame is not at rest, so its overlaps do not determine the load: begin "
+                "the dump at the strike, or name the input file as well"
             )
 
     def _infer_gravity(self, weights: Array, forces: Array, errors: Array) -> float:
@@ -607,11 +621,11 @@ class RunColumn:
         line = fit_line(weights, forces, errors)
         gravity = gravity_of(line, weights, forces)
         if not gravity:
-            self._say("gravity", "none (the overlaps do not grow downward)")
+            self._say("gravity", "none (the overlaps do not increase downward)")
             return 0.0
         self._say(
             "gravity",
-            f"{gravity:.6g} m/s2 (from overlaps, taken to be at rest, which grow as under "
+            f"{gravity:.6g} m/s2 (from overlaps, assumed to be at rest, which increase as under "
             f"{abs(line.slope):.6g} +- {line.error:.1g})",
         )
         return gravity
@@ -647,8 +661,8 @@ class RunColumn:
             return 0.0
         load = load_between(excess)
         if not math.isfinite(load):
-            raise self._refuse("is pressed together by more than any load")
-        self._say("load", f"{load:.9g} N (by the distance of the ends, which do not move)")
+            raise self._refuse("is compressed more than any load can compress it")
+        self._say("load", f"{load:.9g} N (from the distance of the ends, which do not move)")
         return load
 
     def _addforce(self) -> float | None:
@@ -671,7 +685,7 @@ class RunColumn:
             down = (-1.0 if self.up else 1.0) * float(force[self.axis])
             total = (total or 0.0) + down * self.source.units.force
             if total < 0:
-                raise fix.line.refuse("pulls grain 1 out of the column: a load presses")
+                raise fix.line.refuse("pulls grain 1 out of the column: a load must press it down")
             self._say("load", f"{total:.9g} N on grain 1 ({_place(fix.line)})")
         return total
 
@@ -696,7 +710,7 @@ class RunColumn:
             chain = Chain(**fields)
         except InputError as error:
             key, why = error.faults[0]
-            raise self._refuse(f"makes no chain: {key}: {why}") from None
+            raise self._refuse(f"does not define a valid chain: {key}: {why}") from None
         self._say_grains(chain)
         displacement = self._displacement(chain, self._overlaps())
         excitation = self._excitation(chain, displacement)
@@ -705,7 +719,7 @@ class RunColumn:
             given = ", ".join(f"{key} = {value}" for key, value in indices.items())
             self._say("variables", f"{given}, as in the file: -var may have set others")
         if self.source and self.source.ignored:
-            self._say("not read", f"{', '.join(self.source.ignored)}: they change no motion")
+            self._say("not read", f"{', '.join(self.source.ignored)}: no effect on the motion")
         fields = {"chain": chain, "excitation": excitation, **recording}
         style = self.source.units_name if self.source else ""
         return Understood(fields, self.facts, style or None)
@@ -730,7 +744,7 @@ class RunColumn:
             if end.line:
                 text = f"a wall, {end.constant:.6g} N/m^delta ({_place(end.line)})"
             elif end.kind == "wall":
-                text = f"a wall of the grains' material is assumed, as grain {grain} moves"
+                text = f"a wall of the grains' material is assumed, because grain {grain} moves"
             self._say(place, text)
         return fields
 

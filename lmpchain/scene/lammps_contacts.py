@@ -1,7 +1,7 @@
 """Contact models of LAMMPS as an input file names them, with their constants in SI units.
 
-Read are the models hooke, hertz and hertz/material of `pair_style granular` and `fix wall/gran`,
-and the older styles gran/hooke, gran/hooke/history and gran/hertz/history.
+The supported models are hooke, hertz and hertz/material of `pair_style granular` and
+`fix wall/gran`, and the older styles gran/hooke, gran/hooke/history and gran/hertz/history.
 """
 
 from __future__ import annotations
@@ -48,16 +48,18 @@ class GrainForce(NamedTuple):
     Attributes
     ----------
     line : InputLine
+        The command that defines the model, for messages.
     model : str
-        "hertz": the force is k sqrt(R o) o, with the reduced radius R; "hooke": it is k o.
+        "hertz" for the force k sqrt(R o) o of an overlap o, with the reduced radius R, or "hooke"
+        for the force k o.
     stiffness : float
-        k; NaN for a material, whose k depends on the partner.
+        The coefficient k; NaN for a material, because k then depends on both grains.
     damping : float
         Coefficient of the damping force.
     damped_by : str
         Name of the damping model.
     elastic : (float, float) or None
-        Young's modulus and Poisson's ratio of hertz/material.
+        Young's modulus and Poisson's ratio of the model hertz/material; otherwise None.
     """
 
     line: InputLine
@@ -87,7 +89,7 @@ class GrainForce(NamedTuple):
             (self.elastic is None) != (other.elastic is None)
         ):
             raise self.line.refuse(
-                "is of another model than the other types: give the pair a pair_coeff of its own"
+                "has another contact model than the other types: add a pair_coeff for the pair"
             )
         damping = math.sqrt(abs(self.damping * other.damping))
         if self.elastic and other.elastic:
@@ -129,7 +131,7 @@ def read_model(
     if name in COHESIVE:
         raise line.refuse(f"has cohesion ({name}), which a scene does not support: use hertz")
     if name not in NORMAL:
-        raise line.refuse(f"has no contact model {', '.join(NORMAL)}")
+        raise line.refuse(f"has no known contact model: use {', '.join(NORMAL)}")
     values, rest = _take(line, words, NORMAL[name])
     first, eta, *ratio = (number(value, line) for value in values)
     damped_by = "viscoelastic"
@@ -176,9 +178,9 @@ def read_wall(
     elif style in OLD_WALLS:
         model, rest = read_old_model(line, OLD_WALLS[style], given[1:], number)
     else:
-        raise line.refuse(f"has no contact style granular, {', '.join(OLD_WALLS)}")
+        raise line.refuse(f"has no known contact style: use granular, {', '.join(OLD_WALLS)}")
     if len(rest) != 3 or rest[0] not in PLANES:
-        raise line.refuse(f"must end in {either(PLANES)} and two places")
+        raise line.refuse(f"must end in {either(PLANES)} and two positions")
     return model, rest
 
 

@@ -34,17 +34,20 @@ def read_data(path: Path, text: str, styles: Sequence[str], state: RunState, pla
     Parameters
     ----------
     path : Path
+        Path of the data file, for messages.
     text : str
+        Text of the data file.
     styles : list of str
         Atom styles of the input; empty without an input.
     state : RunState
+        State to which the grains, masses and bonds of the file are added.
     placed : bool
-        Whether positions and velocities are those of a dump.
+        Whether a dump supplies the positions and velocities, which are then not read.
 
     Raises
     ------
     InputError
-        If a section or a row is not understood.
+        If a section or a row cannot be read.
     """
     reader = _DataReader(state, styles, placed)
     readers: dict[str, Callable[[InputLine, list[str], str], None]] = {
@@ -79,7 +82,7 @@ class _DataReader:
                 made.x = atoms[n].x
                 atoms[n] = made
         elif n in atoms:
-            raise line.refuse(f"is a second grain {n}")
+            raise line.refuse(f"defines grain {n} a second time")
         else:
             self.state.last_number = max(self.state.last_number, n)
             atoms[n] = made
@@ -88,7 +91,7 @@ class _DataReader:
         """Read a row of Velocities."""
         n, *values = (TEXT.number(word, line) for word in words)
         if len(values) not in (3, 6) or any(values[3:]):
-            raise line.refuse("must be number and three velocities of a grain that does not rotate")
+            raise line.refuse("must have a number and three velocities, without a rotation")
         if self.placed:
             return
         if n not in self.state.atoms:
@@ -103,7 +106,7 @@ class _DataReader:
     def bond(self, line: InputLine, words: list[str], _: str) -> None:
         """Read a row of Bonds."""
         if len(words) != 4:
-            raise line.refuse("must be number, type and two atoms")
+            raise line.refuse("must have a number, a type and two atoms")
         self.state.bonds.append(RunBond(*(TEXT.whole(word, line) for word in words[1:])))
 
     def coefficient(self, line: InputLine, words: list[str], _: str) -> None:
@@ -116,10 +119,10 @@ def _read_atom(
 ) -> tuple[int, RunAtom]:
     """Return the number and grain of a row of Atoms."""
     if style == "hybrid" and not styles:
-        raise line.refuse("is of a hybrid atom style: name the input that reads this file")
+        raise line.refuse("has a hybrid atom style: name the input that reads this file")
     known = (styles or ["sphere"]) if style in ("", "hybrid") else [style]
     if set(known) - ATOM_COLUMNS.keys():
-        raise line.refuse(f"is of the atom style {shown(style)}: use sphere or bond")
+        raise line.refuse(f"has the atom style {shown(style)}: use sphere or bond")
     own = [column for each in known for column in ATOM_COLUMNS[each]]
     if len(known) > 1:
         # In a hybrid style the position comes first.
@@ -130,7 +133,7 @@ def _read_atom(
         order = ["number", *own, "kind", "x", "y", "z"]
     values = [TEXT.number(word, line) for word in words]
     if len(values) not in (len(order), len(order) + 3):
-        raise line.refuse(f"must be {', '.join(order)}, and three image flags at most")
+        raise line.refuse(f"must have {', '.join(order)}, and three image flags or none")
     if any(values[len(order) :]):
         raise line.refuse("has image flags: write unwrapped positions")
     row = dict(zip(order, values, strict=False))

@@ -31,11 +31,16 @@ class ColumnGrains:
 
     Attributes
     ----------
-    numbers, types : (N,) int arrays
-    diameters, masses : (N,) arrays
-        Diameters and masses, m and kg.
+    numbers : (N,) int array
+        Atom numbers.
+    types : (N,) int array
+        Atom types.
+    diameters : (N,) array
+        Diameters, m.
+    masses : (N,) array
+        Masses, kg.
     frozen : (N,) bool array
-        Grains of `fix freeze`, which LAMMPS takes as infinitely heavy.
+        Mask of the grains of `fix freeze`, which LAMMPS treats as infinitely heavy.
     """
 
     numbers: np.ndarray
@@ -51,15 +56,17 @@ class ColumnForces(NamedTuple):
     Attributes
     ----------
     line : InputLine
+        The command that defines the contacts.
     text : str
+        Description of the contacts.
     fields : dict
-        Fields of a chain.
+        Fields of a chain that define its contacts.
     model : str
-        "hertz", "hooke" or "bond".
+        Kind of contacts: "hertz", "hooke" or "bond".
     relaxations : (N-1,) array
         Relaxation times of viscoelastic damping, s.
     diameters : (N,) array
-        m; of bonds, those whose means are the rest lengths.
+        Diameters, m. For bonds, the means of neighbouring diameters are the rest lengths.
     """
 
     line: InputLine
@@ -86,7 +93,7 @@ def pair_forces(source: LammpsInput, grains: ColumnGrains) -> ColumnForces:
     chosen = [models[pair] for pair in pairs]
     kinds = {model.model for model in chosen}
     if len(kinds) > 1:
-        raise line.refuse("has contacts of hertz and of hooke: a scene has one law")
+        raise line.refuse("has both hertz and hooke contacts: a scene has one contact law")
     units = source.units
     radii = pair_value(grains.diameters / 2)
     heavy = pair_value(np.where(grains.frozen, math.inf, grains.masses))
@@ -114,12 +121,12 @@ def _pair_model(
         where = line
     elif style != "granular":
         cure = f"granular, {', '.join(OLD_STYLES)}"
-        raise line.refuse(f"is a force that is not understood: use {cure}")
+        raise line.refuse(f"is not a supported pair style: use {cure}")
     elif own := source.pair_lines(first, second):
         where = own[0]
         model, rest = read_model(*own, read)
     elif first == second or None in [source.pair_lines(kind, kind) for kind in (first, second)]:
-        raise line.refuse(f"has no pair_coeff of types {first} and {second}")
+        raise line.refuse(f"has no pair_coeff for types {first} and {second}")
     else:
         one, other = (_pair_model(source, line, words, kind, kind) for kind in (first, second))
         return one.with_other(other)
@@ -165,7 +172,7 @@ def bond_forces(source: LammpsInput, grains: ColumnGrains) -> ColumnForces:
     else:
         formulas = {" ".join(words[1:]) for _, words in rows}
         if len(formulas) > 1:
-            raise line.refuse("has several formulas: a scene has one law")
+            raise line.refuse("has several formulas: a scene has one contact law")
         fields["law"] = _lepton_law(rows[0][0], formulas.pop(), units.length, units.force)
         text = f"bonds, force {fields['law'].text}"
     diameters = _bond_diameters(line, lengths, grains.diameters)
@@ -188,10 +195,10 @@ def _bond_rows(
         kinds[ends[0]] = bond.kind
     for k, (first, second) in enumerate(pairwise(grains.numbers.tolist())):
         if k not in kinds:
-            raise line.refuse(f"has no bond of atom {first} and atom {second} that can be read")
+            raise line.refuse(f"has no readable bond between atom {first} and atom {second}")
         row = source.state.bond_coefficients.get(kinds[k])
         if row is None or len(row[1]) < 2:
-            raise line.refuse(f"has no bond_coeff of type {kinds[k]} that can be read")
+            raise line.refuse(f"has no readable bond_coeff for type {kinds[k]}")
         yield row
 
 
@@ -210,14 +217,14 @@ def _bond_diameters(line: InputLine, lengths: Array, diameters: Array) -> Array:
     low = float(sums[signs > 0].max())
     high = float(sums[signs < 0].min())
     if not low < high:
-        raise line.refuse("has rest lengths that no row of touching grains has")
+        raise line.refuse("has rest lengths that are impossible in a row of touching grains")
     return np.asarray(signs * ((low + high) / 2 - sums))
 
 
 def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
     """Return the contact law for an energy of `bond_style lepton`, a formula of r = -overlap.
 
-    Only the formula that the parser prints from its own syntax tree is used.
+    The returned law is the text that the parser prints from its syntax tree, never the given text.
     """
     if TOWER.search(text):
         raise line.refuse("has a power of a power: add brackets")
@@ -237,8 +244,8 @@ def _lepton_law(line: InputLine, text: str, length: float, force: float) -> Law:
     except ArithmeticError:
         raise line.refuse("has a formula that is not understood") from None
     if unknown := set(formula.names) - {"r"}:
-        raise line.refuse(f"has a formula with {min(unknown)}, which is not given")
+        raise line.refuse(f"has a formula with {min(unknown)}, which is not defined")
     try:
         return Law(law)
     except InputError as error:
-        raise line.refuse(f"makes no contact law: {error.faults[0][1]}") from None
+        raise line.refuse(f"does not define a contact law: {error.faults[0][1]}") from None

@@ -1,7 +1,7 @@
 """Input and data files of LAMMPS, parsed for their physics and never executed.
 
-A command that could change the motion and is not understood is refused by its line, so that no
-force is left out in silence.
+A command that could change the motion but is not understood is rejected with its line number, so
+that no force is ignored silently.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ class LammpsInput:
     Parameters
     ----------
     path : Path
-        An input file, or a data file.
+        Path of an input file or a data file.
     dumped : RunGrains, optional
-        Grains of a dump of this input, which replace those that the input places.
+        Grains from a dump of this input, which replace the grains that the input places.
     units : str or (length, time, mass), optional
-        As for `read_units`.
+        Unit style of LAMMPS, or its units in m, s and kg, as in `read_units`.
 
     Raises
     ------
@@ -151,7 +151,7 @@ class LammpsInput:
         if command == "label":
             return
         if self.steps:
-            raise line.refuse("comes after a run: write the runs without a loop or a condition")
+            raise line.refuse("is after a run: write the runs without a loop or a condition")
         quoted = [group for match in TOKENS.findall(line.text) for group in match[:3] if group]
         harmless = all(each.split()[:1] in (["jump"], ["print"]) for each in quoted)
         if command == "if" and not harmless:
@@ -175,7 +175,7 @@ class LammpsInput:
         if not self.data_only and self.units_line is None and self.given_units is None:
             raise InputError.at(
                 str(self.path),
-                "has no command units, so that LAMMPS takes lj, which has no scale: "
+                "has no command units, so LAMMPS uses lj, which has no scale: "
                 "add --units LENGTH,TIME,MASS in m, s and kg",
             )
 
@@ -191,7 +191,7 @@ class LammpsInput:
 
     def _do_boundary(self, line: InputLine, words: list[str]) -> None:
         if len(words) != 3:
-            raise line.refuse("must have three words, as boundary f f f")
+            raise line.refuse("must have three words, such as boundary f f f")
         self.periodic = ["p" in word for word in words]
 
     def _do_lattice(self, line: InputLine, words: list[str]) -> None:
@@ -240,8 +240,8 @@ class LammpsInput:
         self.total += count
         if self.changed is not None and self.running is not None and self.dumped is None:
             raise self.changed.refuse(
-                f"comes between the runs of lines {self.running.number} and {line.number}, where "
-                f"the state of the grains is not known: {DUMP_CURE}"
+                f"is between the runs of lines {self.running.number} and {line.number}, where the "
+                f"state of the grains is not known: {DUMP_CURE}"
             )
         if self.changed is not None or self.running is None:
             self.run_state = copy.deepcopy(self.state)
@@ -261,8 +261,8 @@ class LammpsInput:
         for step, line in self.changes:
             if first < step < last:
                 raise line.refuse(
-                    f"changes the run at step {step}, amid the dump, whose frames go from {first} "
-                    f"to {last}: dump from there on"
+                    f"changes the run at step {step}, within the dump, whose frames are from step "
+                    f"{first} to {last}: begin the dump after this change"
                 )
 
     def _do_group(self, line: InputLine, words: list[str]) -> None:
@@ -292,7 +292,7 @@ class LammpsInput:
             return frozenset(self._atoms())
         found = self.groups.get(group)
         if found is None:
-            raise line.refuse(f"has the group {group}, which is not known by id or type")
+            raise line.refuse(f"uses the group {group}, which is not defined by id or type")
         return found
 
     def _select(self, line: InputLine, words: list[str]) -> Callable[[int], bool]:
@@ -357,7 +357,7 @@ class LammpsInput:
     def _do_bond_style(self, line: InputLine, words: list[str]) -> None:
         style = self.text.word(line, words, 0)
         if style not in ("harmonic", "lepton", "none", "zero"):
-            raise line.refuse("is a bond that is not understood: use harmonic or lepton")
+            raise line.refuse("is not a supported bond style: use harmonic or lepton")
         self._note_change(line)
         self.state.bond = (line, words)
 

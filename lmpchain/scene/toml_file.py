@@ -36,10 +36,12 @@ class FileSizes:
 
     Attributes
     ----------
-    scene, table : int
-        Largest sizes of a scene or sweep file, and of a CSV file, bytes.
+    scene : int
+        Largest size of a scene file or sweep file, bytes.
+    table : int
+        Largest size of a CSV file, bytes.
     line : int
-        Longest line of a CSV file, characters.
+        Largest length of a line of a CSV file, characters.
     """
 
     scene: int = 2**25
@@ -258,14 +260,14 @@ def _chain(keys: dict[str, Any], folder: Path | None) -> Chain:
 def _known_chain(keys: dict[str, Any], folder: Path | None) -> Chain:
     if "file" in keys:
         if patterns := [key for key in IN_FILES if key in keys]:
-            cure = "the file has every grain already; take it out, or the file"
+            cure = "the file describes every grain already; remove this key or the file"
             raise InputError([(key, cure) for key in patterns])
         path = _file(folder, keys.pop("file"))
         columns = _csv(path, ("material", "diameter", "mass"))
         # If a column is also in the table, its meaning is ambiguous.
         if twice := [key for key in columns if key in keys or (key == "mass" and "masses" in keys)]:
             raise InputError(
-                [(key, "is in the file already; take it out of one of them") for key in twice]
+                [(key, "is in the file already; remove it from one of them") for key in twice]
             )
         if "diameter" not in columns:
             raise InputError.at("file", "has no column diameter (m)")
@@ -308,7 +310,7 @@ def _file(folder: Path | None, name: Any) -> Path:
         raise InputError.at("file", "must be the name of a CSV file")
     if folder is None:
         cure = "give the numbers themselves"
-        raise InputError.at("file", f"a scene without a folder can name no file: {cure}")
+        raise InputError.at("file", f"a scene without a folder cannot name a file: {cure}")
     return folder / expanded(name)
 
 
@@ -323,7 +325,7 @@ def _csv(path: Path, names: Sequence[str]) -> dict[str, Any]:
         try:
             columns[key] = [float(value) for value in columns[key]]
         except ValueError as error:
-            message = f"{path}: the column {key} must hold numbers ({short(error)})"
+            message = f"{path}: the column {key} must contain numbers ({short(error)})"
             raise InputError.at("file", message) from None
     count = [float(number) for number in range(1, len(rows) + 1)]
     if columns.pop("grain", count) != count:
@@ -373,7 +375,7 @@ def _check_rows(path: Path, rows: Sequence[Sequence[str]], length: int) -> None:
             message = f"{path}, line {line}: must have {length} values, as the header has"
             raise InputError.at("file", message)
     if not rows:
-        raise InputError.at("file", f"{path} has a header and nothing below it")
+        raise InputError.at("file", f"{path} has a header but no rows below it")
 
 
 def _table(options: Checked) -> dict[str, Any]:

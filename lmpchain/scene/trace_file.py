@@ -83,7 +83,7 @@ def _columns(value: Any) -> Any:
         if isinstance(entry, int) and entry < 1:
             raise ValueError(f"are counted from 1 (got {entry})")
     if not entries or len(set(entries)) < len(entries):
-        raise ValueError("must be different columns, one or more")
+        raise ValueError("must name one or more different columns")
     return columns
 
 
@@ -115,18 +115,19 @@ class TableFile(Checked):
     Parameters
     ----------
     file : path
-        Text: delimiter, decimal comma, lines above the table and units in its header are detected.
-        Files with arrays of NumPy, MATLAB, HDF5 or Excel, and universal files (dataset 58), are
-        read, too.
+        A text file. Its delimiter, a decimal comma, lines above the table and units in its header
+        are detected. Files with arrays of NumPy, MATLAB, HDF5 or Excel, and universal files
+        (dataset 58), can be read, too.
     columns : list of int or str, or mapping, optional
-        Numbers, from 1, or names of the columns, in the order of the quantities or by their names.
-        Required if the header is ambiguous.
+        Numbers (from 1) or names of the columns: a list in the order of the quantities, or a
+        mapping from the names of the quantities. Required if the header is ambiguous.
     skip : int
         Number of lines at the beginning that are ignored.
     scale : float or (K,) sequence, optional
         Value of one unit of a column: N/V, m/V or (m/s)/V for volts, otherwise a factor.
     offset : float or (K,) sequence, optional
-        Value that is subtracted from a column before scaling, in its unit (V for mV).
+        Value that is subtracted from a column before scaling, in the unit of the column without its
+        prefix (V for a column in mV).
     """
 
     file: Annotated[Path, BeforeValidator(_file)]
@@ -203,9 +204,11 @@ class TraceFile(TableFile):
     ----------
     time_scale : float, optional
         Length of one unit of the column of times, s; by default the unit in its header, or 1 s. If
-        the file has no times or counts its samples, the sampling interval, s.
+        the file has no times or only a counter of samples, `time_scale` is the sampling interval,
+        s.
     baseline : (2,) sequence, optional
-        Two times of the file, s; the mean between them is subtracted, in place of an offset.
+        Two times of the file, s. The mean of the samples between them is subtracted, in place of an
+        offset.
     trigger : float, optional
         Time of the file, s, that becomes t = 0. Earlier samples are dropped.
     lowpass : float, optional
@@ -231,7 +234,8 @@ class TraceFile(TableFile):
 
         Parameters
         ----------
-        quantities : K ColumnMeaning
+        quantities : sequence of K ColumnMeaning
+            Quantities to read, all of them required.
         from_zero : bool
             Whether a sample at t = 0 is interpolated linearly if `trigger` is between two samples.
 
@@ -329,8 +333,9 @@ class TraceFile(TableFile):
     def _times_beside(self, table: NumberTable, place: int) -> tuple[int | None, float | None]:
         """Return the time column beside a value that was named alone, and its scale, s.
 
-        The given scale may be the sampling interval, as in files without times. A column with this
-        interval needs no scale, and a column that contradicts the scale is ignored.
+        The given scale may be the sampling interval, as for files without times. A column whose
+        steps equal this interval needs no scale. A column is ignored if the unit of time in its
+        header contradicts the scale.
         """
         unit = unit_of(table.unit(place, *TIME_UNITS))
         factor = unit.factor if unit and unit.base == "s" else None
@@ -504,7 +509,7 @@ class Measured(Excitation):
         file = self.file_kind(**{key: value for key, value in options.items() if value is not None})
         reading, arrays = self._arrays(file)
         if twice := [key for key in (*arrays, "source") if data.get(key) is not None]:
-            cure = "is in the file already; take it out of one of them"
+            cure = "is in the file already; remove it from one of them"
             raise InputError((key, cure) for key in twice)
         data |= arrays | {"source": reading.text}
         return reading

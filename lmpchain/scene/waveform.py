@@ -24,18 +24,21 @@ SPECTRUM_SAMPLES = 2**20
 def curve_through(times: Array, values: Array, interpolation: Interpolation, holds: bool) -> PPoly:
     """Return the piecewise cubic through points, continued before and after them.
 
-    Before the first point the curve is 0. A first point that is not 0 is reached linearly within
-    the time to the second point, or since t = 0. After the last point a motion keeps its value, and
-    a force falls to 0 within the time between the last two points.
+    Before the first point the curve is 0. If the first value is not 0, the curve rises to it
+    linearly, within a time equal to the first sampling interval, but not before t = 0. After the
+    last point a motion keeps its value, and a force falls linearly to 0 within a time equal to the
+    last sampling interval.
 
     Parameters
     ----------
     times : (P,) array
-        s, from 0 on, increasing.
+        Times of the points, s, increasing and not negative.
     values : (P, ...) array
+        Values at the points.
     interpolation : "pchip", "linear" or "spline"
-        Monotone between points (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238 (1980)), straight
-        lines, or a cubic spline (not-a-knot), which may leave the range of the points.
+        The curve between points: monotone (Fritsch and Carlson, SIAM J. Numer. Anal. 17, 238
+        (1980)), straight lines, or a cubic spline (not-a-knot), which may leave the range of the
+        points.
     holds : bool
         Whether the curve keeps its last value.
     """
@@ -90,9 +93,11 @@ class Waveform:
     Attributes
     ----------
     amplitude : float
-        A.
-    omega, envelope : float
-        w and e, rad/s; the second factor is omitted if e is 0.
+        The amplitude A, m for a motion and N for a force.
+    omega : float
+        The frequency w of the sine, rad/s.
+    envelope : float
+        The frequency e of the envelope, rad/s. If e is 0, there is no envelope.
     end : float
         Time after which the function is 0, s; may be infinite.
     spline : PPoly, optional
@@ -197,14 +202,14 @@ class Waveform:
         return ((a / 2, w), (-a / 4, w + 2 * e), (-a / 4, w - 2 * e)) if e else ((a, w),)
 
     @property
-    def corners(self) -> tuple[float, ...]:
+    def kinks(self) -> tuple[float, ...]:
         """Times, s, at which the formula changes: the end, or the knots of a spline."""
         if self.spline is not None:
             return tuple(self.spline.x.tolist())
         return () if np.isinf(self.end) else (self.end,)
 
     def smooth_until(self, duration: float) -> bool:
-        """Return whether there is no corner before a time, s, except where a step can end."""
+        """Return whether there is no kink before a time, s, except where a step can end."""
         return self.spline is None or bool(self.spline.x[1] >= duration)
 
     @property
@@ -219,13 +224,13 @@ class Waveform:
     def _band_edge(self) -> float:
         """Highest frequency of a piecewise cubic, rad/s.
 
-        It is the inverse of the smallest time between knots. If the knots are denser than the
-        motion requires, this frequency is halved as long as the spectrum above it adds less than
-        `NEGLIGIBLE_SPEED` to the speed of the motion, or to the speed of a free mass under the
-        force.
+        The result is the inverse of the smallest time between knots, halved repeatedly if the knots
+        are denser than the motion requires. A halving is accepted if the frequencies above the new
+        value add a fraction of less than `NEGLIGIBLE_SPEED` to the speed of the motion, or to the
+        speed of a free mass under the force.
         """
         assert self.spline is not None
-        edge = 1 / self.corner_spacing
+        edge = 1 / self.kink_spacing
         # In its last piece a curve is constant, so that piece is excluded.
         end = self.spline.x[-2]
         intervals = end * edge
@@ -253,8 +258,8 @@ class Waveform:
         return float(edge)
 
     @property
-    def corner_spacing(self) -> float:
-        """Smallest time between corners, where adaptive steps end, s; infinite without corners."""
+    def kink_spacing(self) -> float:
+        """Smallest time between kinks, where adaptive steps end, s; infinite without kinks."""
         return self.end if self.spline is None else float(np.diff(self.spline.x).min())
 
     def largest(self, order: int = 0) -> float:

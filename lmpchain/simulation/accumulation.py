@@ -1,7 +1,7 @@
 """Quantities accumulated along a run: largest values and fronts of grains, forces of contacts.
 
-The engine solves the scene at finer times than are recorded. `GatheringRun` passes the recorded
-samples on, and all samples to a `Gatherer` for each realisation.
+The engine solves the scene at more times than are recorded. `GatheringRun` passes on the recorded
+samples, and passes all samples to one `Gatherer` for each realisation.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ class Gatherer:
     first : int
         Number of grains above the part.
     linear : bool
-        Whether the forces are those of the linearised chain.
+        Whether the contact forces are linearised.
     state : mapping
-        Empty, or a state of `state`.
+        Arrays from `state` of an earlier gatherer, which this one continues; empty at t = 0.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Gatherer:
             name: np.array(state.get(name, values)) for name, values in start.items()
         }
         if any(self._state[name].shape != values.shape for name, values in start.items()):
-            raise ValueError("the state that was kept does not fit")
+            raise ValueError("the saved state does not match this run")
 
     def _contacts(self, kind: str) -> list[int]:
         """Return the contacts of the part for a kind of quantity, in the requested order."""
@@ -137,7 +137,8 @@ class Gatherer:
     def _peak(self, contact: int, number: int, doubts: tuple[float, float]) -> tuple[Array, Array]:
         """Return the largest force of a contact and its error, (1,) N.
 
-        `contact` is its number in the part, `doubts` are errors of approach and rate, m and m/s.
+        `contact` is the number of the contact in the part, and `number` its number in the chain.
+        `doubts` are the errors of its approach, m, and of the rate of the approach, m/s.
         """
         # Contacts outside the part are at rest.
         if contact not in self._peaks:
@@ -186,14 +187,15 @@ class GatheringRun(Run):
     Parameters
     ----------
     run : Run
-        Run of `Scene.fine` of the scenes, or of the computed parts of these.
+        Run of the scenes at fine times (`Scene.fine`), or of their computed parts.
     engine : Engine
+        The engine of the run.
     scenes : sequence of Scene
         The requested scenes.
     parts : sequence of Scene
         The computed part of each scene, at fine times.
     state : mapping
-        Empty, or a state of `state`.
+        Arrays from `state` of an earlier run, which this run continues; empty at t = 0.
     """
 
     def __init__(

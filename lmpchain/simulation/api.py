@@ -51,20 +51,23 @@ def simulate(
     Parameters
     ----------
     scene : Scene
+        The scene to simulate.
     engine : str or Engine
-        A name (see `engines.names()`), an engine object, or "auto": the engine of `lmpchain.plan`.
-        If its run shows that its equation leaves out too much, "auto" solves Eq. (1) instead.
+        A name (see `engines.names()`), an engine object, or "auto" for the engine that
+        `lmpchain.plan` chooses. If the run shows that the equation of this engine leaves out too
+        much, "auto" solves Eq. (1) instead.
     tolerance : float
-        Largest relative error, as defined for `ErrorEstimate`: of equation and solver together with
-        "auto", of the solver with a named engine. With a given step no tolerance is enforced.
+        Largest relative error, as defined in `ErrorEstimate`. With "auto" it limits the errors of
+        equation and solver together, and with a named engine the error of the solver. With a given
+        step no tolerance is enforced.
     on_miss : "raise" or "warn"
         Whether to raise an error or to warn if the tolerance cannot be met.
     progress : bool
         Whether to show a progress bar.
     folder : path, optional
-        Run folder to make, see `lmpchain.simulation.run_folder`. Samples are written to disk during
-        the run, the arrays of the trajectory are read from there, and `resume` continues a run
-        after a stop of any kind.
+        Run folder to create, see `lmpchain.simulation.run_folder`. Samples are written to disk
+        during the run, and the arrays of the trajectory are read from there. After a stop of any
+        kind `resume` continues the run.
     max_wall : float, optional
         Time after which a run in a folder stops, s.
     **options
@@ -73,19 +76,21 @@ def simulate(
     Returns
     -------
     Trajectory
+        The motion of the recorded grains, with its error estimate and cost.
 
     Raises
     ------
     InputError
-        If the engine cannot do the scene, or an option is wrong.
+        If the engine cannot solve the scene, or if an option is wrong.
     ToleranceNotMet
-        With the reason, and with the trajectory unless the miss was clear beforehand. The run of an
-        unpredictable scene stops at the predictability horizon.
+        If the tolerance cannot be met. The exception has the reason and, unless the miss was clear
+        before the run, the trajectory. The run of an unpredictable scene stops at the
+        predictability horizon.
     RunFailed
         If the integration breaks down at a given step.
     Stopped
-        If the time `max_wall` is over. The folder then has all samples so far; Ctrl-C and SIGTERM
-        also wait until they are written.
+        If the time `max_wall` is over. The folder then contains all samples so far. After Ctrl-C
+        and SIGTERM they are also written before the program ends.
 
     Examples
     --------
@@ -138,23 +143,26 @@ def resume(
     folder : path
         Folder of `simulate(..., folder=...)` or `lmpchain run -o FOLDER/`. A finished run is only
         read.
-    max_wall, progress
-        As for `simulate`.
+    max_wall : float, optional
+        Time after which the run stops again, s.
+    progress : bool
+        Whether to show a progress bar.
     ranks : int, optional
-        MPI ranks that share the column in LAMMPS from now on; by default as before. The bits stay
-        the same.
+        Number of MPI ranks that share the column in LAMMPS from now on; by default the previous
+        number. The result is bit for bit the same for any number.
 
     Returns
     -------
     Trajectory
+        The trajectory of the whole run.
 
     Raises
     ------
     InputError
-        If this is no run folder, if another process uses it, or if the engine cannot use these
+        If this is not a run folder, if another process uses it, or if the engine cannot use these
         ranks.
     LmpchainError
-        As for `simulate`.
+        If the run fails, under the same conditions as in `simulate`.
     """
     from .run_folder import Requests, RunFolder, status
 
@@ -264,7 +272,7 @@ def _solve(
 def _announce(scene: Scene, attempt: Attempt, left: float) -> None:
     """Announce a long attempt, with the reason and cheaper choices.
 
-    `left` is the part of the samples that remains.
+    `left` is the fraction of the samples that remains.
     """
     cost_s = left * attempt.proposal.cost_s
     if is_long(cost_s + attempt.spent_s):
@@ -326,9 +334,9 @@ def _conclude(
         warn(remark.rstrip(". "), stacklevel=3)
     if not outcome.missed and outcome.known_until < math.inf:
         # With a given step there is no tolerance to report.
-        cannot = f"this scene amplifies round-off, beyond {PATIENCE.visible:g} of the motion"
+        cannot = f"this scene amplifies round-off beyond {PATIENCE.visible:g} of the motion"
         time_s = f"from about t = {outcome.known_until:.4g} s on"
-        warn(f"{cannot} {time_s}, where no step predicts it: take {AVERAGES}", stacklevel=3)
+        warn(f"{cannot} {time_s}, whatever the step is: use {AVERAGES}", stacklevel=3)
     if outcome.missed:
         if not output.best_effort:
             raise ToleranceNotMet(outcome.missed, trajectory, outcome.known_until)

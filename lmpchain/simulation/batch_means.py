@@ -1,14 +1,14 @@
 """Confidence intervals of time averages, from the means of correlated batches.
 
-The variance of the mean over a long time is s over that time, where s, the sum of the covariance
-over all lags, is the spectrum at frequency 0. Cosines of the time with few half periods measure the
-spectrum near 0: their amplitudes in the means of batches are independent normal numbers of variance
-s, so that Student's t with as many degrees of freedom gives the interval: U. K. Mueller, Journal of
-Econometrics 141, 1331 (2007); E. Lazarus, D. J. Lewis, J. H. Stock and M. W. Watson, Journal of
-Business and Economic Statistics 36, 541 (2018). With a correlation time c they are too small by the
-square of c over the period, whereas the spread of a few long batches is too small by c over a
-batch. The correlation of neighbours shows c: D. S. Steiger and J. R. Wilson, Management Science 48,
-1569 (2002).
+The variance of the mean over a long time T is s / T. Here s is the integral of the covariance over
+all lags, which is the spectrum at frequency 0. Cosines of the time with few half periods measure
+the spectrum near 0: their amplitudes in the means of batches are independent normal numbers of
+variance s. Student's t distribution with as many degrees of freedom therefore gives the interval:
+U. K. Mueller, Journal of Econometrics 141, 1331 (2007); E. Lazarus, D. J. Lewis, J. H. Stock and
+M. W. Watson, Journal of Business and Economic Statistics 36, 541 (2018). If the correlation time is
+c, this variance is too small by a fraction of about (c / period)^2, whereas the spread of a few
+long batches is too small by about c / (length of a batch). The correlation of neighbouring batches
+shows c: D. S. Steiger and J. R. Wilson, Management Science 48, 1569 (2002).
 """
 
 from __future__ import annotations
@@ -29,12 +29,13 @@ class Batching:
     stretches : int
         Number of batches of each copy.
     cosines : tuple of int
-        Numbers of cosines that are tried, the constant one included. Fewer cosines give a wider
+        Numbers of cosines that are tried, including the constant one. Fewer cosines give a wider
         interval.
     finer : int
-        Stretches whose neighbours are compared, in half a period of the fastest cosine.
+        Number of stretches in half a period of the fastest cosine, of which neighbours are
+        compared.
     resemblance : float
-        Largest correlation of neighbouring stretches. Beyond it the cosines are too fast.
+        Largest allowed correlation of neighbouring stretches. Above it the cosines are too fast.
     """
 
     stretches: int = 256
@@ -53,14 +54,16 @@ class Estimate(NamedTuple):
     Attributes
     ----------
     mean : float
+        The average over all copies and stretches.
     error : float
         Standard error of the mean; infinite if the correlation time is too long.
     half_width : float
         Half-width of the 95 % confidence interval.
     batches : int
-        Number of independent amplitudes, the cosines of all copies; 0 without an interval.
+        Number of independent amplitudes, of all cosines and copies; 0 if there is no interval.
     resemblance : float
-        Correlation of neighbouring stretches, an eighth of half a period of the fastest cosine.
+        Correlation of neighbouring stretches, each of which is an eighth of half a period of the
+        fastest cosine.
     """
 
     mean: float
@@ -78,7 +81,8 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
     means : (R, S) array
         Means over S = `BATCHING.stretches` stretches of equal length in each of R copies.
     known : (R, S) array, optional
-        A known disturbance, up to a factor, which is removed: the drift of the energy.
+        A disturbance of the means that is known up to a factor, such as the drift of the energy.
+        Its best fit is subtracted.
 
     Examples
     --------
@@ -120,9 +124,9 @@ def estimate(means: Array, known: Array | None = None) -> Estimate:
 def _widening(resemblances: dict[int, float]) -> float:
     """Return the factor by which the variance of the cosines is too small.
 
-    The correlation time c of stretches of length b is 2 b times their correlation. With an
-    exponential correlation, the spectrum at angular frequency w is s / (1 + (c w)^2), and cosines
-    of at least f stretches in half a period average it up to pi / (b f).
+    If stretches of length b have the correlation r, the correlation time is c = 2 b r. For an
+    exponential correlation, the spectrum at angular frequency w is s / (1 + (c w)^2). Cosines with
+    at least f stretches in half a period average the spectrum up to the frequency pi / (b f).
     """
     slowest = max(0.0, *(each / finer for finer, each in resemblances.items()))
     return 1 + (2 * math.pi * slowest) ** 2 / 3

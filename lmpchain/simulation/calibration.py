@@ -25,12 +25,15 @@ def calibrate() -> tuple[Path, float]:
 
     Returns
     -------
-    the file, and the time of the measurement, s: some tenths, after kernels are compiled
+    path : Path
+        File in which the speeds are stored.
+    took : float
+        Time of the measurement, s: a few tenths of a second after the kernels are compiled.
 
     Raises
     ------
     OSError
-        If the result cannot be stored; this process uses it anyway.
+        If the result cannot be stored. It is then lost, and the earlier speeds stay in use.
     """
     # Number of grains, and duration in tens of time units.
     small = 2, 1

@@ -1,6 +1,6 @@
 """Choice of the engine: the named one, or with "auto" the cheapest one for the scene.
 
-With "auto" engines are compared by their equations, expected costs and expected errors only.
+With "auto", engines are compared only by their equations, expected costs and expected errors.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def choose(
 ) -> Attempt:
     """Return the first attempt with an engine, or with the cheapest engine for None.
 
-    `best_effort` increases a tolerance that cannot be met.
+    With `best_effort`, a larger tolerance is used if the given one cannot be met.
 
     Raises
     ------
@@ -107,11 +107,11 @@ def fall_back(scene: Scene, attempt: Attempt, error: ErrorBudget) -> Attempt | N
     exact = [each for each in propose(scene, tolerance) if each.equation in (1, None)]
     if not any(proposal.kept for proposal in exact):
         why = "; ".join(f"{proposal.engine}: {proposal.why}" for proposal in exact)
-        raise ToleranceNotMet(f"{left_out}, with the tolerance of {tolerance:.2g} exceeded; {why}")
+        raise ToleranceNotMet(f"{left_out}, more than the tolerance of {tolerance:.2g}; {why}")
     best = cheapest(exact)
-    expected = f"expected were {attempt.proposal.model_error:.1g}"
+    expected = f"expected: {attempt.proposal.model_error:.1g}"
     redone = (
-        f"{left_out} along the run of {before.name}, {expected}: "
+        f"{left_out} in the run of {before.name} ({expected}): "
         f"run again with {best.engine}, Eq. (1)"
     )
     best = _explain(best, plan=f"{best.engine}: {redone}", redone=redone)
@@ -127,9 +127,11 @@ def propose(scene: Scene, tolerance: float, every: bool = False) -> list[Proposa
     Parameters
     ----------
     scene : Scene
+        The scene to solve.
     tolerance : float
+        Largest relative error of equation and solver together.
     every : bool
-        Whether to ask all engines, for a table.
+        Whether to ask all engines, whatever their start-up times are.
     """
     automatic = [engines.plain(name) for name in engines.automatic()]
     exact = [engine for engine in automatic if engine.equation == 1]
@@ -157,13 +159,16 @@ def ask(engine: Engine, scene: Scene, tolerance: float) -> Proposal:
     Parameters
     ----------
     engine : Engine
+        The engine that is asked.
     scene : Scene
+        The scene to solve.
     tolerance : float
+        Largest relative error of equation and solver together.
 
     Returns
     -------
     Proposal
-        Without steps if the engine cannot do the scene or meet the tolerance.
+        A proposal without steps if the engine cannot solve the scene or meet the tolerance.
     """
     name = engine.name
     equation = engine.equation
@@ -187,7 +192,7 @@ def judge(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     if proposal.model_error + proposal.solver_error <= tolerance * (1 + 1e-9):
         return proposal._replace(kept=True, why="within the tolerance")
     if proposal.solver_error > tolerance:
-        why = f"its solver leaves about {proposal.solver_error:.1g}, above the tolerance"
+        why = f"its solver error is about {proposal.solver_error:.1g}, above the tolerance"
     elif math.isnan(proposal.model_error):
         why = f"the error of {theory} is not known before the run"
     else:
@@ -209,7 +214,7 @@ def cheapest(proposals: Sequence[Proposal]) -> Proposal:
     Raises
     ------
     ToleranceNotMet
-        If none is kept, with the reasons of all engines that were asked.
+        If no proposal is valid. The message has the reasons of all engines that were asked.
     """
     best = min(proposals, key=lambda proposal: proposal.price_s)
     if not best.kept:

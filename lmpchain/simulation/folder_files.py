@@ -106,7 +106,7 @@ def check_run(folder: str | PathLike[str]) -> Path:
     """Return the path of a run folder; raise `InputError` for any other folder."""
     if not is_run(folder):
         raise InputError.at(
-            str(folder), "is no run folder; lmpchain run SCENE.toml -o FOLDER/ makes one"
+            str(folder), "is not a run folder; create one with lmpchain run SCENE.toml -o FOLDER/"
         )
     try:
         check_tree(path_of(folder))
@@ -158,7 +158,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
     Raises
     ------
     InputError
-        If the files of the order were changed, or its engine cannot use these ranks.
+        If the files of the run specification were changed, or if the engine cannot use these ranks.
     """
     try:
         order = json.loads((folder / RUN).read_text(encoding="utf-8"))
@@ -186,7 +186,7 @@ def read_order(folder: Path, ranks: int | None = None) -> tuple[Scene, Engine | 
         ) from None
     if ranks is not None and not parallel:
         raise InputError.at(
-            "ranks", f"the engine {order['engine']} runs on one; leave the number of ranks out"
+            "ranks", f"the engine {order['engine']} runs on one rank; leave the number of ranks out"
         )
     if reasons := refusals(scene, engine):
         raise InputError(reasons)
@@ -227,7 +227,7 @@ def _write_order(folder: Path, order: dict[str, Any]) -> None:
 def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, Array]) -> None:
     """Write a checkpoint with a hash, which reveals damage.
 
-    At every moment one of the two newest is complete on the disk.
+    At any time at least one of the two newest checkpoints is complete on the disk.
     """
     # The hash refers to the compressed bytes.
     packed = io.BytesIO()
@@ -247,7 +247,8 @@ def save_checkpoint(folder: Path, notes: Mapping[str, Any], state: Mapping[str, 
 def load_checkpoints(folder: Path) -> Iterator[tuple[dict[str, Any], dict[str, Array]] | None]:
     """Yield notes and state of the checkpoints, the newest first.
 
-    The state is empty before the first sample. A damaged checkpoint is removed and gives None.
+    The state is empty before the first sample. A damaged checkpoint is removed, and None is yielded
+    in its place.
     """
     for path in (folder / name for name in CHECKPOINT_FILES):
         if path.exists():
@@ -319,14 +320,14 @@ def check_new(folder: str | PathLike[str]) -> Path:
     if path.exists() and not path.is_dir():
         raise InputError.at(str(folder), "is a file; choose another name for the run folder")
     if is_run(path) and is_sealed(path):
-        cure = f"continue it, {resume_command(folder)}, or choose another folder"
+        cure = f"continue it with {resume_command(folder)}, or choose another folder"
         raise InputError.at(str(folder), f"contains a run already: {cure}")
     # Files of a run that was killed before it wrote its scene may be replaced.
     if foreign := strangers(path):
         raise InputError.at(
             str(folder),
-            f"is neither empty nor a run folder: {_in_words(foreign)} {_are(foreign)} not "
-            "lmpchain's, or changed since; choose another",
+            f"is neither empty nor a run folder: {_in_words(foreign)} {_were(foreign)} not written "
+            "by lmpchain, or changed since; choose another folder",
         )
     return path
 
@@ -337,8 +338,8 @@ def check_replaceable(folder: str | PathLike[str]) -> Path:
     if foreign := strangers(path):
         raise InputError.at(
             str(folder),
-            f"is not replaced: {_in_words(foreign)} there {_are(foreign)} not lmpchain's, or "
-            "changed since; move them away, or name another folder",
+            f"is not replaced: {_in_words(foreign)} there {_were(foreign)} not written by "
+            "lmpchain, or changed since; move them away, or name another folder",
         )
     return path
 
@@ -350,8 +351,8 @@ def _in_words(paths: list[Path]) -> str:
     return ", ".join(names) + (f" and {others} more" if others else "")
 
 
-def _are(paths: list[Path]) -> str:
-    return "are" if len(paths) > 1 else "is"
+def _were(paths: list[Path]) -> str:
+    return "were" if len(paths) > 1 else "was"
 
 
 def strangers(folder: Path) -> list[Path]:
@@ -470,7 +471,7 @@ def remove(folder: Path) -> None:
     Raises
     ------
     InputError
-        If another process is at work there, or it holds what lmpchain did not write.
+        If another process uses the folder, or if it contains files that lmpchain did not write.
     """
     check_replaceable(folder)
     lock = take_lock(folder)

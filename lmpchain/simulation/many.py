@@ -33,35 +33,38 @@ def simulate_many(
 ) -> list[Trajectory]:
     """Simulate many scenes; similar scenes are integrated together, several times faster.
 
-    Scenes are alike if their chains have the same length, contact law and kind of ends, and if they
-    record the same grains at the same times. Parameters of a law by formula may differ. Each scene
-    has the step and the error estimate that it would have alone. Rounding may differ from
-    `simulate`, which computes the light cone only.
+    Scenes are similar if their chains have the same length, contact law and kind of ends, and if
+    they record the same grains at the same times. The parameters of a contact law that is given by
+    a formula may differ. Each scene has the step and the error estimate that it would have alone.
+    Rounding errors may differ from `simulate`, which computes the light cone only.
 
     Parameters
     ----------
     scenes : iterable of R scenes
-        All trajectories are kept in memory, 16 bytes for each sample and grain. `lmpchain.sweep`
-        stores trajectories on disk.
+        The scenes to simulate. All trajectories are kept in memory, 16 bytes for each sample and
+        grain. `lmpchain.sweep` stores trajectories on disk.
     tolerance : float
-        As for `simulate`.
+        Largest relative error, as in `simulate`.
     engine : str or Engine
         A name or an engine object. Only the native engine solves scenes in batches.
-    on_miss, **options
-        As for `simulate`.
+    on_miss : "raise" or "warn"
+        Whether to raise an error or to warn if the tolerance cannot be met.
+    **options
+        Options of a named engine.
 
     Returns
     -------
     list of R Trajectory
-        In the order of the scenes. Each has an equal share of the cost of its batch.
+        Trajectories in the order of the scenes. Each has an equal share of the cost of its batch.
 
     Raises
     ------
     InputError
-        If an element is no scene, the engine cannot do it, or an option is wrong; with its index in
-        the list, from 0.
+        If an element is not a scene, if the engine cannot solve it, or if an option is wrong. The
+        message has the index of the scene in the list, from 0.
     ToleranceNotMet, RunFailed
-        As for `simulate`, for the first scene that fails.
+        If a scene fails, under the same conditions as in `simulate`. The error is that of the first
+        such scene.
 
     Examples
     --------
@@ -77,7 +80,7 @@ def simulate_many(
     check_tolerance(tolerance)
     check_on_miss(on_miss)
     if isinstance(scenes, Scene) or not isinstance(scenes, Iterable):
-        raise InputError.at("scenes", "must be a list of scenes; simulate takes one alone")
+        raise InputError.at("scenes", "must be a list of scenes; use simulate for one scene")
     chosen = engine_for(engine, **options)
     numbered = dict(enumerate(scenes))
     for number, scene in numbered.items():

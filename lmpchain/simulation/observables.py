@@ -27,12 +27,12 @@ class Observable(NamedTuple):
     Attributes
     ----------
     unit : str
-        Unit; empty for a ratio.
+        Unit of the quantity; empty for a ratio.
     at_rest : float
-        Value if nothing moves.
+        Value of the quantity for a chain at rest.
     measure : function
-        Returns the quantity, (...), from displacements and velocities of all grains, (..., N) m and
-        m/s.
+        Function of the displacements, (..., N) m, and velocities, (..., N) m/s, of all grains that
+        returns the quantity, (...).
     """
 
     unit: str

@@ -29,7 +29,10 @@ class Plan(Shown, Tabular):
 
     Attributes
     ----------
-    engine, integrator : str
+    engine : str
+        Name of the chosen engine.
+    integrator : str
+        Name of its integrator; empty if it has none.
     active_grains : int
         Number of grains that are computed.
     step : float
@@ -39,11 +42,14 @@ class Plan(Shown, Tabular):
     expected_cost_s : float
         Time for setting up, integrating and estimating the error, s.
     why : str
+        Reason for the choice.
     candidates : tuple of Proposal
         Proposals of all engines, including the chosen one.
     tolerance : float
+        Largest relative error that is allowed.
     damping_effect : float
-        Largest relative change if damping were left out, roughly; 0 without damping.
+        Estimate of the relative change of the solution if damping were neglected; 0 without
+        damping.
     damping : str
         The effect of damping as text.
     """
@@ -63,7 +69,7 @@ class Plan(Shown, Tabular):
     def table(self) -> str:
         """Return all candidates as a table within 80 columns, and the reason for the first one.
 
-        Errors are those of the equation, "model", and of its solution, "solver".
+        The column "model" has the errors of the equations, and "solver" those of their solutions.
         """
         sentences = ["model and solver: expected errors of the equation and of its solution"]
         sentences += [f"{_label(each)}: {_verdict(each)}" for each in self._by_price()]
@@ -90,8 +96,8 @@ class Plan(Shown, Tabular):
     def plot(self, ax: Axes | None = None) -> Axes:
         """Draw expected error against cost of all candidates, and the tolerance; return the axes.
 
-        Filled markers stand for candidates that are expected to meet the tolerance; the ring is the
-        one taken.
+        Filled markers stand for candidates that are expected to meet the tolerance. The ring marks
+        the chosen one.
         """
         ax = chart(ax, "expected cost [s]", "expected error, at most", "xy")
         ax.axhline(
@@ -113,7 +119,7 @@ class Plan(Shown, Tabular):
             ms=15,
             mfc="none",
             mec="k",
-            label="taken",
+            label="chosen",
         )
         ax.margins(0.2)
         return finish(ax)
@@ -135,8 +141,9 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
     Parameters
     ----------
     scene : Scene
+        The scene to solve.
     tolerance : float
-        Largest relative error, of equation and solver together.
+        Largest relative error of equation and solver together.
     engine : str, optional
         Name of an engine, such as "lammps", whose integrators are compared. By default all engines
         are compared.
@@ -144,13 +151,14 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
     Returns
     -------
     Plan
+        The choice, with the proposals of all engines.
 
     Raises
     ------
     InputError
         If the tolerance is not between 0 and 1, or there is no such engine.
     ToleranceNotMet
-        If no engine, or not the named one, is expected to meet the tolerance.
+        If no engine is expected to meet the tolerance, or if the named engine is not.
 
     Examples
     --------
@@ -170,7 +178,7 @@ def plan(scene: Scene, tolerance: float = 1e-6, engine: str | None = None) -> Pl
     else:
         proposals = [ask(each, scene, tolerance) for each in _ways(engine, scene)]
         best = cheapest(proposals)
-        why = f"with {best.integrator} is the cheapest way" if best.integrator else "was asked for"
+        why = f"with {best.integrator} is the cheapest way" if best.integrator else "was requested"
     return Plan(
         engine=best.engine,
         integrator=best.integrator,
@@ -204,7 +212,7 @@ def _with_step(proposal: Proposal, scene: Scene, tolerance: float) -> Proposal:
     possible = not engines.obstacles(engine, scene)
     # A plan spends at most half a second on a trial.
     if possible and (unbounded or engine.trial_s(engine.part(scene), tolerance) > 0.5):
-        cure = f"its step takes long trials, which plan --engine {proposal.engine} runs"
+        cure = f"its step requires long trials, which plan --engine {proposal.engine} runs"
         return proposal._replace(why=f"{proposal.why}; {cure}")
     asked = ask(engine, scene, tolerance)
     why = proposal.why if asked.possible else f"{proposal.why}; {asked.why}"

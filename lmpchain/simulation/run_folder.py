@@ -1,21 +1,24 @@
 """A run folder: run specification, samples, and the state from which the run is resumed.
 
 scene.toml, run.json
-    The order (scene, engine, tolerance), and for every session: command, host and versions.
+    The specification of the run (scene, engine, tolerance), and the command, host and versions of
+    every session.
 status.json
-    State of the run (running, stopped, finished or failed), reason, and progress; see `status` for
-    a run that was killed.
+    The state of the run (running, stopped, finished or failed), its reason, and the progress. The
+    function `status` also recognises a run that was killed.
 trajectory.zarr
-    The samples (`lmpchain.trajectory.zarr_store`); any Zarr reader opens it, also during the run.
+    The samples (`lmpchain.trajectory.zarr_store`). Any Zarr reader can open them, also during the
+    run.
 checkpoint, checkpoint-before
     The two newest states, from which a run is resumed.
 deck, log.lammps
-    For a run in LAMMPS: the input, which `lmp` runs by itself, and the log of every session.
+    For a run in LAMMPS: the input, which `lmp` can run without lmpchain, and the log of every
+    session.
 SHA256SUMS
     Hashes of final files: of the deck, and of all files of lmpchain when the run is finished.
 
-Files that lmpchain did not write, or that were changed since (`lmpchain.simulation.folder_files`),
-are never replaced or removed, and no new run starts in their folder.
+Files that lmpchain did not write, and files that were changed since, are never replaced or removed
+(`lmpchain.simulation.folder_files`). No new run starts in a folder with such files.
 """
 
 from __future__ import annotations
@@ -65,9 +68,9 @@ class Intervals(NamedTuple):
     checkpoint_s : float
         Shortest time between two checkpoints, s.
     lock_s : float
-        Longest wait for the lock of the folder, s; `status` holds the lock for a shorter time.
+        Longest wait for the lock of the folder, s; `status` locks the folder for a shorter time.
     sample_s : float
-        Longest time for which a stop waits for the next sample, s.
+        Longest time for which a requested stop waits for the next sample, s.
     """
 
     checkpoint_share: float = 0.01
@@ -89,7 +92,7 @@ class Requests:
     Parameters
     ----------
     max_wall : float, optional
-        Time allowed from now on, s.
+        Time from now on after which the run is requested to stop, s.
     """
 
     def __init__(self, max_wall: float | None):
@@ -172,15 +175,17 @@ class RunFolder:
     Attributes
     ----------
     scene : Scene
+        The requested scene.
     engine : Engine or None
-        None with "auto".
+        The requested engine; None stands for "auto".
     tolerance : float
+        The requested tolerance.
     best_effort : bool
         Whether to return the best answer if the tolerance cannot be met.
     attempt : Attempt or None
-        The attempt to continue.
+        The attempt to continue; None if the run starts from the beginning.
     samples : int
-        Number of samples done.
+        Number of samples computed so far.
     requests : Requests
         Requests to stop.
     """
@@ -345,7 +350,7 @@ class RunFolder:
         Raises
         ------
         Stopped
-            After a request to stop, when the samples so far are written.
+            After a request to stop, once the samples so far are written.
         """
         request = math.inf
         for block in blocks:
@@ -362,7 +367,7 @@ class RunFolder:
                 request = min(request, moment)
                 if fresh or moment >= request + INTERVALS.sample_s:
                     done = f"after {self.samples} of {self._known.samples} samples"
-                    raise Stopped(f"{reason} {done}; {resume_command(self.name)} goes on")
+                    raise Stopped(f"{reason} {done}; continue with {resume_command(self.name)}")
         self._writer.flush()
 
     def _checkpoint(self, run: Run) -> None:

@@ -49,19 +49,19 @@ class Averaging:
     warm_up : float
         Fraction of the time that is left out at the beginning.
     turn : float
-        Largest phase of the fastest motion between two samples.
+        Largest phase of the fastest motion between two samples, rad.
     fewest : int
         Smallest number of samples in a stretch.
     energies : int
-        Samples between two evaluations of the energy.
+        Number of samples from one evaluation of the energy to the next.
     judged : int
-        Number of energies after which a step may be found too long.
+        Number of evaluations of the energy that are required before a step is rejected.
     attempts : int
-        Largest number of steps that are tried.
+        Largest number of step sizes that are tried.
     change : float
-        Initial distance between copies of a chain, relative to the largest motion.
+        Relative difference of the initial values of two copies of a chain.
     apart : float
-        Distance over the largest motion at which copies are independent.
+        Distance of two copies, relative to the largest motion, from which on they are independent.
     """
 
     warm_up: float = 0.2
@@ -81,13 +81,15 @@ class EnergyErrors:
     Attributes
     ----------
     wobble : float
-        Root mean square at omega h = 1 with velocity Verlet, which falls with the square of h.
+        Root mean square of the error of velocity Verlet at omega h = 1. It is proportional to h^2.
     walk : float
-        Step of the random walk by openings, for each radian of the fastest motion.
+        Step of the random walk that opening contacts cause in each radian of the fastest motion,
+        at omega h = 1. It is proportional to h^2.
     smooth : float
-        Root mean square with rkn6 if no contact opens, which falls with the sixth power of h.
+        Root mean square of the error of rkn6 at omega h = 1 if no contact opens. It is proportional
+        to h^6.
     longest : float
-        Longest omega h over the stability limit.
+        Largest omega h that is used, as a fraction of the stability limit.
     """
 
     wobble: float = 0.03
@@ -108,6 +110,7 @@ class Averages(Shown, Tabular):
     Attributes
     ----------
     scene : Scene
+        The scene of the averaged motion.
     time : float
         Time of the motion of each copy, warm-up included, s.
     warm_up : float
@@ -116,26 +119,31 @@ class Averages(Shown, Tabular):
         Number of copies of the chain.
     unit : dict of str
         Unit of each quantity; empty for a ratio.
-    mean, variance : dict of float
-        Mean and variance of each quantity over time.
-    interval, variance_interval : dict of (float, float)
-        95 % confidence intervals, including the effect of the energy error; infinite if the time
-        was too short.
+    mean : dict of float
+        Mean of each quantity over time.
+    variance : dict of float
+        Variance of each quantity over time.
+    interval : dict of (float, float)
+        95 % confidence interval of each mean, including the effect of the energy error; infinite if
+        the time was too short.
+    variance_interval : dict of (float, float)
+        95 % confidence interval of each variance, as for the mean.
     correlation_time : dict of float
         Correlation time of each quantity, the integral of its correlation over positive lags, s;
         NaN if the time was too short.
     batches : dict of int
         Number of independent batches of the interval of the mean; 0 if there is no interval.
     energy_error : float
-        Error of the integration: root mean square of the energy above rest over that at t = 0,
-        less 1.
+        Error of the integration: root mean square of the relative change of the energy above rest
+        since t = 0.
     integrator : str
+        Name of the integrator.
     step : float
         Time step, s.
     middle : (S,) array
-        Middle of each of S = 256 stretches of time behind the warm-up, s.
+        Middle of each of the S = 256 stretches of time after the warm-up, s.
     stretch_mean : dict of (R, S) arrays
-        Mean of each quantity in each of them, for each of R copies.
+        Mean of each quantity in each stretch of time, for each of R copies.
     """
 
     scene: Scene
@@ -181,7 +189,7 @@ class Averages(Shown, Tabular):
 
     def table(self) -> str:
         """Return means, variances and their intervals as text."""
-        rows = [("quantity", "mean, 95 %", "variance, 95 %", "remembers", "batches")]
+        rows = [("quantity", "mean, 95 %", "variance, 95 %", "corr. time", "batches")]
         for name, mean in self.mean.items():
             unit = self.unit[name]
             squared = f"({unit})2" if "/" in unit else f"{unit}2" if unit else ""
@@ -202,11 +210,11 @@ class Averages(Shown, Tabular):
             )
         copies = f" of {self.copies} copies" if self.copies > 1 else ""
         lines = [
-            f"averages over {self.time - self.warm_up:.6g} s{copies}, after {self.warm_up:.4g} s "
-            "of warm-up that are left out",
+            f"averages over {self.time - self.warm_up:.6g} s{copies}, after a warm-up of "
+            f"{self.warm_up:.4g} s that is left out",
             *align(rows),
-            f"{self.integrator}, step {self.step:.3g} s: the energy is off by "
-            f"{self.energy_error:.1e}, which is in the intervals",
+            f"{self.integrator}, step {self.step:.3g} s: intervals include the energy error of "
+            f"{self.energy_error:.1e}",
         ]
         return "\n".join(lines)
 
@@ -241,11 +249,12 @@ class Averages(Shown, Tabular):
     def plot(self, ax: Axes | None = None, of: str | None = None) -> Axes:
         """Draw the means of batches of a quantity over time, and return the axes.
 
-        The chart also has the average up to each time, and its final interval as a band.
+        The chart also shows the average up to each time, and the final interval as a band.
 
         Parameters
         ----------
         ax : Axes, optional
+            Axes to draw on; by default new ones.
         of : str, optional
             Name of the quantity; by default the first one.
         """
@@ -308,15 +317,18 @@ class _Sums(NamedTuple):
     Attributes
     ----------
     reference : (Q, 1) array
-        Values near the means, which are subtracted so that squares keep their digits.
-    first, square : (Q, R, S) arrays
-        Sums of the differences from `reference`, and of their squares.
+        Values near the means. They are subtracted to avoid cancellation in the sums of squares.
+    first : (Q, R, S) array
+        Sums of the differences from `reference`.
+    square : (Q, R, S) array
+        Sums of the squares of these differences.
     energy : (R, S) array
         Mean relative error of the energy in each stretch.
     energy_error : float
         Root mean square of the energy error over all times.
-    lost_after : float, optional
-        Part of the motion after which it ended, because the energy error was too large.
+    lost_after : float or None
+        Fraction of the motion after which the run ended because the energy error was too large;
+        None if it was completed.
     """
 
     reference: Array
@@ -340,25 +352,25 @@ def averages(
     """Average quantities of a chain over time, with 95 % confidence intervals.
 
     Beyond the predictability horizon of a chaotic chain, no run predicts the positions of grains.
-    Averages over time remain well defined, because a perturbed motion has the same ones. A
+    Averages over time remain well defined, because a perturbed motion has the same averages. A
     symplectic method integrates the chain with equal steps, which are so short that the energy is
-    conserved, and no samples are recorded.
+    conserved within the tolerance. No samples are recorded.
 
     Parameters
     ----------
     scene : Scene
-        Scene of a chain that conserves energy and keeps its grains, without a force or drive.
-        Its duration and samples do not matter if `time` is given.
+        Scene of a chain that conserves energy and whose grains cannot fly away, without a force or
+        drive. Its samples are ignored, and its duration if `time` is given.
     quantities : list of str
-        "kinetic_energy", "potential_energy" (above rest), "temperature" (twice the kinetic energy a
-        grain that moves, kB T in J), "equipartition" (see Notes), "force:10" of contact 10,
-        "kinetic_energy:10", "velocity:10" and "displacement:10" of grain 10.
+        "kinetic_energy", "potential_energy" (above rest), "temperature" (twice the mean kinetic
+        energy of the grains that move, kB T in J), "equipartition" (see Notes), "force:10" of
+        contact 10, "kinetic_energy:10", "velocity:10" and "displacement:10" of grain 10.
     time : float, optional
         Time of the motion, warm-up included, s; by default the duration of the scene.
     tolerance : float
         Largest root mean square of the energy error, relative to the energy above rest. It
-        determines the step and the effect of the integration on averages. The rest of the intervals
-        depends on the time.
+        determines the step and the effect of the integration on averages. The statistical part of
+        the intervals depends on the time and the copies.
     warm_up : float, optional
         Time that is left out at the beginning for equilibration, s; by default a fifth of the time.
     copies : int
@@ -370,13 +382,15 @@ def averages(
     Returns
     -------
     Averages
+        Means, variances and their confidence intervals.
 
     Raises
     ------
     InputError
-        If an option is wrong, energy is not conserved, grains can fly away, or copies stay close.
+        If an option is wrong, if energy is not conserved, if grains can fly away, or if copies are
+        still close to each other after the warm-up.
     ToleranceNotMet
-        If no step keeps the energy within the tolerance.
+        If the energy error exceeds the tolerance with every step that is tried.
 
     Warns
     -----
@@ -386,20 +400,23 @@ def averages(
 
     Notes
     -----
-    Intervals follow from the means of 256 batches of each copy (`lmpchain.simulation.batch_means`)
-    by Student's t with the amplitudes of 16, 8 or 4 slow cosines; fewer for longer correlation
-    times. They include the effect of the energy error e: an average may shift by e times the larger
-    of its distance from rest and the standard deviation, and a variance by a fraction 2 e, because
-    they grow at most with the first and second power of the energy. Averages get twice this amount,
-    because steps also shift them directly, by about as much for beads between walls.
+    Intervals are computed from the means of 256 batches of each copy
+    (`lmpchain.simulation.batch_means`). Student's t distribution is applied to the amplitudes of
+    16, 8 or 4 slow cosines; longer correlation times require fewer cosines.
+
+    The intervals include the effect of the energy error e. Averages grow at most with the first
+    power of the energy, and variances with the second. An average may therefore shift by e times
+    the larger of its distance from the value at rest and the standard deviation, and a variance by
+    the fraction 2 e. The interval of an average includes twice this shift, because the truncation
+    error of the steps also shifts it directly, by about the same amount for beads between walls.
 
     The equipartition is ``(M + 2)/3 sum K_n^2 / (sum K_n)^2`` of the kinetic energies K_n of the M
     grains that move. Its mean is 1 if all velocities of the same kinetic energy are equally likely,
     as in equilibrium, and (M + 2)/3 if one grain has all of the energy.
 
     For a sonic vacuum between walls the microcanonical ensemble is known: the fraction of the
-    kinetic energy has a beta distribution with M/2 and M/(delta + 1), whose mean is (delta + 1) /
-    (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, Phys. Rev. E 95, 032903
+    kinetic energy has a beta distribution with the parameters M/2 and M/(delta + 1), whose mean is
+    (delta + 1) / (delta + 3); M. Przedborski, S. Sen and T. A. Harroun, Phys. Rev. E 95, 032903
     (2017), arXiv:1605.08970.
 
     Examples
@@ -449,8 +466,8 @@ def averages(
             ratio = (tolerance / (error / math.sqrt(sums.lost_after))) ** (1 / method.order)
             reach *= min(max(0.9 * ratio, 0.25), 0.8) if math.isfinite(ratio) else 0.25
             bar.reach(0)
-    reason = f"the energy is off by {error:.2g} in {AVERAGING.attempts} attempts at shorter steps"
-    cure = "ask lmpchain.averages for less, or for a shorter time"
+    reason = f"the energy error is {error:.2g} after {AVERAGING.attempts} attempts at shorter steps"
+    cure = "ask lmpchain.averages for a larger tolerance or a shorter time"
     raise ToleranceNotMet(f"{reason}, above the tolerance of {tolerance:.2g}: {cure}")
 
 
@@ -535,7 +552,7 @@ def _first_reach(scene: Scene, tolerance: float) -> tuple[Splitting, float]:
     """Return the method for a motion, and omega h of its first step.
 
     A method of high order is best for smooth forces. If contacts open, the energy error of an
-    opening does not depend on the order, and velocity Verlet has the shortest steps.
+    opening does not depend on the order, and velocity Verlet has the cheapest steps.
     """
     if scene.largest_strain <= FIRST_STEP.safe_strain:
         method = SPLITTINGS["rkn6"]
@@ -661,12 +678,12 @@ def _conclude(
     if unknown := [name for name, batches in results["batches"].items() if not batches]:
         short = f"a time of {time:.3g} s is too short for an interval of {', '.join(unknown)}"
         cure = f"try time={4 * time:.2g}, or copies"
-        warn(f"{short}, because its correlation lasts too long: {cure}", stacklevel=3)
+        warn(f"{short}, because of a long correlation time: {cure}", stacklevel=3)
     fewest = copies * BATCHING.cosines[-1]
     if few := [name for name, batches in results["batches"].items() if batches == fewest]:
-        says = f"the interval of {', '.join(few)} is worth {fewest} independent batches, the fewest"
+        says = f"in a time of {time:.3g} s the interval of {', '.join(few)} has only {fewest}"
         cure = f"it is less reliable than others: try time={4 * time:.2g}, or copies"
-        warn(f"{says} that a time of {time:.3g} s allows; {cure}", stacklevel=3)
+        warn(f"{says} independent batches; {cure}", stacklevel=3)
     return Averages(
         scene=scene,
         time=time,

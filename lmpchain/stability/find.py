@@ -47,6 +47,7 @@ def stability(scene: Scene, *, progress: bool = False) -> Stability:
     Parameters
     ----------
     scene : Scene
+        A scene without damping and without a ground.
     progress : bool
         Whether to show a progress bar.
 

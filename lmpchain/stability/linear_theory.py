@@ -1,8 +1,9 @@
 """Limits of linear theory: laws for its error after an impulse on the top of a column.
 
-The laws hold for columns of equal grains, in the paper's variables: tau, depths h in grains, strike
-numbers v0*. They give relative errors, each in the norm that it names; `laws.theory_errors`
-measures them. Constants are not fitted, unless a law states it.
+The laws hold for columns of equal grains. They use the paper's variables: the time tau, the depth h
+in grains, and the strike number v0*. Each law gives a relative error in a stated norm;
+analysis/laws/theory_errors.py measures these errors. Constants are not fitted, unless a law states
+it.
 """
 
 from __future__ import annotations
@@ -37,18 +38,19 @@ def linear_law(strike_number: float, norm: str, exponent: float = 1.5, grain: in
     then remains constant: for tau above 6 the error depends neither on gravity nor on time, until
     the wave is reflected. The constants c are those of perturbation theory to second order in v0*,
     accurate to 10 % for delta from 1.1 to 2.2; the limits are fitted to errors up to 0.1. A fixed
-    bottom reflects a compression as a compression, and the free top inverts it: during ten passages
-    of the column the error stays within a factor of 2.
+    bottom reflects a compression as a compression, and the free top inverts it. During ten passages
+    of the column the error therefore stays within a factor of 2.
 
     Parameters
     ----------
     strike_number : float
-        v0*.
+        Strike number v0*.
     norm : str
-        "velocity": root of the sum of squares over grains, at the end of the run; "displacement":
-        largest error of all samples and grains, relative to the largest displacement; "package":
-        the larger of the errors of displacement and velocity, as in this package; "peak": error of
-        the largest velocity of a grain, from grain 3 on, with x ~ w^(-3/2) for a front of width w.
+        Definition of the error. "velocity": root of the sum of squares over grains, at the end of
+        the run. "displacement": largest error of all samples and grains, relative to the largest
+        displacement. "package": the larger of the errors of displacement and velocity, as in
+        `ErrorEstimate`. "peak": error of the largest velocity of a grain, from grain 3 on, with
+        x ~ w^(-3/2) for a front of width w.
     exponent : float
         Exponent delta of the contact force.
     grain : int
@@ -76,14 +78,16 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
     error : float
         Relative error, above 0.
     norm : str
-        As for `linear_law`.
-    exponent, grain : float, int
-        As for `linear_law`.
+        Definition of the error, as in `linear_law`.
+    exponent : float
+        Exponent delta of the contact force.
+    grain : int
+        Number of the grain for the norm "peak".
 
     Returns
     -------
     float
-        v0*.
+        Strike number v0*; infinite if the error never becomes so large.
 
     Examples
     --------
@@ -97,19 +101,20 @@ def strike_number_at(error: float, norm: str, exponent: float = 1.5, grain: int 
 def strike_number_where(error: float, scene: Scene) -> float:
     """Return the strike number at which Eq. (3) has this error, in a scene of this type.
 
-    `linear_law` gives it for a column struck at its top; for other scenes it follows from the error
-    estimate of the linear wave.
+    For a column struck at its top the result is that of `linear_law`. For other scenes it is
+    computed from error estimates of linear waves.
 
     Parameters
     ----------
     error : float
         Relative error, above 0.
     scene : Scene
+        Scene whose excitation is scaled.
 
     Returns
     -------
     float
-        v0*.
+        Strike number v0*.
     """
     if struck_column(scene):
         delta = scene.chain.law.power_of("the law of struck columns")
@@ -135,6 +140,7 @@ def struck_column(scene: Scene) -> bool:
     Parameters
     ----------
     scene : Scene
+        The scene to check.
 
     Returns
     -------

@@ -12,9 +12,10 @@ from ..util.arrays import Array, numbers
 def deepest(scene: Scene) -> float:
     """Return an upper bound on overlap over diameter; infinite if the scene is forced.
 
-    No contact can store more than the energy of the strike, see `Contacts.overlap_bound`. `Scene`
-    refuses strikes whose first collision causes an overlap above a tenth of the diameter; lighter
-    grains below, or a wall at the bottom, may have larger overlaps later.
+    The bound holds because no contact can store more than the energy of the strike, see
+    `Contacts.overlap_bound`. `Scene` rejects strikes whose first collision causes an overlap above
+    a tenth of the diameter, but lighter grains or a wall further down may have larger overlaps
+    later.
     """
     reached = scene.reached
     return float((reached.overlap_bounds / reached.chain.contact_lengths).max())
@@ -23,10 +24,10 @@ def deepest(scene: Scene) -> float:
 def hertz_excess(strain: ArrayLike) -> Array:
     """Return the relative excess of Hertz's force over the force of spheres, at overlap / diameter.
 
-    The excess is due to the shape alone, because Hertz's theory replaces spheres by paraboloids:
-    ``o = 2 a artanh(a/R)`` and ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; it is about
-    ``strain / 10``; I. N. Sneddon, Int. J. Eng. Sci. 3, 47 (1965). Deviations from half-spaces and
-    yielding are not included.
+    The excess is due to the shape alone, because Hertz's theory replaces spheres by paraboloids.
+    Spheres of radius R with the contact radius a have ``o = 2 a artanh(a/R)`` and
+    ``F = 2 E* [(a^2 + R^2) artanh(a/R) - a R]``; I. N. Sneddon, Int. J. Eng. Sci. 3, 47 (1965). The
+    excess is about ``strain / 10``. Deviations from half-spaces and yielding are not included.
     """
     strain = numbers(strain, "strain")
     # Newton's method for x = a / R.

@@ -27,10 +27,12 @@ class MeasuredGrowth:
     opening : float
         Strike number above which many contacts open.
     flying : float
-        Upper bound on strike number over N; above it the top grain flies away with most of the
-        energy.
-    fewest, most : int
-        Smallest and largest number of grains.
+        Largest ratio of the strike number to the number of grains. Above it the top grain flies
+        away with most of the energy.
+    fewest : int
+        Smallest number of grains.
+    most : int
+        Largest number of grains.
     """
 
     opening: float = 30.0
@@ -56,11 +58,12 @@ def reflection_time(scene: Scene) -> float:
     Parameters
     ----------
     scene : Scene
+        A scene with an impulse on a chain with exponent 1.5.
 
     Returns
     -------
     float
-        s.
+        Time, s.
 
     Raises
     ------
@@ -79,19 +82,22 @@ def reflection_time(scene: Scene) -> float:
 def growth_rate(scene: Scene) -> float:
     """Predict the Lyapunov exponent of a column struck at the top, in decades per second.
 
-    The measured growth is 0.9 (1 - exp(-N / 20)) decades during one reflection time, independent of
-    strike and gravity, for N = 6 ... 40, v0* = 30 to 50 N and 0.1 to 100 g, within a factor of 1.5
-    (analysis/calibration/predictability.py). A weaker strike opens few contacts. After a stronger
-    strike the top grain flies away with most of the energy.
+    The measured growth during one reflection time is 0.9 (1 - exp(-N / 20)) decades for N grains,
+    within a factor of 1.5. It depends on neither strike nor gravity for N = 6 ... 40, strike
+    numbers from 30 to 50 times N, and gravity from 0.1 to 100 g
+    (analysis/calibration/predictability.py).
+    A weaker strike opens few contacts. After a stronger strike the top grain flies away with most
+    of the energy.
 
     Parameters
     ----------
     scene : Scene
+        A scene for which `amplifies` is true.
 
     Returns
     -------
     float
-        Decades per second.
+        Lyapunov exponent, decades per second.
     """
     return 0.9 * (1 - math.exp(-scene.chain.grains / 20)) / reflection_time(scene)
 
@@ -102,6 +108,7 @@ def amplifies(scene: Scene) -> bool:
     Parameters
     ----------
     scene : Scene
+        The scene to check.
 
     Returns
     -------
@@ -120,12 +127,14 @@ def predicted_time(scene: Scene, tolerance: float) -> float:
     Parameters
     ----------
     scene : Scene
+        A scene for which `amplifies` is true.
     tolerance : float
+        Largest relative error of a predicted motion.
 
     Returns
     -------
     float
-        s.
+        Time from t = 0, s.
     """
     return math.log10(tolerance / SEED) / growth_rate(scene)
 
@@ -135,12 +144,14 @@ def growth(
 ) -> tuple[Array, Array]:
     """Measure the growth of a small change at t = 0 by two native runs with the same steps.
 
-    Grains are shifted alternately down and up, by this fraction of the largest velocity (or
-    displacement, or amplitude).
+    The change increases and reduces the velocities of grains alternately, by a fraction of the
+    largest velocity. Without initial velocities it shifts the grains instead. A force or drive is
+    scaled.
 
     Parameters
     ----------
     scene : Scene
+        The scene to run.
     perturbation : float
         Relative size of the change.
     accuracy : float
@@ -148,9 +159,11 @@ def growth(
 
     Returns
     -------
-    two (T,) arrays
-        Times, s, and the distance of the two runs relative to the largest value, the larger one of
-        displacement and velocity.
+    time : (T,) array
+        Times, s.
+    distance : (T,) array
+        Distance of the two runs, relative to the largest value: the larger of the distances of
+        displacements and velocities.
 
     Raises
     ------
@@ -170,6 +183,7 @@ def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
     Parameters
     ----------
     scene : Scene
+        The scene to run.
     proposal : Proposal
         A proposal of the native engine.
     change : float
@@ -178,7 +192,8 @@ def divergence(scene: Scene, proposal: Proposal, change: float) -> Array:
     Returns
     -------
     (T,) array
-        Relative to the largest value, the larger one of displacement and velocity.
+        Distance relative to the largest value: the larger of the distances of displacements and
+        velocities.
 
     Raises
     ------
@@ -202,12 +217,14 @@ def predictability_time(scene: Scene, tolerance: float) -> float:
     Parameters
     ----------
     scene : Scene
+        The scene to run.
     tolerance : float
+        Largest relative error of a predicted motion.
 
     Returns
     -------
     float
-        s.
+        Time from t = 0, s; infinite if the whole run is predictable.
     """
     return predictability_time_of(*growth(scene, CHANGE), tolerance)
 
@@ -217,14 +234,17 @@ def predictability_time_of(times: Array, apart: Array, tolerance: float) -> floa
 
     Parameters
     ----------
-    times, apart : (T,) arrays
-        As returned by `growth`.
+    times : (T,) array
+        Times, s, as returned by `growth`.
+    apart : (T,) array
+        Distances of the two runs, as returned by `growth`.
     tolerance : float
+        Largest relative error of a predicted motion.
 
     Returns
     -------
     float
-        s; infinite if the distance stays below the tolerance.
+        Time from t = 0, s; infinite if the whole run is predictable.
     """
     beyond = np.flatnonzero(apart > tolerance * CHANGE / SEED)
     return float(times[beyond[0]]) if beyond.size else math.inf

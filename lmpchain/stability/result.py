@@ -39,9 +39,9 @@ class Boundary:
     Attributes
     ----------
     what : str
-        "longest step", "smallest error" ...
+        Name of the limit, such as "longest step" or "smallest error".
     method : str
-        Engine or integrator.
+        Name of the engine, the integrator or the equation.
     unit : str
         Unit of the numbers; empty for ratios.
     predicted : float
@@ -49,7 +49,7 @@ class Boundary:
     measured : float
         The limit measured on this scene.
     here : float
-        The value of the scene; NaN if the user chooses it.
+        The value of this scene; NaN if the user chooses it, such as a step.
     beyond : bool
         Whether the scene exceeds the limit.
     """
@@ -73,8 +73,10 @@ class Curve:
         Panel of the picture in which the curve is drawn.
     name : str
         Label of the curve.
-    x, y : arrays
-        Values of the axes of the panel.
+    x : array
+        Values on the horizontal axis of the panel.
+    y : array
+        Values on the vertical axis of the panel.
     """
 
     panel: str
@@ -90,8 +92,11 @@ class Stability(Shown, Tabular):
     Attributes
     ----------
     scene : Scene
+        The scene.
     boundaries : tuple of Boundary
+        Limits, predicted and measured.
     curves : tuple of Curve
+        Measured curves for the picture.
     left_out : tuple of str
         Measurements that could not be made, each with the reason.
     """
@@ -128,7 +133,8 @@ class Stability(Shown, Tabular):
         Parameters
         ----------
         ax : axes, or four of them, optional
-            One axes for the longest steps alone, or four for all panels; a new figure by default.
+            One axes to draw the longest steps alone, or four for all panels; by default a new
+            figure with four.
 
         Returns
         -------

@@ -29,23 +29,26 @@ def floor(
 ) -> float:
     """Predict the relative rounding error for steps of rkn6 with omega h = 0.3.
 
-    The laws are those of the engines, `typical_round_off`. They were compared with 70 random scenes
-    over 13 decades, with LAMMPS for both diameters: half of the measured floors agree within a
-    factor of 1.7, and nine in ten within a factor of 6 (analysis/calibration/roundoff.py).
+    Each engine has its own law, its method `typical_round_off`. The laws were compared with 70
+    random scenes over 13 decades, with LAMMPS for both diameters: half of the measured floors agree
+    within a factor of 1.7, and nine in ten within a factor of 6
+    (analysis/calibration/roundoff.py).
 
     Parameters
     ----------
     scene : Scene
+        The scene to solve.
     engine : "native" or "lammps"
+        Name of the engine.
     diameter : "physical" or "gauge"
-        Option of lammps.
+        Option of the engine "lammps".
     force : "auto", "exact" or "plain"
-        Option of native.
+        Option of the engine "native".
 
     Returns
     -------
     float
-        Relative error.
+        Relative rounding error.
 
     Raises
     ------
@@ -63,11 +66,14 @@ def long_double(scene: Scene) -> tuple[Array, Array]:
     Parameters
     ----------
     scene : Scene
+        The scene to solve.
 
     Returns
     -------
-    two (T, N) arrays
-        m, m/s.
+    displacement : (T, N) array
+        Displacements, m.
+    velocity : (T, N) array
+        Velocities, m/s.
     """
     cone = scene.reached
     return _integrate(cone, RKN6, _steps(cone))
@@ -87,20 +93,26 @@ def measured_floor(
     Parameters
     ----------
     scene : Scene
-    engine, diameter, force : str
-        As for `floor`.
+        The scene to solve.
+    engine : "native" or "lammps"
+        Name of the engine.
+    diameter : "physical" or "gauge"
+        Option of the engine "lammps".
+    force : "auto", "exact" or "plain"
+        Option of the engine "native".
     exact : two (T, N) arrays, optional
         The result of `long_double(scene)`, if it is already known.
 
     Returns
     -------
     float
-        Relative error.
+        Relative rounding error.
 
     Raises
     ------
     InputError
-        As `floor`; and if the scene is forced, or if the engine cannot solve it.
+        If the engine or an option is unknown, if the scene is forced, or if the engine cannot solve
+        it.
     """
     if scene.excitation.does_work:
         raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")

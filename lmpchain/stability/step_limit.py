@@ -28,22 +28,23 @@ def struck_frequency(scene: Scene) -> float:
     """Return an estimate of the highest frequency during the motion, rad/s.
 
     A contact with the overlap o has the stiffness delta K o^(delta-1), so a chain is temporarily
-    stiffer after a strike than at rest. The mean elastic energy is 2 E / (delta + 3) of the strike
-    energy E (virial theorem). It is assumed to be shared by n neighbouring contacts, with the n
-    that maximises the frequency; the highest frequency of n equal springs is sqrt([2 + 2 cos(pi /
-    (n + 1))] k / m). Compared with the eigenfrequencies of the exact motion at every moment, for
-    strike numbers from 0.01 to 1e4, the estimate is accurate to 3 % in loaded chains and columns of
-    Hertz contacts, and to 7 % for exponent 2. The energy of a forced scene is not known beforehand,
-    so `Scene.highest_frequency` is returned.
+    stiffer after a strike than at rest. By the virial theorem the mean elastic energy is 2 E /
+    (delta + 3), with the energy E of the strike. It is assumed to be shared by n neighbouring
+    contacts, with the n that maximises the frequency; the highest frequency of n equal springs is
+    sqrt([2 + 2 cos(pi / (n + 1))] k / m). Compared with the eigenfrequencies of the exact motion at
+    every moment, for strike numbers from 0.01 to 1e4, the estimate is accurate to 3 % in loaded
+    chains and columns of Hertz contacts, and to 7 % for exponent 2. The energy of a forced scene is
+    not known beforehand; `Scene.highest_frequency` is returned in this case.
 
     Parameters
     ----------
     scene : Scene
+        The scene to run.
 
     Returns
     -------
     float
-        rad/s.
+        Frequency, rad/s.
     """
     cone = scene.reached
     chain = cone.chain
@@ -72,25 +73,28 @@ def struck_frequency(scene: Scene) -> float:
 def limit(scene: Scene, integrator: str) -> float:
     """Return the longest step, s, with which a scene is expected to conserve energy to its end.
 
-    It is the stability limit of the method for an oscillator (`Method.stability_limit`) over the
-    highest frequency after the strike. If oscillators grow at every step, as with Gear's methods,
-    the step is also limited such that oscillators at rest gain at most half of their energy within
-    the duration. In the sonic vacuum the same law gives h ~ E^(-(delta-1)/(2 delta+2)).
+    The limit is the stability limit of the method for an oscillator (`Method.stability_limit`),
+    divided by the highest frequency after the strike. If a method amplifies oscillations at every
+    step, as Gear's methods do, the step is also limited such that small oscillations gain at most
+    half of their energy within the duration. In the sonic vacuum the same law gives
+    h ~ E^(-(delta-1)/(2 delta+2)).
 
-    Measured on loaded chains for a hundred periods and strike numbers up to 1e4, runs break down at
-    the following multiples of this limit: 0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02
+    On loaded chains, runs over a hundred periods with strike numbers up to 1e4 broke down at the
+    following multiples of this limit: 0.93 to 1 verlet, 0.88 to 1 kahan-li6, 0.68 to 1.02
     dop853 (one step spans a whole collision), 1.3 to 1.6 rkn4, 2.5 to 3.1 rkn6 and 1 to 1.5
     kahan-li8 (see `suspect`), 1.2 to 2.4 gear4 (analysis/calibration/stability_limits.py).
 
     Parameters
     ----------
     scene : Scene
+        The scene to run.
     integrator : str
+        Name of the integrator.
 
     Returns
     -------
     float
-        s.
+        Time step, s.
 
     Examples
     --------
@@ -140,10 +144,12 @@ def suspect(integrator: str) -> float:
     Parameters
     ----------
     integrator : str
+        Name of the integrator.
 
     Returns
     -------
     float
+        The product omega h.
     """
     method = METHODS[integrator]
     reaches = method.stability_limit * np.linspace(1, SCAN, 1001)
@@ -155,21 +161,24 @@ def blow_up(scene: Scene, integrator: str, engine: str = "native") -> float:
 
     The result is infinite if no step fails.
 
-    Steps of equal length are increased by 2 %, and the suspect step of the method is included,
-    until a run breaks down, which means that the kinetic energy of a grain exceeds 1.5 times the
-    total energy. The step is then bisected. Steps are passed to `Engine.start` as a proposal, which
-    bypasses the check that refuses steps that are unstable at rest.
+    Runs with equal steps are repeated with steps that are longer by 2 %, including the step of
+    `suspect`, until a run breaks down: the kinetic energy of a grain exceeds 1.5 times the total
+    energy. The longest step is then found by bisection. Steps are passed to `Engine.start` as a
+    proposal, which bypasses the check that rejects steps that are unstable at rest.
 
     Parameters
     ----------
     scene : Scene
+        The scene to run.
     integrator : str
+        Name of the integrator.
     engine : "native" or "lammps"
+        Name of the engine.
 
     Returns
     -------
     float
-        s.
+        Time step, s.
 
     Raises
     ------
@@ -223,7 +232,7 @@ class EnergyError:
     time : (T,) array
         Times, s.
     error : (T,) array
-        Energy above rest over its value at t = 0, less 1.
+        Relative change of the energy above rest since t = 0.
     step : float
         Step of the run, s.
     """
@@ -236,9 +245,9 @@ class EnergyError:
         """Return the drift rate, 1/s, and the half-width of its 99 % confidence interval.
 
         The drift is the slope of a straight line through the means of fifty time intervals. Energy
-        moves slowly between modes, so that consecutive means are correlated; with the correlation
-        r, their effective number is n (1 - r) / (1 + r); B. D. Santer et al., J. Geophys. Res. 105,
-        7337 (2000).
+        moves slowly between modes, so that consecutive means are correlated. If their correlation
+        is r, n means count as n (1 - r) / (1 + r) independent ones; B. D. Santer et al., J.
+        Geophys. Res. 105, 7337 (2000).
         """
         from scipy import stats
 
@@ -258,18 +267,21 @@ def energy_error(
 ) -> EnergyError:
     """Return the energy error of a native run over many periods of the band edge.
 
-    Energies are computed as differences from rest, in displacements, by `Chain.excess_energy`,
-    which avoids cancellation for weak waves.
+    Energies are computed from displacements as differences from rest (`Chain.excess_energy`), which
+    avoids cancellation for weak waves.
 
     Parameters
     ----------
     scene : Scene
+        A scene without a force or drive.
     integrator : str
+        Name of the integrator.
     step : float
-        s.
+        Time step, s.
     periods : float
         Duration, in periods of the band edge.
     samples : int
+        Number of times at which the energy is computed.
 
     Returns
     -------

@@ -1,13 +1,13 @@
 """Bands of linear waves in periodic chains, and modes of finite chains in the gaps.
 
-A cell is repeated without end, and a wave turns its phase by the wavenumber from cell to cell. The
-rows of B are the extensions of the contacts, each by the root of its stiffness, of displacements by
-the roots of the masses: frequencies are the singular values of B, the lowest as accurate as the
-highest.
+A cell is repeated infinitely, and the phase of a wave changes by the wavenumber from cell to cell.
+The matrix B maps displacements, times the roots of the masses, to extensions of the contacts, times
+the roots of their stiffnesses. Frequencies are the singular values of B, so that the lowest is as
+accurate as the highest.
 
-At a real frequency the wavenumber of a damped chain, or in a gap, is complex: its imaginary part is
-what the amplitude falls by from cell to cell. Its springs then are ``k (1 - i w A)``, its masses
-``m (1 + i gamma / w)``.
+At a real frequency the wavenumber is complex in a gap, and in a damped chain. Its imaginary part is
+the decay of the amplitude from cell to cell, as an exponent. Damping is included by the springs
+``k (1 - i w A)`` and the masses ``m (1 + i gamma / w)``.
 """
 
 from __future__ import annotations
@@ -52,13 +52,18 @@ class Cell:
 
     Parameters
     ----------
-    masses, stiffness : (P,) array_like
-        kg and N/m; the last contact is that with the next cell.
+    masses : (P,) array_like
+        Masses of the grains, kg.
+    stiffness : (P,) array_like
+        Stiffnesses of the contacts below the grains, N/m; the last one is the contact with the next
+        cell.
     resonators : (P, 2) array_like, optional
-        Mass, kg, and stiffness, N/m, of an oscillator that each grain carries; mass 0 for none. For
-        such chains L. Bonanomi, G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015).
-    viscoelastic, drag : float or (P,) array_like
-        A of the contacts, s, and gamma of the grains, 1/s; resonators are not damped.
+        Mass, kg, and stiffness, N/m, of an oscillator on each grain; a mass of 0 stands for no
+        oscillator. See L. Bonanomi, G. Theocharis and C. Daraio, Phys. Rev. E 91, 033208 (2015).
+    viscoelastic : float or (P,) array_like
+        Viscoelastic times A of the contacts, s. Resonators are not damped.
+    drag : float or (P,) array_like
+        Drag rates gamma of the grains, 1/s.
     ground : float or (P,) array_like
         Stiffness of a spring between each grain and the ground, N/m.
 
@@ -119,14 +124,16 @@ class Bands(Shown, Tabular):
     Attributes
     ----------
     cell : Cell
+        The repeating cell.
     wavenumber : (K,) array
-        Radians a cell.
+        Wavenumbers, radians per cell.
     frequency : (B, K) array
-        Frequencies, rad/s, ascending; numpy takes the object itself for this array.
+        Frequencies, rad/s, ascending. In NumPy functions the object itself stands for this array.
     group_velocity : (B, K) array
-        Cells a second; the limit from above at wavenumber 0, positive where the branch rises.
+        Group velocities, cells per second, positive where the branch rises. At wavenumber 0 they
+        are the limits from above.
     gaps : (G, 2) array
-        rad/s, between branches; `gaps` of the module.
+        Edges of the gaps between branches, rad/s, as returned by the function `gaps`.
     """
 
     cell: Cell
@@ -142,9 +149,9 @@ class Bands(Shown, Tabular):
         return self.frequency[key]
 
     def density_of_states(self, frequency: ArrayLike) -> Array:
-        """Return modes per cell and rad/s at frequencies, (F,) s: 0 in gaps, infinite at edges.
+        """Return modes per cell and rad/s at frequencies, (F,) rad/s: 0 in gaps, infinite at edges.
 
-        ``1 / (pi |v|)`` with the group velocity v of the one branch that is there.
+        It is ``1 / (pi |v|)`` with the group velocity v of the only branch at this frequency.
         """
         w = real(frequency, "frequency")
         cosine = _half_trace(self.cell, w)
@@ -182,12 +189,12 @@ class GapModes(Shown, Tabular):
     frequency : (L,) array
         Frequencies, rad/s, ascending.
     shape : (L, M) array
-        Displacements, orthonormal in mass.
+        Displacements of every mode, orthonormal in mass.
     participation : (L,) array
-        Number of grains that take part, 1 / sum of the squares of their shares in the kinetic
-        energy.
+        Effective number of grains that take part: the inverse of the sum of the squares of their
+        shares in the kinetic energy.
     centre : (L,) array
-        Mean grain, weighted by these shares: near 1 or M for surface modes.
+        Mean number of the grains, weighted by these shares. It is near 1 or M for surface modes.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "participation": "", "centre": ""}
@@ -214,14 +221,15 @@ class Waves(Shown, Tabular):
     Attributes
     ----------
     cell : Cell
+        The repeating cell.
     frequency : (F,) array
         Frequencies, rad/s.
     wavenumber : (F,) complex array
-        q, radians a cell; its real part is below 0 where phases run upward, its imaginary part 0 or
-        more.
+        Wavenumbers q, radians per cell. The real part is below 0 if phases travel upward; the
+        imaginary part is 0 or more.
     attenuation : (F,) array
-        A grain: the amplitude falls by ``exp(-attenuation)`` from each to the next, in the mean
-        over a cell.
+        Attenuation per grain: the amplitude falls by the factor ``exp(-attenuation)`` from a grain
+        to the next, averaged over a cell.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "wavenumber": "", "attenuation": ""}
@@ -242,24 +250,25 @@ class Waves(Shown, Tabular):
 def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
     """Return the wave at each real frequency in a periodic chain, with damping or in a gap.
 
-    Where damping is weak, the attenuation a cell is ``(A w^2 + gamma) / 2`` over the group
-    velocity, for one A and one gamma.
+    For weak damping with uniform A and gamma, the attenuation per cell is ``(A w^2 + gamma) / 2``
+    divided by the group velocity.
 
     Parameters
     ----------
     cell : Cell or Chain
         All grains of the chain are one cell, under its load.
     frequency : (F,) array_like
-        rad/s, above 0.
+        Frequencies, rad/s, above 0.
 
     Returns
     -------
     Waves
+        Wavenumbers and attenuations.
 
     Raises
     ------
     InputError
-        If a frequency is not above 0, or what is given is not a cell.
+        If a frequency is not above 0, or if the cell is not valid.
 
     Examples
     --------
@@ -281,25 +290,26 @@ def waves(cell: Cell | Chain, frequency: ArrayLike) -> Waves:
 def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
     """Return the Bloch branches of the periodic chain of a cell.
 
-    L. Brillouin, Wave Propagation in Periodic Structures (1946); for dimers of spheres N. Boechler
-    et al., Phys. Rev. Lett. 104, 244302 (2010).
+    See L. Brillouin, Wave Propagation in Periodic Structures (1946), and for dimers of spheres N.
+    Boechler et al., Phys. Rev. Lett. 104, 244302 (2010).
 
     Parameters
     ----------
     cell : Cell or Chain
         All grains of the chain are one cell, under its load.
     wavenumber : (K,) array_like
-        Radians a cell.
+        Wavenumbers, radians per cell.
 
     Returns
     -------
     Bands
+        Frequencies and group velocities of all branches.
 
     Raises
     ------
     InputError
-        If masses or stiffnesses are not above 0 or not one a grain, or a chain is not a cell. If it
-        is damped: its waves have real frequencies and complex wavenumbers, see `waves`.
+        If there is not one positive mass and stiffness for each grain, if the chain is not a cell,
+        or if it is damped. Damped chains have complex wavenumbers at real frequencies, see `waves`.
 
     Examples
     --------
@@ -325,17 +335,18 @@ def branches(cell: Cell | Chain, wavenumber: ArrayLike) -> Bands:
 def gaps(cell: Cell | Chain) -> Array:
     """Return the gaps between the bands of the periodic chain of a cell, (G, 2) rad/s.
 
-    The edges of the bands are at the wavenumbers 0 and pi, a branch rising from one to the other or
-    falling.
+    Each branch rises or falls from the wavenumber 0 to pi, so that the edges of the bands are at
+    these two wavenumbers.
 
     Parameters
     ----------
     cell : Cell or Chain
+        All grains of the chain are one cell, under its load.
 
     Returns
     -------
     (G, 2) array
-        rad/s.
+        Lower and upper edges, rad/s.
     """
     return _outside(cell)[:-1]
 
@@ -346,10 +357,13 @@ def repeating(chain: Chain, first: int = 1, last: int | None = None, most: int =
     Parameters
     ----------
     chain : Chain
-    first, last : int
-        Grains between which to look; by default all.
+        The chain to check.
+    first : int
+        Number of the first grain that is considered.
+    last : int
+        Number of the last grain that is considered; by default the last of the chain.
     most : int
-        Longest period that is looked for.
+        Longest period that is tried, in grains.
 
     Returns
     -------
@@ -377,12 +391,14 @@ def gap_modes(chain: Chain, cell: Cell | Chain) -> GapModes:
     Parameters
     ----------
     chain : Chain
-        Compressed, with any ends and defects.
+        A compressed chain with any ends and defects.
     cell : Cell or Chain
+        The repeating cell. All grains of a chain are one cell, under its load.
 
     Returns
     -------
     GapModes
+        Frequencies and shapes of the modes.
 
     Examples
     --------
@@ -473,10 +489,12 @@ def extensions(masses: Array, stiffness: Array, turn: NDArray[Any]) -> NDArray[A
 
     Parameters
     ----------
-    masses, stiffness : (..., P) arrays
-        kg and N/m.
+    masses : (..., P) array
+        Masses, kg.
+    stiffness : (..., P) array
+        Stiffnesses, N/m.
     turn : (K,) array
-        exp(i wavenumber), by which the next cell is ahead.
+        Phase factors exp(i wavenumber) from a cell to the next.
     """
     size = masses.shape[-1]
     b = np.zeros((*masses.shape[:-1], turn.size, size, size), turn.dtype)
@@ -497,7 +515,7 @@ def _half_trace(cell: Cell, w: Array) -> Array:
 def _excess_trace(cell: Cell, w: Array) -> NDArray[Any]:
     """Return 2 cos(wavenumber) - 2 at frequencies, from the transfer matrix minus the identity.
 
-    Real without damping.
+    The result is real without damping.
     """
     m, k, resonators = _check_cell(cell)
     w_flat = w.ravel()
@@ -552,9 +570,10 @@ def _check_damping(cell: Cell) -> tuple[Array, Array]:
 def local_bands(chain: Chain) -> Array:
     """Return the edges of the bands around every grain, (N, B, 2) rad/s.
 
-    They are those of the cell that repeats around it. Where no cell repeats it is a uniform chain
-    of such grains with the contact below, for the last grain that above. All are 0 in a sonic
-    vacuum. A single grain has its frequency between the walls.
+    They are the band edges of the cell that repeats around the grain. If no cell repeats, the bands
+    are those of a uniform chain of such grains with the contact below, or above for the last grain.
+    All edges are 0 in a sonic vacuum. For a single grain both edges are its frequency between the
+    walls.
     """
     if chain.grains == 1:
         stiffness = chain.contacts.stiffness.sum() + ground_of(chain)[0]

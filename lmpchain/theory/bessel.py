@@ -19,30 +19,30 @@ def coefficients(
 ) -> Array:
     """Return the coefficients A_1(n) ... A_terms(n) of the series (19), by Eqs. (20)-(21).
 
-    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau). Since
-    ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, they are Chebyshev polynomials of the matrix of
-    Eq. (3): the three-term recurrence gives them without eigenvectors. In Eq. (20) the cases of the
-    brace are j = 1 and j > 1, not i; after Eq. (21), 90 degrees is no mode of N = 3, which has but
-    two.
+    The series is phi_n = sum_j A_j(n) J_(2j-2)(2 sqrt(scale) tau). Because of
+    ``cos(2 phi_i) = 1 - omega_i^2 / (2 scale)``, its coefficients are Chebyshev polynomials of the
+    matrix of Eq. (3), and a three-term recurrence computes them without eigenvectors. The paper has
+    two misprints: the cases of Eq. (20) are j = 1 and j > 1, not i; and after Eq. (21), 90 degrees
+    is not a mode of N = 3, which has only two modes.
 
     Parameters
     ----------
     kappa : (N-1,) array_like
-        kappa_1 ... kappa_(N-1), above 0; grain N is held.
+        Constants kappa_1 ... kappa_(N-1) of the contacts, above 0. Grain N is held.
     n : array_like
-        Grains, 1 to N - 1.
+        Numbers of grains, 1 to N - 1.
     k : int
-        The grain displaced by 1 at tau = 0, 1 to N - 1.
+        Number of the grain that is displaced by 1 at tau = 0, 1 to N - 1.
     terms : int
-        Number of them.
+        Number of coefficients.
     scale : float, optional
-        The paper's kappa_N; any number with ``omega <= 2 sqrt(scale)`` for all frequencies, by
+        The paper's kappa_N: any number with ``omega <= 2 sqrt(scale)`` for all frequencies; by
         default max(kappa).
 
     Returns
     -------
     (..., terms) array
-        The leading axes are those of n.
+        Coefficients; the leading axes are those of n.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def coefficients(
     require(
         ("n", n < last, f"must be below {last}, the grain that is held"),
         ("k", 1 <= k < last, f"must be 1 or more and below {last}, the grain that is held"),
-        ("scale", large, "must be larger, for no frequency may lie above 2 sqrt(scale)"),
+        ("scale", large, "must be larger: all frequencies must be below 2 sqrt(scale)"),
     )
     coefficients = np.empty((*n.shape, terms))
     # T_(j-1) and T_j of the matrix, applied to the displacement of grain k.
@@ -85,10 +85,14 @@ def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
 
     Parameters
     ----------
-    kappa, n, k
-        As for `coefficients`; n and tau broadcast.
+    kappa : (N-1,) array_like
+        Constants of the contacts, above 0. Grain N is held.
+    n : array_like
+        Numbers of grains, 1 to N - 1; broadcasts with tau.
+    k : int
+        Number of the grain that is displaced, 1 to N - 1.
     tau : array_like
-        Any real number.
+        Times, any real numbers.
 
     Returns
     -------
@@ -97,7 +101,7 @@ def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
     Raises
     ------
     InputError
-        As `coefficients`.
+        If a grain is not in the chain, or if a kappa is not positive.
 
     Examples
     --------
@@ -110,12 +114,18 @@ def finite(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
 def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Array:
     """Return the motion after unit dphi/dtau of grain k: the integral of `finite`, term by term.
 
-    Arguments and errors as for `finite`, which is the velocity of this motion.
+    The velocity of this motion is `finite`, which has the same arguments.
 
     Parameters
     ----------
-    kappa, n, k, tau : array_like
-        As for `finite`.
+    kappa : (N-1,) array_like
+        Constants of the contacts, above 0. Grain N is held.
+    n : array_like
+        Numbers of grains, 1 to N - 1; broadcasts with tau.
+    k : int
+        Number of the grain that is struck, 1 to N - 1.
+    tau : array_like
+        Times, any real numbers.
 
     Returns
     -------
@@ -124,7 +134,7 @@ def finite_impulse(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> Ar
     Raises
     ------
     InputError
-        As `finite`.
+        If a grain is not in the chain, or if a kappa is not positive.
 
     Examples
     --------
@@ -156,15 +166,19 @@ def _series(kappa: ArrayLike, n: ArrayLike, k: int, tau: ArrayLike) -> tuple[Arr
 def table(key: str, z: Array, count: int | None = None) -> tuple[Array, Array, NDArray[np.int64]]:
     """Return J_0, J_2 ... J_(2 count - 2) of z, half their integrals, and the index of each z.
 
-    Miller's downward recurrence, normalised by ``J_0 + 2 (J_2 + J_4 + ...) = 1``; half the integral
-    of J_(2k) is ``J_(2k+1) + J_(2k+3) + ...``. Values below exp(-640) may be given as 0; without a
-    count the tables end there.
+    Bessel functions are computed by Miller's downward recurrence, normalised by
+    ``J_0 + 2 (J_2 + J_4 + ...) = 1``. Half the integral of J_(2k) is ``J_(2k+1) + J_(2k+3) + ...``.
+    Values below exp(-640) may be returned as 0. Without a count the tables end where all values are
+    that small.
 
     Returns
     -------
-    even, integral : (count, Z) arrays
-        At the Z different numbers in z.
+    even : (count, Z) array
+        Bessel functions of the Z different numbers in z.
+    integral : (count, Z) array
+        Half their integrals from 0.
     column : array of the shape of z
+        Index of each z among the different numbers.
     """
     require((key, np.isfinite(z), "must be finite"))
     values, column = np.unique(z, return_inverse=True)
@@ -215,15 +229,16 @@ __all__ = [
 def infinite(n: ArrayLike, p: ArrayLike, T: ArrayLike) -> Array:
     """Return Eq. (6), J_(2(n-p))(2T), for an infinite chain and unit displacement of grain p.
 
-    T is tau sqrt(kappa). The main maximum passes at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at
-    2T = 2|n-p|.
+    The main maximum passes grain n at ``2T = 2|n-p| + 0.8086 (2|n-p|)^(1/3)``, not at 2T = 2|n-p|.
 
     Parameters
     ----------
-    n, p : array_like
-        Whole numbers of any sign.
+    n : array_like
+        Numbers of grains, of any sign.
+    p : array_like
+        Number of the displaced grain, of any sign.
     T : array_like
-        Any real number.
+        Times tau sqrt(kappa), any real numbers.
 
     Returns
     -------
@@ -251,16 +266,21 @@ def infinite_general(
 ) -> Array:
     """Return the motion of the infinite uniform chain from any initial data, Eq. (5).
 
-    The velocities are dphi/dT: the paper's text says dphi/dtau, which is larger by sqrt(kappa).
+    The velocities are dphi/dT. The text of the paper has dphi/dtau, which is larger by the factor
+    sqrt(kappa).
 
     Parameters
     ----------
-    n, T : array_like
-        As for `infinite`; they broadcast.
+    n : array_like
+        Numbers of grains, of any sign; broadcasts with T.
+    T : array_like
+        Times tau sqrt(kappa), any real numbers.
     p : (P,) array_like
-        The grains that have initial data; all others rest at 0.
-    displacement, velocity : (P,) array_like
-        Their phi and dphi/dT at T = 0.
+        Numbers of the grains that have initial data; all other grains are at rest.
+    displacement : (P,) array_like
+        Displacements phi of these grains at T = 0.
+    velocity : (P,) array_like
+        Velocities dphi/dT of these grains at T = 0.
 
     Returns
     -------
@@ -297,14 +317,14 @@ def infinite_general(
 def free_end(n: ArrayLike, T: ArrayLike) -> Array:
     """Return Eq. (11), J_(2n-2)(2T) + J_(2n)(2T), for unit displacement of a free end.
 
-    It holds in a finite chain until the wave has come back from the other end.
+    In a finite chain it is valid until the wave returns from the other end.
 
     Parameters
     ----------
     n : array_like
-        Grain, from 1.
+        Numbers of grains, from 1.
     T : array_like
-        tau sqrt(kappa), any real number.
+        Times tau sqrt(kappa), any real numbers.
 
     Returns
     -------
@@ -328,12 +348,14 @@ def free_end(n: ArrayLike, T: ArrayLike) -> Array:
 def free_end_impulse(n: ArrayLike, T: ArrayLike) -> Array:
     """Return the motion after unit dphi/dT of grain 1, Eq. (13): the integral of `free_end`.
 
-    For unit dphi/dtau divide by sqrt(kappa). Arguments and errors as for `free_end`.
+    For unit dphi/dtau, divide the result by sqrt(kappa).
 
     Parameters
     ----------
-    n, T : array_like
-        As for `free_end`.
+    n : array_like
+        Numbers of grains, from 1.
+    T : array_like
+        Times tau sqrt(kappa), any real numbers.
 
     Returns
     -------
@@ -357,16 +379,16 @@ def free_end_impulse(n: ArrayLike, T: ArrayLike) -> Array:
 def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return J_(2n)(2 sqrt(kappa_n) tau), Eq. (7) with phi_0 = 1 and the tau of Eq. (3).
 
-    An infinite chain of the local kappa is no approximation of Eq. (3): it lacks the image in the
-    free end and is 58-127 % off (L2), with the front at tau = n^(eta/2) instead of (2/eta)
-    n^(eta/2).
+    An infinite chain with the local kappa does not approximate Eq. (3). It has no image in the free
+    end, its error is 58 to 127 % (L2 norm), and its front arrives at tau = n^(eta/2) instead of
+    (2/eta) n^(eta/2).
 
     Parameters
     ----------
     n : array_like
         Whole numbers, 0 or more.
     tau : array_like
-        Any real number.
+        Times, any real numbers.
     delta : float
         Exponent of the contact force.
 
@@ -392,16 +414,17 @@ def local(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def far_field(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return Eq. (8) with phi_0 = 1: the limit of `local` at long times.
 
-    It holds for tau, that of Eq. (3), far above 2 n^2 / sqrt(kappa_n).
-
-    ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``; the paper's own tau here is that
-    of Eq. (3) over g^(1/6). It is not how Eq. (3) behaves at long times: there nothing oscillates,
-    and a displaced top grain leaves ``-0.23103 tau^(-6/5)``.
+    The limit is ``n^(-xi/4) cos(2 n^(xi/2) tau - pi n - pi/4) / sqrt(pi tau)``, for tau far above
+    2 n^2 / sqrt(kappa_n). Here tau is the time of Eq. (3); the tau of Eq. (8) in the paper is this
+    time divided by g^(1/6). Solutions of Eq. (3) differ at long times: they do not oscillate, and
+    after a displacement of the top grain they are ``-0.23103 tau^(-6/5)``.
 
     Parameters
     ----------
-    n, tau : array_like
-        As for `local`; tau above 0.
+    n : array_like
+        Whole numbers, 1 or more.
+    tau : array_like
+        Times, above 0.
     delta : float
         Exponent of the contact force.
 

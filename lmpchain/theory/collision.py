@@ -1,10 +1,11 @@
 """Shifts of colliding solitary waves, by the integrable limits of a chain under a load.
 
-A wave whose tail falls as ``exp(-kappa |x|)``, ``sinh(kappa/2) = c kappa/2``, goes on where
-it would have been without the other one, shifted by grains. The laws are those of two solitons
-of Toda's chain, Theory of Nonlinear Lattices (Springer, 1981), and of Korteweg and de Vries's
-equation; a chain of any exponent follows them as amplitudes fall. Y. Shen et al., Phys. Rev. E
-90, 022905 (2014), compare both with granular chains.
+A collision shifts each wave by some grains from the position that it would have without the other
+wave. The shift depends on the decay rate kappa of the tail, which falls as ``exp(-kappa |x|)`` with
+``sinh(kappa/2) = c kappa/2``. The laws are those of two solitons of Toda's chain, Theory of
+Nonlinear Lattices (Springer, 1981), and of the Korteweg-de Vries equation. They are the limit of
+small amplitudes for a chain of any exponent. Y. Shen et al., Phys. Rev. E 90, 022905 (2014),
+compare both with granular chains.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def decay(speed: float) -> float:
     Parameters
     ----------
     speed : float
-        Over that of sound, above 1.
+        Speed of the wave over the speed of sound, above 1.
 
     Returns
     -------
@@ -35,7 +36,7 @@ def decay(speed: float) -> float:
     Raises
     ------
     InputError
-        If it is not above 1.
+        If the speed is not above 1.
 
     Examples
     --------
@@ -51,26 +52,30 @@ def decay(speed: float) -> float:
 def toda(speed: float, other: float, head_on: bool) -> float:
     """Return the shift, grains, of a solitary wave in its own direction by a collision (Toda).
 
-    ``(1/kappa) ln [cosh((kappa + q)/4) / cosh((kappa - q)/4)]^2`` head-on, with q of the other one,
-    and ``(1/kappa) ln [sinh((kappa + q)/4) / sinh(|kappa - q|/4)]^2`` of the faster of two that go
-    one way; of the slower one with a minus. It is that of Toda's chain exactly.
+    With the decay rates kappa of this wave and q of the other wave, the shift in a head-on
+    collision is ``(1/kappa) ln [cosh((kappa + q)/4) / cosh((kappa - q)/4)]^2``. If both waves
+    travel in the same direction, it is ``(1/kappa) ln [sinh((kappa + q)/4) / sinh(|kappa -
+    q|/4)]^2`` for the faster wave, and has the opposite sign for the slower wave. The law is exact
+    for Toda's chain.
 
     Parameters
     ----------
-    speed, other : float
-        Of this wave and of the other one, both over that of sound.
+    speed : float
+        Speed of this wave over the speed of sound.
+    other : float
+        Speed of the other wave over the speed of sound.
     head_on : bool
-        Whether they go against each other.
+        Whether the waves travel in opposite directions.
 
     Returns
     -------
     float
-        Grains.
+        Shift, grains.
 
     Raises
     ------
     InputError
-        If a speed is not above 1, or both are equal where one overtakes the other.
+        If a speed is not above 1, or if waves in the same direction have equal speeds.
 
     Examples
     --------
@@ -88,18 +93,21 @@ def toda(speed: float, other: float, head_on: bool) -> float:
 def kdv(speed: float, other: float) -> float:
     """Return the shift, grains, of one of two solitary waves of equal direction (KdV).
 
-    ``(1/kappa) ln [(kappa + q) / (kappa - q)]^2`` with kappa^2 = 24 (c - 1), q of the other one; of
-    the slower one with a minus.
+    The shift of the faster wave is ``(1/kappa) ln [(kappa + q) / (kappa - q)]^2`` with kappa^2 =
+    24 (c - 1), and likewise q for the other wave. The shift of the slower wave has the opposite
+    sign.
 
     Parameters
     ----------
-    speed, other : float
-        Of this wave and of the other one, both over that of sound.
+    speed : float
+        Speed of this wave over the speed of sound.
+    other : float
+        Speed of the other wave over the speed of sound.
 
     Returns
     -------
     float
-        Grains.
+        Shift, grains.
 
     Raises
     ------

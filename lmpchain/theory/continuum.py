@@ -1,7 +1,7 @@
 """The continuum limit of the column, Eq. (27): modes, wave packets and responses.
 
-Grain n sits at the depth h = n - 1/2, and Eq. (27) is ``phi_tautau = (h^xi phi_h)_h``. In the
-travel time chi from the top it is the Euler-Poisson-Darboux equation
+Grain n is at the depth h = n - 1/2, and Eq. (27) is ``phi_tautau = (h^xi phi_h)_h``. As a function
+of the travel time chi from the top it is the Euler-Poisson-Darboux equation
 ``phi_tautau = phi_chichi + (xi / eta) phi_chi / chi``; the light cone is tau = chi. The symbols
 of the paper:
 
@@ -56,15 +56,15 @@ def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
     """Return u_lambda(h) = h^(1/2delta) H_nu^(1)(lambda chi), Eq. (30), with its limit at h = 0.
 
     The Hankel function is of the first kind and of order nu ("of the first order" in the paper).
-    With exp(i lambda tau) this wave comes in from below; the one that a driven top sends down is
-    its conjugate.
+    With the time dependence exp(i lambda tau) this wave travels upward. The wave that a driven top
+    emits downward is its complex conjugate.
 
     Parameters
     ----------
     h : array_like
-        Depth, 0 or more.
+        Depths, 0 or more.
     lam : array_like
-        lambda, above 0, or complex in the upper half plane.
+        Frequencies lambda, above 0, or complex in the upper half plane.
     delta : float
         Exponent of the contact force.
 
@@ -91,12 +91,14 @@ def mode(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Complex:
 def standing(h: ArrayLike, lam: ArrayLike, delta: float = 1.5) -> Array:
     """Return the standing mode h^(1/2delta) J_(-nu)(lambda chi), without flux at the free top.
 
-    It goes with cos(lambda tau).
+    Its time dependence is cos(lambda tau).
 
     Parameters
     ----------
-    h, lam : array_like
-        Depth, 0 or more; lambda, above 0.
+    h : array_like
+        Depths, 0 or more.
+    lam : array_like
+        Frequencies lambda, above 0.
     delta : float
         Exponent of the contact force.
 
@@ -133,22 +135,24 @@ def superpose(
 ) -> Complex:
     """Return the integral of A(lambda) u_lambda(h) exp(i lambda tau) over lambda > 0, Eq. (31).
 
-    With A = 1 it is Eq. (29). Along the real axis it converges but conditionally; along
-    ``lambda = y exp(i angle)`` exponentially, for every tau > -chi. A must be analytic between the
-    two and grow less than exponentially; at 0 it may be as singular as lambda^(nu - 0.9). Relative
-    error about 1e-13.
+    For A = 1 the integral is Eq. (29). Along the real axis it converges only conditionally. It is
+    computed along ``lambda = y exp(i angle)``, where it converges exponentially for every
+    tau > -chi. A must be analytic between the two paths and grow less than exponentially; at 0 it
+    may be as singular as lambda^(nu - 0.9). The relative error is about 1e-13.
 
     Parameters
     ----------
     A : callable
-        A(lambda) for complex arrays.
-    h, tau : array_like
-        h >= 0, tau > -chi(h).
+        Function A(lambda) of complex arrays.
+    h : array_like
+        Depths, 0 or more.
+    tau : array_like
+        Times, above -chi(h).
     delta : float
         Exponent of the contact force.
     angle : float
-        Above 0, at most pi/2; less for an A such as exp(-lambda^2), which grows along the imaginary
-        axis.
+        Angle of the path, above 0 and at most pi/2. An A such as exp(-lambda^2), which grows along
+        the imaginary axis, requires a smaller angle.
 
     Returns
     -------
@@ -183,14 +187,16 @@ def superpose(
 def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the real part of Eq. (29), Eq. (32) for A = 1, inside, outside and on the light cone.
 
-    ``a [(tau + R)^nu - (tau - R)^nu] / R`` with R^2 = tau^2 - chi^2 and
-    ``a = (eta/2)^nu / (2 sin(pi nu / 2))``; for Hertz a = (5/6)^(2/5) / (2 sin(pi/5)). The constant
-    as printed, with -2 sin(pi/10), gives the imaginary part.
+    It is ``a [(tau + R)^nu - (tau - R)^nu] / R`` with R^2 = tau^2 - chi^2 and
+    ``a = (eta/2)^nu / (2 sin(pi nu / 2))``; for Hertz contacts a = (5/6)^(2/5) / (2 sin(pi/5)). The
+    printed constant, with -2 sin(pi/10), gives the imaginary part.
 
     Parameters
     ----------
-    h, tau : array_like
-        h >= 0, tau > -chi(h).
+    h : array_like
+        Depths, 0 or more.
+    tau : array_like
+        Times, above -chi(h).
     delta : float
         Exponent of the contact force.
 
@@ -224,12 +230,12 @@ def packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
     """Return the limit of `packet` at the light cone tau = chi, Eq. (33): 2 nu a chi^(nu - 1).
 
-    For Hertz it varies as h^(-1/2).
+    For Hertz contacts it varies as h^(-1/2).
 
     Parameters
     ----------
     h : array_like
-        Above 0.
+        Depths, above 0.
     delta : float
         Exponent of the contact force.
 
@@ -254,14 +260,16 @@ def packet_front(h: ArrayLike, delta: float = 1.5) -> Array:
 def resonant_packet(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the real part of Eq. (31) for A = lambda^(-nu), which is Eq. (34) for all tau.
 
-    For Hertz A is lambda^(-2/5). It does not resonate: the two singular terms of Eq. (34) cancel at
-    the light cone, where it is smooth (as printed, with constants of four digits, they leave a
-    spurious peak), and outside the cone the printed form is wrong.
+    For Hertz contacts A is lambda^(-2/5). The packet has no resonance: the two singular terms of
+    Eq. (34) cancel at the light cone, where the packet is smooth. The printed constants of four
+    digits leave a spurious peak there, and outside the cone the printed form is wrong.
 
     Parameters
     ----------
-    h, tau : array_like
-        h >= 0, tau > -chi(h).
+    h : array_like
+        Depths, 0 or more.
+    tau : array_like
+        Times, above -chi(h).
     delta : float
         Exponent of the contact force.
 

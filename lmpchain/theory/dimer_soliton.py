@@ -1,12 +1,13 @@
 """Solitary waves of dimer chains in the sonic vacuum, which exist only at certain mass ratios.
 
-Heavy and light grains alternate, with like contacts. Between these mass ratios, the antiresonances
-of K. R. Jayaprakash, Y. Starosvetsky and A. F. Vakakis, Phys. Rev. E 83, 036606 (2011), light
-grains rattle behind a pulse, which so loses its energy. A contact whose grain behind is heavy has
-the overlap A(x), the others A(-x), x = n + 1/2 - c t in grains, with ``c^2 A'' = N(A(1 - x)) / M -
-N(A(x)) (1/M + 1/m) + N(A(-1 - x)) / m``. Newton's method on a Fourier series finds A together with
-the mass m of the light grains; M = 1 and contact constants 1 are the units, as in
-`lmpchain.theory.soliton`.
+Heavy and light grains alternate, and all contacts are equal. The mass ratios are the antiresonances
+of K. R. Jayaprakash, Y. Starosvetsky and A. F. Vakakis, Phys. Rev. E 83, 036606 (2011). At other
+mass ratios the light grains oscillate behind a pulse, which therefore loses energy.
+
+A contact with a heavy grain behind it has the overlap A(x), and the other contacts have A(-x), with
+x = n + 1/2 - c t in grains. The equation of A is ``c^2 A'' = N(A(1 - x)) / M - N(A(x)) (1/M + 1/m)
++ N(A(-1 - x)) / m``. Newton's method computes A, as a Fourier series, together with the mass m of
+the light grains. The units are M = 1 and contact constants 1, as in `lmpchain.theory.soliton`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Grid:
     lightest : float
         Smallest mass ratio of a scan.
     spacing : float
-        Distance of the beginnings of its searches in 1 / sqrt(ratio).
+        Distance of the starting points of searches in a scan, in 1 / sqrt(ratio).
     """
 
     period: float = 12.0
@@ -67,12 +68,15 @@ class DimerSoliton(Shown, Tabular):
     Attributes
     ----------
     delta : float
+        Exponent of the contact force.
     mass_ratio : float
         Mass ratio of light to heavy grains at the antiresonance.
     speed : float
-        c, grains a unit of time.
-    place, values : (K,) arrays
-        A at these x.
+        Speed c, grains per unit of time.
+    place : (K,) array
+        Positions x, in grains.
+    values : (K,) array
+        Overlaps A at these positions.
     """
 
     _units: ClassVar[dict[str, str]] = {"place": "", "values": ""}
@@ -98,13 +102,13 @@ class DimerSoliton(Shown, Tabular):
     def on(self, chain: Chain, grain: float) -> Profile:
         """Return this wave on a chain at the time when it passes a grain downward.
 
-        Displacements and velocities are in SI units; the largest velocity of heavy grains is that
-        for which it was solved, in m/s.
+        Displacements and velocities are in SI units. The largest velocity of heavy grains, in m/s,
+        is the velocity given to `solve`.
 
         Raises
         ------
         InputError
-            If the chain is no such dimer in a sonic vacuum, or too short.
+            If the chain is not a dimer of this mass ratio in a sonic vacuum, or if it is too short.
         """
         require(("grains", chain.grains > 1, "must be two or more, heavy and light in turn"))
         mass = chain.masses
@@ -120,7 +124,7 @@ class DimerSoliton(Shown, Tabular):
         fits = f"must lie from {low:g} to {high:g} for the wave to fit the chain"
         require(
             ("chain", chain.law.power == self.delta, exponent),
-            ("chain.ground", chain.ground is None, "must be left out: the wave has none"),
+            ("chain.ground", chain.ground is None, "must be left out: it would change the wave"),
             ("chain", not chain.compressed, "must be in a sonic vacuum: no gravity, no load"),
             ("masses", masses, ratio),
             ("contact_constants", np.ptp(constant) < 1e-9 * constant[0], "must be equal"),
@@ -169,28 +173,29 @@ def antiresonances(
 ) -> tuple[float, ...]:
     """Return the mass ratios at which a dimer chain carries a solitary wave, from 1 downward.
 
-    A light grain that a pulse passes oscillates at a rate that goes as ``s = 1 / sqrt(ratio)``, and
-    from one of them to the next it does so once more, so that they are evenly spread in s, some 0.8
-    apart. Searches begin half of that apart, and every one is found from several beginnings.
+    A light grain oscillates while a pulse passes it, at a rate proportional to
+    ``s = 1 / sqrt(ratio)``. From one antiresonance to the next it completes one more oscillation,
+    so that antiresonances are evenly spaced in s, about 0.8 apart. Searches start at less than half
+    of this distance, and each antiresonance is found from several starting points.
 
     Parameters
     ----------
     least : float
-        The least mass ratio, of light to heavy grains, 0.03 or more.
+        Smallest mass ratio of light to heavy grains, 0.03 or more.
     delta : float
-        As for `solve`.
+        Exponent of the contact force, above 1 and at most 3.
     progress : bool
         Whether to show a progress bar.
 
     Returns
     -------
     tuple of float
-        In falling order, all below 1, where all grains are alike.
+        Mass ratios in descending order, all below 1, the ratio of equal grains.
 
     Raises
     ------
     InputError
-        If these are out of range.
+        If an argument is out of range.
 
     Examples
     --------
@@ -220,21 +225,22 @@ def solve(near: float, delta: float = 1.5, velocity: float = 1.0) -> DimerSolito
     Parameters
     ----------
     near : float
-        Mass of a light over that of a heavy grain; the antiresonance may be another than the
-        nearest.
+        Mass ratio of light to heavy grains. The antiresonance that is found may not be the nearest
+        one.
     delta : float
-        Above 1, at most 3.
+        Exponent of the contact force, above 1 and at most 3.
     velocity : float
-        The largest one of heavy grains.
+        Largest velocity of heavy grains.
 
     Returns
     -------
     DimerSoliton
+        The wave as a function of position.
 
     Raises
     ------
     InputError
-        If these are out of range, or there is none near that ratio.
+        If an argument is out of range, or if no antiresonance is found near this ratio.
 
     Examples
     --------

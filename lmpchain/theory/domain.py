@@ -37,7 +37,7 @@ class PaperExponents(NamedTuple):
     symbol variable meaning
     ====== ======== ==================================================
     xi     ``xi``   1 - 1/delta: stiffness grows with depth as h^xi
-    eta    ``eta``  1 + 1/delta: a wave takes (2/eta) h^(eta/2)
+    eta    ``eta``  1 + 1/delta: the travel time is (2/eta) h^(eta/2)
     nu     ``nu``   1/(1 + delta): the order of the Bessel functions
     ====== ======== ==================================================
     """
@@ -70,7 +70,7 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
     Parameters
     ----------
     h : array_like
-        Depth, 0 or more.
+        Depths, 0 or more.
     delta : float
         Exponent of the contact force.
 
@@ -97,12 +97,12 @@ def chi(h: ArrayLike, delta: float = 1.5) -> Array:
 def depth(tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the depth of the light cone at tau, (eta tau / 2)^(2/eta): the inverse of `chi`.
 
-    For Hertz (5 tau / 6)^(6/5); the tau^(6/5) after Eq. (9) lacks the factor.
+    For Hertz contacts it is (5 tau / 6)^(6/5); the tau^(6/5) after Eq. (9) lacks the factor.
 
     Parameters
     ----------
     tau : array_like
-        0 or more.
+        Times, 0 or more.
     delta : float
         Exponent of the contact force.
 

@@ -16,15 +16,16 @@ __dir__ = listed(__name__)
 def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
     """Return D_m(kappa) = m^m / (m-1)! kappa^m exp(-m kappa), Eq. (23) as printed.
 
-    It is a normalised density of mean 1 + 1/m and variance (m+1)/m^2: the power is one too high for
-    Dyson's own, which is `density`.
+    It is a normalised density of mean 1 + 1/m and variance (m+1)/m^2. Its power of kappa is larger
+    by 1 than in Dyson's own density, see `density`.
 
     Parameters
     ----------
     kappa : array_like
         Force constants, 0 or more.
     m : array_like
-        Order, above 0 and not necessarily whole; broadcasts against kappa. Large m means order.
+        Order m, above 0 and not necessarily whole; broadcasts against kappa. A larger m means less
+        disorder.
 
     Returns
     -------
@@ -46,13 +47,14 @@ def weight(kappa: ArrayLike, m: ArrayLike) -> Array:
 def density(kappa: ArrayLike, m: ArrayLike) -> Array:
     """Return Dyson's density m^m / (m-1)! kappa^(m-1) exp(-m kappa), of mean 1 and variance 1/m.
 
-    F. J. Dyson, Phys. Rev. 92, 1331 (1953). Arguments as for `weight`; infinite at kappa = 0 for m
-    < 1.
+    See F. J. Dyson, Phys. Rev. 92, 1331 (1953). For m < 1 the density is infinite at kappa = 0.
 
     Parameters
     ----------
-    kappa, m : array_like
-        As for `weight`.
+    kappa : array_like
+        Force constants, 0 or more.
+    m : array_like
+        Order m, above 0 and not necessarily whole; broadcasts against kappa.
 
     Returns
     -------
@@ -69,18 +71,19 @@ def density(kappa: ArrayLike, m: ArrayLike) -> Array:
 def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: bool = False) -> Array:
     """Return sum_n D_m(kappa_n) velocity_n, Eq. (22) as printed, or divided by sum_n D_m(kappa_n).
 
-    As printed this is no average: the weights add up to anything, and as m grows the sum tends to
-    ``sqrt(m / 2 pi)`` times the velocity of the grain with kappa = 1.
+    The printed sum is not an average, because the weights do not add up to 1. As m grows the sum
+    tends to ``sqrt(m / 2 pi)`` times the velocity of the grain with kappa = 1.
 
     Parameters
     ----------
     velocity : (..., N) array_like
+        Velocities of the grains.
     kappa : (N,) array_like
-        kappa_1 ... kappa_N.
+        Force constants kappa_1 ... kappa_N.
     m : array_like
-        Order; broadcasts against the leading axes of velocity.
+        Order m; broadcasts against the leading axes of velocity.
     normalised : bool
-        Divide by the sum of the weights.
+        Whether the sum is divided by the sum of the weights.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
     Raises
     ------
     InputError
-        As `weight`, or if there is not one kappa a grain.
+        If a kappa is negative, if m is not positive, or if there is not one kappa for each grain.
 
     Examples
     --------
@@ -100,7 +103,7 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
     velocity = real(velocity, "velocity")
     kappa = real(kappa, "kappa")
     alike = kappa.shape == velocity.shape[-1:]
-    require(("kappa", alike, "must hold one force constant for each grain of velocity"))
+    require(("kappa", alike, "must have one force constant for each grain of velocity"))
     weights = weight(kappa, real(m, "m")[..., None])
     total = (weights * velocity).sum(-1)
     return total / weights.sum(-1) if normalised else total
@@ -109,24 +112,24 @@ def average(velocity: ArrayLike, kappa: ArrayLike, m: ArrayLike, normalised: boo
 def integrated(frequency: ArrayLike, shape: float, rate: float = 1.0) -> Array:
     """Return the fraction of modes below a frequency in Dyson's exactly solvable random chain.
 
-    All 2N - 1 of its ratios k_n / m_n and k_n / m_(n+1) are independent, with a gamma distribution
-    of this shape and rate; F. J. Dyson, Phys. Rev. 92, 1331 (1953). The share is
+    All 2N - 1 ratios k_n / m_n and k_n / m_(n+1) of this chain are independent, with a gamma
+    distribution of this shape and rate; F. J. Dyson, Phys. Rev. 92, 1331 (1953). The fraction is
     ``1 - Im Omega(-1/omega^2 + i0) / pi`` with ``Omega(x) = 2 d/dc ln U(shape, c, rate/x)`` at
-    c = 1, U Tricomi's function, which is integrated here along a ray where it decays.
+    c = 1. The integral of Tricomi's function U is computed along a path where the integrand decays.
 
     Parameters
     ----------
     frequency : array_like
-        omega, rad/s, above 0.
+        Frequencies omega, rad/s, above 0.
     shape : float
-        Of the gamma distribution, 0.05 to 100.
+        Shape of the gamma distribution, 0.05 to 100.
     rate : float
-        Its inverse scale, s2: the mean ratio is shape / rate.
+        Inverse scale of the gamma distribution, s2: the mean ratio is shape / rate.
 
     Returns
     -------
     array
-        As frequency, 0 to 1; to 1e-7 or better.
+        Fractions, 0 to 1, of the shape of `frequency`, with an error of 1e-7 or less.
 
     Raises
     ------

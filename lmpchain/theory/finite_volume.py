@@ -19,10 +19,13 @@ class Field:
     Attributes
     ----------
     tau : (T,) array
+        Times.
     h : (N,) array
         Depth n - 1/2 of grain n.
-    displacement, velocity : (T, N) arrays
-        phi and dphi/dtau.
+    displacement : (T, N) array
+        Displacements phi of the grains.
+    velocity : (T, N) array
+        Velocities dphi/dtau of the grains.
     """
 
     tau: Array
@@ -42,31 +45,35 @@ def solve(
 ) -> Field:
     """Solve Eq. (27), phi_tautau = (h^xi phi_h)_h, for a column of N grains with grain N fixed.
 
-    No flux passes the free top h = 0, so momentum is conserved to round-off; phi is 0 at
-    h = N - 1/2. The flux through a face at f between centres a and b is
-    ``eta f (phi_b - phi_a) / (b^eta - a^eta)``, exact for the h^eta with which regular solutions
-    begin at the top, where h^xi would cost accuracy; in time it is velocity Verlet at 0.9 of the
-    stable step. Second order in the width of the cells, 1/cells.
+    No flux passes the free top h = 0, so momentum is conserved up to rounding errors; phi is 0 at
+    h = N - 1/2. The flux through a face at f between the cell centres a and b is
+    ``eta f (phi_b - phi_a) / (b^eta - a^eta)``. It is exact for the term h^eta with which regular
+    solutions begin at the top, where the factor h^xi would be less accurate. Time is integrated by
+    velocity Verlet at 0.9 of the stability limit. The error is of second order in the width of the
+    cells, 1/cells.
 
     Parameters
     ----------
     tau : (T,) array_like
-        Ascending, 0 or more.
+        Times, ascending and not negative.
     grains : int
-        N.
-    displacement, velocity : callable, optional
-        phi(h) and dphi/dtau(h) at tau = 0 for arrays of depths, by default 0. ``lambda h: h < 1``
-        is the velocity by a unit impulse of grain 1.
+        Number of grains N.
+    displacement : callable, optional
+        Function phi(h) at tau = 0 of an array of depths; by default 0.
+    velocity : callable, optional
+        Function dphi/dtau(h) at tau = 0 of an array of depths; by default 0. ``lambda h: h < 1``
+        is the velocity after a unit impulse on grain 1.
     drive : callable, optional
-        tau -> phi and dphi/dtau of grain 1, h = 1/2, whose motion it prescribes.
+        Function of tau that returns the prescribed phi and dphi/dtau of grain 1, at h = 1/2.
     delta : float
         Exponent of the contact force.
     cells : int
-        Cells a grain, odd.
+        Number of cells per grain, odd.
 
     Returns
     -------
     Field
+        The solution at the grains.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """The front of the wave after a strike on grain 1 of a long linear column.
 
-Where the impulse response of the continuum, Eq. (35), is infinite, the grains disperse it over the
-width ``w = [h^(1 - 3 xi/2) / (8 (1 - 3 xi/2))]^(1/3)`` into a fractional derivative of Airy's
-function. These are limits for large n, for delta below 3; the next order is about 0.34 n^(-1/3)
-below them for Hertz.
+The impulse response of the continuum, Eq. (35), is infinite at the light cone. In a chain of
+grains, dispersion spreads it over the width ``w = [h^(1 - 3 xi/2) / (8 (1 - 3 xi/2))]^(1/3)`` into
+a fractional derivative of Airy's function. The formulas are limits for large n, for delta below 3.
+For Hertz contacts the next order lowers them by a fraction of about 0.34 n^(-1/3).
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ __dir__ = listed(__name__)
 def decay(delta: float = 1.5) -> tuple[float, float]:
     """Return p and q of the decay: peak velocities as n^(-p), peak displacements as n^(-q).
 
-    For Hertz 4/15 and 1/10; the 1/12 of Eq. (8) holds for waves of one frequency. From delta = 3 on
-    both are xi/4.
+    For Hertz contacts p is 4/15 and q is 1/10; the exponent 1/12 of Eq. (8) is valid for waves of a
+    single frequency. For delta of 3 or more, both are xi/4.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def decay(delta: float = 1.5) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        p and q.
+        The exponents p and q.
 
     Raises
     ------
@@ -61,15 +61,15 @@ def displacement(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return phi_n near the front after unit dphi/dtau of grain 1.
 
     It is ``C (2 chi w)^(-a) G((tau - chi) / w)``, where G(s) is the integral of ``y^(-a) Ai(y -
-    s)`` over y > 0, a = xi / (2 eta) and C that of Eq. (35).
+    s)`` over y > 0, a = xi / (2 eta), and C is the constant of Eq. (35).
 
     Parameters
     ----------
     n : array_like
-        Grain, from 1.
+        Numbers of grains, from 1.
     tau : array_like
-        Not later than chi(n - 1/2) + 30 w, from where on `continuum.impulse_response` is as good;
-        broadcasts with n.
+        Times up to chi(n - 1/2) + 30 w; later `continuum.impulse_response` is as accurate.
+        Broadcasts with n.
     delta : float
         Exponent of the contact force.
 
@@ -95,8 +95,12 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 
     Parameters
     ----------
-    n, tau, delta : array_like, float
-        As for `displacement`.
+    n : array_like
+        Numbers of grains, from 1.
+    tau : array_like
+        Times up to chi(n - 1/2) + 30 w; broadcasts with n.
+    delta : float
+        Exponent of the contact force.
 
     Returns
     -------
@@ -105,7 +109,7 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        As `displacement`.
+        If n is not whole or below 1, tau is too late, delta < 1 or delta >= 3.
 
     Examples
     --------
@@ -118,12 +122,12 @@ def velocity(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the largest velocity of grain n relative to the velocity of the strike.
 
-    For Hertz it is 0.931768 n^(-4/15) to leading order. Arguments and errors as for `displacement`.
+    For Hertz contacts it is 0.931768 n^(-4/15) to leading order.
 
     Parameters
     ----------
     n : array_like
-        Grain, from 1.
+        Numbers of grains, from 1.
     delta : float
         Exponent of the contact force.
 
@@ -134,7 +138,7 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        As `displacement`.
+        If n is not whole or below 1, delta < 1 or delta >= 3.
 
     Examples
     --------
@@ -147,12 +151,12 @@ def peak_velocity(n: ArrayLike, delta: float = 1.5) -> Array:
 def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
     """Return the arrival time of the largest velocity at grain n, chi + s w, in units of tau.
 
-    For Hertz s = 0.908. Arguments and errors as for `displacement`.
+    For Hertz contacts s = 0.908.
 
     Parameters
     ----------
     n : array_like
-        Grain, from 1.
+        Numbers of grains, from 1.
     delta : float
         Exponent of the contact force.
 
@@ -163,7 +167,7 @@ def peak_time(n: ArrayLike, delta: float = 1.5) -> Array:
     Raises
     ------
     InputError
-        As `displacement`.
+        If n is not whole or below 1, delta < 1 or delta >= 3.
 
     Examples
     --------

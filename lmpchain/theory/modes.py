@@ -31,13 +31,14 @@ class Eigenmodes:
     frequency : (M,) array
         Frequencies, rad/s, ascending.
     shape : (M, M) array
-        Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16): ``shape.T @ diag(mass) @
-        shape = 1``.
+        Column p is mode p, X_n(lambda_p) / sqrt(K_p) of Eqs. (14)-(16), normalised such that
+        ``shape.T @ diag(mass) @ shape = 1``.
     mass : (M,) array
         Masses, kg.
     decay : (M,) array or None
-        Rate, 1/s, ``(A w^2 + gamma) / 2`` for one A and one gamma: the amplitude of free motion
-        falls by ``exp(-decay t)``, its frequency is ``sqrt(w^2 - decay^2)``. None without damping.
+        Decay rates, 1/s, ``(A w^2 + gamma) / 2`` for uniform A and gamma; None without damping. The
+        amplitude of free motion decays as ``exp(-decay t)``, at the frequency ``sqrt(w^2 -
+        decay^2)``.
     """
 
     frequency: Array
@@ -50,19 +51,23 @@ class Eigenmodes:
     ) -> tuple[Array, Array]:
         """Return the motion after any initial displacement, Eq. (15), and velocity, with sin(wt)/w.
 
-        Damped modes move on by themselves as well, slower than critical ones too.
+        Damped modes are independent, too, and may be overdamped.
 
         Parameters
         ----------
         time : (T,) array_like
-            s.
-        displacement, velocity : (M,) array_like
-            At time 0, m and m/s.
+            Times, s.
+        displacement : (M,) array_like
+            Displacements at time 0, m.
+        velocity : (M,) array_like
+            Velocities at time 0, m/s.
 
         Returns
         -------
-        displacement, velocity : (T, M) arrays
-            m and m/s.
+        displacement : (T, M) array
+            Displacements, m.
+        velocity : (T, M) array
+            Velocities, m/s.
 
         Examples
         --------
@@ -84,8 +89,12 @@ class Eigenmodes:
 
         Parameters
         ----------
-        time, amplitude, rate : (..., M) arrays
-            s, sqrt(kg) m and sqrt(kg) m/s; they broadcast.
+        time : (..., M) array
+            Time, s; broadcasts with the other arguments.
+        amplitude : (..., M) array
+            Amplitudes at time 0, sqrt(kg) m.
+        rate : (..., M) array
+            Time derivatives of the amplitudes at time 0, sqrt(kg) m/s.
         """
         w = self.frequency
         if self.decay is None:
@@ -123,27 +132,28 @@ class Eigenmodes:
 def eigenmodes(chain: Chain) -> Eigenmodes:
     """Return the eigenmodes of the chain linearised about its equilibrium, Eqs. (14)-(16).
 
-    The paper leaves out that its lambda is -omega^2; its recursion for X_n from the top overflows
-    beyond some 700 grains, so the symmetric tridiagonal matrix is diagonalised instead. Frequencies
-    are Rayleigh quotients in sums of squares, ``omega^2 = sum_n k_n (X_n - X_(n+1))^2``: all are
-    right to a few 1e-16, the lowest too, and so are the shapes of those below half the highest, as
-    long as the highest is less than 1e5 times the lowest. Time and memory grow as M^2: seconds at
-    M = 5000.
+    The paper does not state that its lambda is -omega^2. Its recursion for X_n from the top
+    overflows beyond about 700 grains, so the symmetric tridiagonal matrix is diagonalised instead.
+    Frequencies are computed as Rayleigh quotients, which are sums of squares:
+    ``omega^2 = sum_n k_n (X_n - X_(n+1))^2``. All of them have relative errors of a few 1e-16. The
+    shapes of modes below half the highest frequency are as accurate, if the highest frequency is
+    less than 1e5 times the lowest. Time and memory grow as M^2, to seconds at M = 5000.
 
     Parameters
     ----------
     chain : Chain
+        A chain under gravity or a load.
 
     Returns
     -------
-    Modes
-        Frequencies, rad/s, ascending, and shapes, orthonormal in mass; with damping, decays.
+    Eigenmodes
+        Frequencies, ascending, and shapes, orthonormal in mass; with damping, decay rates.
 
     Raises
     ------
     InputError
-        If no contact is compressed: nothing can be linearised. If contacts or grains are damped
-        differently: no motion of one mode alone is left then.
+        If no contact is compressed, so that nothing can be linearised, or if contacts or grains are
+        damped differently, which couples the modes.
 
     Examples
     --------
@@ -168,11 +178,12 @@ def ground_of(chain: Chain) -> Array:
     Parameters
     ----------
     chain : Chain
+        The chain at rest.
 
     Returns
     -------
     (N,) array
-        N/m.
+        Stiffness, N/m.
 
     Raises
     ------
@@ -190,11 +201,13 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
     Parameters
     ----------
     chain : Chain
+        The chain to check.
 
     Returns
     -------
     list of (str, bool, str)
-        Field, whether it allows for modes, and the cure if not.
+        Rules for `require`: the field, whether it leaves the modes uncoupled, and the message if it
+        does not.
     """
     cure = "give one number"
     # Without the ground, the viscous forces of a mode are A w^2 times its velocity.
@@ -214,7 +227,7 @@ def unequal_damping(chain: Chain) -> list[tuple[str, bool, str]]:
         (
             "chain.ground",
             bool(even),
-            "pulls unlike grains unlike, which couples viscous modes: use drag alone",
+            "acts differently on different grains, which couples viscous modes: use drag alone",
         ),
     ]
 
@@ -230,13 +243,14 @@ def damped(modes: Eigenmodes, chain: Chain) -> Eigenmodes:
 
     Parameters
     ----------
-    modes : Modes
-        Of the chain without damping.
+    modes : Eigenmodes
+        Modes of the chain without damping.
     chain : Chain
+        The chain with damping.
 
     Returns
     -------
-    Modes
+    Eigenmodes
     """
     if not chain.damped:
         return modes
@@ -252,15 +266,15 @@ def between(stiffness: Array, mass: Array, ground: Array | None = None) -> Eigen
     Parameters
     ----------
     stiffness : (M+1,) array
-        Of the contacts above, between and below them, N/m; 0 where there is nothing.
+        Stiffnesses of the contacts above, between and below the grains, N/m; 0 at a free end.
     mass : (M,) array
-        kg.
+        Masses, kg.
     ground : (M,) array, optional
         Stiffness between each grain and the ground, N/m.
 
     Returns
     -------
-    Modes
+    Eigenmodes
     """
     ground = np.zeros(mass.size) if ground is None else ground
     diagonal = (stiffness[:-1] + stiffness[1:] + ground) / mass
@@ -292,9 +306,10 @@ def _rayleigh(shape: Array, stiffness: Array, ground: Array) -> Array:
 def _separate(shape: Array, stiffness: Array, mass: Array, ground: Array) -> Array:
     """Return low modes after removing the other modes that the diagonalisation mixes into them.
 
-    That is ``eps omega_max^2 / gap``. Sums of extensions over contacts give the share of mode j in
-    mode i to ``eps omega_i omega_j / gap``; first order, again while it is large; T. Ogita and
-    K. Aishima, Jpn. J. Ind. Appl. Math. 35, 1007 (2018).
+    The diagonalisation mixes modes by about ``eps omega_max^2 / gap``. Sums of extensions over
+    contacts determine the fraction of mode j in mode i with an error of only
+    ``eps omega_i omega_j / gap``. The correction is of first order, and is repeated while it is
+    large; T. Ogita and K. Aishima, Jpn. J. Ind. Appl. Math. 35, 1007 (2018).
     """
     for _ in range(3):
         extension = np.sqrt(stiffness)[:, None] * _extend(shape)
@@ -317,16 +332,16 @@ def _separate(shape: Array, stiffness: Array, mass: Array, ground: Array) -> Arr
 def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """Return the quasi-normal frequencies of Eq. (30) in a column of N grains, in units of 1/tau.
 
-    ``(eta/2) j H^(-eta/2)`` with j the k-th zero of J_(-nu) and H = N - 1/2, where grain N is held:
-    the solutions of the Sturm-Liouville problem with no flux through the free top. Relative error
-    of order (k/N)^2.
+    They are ``(eta/2) j H^(-eta/2)`` with the k-th zero j of J_(-nu) and the depth H = N - 1/2 of
+    the held grain N. They solve the Sturm-Liouville problem without flux through the free top. The
+    relative error is of order (k/N)^2.
 
     Parameters
     ----------
     k : array_like
         Number of the mode, from 1.
     grains : int
-        N; the last one is held.
+        Number of grains N, of which the last one is held.
     delta : float
         Exponent of the contact force.
 
@@ -351,13 +366,13 @@ def quasi_normal(k: ArrayLike, grains: int, delta: float = 1.5) -> Array:
 def band_edge(grains: int, delta: float = 1.5) -> float:
     """Return the highest frequency of a column of N grains, in units of 1/tau, by Airy's equation.
 
-    ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]``, H = N - 1/2; error 2e-4 for N = 100, 1e-5
-    for N = 1000. The mode is localised in the lowest (H / 4 xi)^(1/3) grains.
+    It is ``omega^2 = H^xi [4 - 2.338107 (4 xi / H)^(2/3)]`` with H = N - 1/2. The error is 2e-4 for
+    N = 100, and 1e-5 for N = 1000. The mode is localised in the lowest (H / 4 xi)^(1/3) grains.
 
     Parameters
     ----------
     grains : int
-        N.
+        Number of grains N.
     delta : float
         Exponent of the contact force.
 
@@ -368,7 +383,7 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
     Raises
     ------
     InputError
-        If grains < 2 or delta <= 1: the bottom of a uniform chain localises nothing.
+        If grains < 2 or delta <= 1, because a uniform chain has no localised mode.
 
     Examples
     --------
@@ -385,16 +400,16 @@ def band_edge(grains: int, delta: float = 1.5) -> float:
 def count(frequency: ArrayLike, grains: int, delta: float = 1.5) -> Array:
     """Return the number of modes of a column of N grains below a frequency, by WKB.
 
-    The integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over 0 < h < H = N - 1/2. At the k-th
-    eigenfrequency it is k - 1/4 - nu/2 (omega < 2) or k - 1/4 (above, where the mode has a turning
-    point).
+    The number is the integral of (2/pi) arcsin(min(1, omega h^(-xi/2) / 2)) over
+    0 < h < H = N - 1/2. At the k-th eigenfrequency it is k - 1/4 - nu/2 for omega < 2, and k - 1/4
+    for larger omega, where the mode has a turning point.
 
     Parameters
     ----------
     frequency : array_like
-        In units of 1/tau.
+        Frequencies omega, in units of 1/tau.
     grains : int
-        N.
+        Number of grains N.
     delta : float
         Exponent of the contact force.
 

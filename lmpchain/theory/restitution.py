@@ -1,9 +1,9 @@
 """Restitution of two viscoelastic spheres, exactly and by a series.
 
-Contacts push with ``K (1 + A d/dt) o^delta`` and end where the overlap o is 0 again. What is left
-of the velocity depends on ``x = delta A (K/m)^(2/5) v^(1/5)`` alone for Hertz's delta = 3/2, with
-the reduced mass m: T. Schwager and T. Poeschel, Phys. Rev. E 57, 650 (1998); R. Ramirez et al.,
-Phys. Rev. E 60, 4465 (1999). Faster spheres rebound less.
+The contact force is ``K (1 + A d/dt) o^delta``, and the contact ends when the overlap o returns to
+0. For Hertz's delta = 3/2 the restitution depends only on ``x = delta A (K/m)^(2/5) v^(1/5)``, with
+the reduced mass m and the relative velocity v: T. Schwager and T. Poeschel, Phys. Rev. E 57, 650
+(1998); R. Ramirez et al., Phys. Rev. E 60, 4465 (1999). Faster spheres have a smaller restitution.
 """
 
 from __future__ import annotations
@@ -64,20 +64,22 @@ def coefficient(
 ) -> Array:
     """Return the restitution of two spheres: the ratio of relative velocities after and before.
 
-    Exact to 1e-12, by the motion itself; for linear springs ``exp(-pi z / sqrt(1 - z^2))`` with
-    ``z = A omega / 2`` and ``omega^2 = K / m``. 0 where they stick.
+    It is computed by integrating the motion, with an error of 1e-12. For linear springs it is
+    ``exp(-pi z / sqrt(1 - z^2))`` with ``z = A omega / 2`` and ``omega^2 = K / m``. It is 0 if the
+    spheres stick.
 
     Parameters
     ----------
     velocity : array_like
-        That before the collision, m/s, above 0.
+        Relative velocity before the collision, m/s, above 0.
     viscoelastic : array_like
-        A of the contact, s.
+        Viscoelastic time A of the contact, s.
     material : Material, name, or two of them
+        Material of the spheres.
     diameter : float or two of them
-        m.
+        Diameter of the spheres, m.
     exponent : float
-        delta.
+        Exponent delta of the contact force.
 
     Returns
     -------
@@ -86,7 +88,7 @@ def coefficient(
     Raises
     ------
     InputError
-        For what is no material or out of its range.
+        If a material is unknown, or if an argument is out of range.
 
     Examples
     --------
@@ -107,16 +109,22 @@ def series(
 ) -> Array:
     """Return the restitution of two spheres of Hertz's law by its series 1 - 1.1534 x + 0.7983 x^2.
 
-    Signs alternate up to x^8: the error is below the first power that is left out, where x is
-    below 1. Ramirez et al. print 0.4836 and 0.2853 for the next two numbers, in place of 0.5229
+    The signs alternate up to x^8, so that for x below 1 the error is smaller than the first omitted
+    term. Ramirez et al. print 0.4836 and 0.2853 for the next two coefficients, in place of 0.5229
     and 0.3487.
 
     Parameters
     ----------
-    velocity, viscoelastic, material, diameter
-        As in `coefficient`.
+    velocity : array_like
+        Relative velocity before the collision, m/s, above 0.
+    viscoelastic : array_like
+        Viscoelastic time A of the contact, s.
+    material : Material, name, or two of them
+        Material of the spheres.
+    diameter : float or two of them
+        Diameter of the spheres, m.
     terms : int
-        Powers of x, 1 to 8.
+        Number of powers of x, 1 to 8.
 
     Returns
     -------
@@ -125,7 +133,7 @@ def series(
     Raises
     ------
     InputError
-        For what is no material or out of its range.
+        If a material is unknown, or if an argument is out of range.
 
     Examples
     --------

@@ -1,13 +1,13 @@
 """Scattering of linear waves by a chain segment between two uniform leads.
 
-The leads are the ends of the chain, extended: above grain 1 as grain 1 and contact 1, below grain N
-as grain N and contact N - 1. A wave of amplitude 1 comes from above. Transfer matrices carry
-displacement and force from the transmitted wave upward, where that solution is the one that grows:
-long pieces and gaps cost no digits.
+The leads extend the ends of the chain: the upper lead repeats grain 1 and contact 1, and the lower
+lead repeats grain N and contact N - 1. A wave of amplitude 1 comes from above. Transfer matrices
+propagate displacement and force upward from the transmitted wave. This solution grows upward, so
+that rounding errors stay small in long segments and in gaps.
 
-Of a damped chain the leads lose nothing, so that energy is counted there: what neither comes back
-nor passes is absorbed between grain 1 and grain N, by contacts ``k (1 - i w A)`` and grains
-``m (1 + i gamma / w)``.
+The leads of a damped chain are lossless, so that the energy of waves is defined there. Energy that
+is neither reflected nor transmitted is absorbed between grain 1 and grain N, by contacts
+``k (1 - i w A)`` and grains ``m (1 + i gamma / w)``.
 """
 
 from __future__ import annotations
@@ -48,13 +48,18 @@ class Transmission(Shown, Tabular):
         Frequencies, rad/s.
     wavenumber : (F,) array
         Wavenumbers in the upper lead, radians per grain, 0 to pi.
-    amplitude_reflected, amplitude_transmitted : (F,) complex arrays
-        Displacement of grain 1 by the reflected wave, and of grain N by the transmitted one, over
-        that of grain 1 by the incoming one; with the time dependence exp(-i w t).
-    reflected, transmitted : (F,) arrays
-        Shares of the energy.
+    amplitude_reflected : (F,) complex array
+        Displacement of grain 1 by the reflected wave, over its displacement by the incoming wave,
+        with the time dependence exp(-i w t).
+    amplitude_transmitted : (F,) complex array
+        Displacement of grain N by the transmitted wave, over the displacement of grain 1 by the
+        incoming wave.
+    reflected : (F,) array
+        Fraction of the energy that is reflected.
+    transmitted : (F,) array
+        Fraction of the energy that is transmitted.
     absorbed : (F,) array
-        The rest of it, which damping takes; 0 without.
+        Fraction of the energy that damping absorbs; 0 without damping.
     """
 
     _units: ClassVar[dict[str, str]] = {
@@ -90,24 +95,25 @@ class Transmission(Shown, Tabular):
 def transmission(chain: Chain, frequency: ArrayLike) -> Transmission:
     """Return reflection and transmission of a chain between uniform leads that continue its ends.
 
-    A wall or a held grain at its ends has no part in it. A. J. Martinez et al., Phys. Rev. E 93,
-    052224 (2016), have closed forms for one impurity and two.
+    Walls at the ends of the chain are ignored, and a held grain moves as the others do. A. J.
+    Martinez et al., Phys. Rev. E 93, 052224 (2016), give closed forms for one and two impurities.
 
     Parameters
     ----------
     chain : Chain
-        Compressed.
+        A compressed chain.
     frequency : (F,) array_like
-        rad/s, above 0 and within the band of the lead above.
+        Frequencies, rad/s, above 0 and within the band of the upper lead.
 
     Returns
     -------
     Transmission
+        Amplitudes and fractions of the energy.
 
     Raises
     ------
     InputError
-        If nothing is compressed, or a frequency does not travel in the lead above.
+        If no contact is compressed, or if a frequency is outside the band of the upper lead.
 
     Examples
     --------
@@ -134,12 +140,12 @@ class Reflection(Shown, Tabular):
     frequency : (F,) array
         Frequencies, rad/s.
     amplitude : (F,) complex array
-        Displacement of the last grain before the end by the wave that comes back, over that by the
-        incoming one; with the time dependence exp(-i w t).
+        Displacement of the last grain before the end by the reflected wave, over its displacement
+        by the incoming wave, with the time dependence exp(-i w t).
     reflected : (F,) array
-        Share of the energy.
+        Fraction of the energy that is reflected.
     bands : (B, 2) array
-        Edges of the bands of the cell that repeats, rad/s.
+        Edges of the bands of the repeating cell, rad/s.
     """
 
     _units: ClassVar[dict[str, str]] = {"frequency": "rad/s", "amplitude": "", "reflected": ""}
@@ -166,27 +172,31 @@ def reflection(
 ) -> Reflection:
     """Return the reflection by the last grains of a chain, such as an absorbing boundary.
 
-    The wave comes from a chain without losses that repeats the first cell of these grains for ever;
-    behind them is what the chain has there: a wall, a held grain, or nothing.
+    The wave comes from an infinite lossless chain that repeats the first cell of these grains. The
+    end of the chain remains: a wall, a held grain, or a free end.
 
     Parameters
     ----------
     chain : Chain
-        Pressed at that end.
+        A chain whose contacts are compressed at this end.
     grains : int
-        How many at the end.
+        Number of grains at the end that reflect the wave.
     end : "bottom" or "top"
+        End of the chain.
     frequency : (F,) array_like, optional
-        rad/s, within the bands of the cell; by default 61 in the middle 80 % of each.
+        Frequencies, rad/s, within the bands of the cell; by default 61 in the middle 80 % of each
+        band.
 
     Returns
     -------
     Reflection
+        Amplitudes and fractions of the energy.
 
     Raises
     ------
     InputError
-        If nothing is linear there, there are fewer grains, or a frequency does not travel.
+        If contacts at this end are not compressed, if the chain has fewer grains, or if a frequency
+        is outside the bands.
 
     Examples
     --------
@@ -225,31 +235,34 @@ def transparent(
 ) -> Array:
     """Return factors of a grain property at which a wave passes the grains unreflected.
 
-    Two like impurities side by side have such a Ramsauer-Townsend resonance where one has none;
-    A. J. Martinez et al., Phys. Rev. E 93, 052224 (2016).
+    Two equal impurities side by side have such a Ramsauer-Townsend resonance, but a single impurity
+    has none; A. J. Martinez et al., Phys. Rev. E 93, 052224 (2016).
 
     Parameters
     ----------
     chain : Chain
-        Uniform and with no impurities, under a load and without gravity.
+        A uniform chain without impurities, under a load and without gravity.
     frequency : float
-        rad/s, in the band.
+        Frequency, rad/s, in the band.
     grains : list of int
-        Those that are changed, all by one factor; equal to their mirror image.
+        Numbers of the grains that are changed, all by the same factor. Their arrangement must be
+        its own mirror image.
     vary : str
-        "diameter" (which changes mass and contacts), "mass" or "youngs_modulus".
+        Property that is changed: "diameter" (which changes mass and contacts), "mass" or
+        "youngs_modulus".
     between : (float, float)
-        Factors between which to search.
+        Smallest and largest factor of the search.
 
     Returns
     -------
     (S,) array
-        Ascending; empty if there is none. The factor 1, no change, is left out.
+        Factors in ascending order; empty if there are none. The factor 1 (no change) is omitted.
 
     Raises
     ------
     InputError
-        If the chain is not as above, the grains do not fit in, or the frequency does not travel.
+        If the chain is not as described, if the grains are too close to its ends or are not
+        symmetric, or if the frequency is outside the band.
 
     Examples
     --------

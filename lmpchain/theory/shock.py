@@ -1,21 +1,25 @@
 """Shocks, dispersive shocks and rarefactions of a uniform chain in the long-wave limit.
 
-Over many grains ``m v_t = -F_x, R_t = -v_x`` with the overlap R and ``F = K R^delta``: a gas whose
-sound has the speed ``c(R) = (delta K R^(delta-1) / m)^(1/2)``, grains a second, and whose waves
-that travel one way keep ``v - J(R)``, ``J = 2 c R / (delta + 1)``. Places are counted in grains,
-which waves do not carry along. Where such a wave would break, a lossless chain makes a train of
-solitary waves that spreads: it ends, behind, in linear waves, and begins with a solitary wave. By
-El's fitting (Chaos 15, 037103 (2005)), which Whitham's modulation equations imply, the dispersion
-``w = 2 c sin(k/2)`` of the lattice gives both edges in closed form, a ahead and b behind,
+Over lengths of many grains the chain obeys ``m v_t = -F_x`` and ``R_t = -v_x`` with the overlap R
+and the force ``F = K R^delta``. These are the equations of a gas with the speed of sound
+``c(R) = (delta K R^(delta-1) / m)^(1/2)``, in grains per second. In a wave that travels in one
+direction ``v - J(R)`` is constant, with ``J = 2 c R / (delta + 1)``. Positions are grain numbers.
 
-    trailing  2 c_a - c_b,    leading  2 c_a sinh(q/2) / q  with  cosh(q/4)^2 = c_b / c_a;
+Where such a wave would break, a dispersive shock forms in a lossless chain: a spreading train of
+waves with a solitary wave at its leading edge and linear waves at its trailing edge. The speeds of
+both edges follow from the dispersion ``w = 2 c sin(k/2)`` of the lattice by El's fitting method
+(Chaos 15, 037103 (2005)), which is based on Whitham's modulation equations. With a ahead of the
+shock and b behind it, they are
 
-behind ``c_b > 2 c_a`` no trailing edge leaves the piston. Grains that are pulled away faster than
-J(R_a) part: their contacts are open, their overlap is 0, and so is the speed of the trailing edge
-of that rarefaction, because no force passes an open contact. For Toda's force, (exp(beta R) - 1) /
-beta, they are exact. For weak waves, c_b = c_a (1 + a), they tend to those of Korteweg and de Vries
-(Gurevich and Pitaevskii, Sov. Phys. JETP 38, 291 (1974)), c_a (1 + 2a/3) and c_a (1 - a), with a
-leading wave twice as high as the jump.
+    trailing  2 c_a - c_b,    leading  2 c_a sinh(q/2) / q  with  cosh(q/4)^2 = c_b / c_a.
+
+If ``c_b > 2 c_a``, no trailing edge leaves the piston. For Toda's force, (exp(beta R) - 1) / beta,
+the speeds are exact. For weak waves, c_b = c_a (1 + a), they tend to the speeds of the Korteweg-de
+Vries equation (Gurevich and Pitaevskii, Sov. Phys. JETP 38, 291 (1974)), c_a (1 + 2a/3) and
+c_a (1 - a), with a leading wave twice as high as the jump.
+
+Grains that are pulled away faster than J(R_a) separate, and their contacts have the overlap 0. The
+trailing edge of this rarefaction does not move, because open contacts transmit no force.
 """
 
 from __future__ import annotations
@@ -56,21 +60,21 @@ class Edges(NamedTuple):
 class Medium:
     """A uniform chain in analogy to a gas.
 
-    All methods raise `InputError` for a negative overlap: that of an open contact is 0.
+    All methods raise `InputError` for a negative overlap, because open contacts have the overlap 0.
 
     Attributes
     ----------
     exponent : float
-        delta.
+        Exponent delta of the contact force.
     constant : float
-        K, N/m^delta.
+        Contact constant K, N/m^delta.
     mass : float
         Mass of a grain, kg.
 
     Raises
     ------
     InputError
-        Unless the exponent is above 1, and constant and mass are above 0.
+        If the exponent is not above 1, or if constant or mass is not above 0.
 
     Examples
     --------
@@ -120,8 +124,8 @@ class Medium:
     def behind(self, ahead: State, velocity: float) -> State:
         """Return the state behind a simple or dispersive wave that a piston drives.
 
-        Grains cannot follow a piston that withdraws faster than the velocity ahead less J. They fly
-        at that velocity, and their contacts are open.
+        Grains cannot follow a piston whose velocity is below v_a - J(R_a), with the velocity v_a
+        and the overlap R_a ahead. They then fly at this velocity, and their contacts are open.
         """
         slowest = ahead.velocity - self.invariant(ahead.overlap)
         return State(max(velocity, slowest), self.overlap_at(velocity - slowest))
@@ -129,7 +133,8 @@ class Medium:
     def between(self, left: State, right: State) -> State:
         """Return the state between the simple or dispersive waves that a step emits to both sides.
 
-        The velocity is NaN if the contacts open: both sides fly apart, each as `behind` says.
+        The velocity is NaN if the contacts open, because the two sides then fly apart at different
+        velocities.
         """
         above = left.velocity + self.invariant(left.overlap)
         below = right.velocity - self.invariant(right.overlap)
@@ -139,16 +144,18 @@ class Medium:
     def rankine_hugoniot(self, ahead: State, velocity: float) -> tuple[State, float]:
         """Return the state behind a steady shock, and the shock speed, grains/s.
 
-        Mass and momentum are conserved: ``V (R_b - R_a) = v_b - v_a``, ``m V (v_b - v_a) = F_b -
-        F_a``, whatever makes the shock steady.
+        The conservation of mass and momentum, ``V (R_b - R_a) = v_b - v_a`` and ``m V (v_b - v_a) =
+        F_b - F_a``, determines both, whatever mechanism makes the shock steady.
 
         Raises
         ------
         InputError
-            Unless the velocity behind exceeds that ahead: nothing is compressed.
+            If the velocity behind does not exceed the velocity ahead.
         """
         jump = velocity - ahead.velocity
-        require(("velocity", jump > 0, "must exceed that ahead, or there is no shock"))
+        require(
+            ("velocity", jump > 0, "must exceed the velocity ahead: otherwise there is no shock")
+        )
 
         def excess(overlap: float) -> float:
             rise = self.force(overlap) - self.force(ahead.overlap)
@@ -164,18 +171,20 @@ class Medium:
     def rarefaction(self, ahead: State, overlap: float) -> Edges:
         """Return the edges of a rarefaction, which are the sound speeds ahead and behind.
 
-        The trailing edge of a rarefaction that opens contacts, overlap 0, stays where it began.
+        If contacts open (overlap 0), the trailing edge stays where the rarefaction began.
         """
         expands = overlap <= ahead.overlap
-        require(("overlap", expands, "must not exceed that ahead, or there is no rarefaction"))
+        rule = "must not exceed the overlap ahead: otherwise there is no rarefaction"
+        require(("overlap", expands, rule))
         height = overlap - ahead.overlap
         return Edges(self.sound(ahead.overlap), self.sound(overlap), height)
 
     def dispersive(self, ahead: State, overlap: float) -> Edges:
         """Return the edges of a dispersive shock by El's fitting, with the exact solitary wave.
 
-        The height is that of the solitary wave of this speed, by `soliton.solve`; NaN where it is
-        too slow for that, and without a load. The trailing speed is NaN where no edge forms.
+        The height is that of the solitary wave with the leading speed (`soliton.solve`). It is NaN
+        without a load, and if the wave is too slow for `solve`. The trailing speed is NaN if no
+        trailing edge forms.
         """
         _require_compression(ahead, overlap)
         sound = self.sound(ahead.overlap)
@@ -213,9 +222,10 @@ class Medium:
     def thickness(self, ahead: State, overlap: float, viscosity: float) -> float:
         """Return the jump over the steepest slope of a weak viscous shock, grains.
 
-        Burgers's: ``8 nu / (c_b - c_a)`` with ``nu = A c_a^2 / 2``, A the time of `Damping`, s.
+        Burgers's equation gives ``8 nu / (c_b - c_a)`` with ``nu = A c_a^2 / 2``. The viscosity A
+        is the viscoelastic time of `Damping`, s.
         """
-        rule = "must exceed that ahead, or there is no shock"
+        rule = "must exceed the overlap ahead: otherwise there is no shock"
         require(("overlap", overlap > ahead.overlap, rule))
         sound = self.sound(ahead.overlap)
         return 4 * viscosity * sound**2 / (self.sound(overlap) - sound)
@@ -230,7 +240,8 @@ def _require_overlap(overlap: float) -> None:
 def _require_compression(ahead: State, overlap: float) -> None:
     """Raise `InputError` if a dispersive shock would have to expand the chain."""
     compressed = overlap >= ahead.overlap
-    require(("overlap", compressed, "must not be below that ahead, or there is no shock"))
+    rule = "must not be below the overlap ahead: otherwise there is no shock"
+    require(("overlap", compressed, rule))
 
 
 def _solitary_speed(cosh: float) -> float:

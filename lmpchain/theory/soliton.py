@@ -1,15 +1,16 @@
 """Solitary waves of the lattice, for any exponent, in the sonic vacuum and under a load.
 
-A contact at x = n + 1/2 - c t, in grains, has the overlap r(x) beyond that at rest, with the excess
-force N(r): ``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``. It is due to J. M.
-English and R. L. Pego, Proc. Am. Math. Soc. 133, 1763 (2005), and is the advance-delay equation
-``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive, so log r is found, by
-Newton's method as a Chebyshev series: relative errors are small in the tails, too. It falls as
-``-delta^|x|`` in the sonic vacuum, as ``-kappa |x|`` under a load, ``sinh(kappa/2) = c kappa/2``.
+Let r(x) be the overlap in excess of rest of a contact at x = n + 1/2 - c t, in grains, and N(r) its
+force in excess of rest. Then ``c^2 r(x) = integral of (1 - |s|) N(r(x + s)) over -1 < s < 1``;
+J. M. English and R. L. Pego, Proc. Am. Math. Soc. 133, 1763 (2005). This is equivalent to the
+advance-delay equation ``c^2 r'' = N(r(x - 1)) - 2 N(r(x)) + N(r(x + 1))``. Its kernel is positive,
+so that log r exists. Newton's method computes log r as a Chebyshev series, which makes relative
+errors small in the tails, too. Far from the middle log r falls as ``-delta^|x|`` in the sonic
+vacuum, and as ``-kappa |x|`` with ``sinh(kappa/2) = c kappa/2`` under a load.
 
-Units. Under a load: the overlap at rest, the mass of a grain and tau, the unit of the paper, in
-which sound travels one grain. In the sonic vacuum: masses and contact constants are 1, which leaves
-the unit of velocity open.
+Units. Under a load, the units are the overlap at rest, the mass of a grain, and the time tau of the
+paper, in which sound travels one grain. In the sonic vacuum masses and contact constants are 1, and
+the unit of velocity is arbitrary.
 """
 
 from __future__ import annotations
@@ -62,19 +63,20 @@ class Soliton(Shown):
     Attributes
     ----------
     delta : float
+        Exponent of the contact force.
     loaded : bool
-        Whether the chain is compressed at rest; decides the units, see the module.
+        Whether the chain is compressed at rest. The units depend on it, see the module.
     speed : float
-        c, grains a unit of time; under a load over the speed of sound.
+        Speed c, grains per unit of time; under a load, the speed over the speed of sound.
     height : float
         Overlap by which exp(series) is multiplied.
     reach : float
-        ``|x|`` up to which the series holds.
+        Largest ``|x|`` that the series covers.
     series : (K,) array
         Coefficients of log(overlap / height), see `lmpchain.theory.soliton_series`.
     residual : float
-        Largest residual of the equation between the points where it was solved, over the largest
-        overlap; in the tails at most 1e-8 of the overlap there.
+        Largest residual of the equation between the collocation points, over the largest overlap.
+        In the tails it is at most 1e-8 of the local overlap.
 
     Examples
     --------
@@ -140,22 +142,22 @@ class Soliton(Shown):
     def on(self, chain: Chain, grain: float, downward: bool = True) -> Profile:
         """Return this wave on a chain at the time when it passes a grain, in SI units.
 
-        In the sonic vacuum its largest velocity is that for which it was solved, in m/s.
+        In the sonic vacuum the largest grain velocity, in m/s, is the velocity given to `solve`.
 
         Parameters
         ----------
         chain : Chain
-            Uniform where the wave is, without gravity.
+            A chain without gravity that is uniform around the wave.
         grain : float
-            Position of its middle; 10.5 lies between grains 10 and 11.
+            Position of the middle of the wave; 10.5 is between grains 10 and 11.
         downward : bool
-            Direction of travel.
+            Whether the wave travels downward.
 
         Raises
         ------
         InputError
-            If the chain has another exponent, a gravity, a load in place of none or none in place
-            of one, is not uniform around the wave, or is too short.
+            If the chain has another exponent, gravity or a ground, if only the wave or only the
+            chain is under a load, or if the chain is not uniform around the wave or too short.
 
         Examples
         --------
@@ -195,7 +197,7 @@ class Soliton(Shown):
         load = "must be above 0 for a wave under a load, else 0"
         require(
             ("chain", chain.law.power == self.delta, exponent),
-            ("chain.ground", chain.ground is None, "must be left out: the wave has none"),
+            ("chain.ground", chain.ground is None, "must be left out: it would change the wave"),
             ("gravity", chain.gravity == 0, gravity),
             ("top_load", chain.compressed == self.loaded, load),
         )
@@ -238,23 +240,24 @@ def solve(delta: float = 1.5, speed: float | None = None, velocity: float | None
     Parameters
     ----------
     delta : float
-        Above 1, at most 6.
+        Exponent of the contact force, above 1 and at most 6.
     speed : float
-        Over the speed of sound, 1.0001 or more: weaker waves are those of `kdv_overlap`, to 1 part
-        in 4000.
+        Speed of a wave under a load over the speed of sound, 1.0001 or more. Weaker waves agree
+        with `kdv_overlap` to 1 part in 4000.
     velocity : float
-        Of a grain, in units in which mass and contact constant are 1 (`Soliton.on` takes it for
-        m/s).
+        Largest velocity of a grain in the sonic vacuum, in units in which mass and contact constant
+        are 1. `Soliton.on` uses this number in m/s.
 
     Returns
     -------
     Soliton
+        The wave as a function of position.
 
     Raises
     ------
     InputError
-        If these are out of range, not exactly one of speed and velocity is given, or the wave
-        cannot be resolved.
+        If an argument is out of range, if not exactly one of speed and velocity is given, or if the
+        wave cannot be resolved.
 
     Examples
     --------
@@ -286,12 +289,14 @@ def struck(velocity: float, delta: float = 1.5) -> Soliton:
     Parameters
     ----------
     velocity : float
-        Overlaps at rest a tau.
+        Largest velocity of a grain, in overlaps at rest per unit of tau.
     delta : float
+        Exponent of the contact force, above 1 and at most 6.
 
     Returns
     -------
     Soliton
+        The wave as a function of position.
 
     Raises
     ------

@@ -13,13 +13,14 @@ from .soliton_series import long_wave_speed
 def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
     """Return the speed of Nesterenko's long-wave soliton in the sonic vacuum.
 
-    ``(2 / (delta + 1))^(1/(delta+1)) v^((delta-1)/(delta+1))``, V. F. Nesterenko, J. Appl. Mech.
-    Tech. Phys. 24, 733 (1983); that of the lattice is 0.78 % slower for Hertz.
+    The speed is ``(2 / (delta + 1))^(1/(delta+1)) v^((delta-1)/(delta+1))``; V. F. Nesterenko, J.
+    Appl. Mech. Tech. Phys. 24, 733 (1983). The solitary wave of the lattice is 0.78 % slower for
+    Hertz contacts.
 
     Parameters
     ----------
     velocity : array_like
-        v, the largest one of a grain.
+        Largest velocity v of a grain.
     delta : float
         Exponent of the contact force.
 
@@ -46,15 +47,16 @@ def nesterenko_speed(velocity: ArrayLike, delta: float = 1.5) -> Array:
 def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
     """Return the overlap of Nesterenko's long-wave soliton in the sonic vacuum.
 
-    ``[(delta+1) c^2 / 2]^(1/(delta-1)) cos^(2/(delta-1))(q x)`` where ``|q x| < pi/2``,
-    ``q = (delta - 1) [6 / (delta (delta + 1))]^(1/2)``, sqrt(10)/5 for Hertz, where the power is 4.
+    The overlap is ``[(delta+1) c^2 / 2]^(1/(delta-1)) cos^(2/(delta-1))(q x)`` for
+    ``|q x| < pi/2``, and 0 elsewhere, with ``q = (delta - 1) [6 / (delta (delta + 1))]^(1/2)``. For
+    Hertz contacts q is sqrt(10)/5, and the power of the cosine is 4.
 
     Parameters
     ----------
     x : array_like
         Distance from the peak, in grains.
     speed : float
-        c.
+        Speed c, grains per unit of time.
     delta : float
         Exponent of the contact force.
 
@@ -76,8 +78,8 @@ def nesterenko_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
 def sen_displacement(x: ArrayLike) -> Array:
     """Return the relative displacement, as fitted for Hertz's law in the sonic vacuum.
 
-    (1 - tanh(f(x)/2))/2 with ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``; S. Sen et al., Phys.
-    Rep. 462, 21 (2008).
+    The displacement over its value far behind the wave is ``(1 - tanh(f(x)/2))/2`` with
+    ``f = 2.39536 x + 0.268529 x^3 + 0.0061347 x^5``; S. Sen et al., Phys. Rep. 462, 21 (2008).
 
     Parameters
     ----------
@@ -109,14 +111,15 @@ def sen_displacement(x: ArrayLike) -> Array:
 def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
     """Return the long-wave speed under a load, relative to the speed of sound.
 
-    ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` for Hertz, f being the largest
-    over the static force; C. Coste, E. Falcon and S. Fauve, Phys. Rev. E 56, 6104 (1997). The
-    lattice is faster, by 0.05 % at 1.05 and 1.2 % for strong waves.
+    For Hertz contacts it is ``(f^(2/3) - 1)^(-1) {(4/15) [3 + 2 f^(5/3) - 5 f^(2/3)]}^(1/2)`` with
+    the largest force over the static force f; C. Coste, E. Falcon and S. Fauve, Phys. Rev. E 56,
+    6104 (1997). Waves of the lattice are faster, by 0.05 % at 1.05 times the speed of sound, and by
+    1.2 % for strong waves.
 
     Parameters
     ----------
     force : array_like
-        Largest over static force, above 1.
+        Largest force over the static force, above 1.
     delta : float
         Exponent of the contact force.
 
@@ -135,21 +138,21 @@ def coste_speed(force: ArrayLike, delta: float = 1.5) -> Array:
     '1.049464'
     """
     f = real(force, "force")
-    require(("force", f > 1, "must be above 1: that at rest"))
+    require(("force", f > 1, "must be above 1, the value at rest"))
     return long_wave_speed(np.expm1(np.log(f) / delta), delta)
 
 
 def kdv_overlap(x: ArrayLike, speed: float, delta: float = 1.5) -> Array:
     """Return the overlap of the Korteweg-de Vries soliton, the limit of weak waves under a load.
 
-    ``6 e / (delta - 1) sech^2((6 e)^(1/2) x)`` with e = speed - 1.
+    The overlap is ``6 e / (delta - 1) sech^2((6 e)^(1/2) x)`` with e = speed - 1.
 
     Parameters
     ----------
     x : array_like
         Distance from the peak, in grains.
     speed : float
-        Over that of sound.
+        Speed over the speed of sound.
     delta : float
         Exponent of the contact force.
 

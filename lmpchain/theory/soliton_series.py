@@ -1,8 +1,8 @@
 """Series for the logarithm of the overlap in a solitary wave, by Newton's method.
 
-The equation and the units are those of `lmpchain.theory.soliton`. The series is one in even
-Chebyshev polynomials, of x in the sonic vacuum, of a stretched x under a load; beyond its reach the
-logarithm goes on as it falls, as a cosh or straight.
+The equation and the units are those of `lmpchain.theory.soliton`. The series consists of even
+Chebyshev polynomials, of x in the sonic vacuum and of a stretched x under a load. Beyond its reach
+the logarithm is extrapolated as a cosh in the sonic vacuum, and linearly under a load.
 """
 
 from __future__ import annotations
@@ -30,15 +30,17 @@ class Resolution:
     Attributes
     ----------
     drop : float
-        Fall of log(overlap) from the middle to the end of the series.
+        Decrease of log(overlap) from the middle to the end of the series.
     residual : float
-        Residual of the equation, relative to the largest overlap.
+        Largest residual of the equation that is accepted, relative to the largest overlap.
     tails : float
-        Weight of residuals over the overlap in the same place.
+        Weight of residuals that are relative to the local overlap.
     stretch : float
-        b of the stretched x = reach sinh(b z) / sinh(b).
-    fewest_terms, most_terms : int
-        Coefficients of the first series tried, and of the longest.
+        Parameter b of the stretched x = reach sinh(b z) / sinh(b).
+    fewest_terms : int
+        Number of coefficients of the first series that is tried.
+    most_terms : int
+        Largest number of coefficients.
     """
 
     drop: float = 45.0
@@ -98,7 +100,7 @@ def rows(x: Array, terms: int, reach: float, delta: float, loaded: bool) -> Arra
 def solve_series(delta: float, speed: float | None, velocity: float | None = None) -> SolitonSeries:
     """Return the wave of a given speed under a load, or of speed 1 in the sonic vacuum.
 
-    With a velocity, the largest of a grain, the speed is an approximation to begin with.
+    If the largest velocity of a grain is given, the speed is only a first approximation.
     """
     guess, reach = _guess(delta, speed)
     terms = RESOLUTION.fewest_terms

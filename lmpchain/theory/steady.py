@@ -19,14 +19,14 @@ def dynamic_stiffness(chain: Chain, omega: float) -> NDArray[np.complex128]:
     Parameters
     ----------
     chain : Chain
-        Compressed.
+        A compressed chain.
     omega : float
-        w, rad/s.
+        Frequency w, rad/s.
 
     Returns
     -------
     (N+1,) complex array
-        N/m.
+        Dynamic stiffness of every contact, N/m.
 
     Examples
     --------
@@ -42,20 +42,20 @@ def dynamic_stiffness(chain: Chain, omega: float) -> NDArray[np.complex128]:
 def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     """Return the amplitudes u of the response ``Im(u exp(i w t))`` of the linearised chain.
 
-    It solves ``(K (1 + i w A) - m w^2 + i w gamma m) u = f``, with the times A and the rates gamma
-    of `Damping`.
+    The amplitudes solve ``(K (1 + i w A) - m w^2 + i w gamma m) u = f``, with the times A and the
+    rates gamma of `Damping`.
 
     Parameters
     ----------
     chain : Chain
-        Compressed.
+        A compressed chain.
     drive : Drive or Force
-        With amplitude and frequency.
+        A sinusoidal motion or force, with its amplitude and frequency.
 
     Returns
     -------
     (N+2,) complex array
-        m; of the top wall, the grains and the bottom wall.
+        Amplitudes of the top wall, the grains and the bottom wall, m.
 
     Examples
     --------
@@ -92,18 +92,20 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
 def drive_stiffness(chain: Chain, drive: Drive | Force) -> complex:
     """Return the dynamic stiffness of the linearised chain at the driven body, N/m.
 
-    It is the force of the driver over the displacement, with the inertia of a driven grain.
-    Divided by ``-w^2`` it is the apparent mass, and by ``i w`` the impedance.
+    It is the external force over the displacement of the body, including the inertia of a driven
+    grain. Divided by ``-w^2`` it is the apparent mass, and divided by ``i w`` the impedance.
 
     Parameters
     ----------
-    chain, drive
-        As for `displacements`.
+    chain : Chain
+        A compressed chain.
+    drive : Drive or Force
+        A sinusoidal motion or force, with its amplitude and frequency.
 
     Returns
     -------
     complex
-        N/m.
+        Dynamic stiffness, N/m.
 
     Examples
     --------

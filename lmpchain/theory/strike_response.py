@@ -39,14 +39,16 @@ def impulse_amplitude(delta: float = 1.5) -> float:
 def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
     """Return the response to unit dphi/dtau of grain 1: C (tau^2 - chi^2)^(-xi/2eta), causal.
 
-    It is 0 outside the light cone. This is Eq. (35) made causal, with its amplitude; for Hertz
-    C (tau^2 - chi^2)^(-1/10). It is infinite on the cone (for delta = 1, a step of height 1), where
-    the front of a chain of grains is an Airy function: see `front`.
+    This is Eq. (35) with its amplitude, and with the value 0 outside the light cone. For Hertz
+    contacts it is C (tau^2 - chi^2)^(-1/10). It is infinite on the cone (for delta = 1, a step of
+    height 1). The front of a chain of grains is finite, see `lmpchain.theory.front`.
 
     Parameters
     ----------
-    h, tau : array_like
-        h >= 0; any real tau.
+    h : array_like
+        Depths, 0 or more.
+    tau : array_like
+        Times, any real numbers.
     delta : float
         Exponent of the contact force.
 
@@ -71,22 +73,25 @@ def impulse_response(h: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> Array:
 def impulse_of_grain(n: ArrayLike, tau: ArrayLike, delta: float = 1.5) -> tuple[Array, Array]:
     """Return phi and dphi/dtau of `impulse_response`, averaged over grain n, n - 1 < h < n.
 
-    With ``I`` the regularised incomplete beta function of order 1/eta, 1 - xi/(2 eta), it is
-    ``tau I((chi/tau)^2)`` between the two ends: finite on the light cone too, and of momentum 1 at
-    all times.
+    The average of phi is the difference of ``tau I((chi/tau)^2)`` between both ends of the grain,
+    where ``I`` is the regularised incomplete beta function with the parameters 1/eta and
+    1 - xi/(2 eta). It is finite on the light cone, too, and the total momentum is 1 at all times.
 
     Parameters
     ----------
     n : array_like
-        Grain, from 1.
+        Numbers of grains, from 1.
     tau : array_like
-        0 or more.
+        Times, 0 or more.
     delta : float
         Exponent of the contact force.
 
     Returns
     -------
-    two arrays
+    phi : array
+        Mean displacement of the grain.
+    speed : array
+        Mean velocity dphi/dtau of the grain.
 
     Raises
     ------
@@ -136,10 +141,16 @@ def peaked(
 
     Parameters
     ----------
-    h, tau : array_like
-        h >= 0; any real tau.
-    c1, c2, c3 : float
-        Any real numbers.
+    h : array_like
+        Depths, 0 or more.
+    tau : array_like
+        Times, any real numbers.
+    c1 : float
+        Constant term.
+    c2 : float
+        Amplitude of the power.
+    c3 : float
+        Shift of the time.
     delta : float
         Exponent of the contact force.
 

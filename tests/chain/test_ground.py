@@ -172,7 +172,7 @@ def work_of(run):
             power = force[:, 0] * wave.at(time, 1)
         else:
             pull = chain.ground.force(run.displacement)[:, 0]
-            # A sine begins with a corner, but without an acceleration.
+            # A sine begins with a kink, but without an acceleration.
             bend = np.append(0.0, excitation.acceleration(time[1:]))
             whole = chain.masses[0] * bend + pull + force[:, 1] - force[:, 0]
             power = whole * wave.at(time, 1)

@@ -190,8 +190,8 @@ def test_estimates_of_smooth_runs_are_close_upper_bounds():
         assert error < answer.error_estimate.total < 4 * error
 
 
-def test_the_longest_steps_of_auxiliary_runs_fit_between_two_corners():
-    """If all runs had equal steps between two corners, an error of 5e-11 would seem 1e-12."""
+def test_the_longest_steps_of_auxiliary_runs_fit_between_two_kinks():
+    """If all runs had equal steps between two kinks, an error of 5e-11 would seem 1e-12."""
     times = np.linspace(0, 7e-5, 15)
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)

@@ -65,7 +65,7 @@ def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         {
             0.0,
             scene.duration,
-            *(x for x in scene.excitation.waveform.corners if 0 < x < scene.duration),
+            *(x for x in scene.excitation.waveform.kinks if 0 < x < scene.duration),
         }
     )
     rows = [y]
@@ -117,7 +117,7 @@ def test_forced_motion_agrees_with_a_general_integrator(name):
     assert np.abs(v).max() > 0
     engines = (
         ["modes"]
-        if excitation.waveform.corners or isinstance(excitation, Force)
+        if excitation.waveform.kinks or isinstance(excitation, Force)
         else ["modes", "chebyshev"]
     )
     for engine in engines:

@@ -9,7 +9,7 @@ from helpers.taylor_series import reference
 from lmpchain import Chain, Drive, Force, Scene, simulate
 
 # Two grains between walls; the lower one is pushed for half of the time, so that the push ends in a
-# corner.
+# kink.
 PUSHED = Scene(
     chain=Chain(
         grains=2, diameter=1e-3, gravity=0, exponent=1, top_load=1e-2, top="wall", bottom="wall"
@@ -33,7 +33,7 @@ def test_a_push_that_ends_between_samples(samples: int, tolerance: float):
 
 @pytest.mark.parametrize("number", range(8))
 def test_half_sines_of_any_length_with_two_samples(number: int):
-    """The corner cuts the steps of all runs at its time, not at the end of a step."""
+    """The kink cuts the steps of all runs at its time, not at the end of a step."""
     rng = np.random.default_rng([5, number])
     edge = PUSHED.chain.band_edge
     push = PUSHED.excitation.replace(duration=float(10 ** rng.uniform(-0.1, 1.0)) * np.pi / edge)

@@ -262,8 +262,8 @@ int integrate(int grains, int terms, const int *kind, const REAL *laws, REAL *re
       continue;
     }
     stop = times[done];
-    int corner = acts && t < s.end && s.end < stop;
-    if (corner) stop = s.end;
+    int kink = acts && t < s.end && s.end < stop;
+    if (kink) stop = s.end;
     REAL h = fmin(next, stop - t);
     int whole = h == stop - t;
     if (++steps > most_steps) return 1;
@@ -283,7 +283,7 @@ int integrate(int grains, int terms, const int *kind, const REAL *laws, REAL *re
       memcpy(y, trial.y, sizeof(REAL) * m);
       next = whole ? fmax(next, wanted) : wanted;
       stuck = 0;
-      if (corner && whole) { s.end = -1; if (place == 0) y[grains] = 0; }
+      if (kink && whole) { s.end = -1; if (place == 0) y[grains] = 0; }
       continue;
     }
     /* A kink is crossed in this step. */

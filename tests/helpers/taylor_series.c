@@ -23,7 +23,7 @@ typedef struct {
 } Drive;
 
 /* Time up to which it stays the same analytic function. */
-static REAL corner(const Drive *d, REAL t, REAL end) {
+static REAL kink(const Drive *d, REAL t, REAL end) {
   REAL next = end;
   if (d->kind == 1 && t < d->end) next = d->end;
   if (d->kind == 2) {
@@ -159,7 +159,7 @@ int integrate(int N, const REAL *delta_, const REAL *K, const REAL *F, const REA
   REAL knot_end = end;
   while (sample < T) {
     int pad = (damped ? p : p / 2) + 2, first = lo - pad > 0 ? lo - pad : 0, last = hi + pad < N ? hi + pad : N; /* grains */
-    if (kind) knot_end = corner(&drive, t, end);
+    if (kind) knot_end = kink(&drive, t, end);
     for (int n = first; n < last; n++) {
       X[n] = x[n];
       X[N + n] = v[n];

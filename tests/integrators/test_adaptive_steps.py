@@ -66,11 +66,11 @@ SCENES = {
 }
 
 
-def corners(scene: Scene) -> np.ndarray:
+def kinks(scene: Scene) -> np.ndarray:
     """Return the times at which the forcing changes its formula and steps end, s."""
     if not scene.excitation.does_work:
         return np.empty(0)
-    return np.array(scene.excitation.waveform.corners)
+    return np.array(scene.excitation.waveform.kinks)
 
 
 def time_to_opening(gap: float, rate: float, bend: float) -> float:
@@ -155,7 +155,7 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
     made = [0]
     for look in range(LOOKS):
         end = (look + 1) * WIDE(scene.duration) / LOOKS
-        ends = [c for c in corners(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
+        ends = [c for c in kinks(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
         for until in [*ends, end]:
             while until - t > 1e-9 * longest:
                 near = nearness(scene, motion, x, v, t, cap)

@@ -32,7 +32,7 @@ from lmpchain.integrators.steps import Steps
 share = team.share.py_func
 widen = window.widen.py_func
 ahead = right_hand_side.ahead.py_func
-corner = waveform._corner.py_func
+kink = waveform._kink.py_func
 cut = right_hand_side.cut.py_func
 passes = dense_output.passes.py_func
 end_of_step = sample_loop.end_of_step.py_func
@@ -112,11 +112,11 @@ def acting(end: float = np.inf, knots: Any = ()) -> Any:
     return SimpleNamespace(imposed=imposed)
 
 
-def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
+def test_the_next_kink_is_the_end_of_a_burst_or_a_knot():
     burst = acting(3.0).imposed
     spline = acting(knots=(0.0, 1.0, 2.0, 4.0)).imposed
-    assert corner(burst.wave, burst.knots, 1.0, 5.0, 1e-9) == 2.0
-    assert corner(burst.wave, burst.knots, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
+    assert kink(burst.wave, burst.knots, 1.0, 5.0, 1e-9) == 2.0
+    assert kink(burst.wave, burst.knots, 3.0 - 2e-9, 5.0, 1e-9) == pytest.approx(2e-9, rel=1e-6)
     for t, end in (
         (3.0, 5.0),
         (4.0, 5.0),
@@ -125,15 +125,13 @@ def test_the_next_corner_is_the_end_of_a_burst_or_a_knot():
         (1.0, 2.0),
         (1.0, 3.0 + 0.5e-9),
     ):
-        assert corner(burst.wave, burst.knots, t, end, 1e-9) > 1e200
-    assert corner(spline.wave, spline.knots, 0.0, 9.0, 1e-9) == 1.0
-    assert corner(spline.wave, spline.knots, 1.0, 9.0, 1e-9) == 1.0
-    assert corner(spline.wave, spline.knots, 1.0 - 0.5e-9, 9.0, 1e-9) == pytest.approx(
-        1.0, rel=1e-8
-    )
-    assert corner(spline.wave, spline.knots, 2.5, 9.0, 1e-9) == 1.5
+        assert kink(burst.wave, burst.knots, t, end, 1e-9) > 1e200
+    assert kink(spline.wave, spline.knots, 0.0, 9.0, 1e-9) == 1.0
+    assert kink(spline.wave, spline.knots, 1.0, 9.0, 1e-9) == 1.0
+    assert kink(spline.wave, spline.knots, 1.0 - 0.5e-9, 9.0, 1e-9) == pytest.approx(1.0, rel=1e-8)
+    assert kink(spline.wave, spline.knots, 2.5, 9.0, 1e-9) == 1.5
     for t, end in ((2.5, 4.0), (4.0, 9.0), (0.2, 0.9), (5.0, 9.0)):
-        assert corner(spline.wave, spline.knots, t, end, 1e-9) > 1e200
+        assert kink(spline.wave, spline.knots, t, end, 1e-9) > 1e200
     still = acting(3.0)
     still.imposed.acts = False
     assert ahead(still, 1.0, 5.0, 1e-9) > 1e200

@@ -139,7 +139,7 @@ def answer(
     return fields[:, 0], stepper
 
 
-def corners(scene: Scene, method: str) -> list[float]:
+def kinks(scene: Scene, method: str) -> list[float]:
     """Return the times at which the forcing changes and a method ends a step, s."""
     waveform = scene.excitation.waveform if scene.excitation.does_work else None
     if waveform is None or method == "verlet":
@@ -157,8 +157,8 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
     for begin, end in pairwise(time):
         h = (end - begin) / steps
         grid = begin + h * np.arange(steps + 1)
-        cuts = [t for t in corners(scene, method) if begin + 1e-6 * h < t < end - 1e-6 * h]
-        if method == "dop853":  # Steps are equal parts between corners.
+        cuts = [t for t in kinks(scene, method) if begin + 1e-6 * h < t < end - 1e-6 * h]
+        if method == "dop853":  # Steps are equal parts between kinks.
             for left, right in pairwise([begin, *cuts, end]):
                 count = int(np.ceil((right - left) / h - 1e-9))
                 lengths += [(right - left) / count] * count

@@ -128,8 +128,8 @@ def integrate(scene: Scene) -> tuple[Array, Array]:
     mass = float(chain.masses[0]) * scales[1] ** 2
     atol = 1e-15 * np.repeat([*scales, mass], [size, size, 2])
     results = [y[-2:]]
-    corners = [] if wave is None else [t for t in wave.corners if 0 < t < scene.duration]
-    edges = np.union1d(scene.time, corners)
+    kinks = [] if wave is None else [t for t in wave.kinks if 0 < t < scene.duration]
+    edges = np.union1d(scene.time, kinks)
     for begin, end in pairwise(edges):
         part = solve_ivp(
             rates, (begin, end), y, "DOP853", args=((begin + end) / 2,), rtol=1e-12, atol=atol

@@ -119,7 +119,7 @@ HAMMERS = {
 @pytest.mark.parametrize("name", HAMMERS)
 @pytest.mark.parametrize("within", [0.6, 1.5, 2.5, 3.3, 5.5, 8.5, 11.5])
 def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float):
-    """The work of a hammer is accurate despite corners between few samples.
+    """The work of a hammer is accurate despite kinks between few samples.
 
     The work is compared with the energy gained.
     """

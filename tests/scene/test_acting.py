@@ -110,13 +110,13 @@ def course(given: Any) -> Any:
     return value
 
 
-def duhamel(given: Any, strength: float, times: Array, corners: list[float]) -> tuple[Array, Array]:
+def duhamel(given: Any, strength: float, times: Array, kinks: list[float]) -> tuple[Array, Array]:
     """Return x and x' of x'' = -OWN^2 x + strength f(t), initially at rest, by quadrature."""
     f = course(given)
     found = []
     largest = max(abs(f(t)) for t in np.linspace(0, times[-1], 101))
     for t in times:
-        inside = [c for c in corners if 0 < c < t] or None
+        inside = [c for c in kinks if 0 < c < t] or None
         options = {
             "points": inside,
             "epsabs": 1e-13 * abs(strength / OWN) * t * largest,
@@ -161,10 +161,10 @@ def test_one_grain_on_a_spring(kind: str, where: str):
         )
         strength = 20.0 / 2e-6
     scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
-    corners = [*given.waveform.corners]
+    kinks = [*given.waveform.kinks]
     # At resonance the samples miss most of the motion.
     between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
-    fields = duhamel(given, strength, between, corners)
+    fields = duhamel(given, strength, between, kinks)
     (x, v) = (field[7::8] for field in fields)
     largest = [np.abs(field).max() for field in fields]
 
@@ -259,7 +259,7 @@ def test_order_of_convergence(integrator: str, kind: str):
     # The divided step has a smaller error than the others.
     n = np.array(counts, dtype=float)
     laws = [np.ones(n.size), -np.log(n)] + (
-        [1 / n] if scene.excitation.waveform.corners and integrator in SPLITTINGS else []
+        [1 / n] if scene.excitation.waveform.kinks and integrator in SPLITTINGS else []
     )
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
     assert slope == pytest.approx(
@@ -423,8 +423,8 @@ def test_adaptive_steps_restart_exactly(monkeypatch: pytest.MonkeyPatch):
     ],
 )
 def test_the_integral_of_a_forcing(wave: Waveform):
-    """The integral agrees with quadrature from corner to corner."""
-    edges = np.unique(np.append([0.0, 0.25, 0.9], [t for t in wave.corners if t < 0.9]))
+    """The integral agrees with quadrature from kink to kink."""
+    edges = np.unique(np.append([0.0, 0.25, 0.9], [t for t in wave.kinks if t < 0.9]))
     parts = [quad(wave.at, a, b, epsabs=1e-13)[0] for a, b in itertools.pairwise(edges)]
     assert wave.integral(edges[1:]) == pytest.approx(np.cumsum(parts), rel=1e-11, abs=1e-12)
     assert wave.integral(0.0) == 0

@@ -144,13 +144,13 @@ def test_order_of_convergence(integrator: str, bottom: str):
 
 
 @splitting
-def test_a_path_without_corners_keeps_the_order(integrator: str):
+def test_a_path_without_kinks_keeps_the_order(integrator: str):
     chain = loaded()
     check_order(scene_of(chain, cubic(chain)[0]), integrator)
 
 
 @every
-def test_corners_between_steps_keep_the_order(integrator: str):
+def test_kinks_between_steps_keep_the_order(integrator: str):
     """If knots are at steps, every step is smooth."""
     chain = loaded()
     displacement = np.array([0, 1, -1, 2, 0]) * 1e-3 * chain.length_scale

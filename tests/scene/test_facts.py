@@ -49,14 +49,14 @@ def test_times_and_phases_agree_with_their_definitions(name: str) -> None:
     assert scene.sampling_decay == pytest.approx(rate * 5e-5 / 14, rel=1e-14, abs=0)
 
 
-def test_corners_are_those_of_the_force_within_the_run() -> None:
-    assert SCENES["struck"].corners == ()
-    assert SCENES["struck"].corner_spacing == np.inf
+def test_kinks_are_those_of_the_force_within_the_run() -> None:
+    assert SCENES["struck"].kinks == ()
+    assert SCENES["struck"].kink_spacing == np.inf
     pushed = SCENES["pushed"]
-    assert pushed.corners == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
-    assert pushed.corner_spacing == pytest.approx(
+    assert pushed.kinks == pytest.approx((1e-6, 3e-6, 7e-6, 2e-5))
+    assert pushed.kink_spacing == pytest.approx(
         1e-6
-    )  # The smallest spacing is from t = 0 to the first corner.
+    )  # The smallest spacing is from t = 0 to the first kink.
     assert pushed.recorded.tolist() == [7, 3]
 
 

@@ -65,8 +65,12 @@ def test_the_plain_input_is_understood(tmp_path: Path):
 REFUSED = {
     "cohesion": ("pair_coeff", "pair_coeff * * jkr 1e10 0 0.3 0.1", "has cohesion (jkr)"),
     "dmt": ("pair_coeff", "pair_coeff * * dmt 1e10 0 0.3 0.1", "has cohesion (dmt)"),
-    "no such model": ("pair_coeff", "pair_coeff * * hurtz 1e10 0", "has no contact model"),
-    "no coefficient": ("pair_coeff", "pair_coeff 2 2 hertz 1e10 0", "no pair_coeff of types 1 and"),
+    "no such model": ("pair_coeff", "pair_coeff * * hurtz 1e10 0", "has no known contact model"),
+    "no coefficient": (
+        "pair_coeff",
+        "pair_coeff 2 2 hertz 1e10 0",
+        "no pair_coeff for types 1 and",
+    ),
     "an unknown keyword": ("pair_coeff", "pair_coeff * * hertz 1e10 0 sticky 3", "has sticky"),
     "a cutoff": ("pair_coeff", "pair_coeff * * hertz 1e10 0 cutoff 1", "has cutoff"),
     "too short": ("pair_coeff", "pair_coeff * * hertz 1e10", "is too short"),
@@ -81,7 +85,7 @@ REFUSED = {
         "pair_coeff * * hertz 1e10 0.9 tangential linear_nohistory 0 0 damping tsuji",
         "has an unsupported damping tsuji",
     ),
-    "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is a force that is not under"),
+    "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is not a supported pair style"),
     "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
     "pair_modify": ("", "pair_modify shift yes", "is not understood, and could change the motion"),
     "a fix": ("", "fix 9 all langevin 1 1 1 3", "is a fix that is not understood, and could"),
@@ -100,12 +104,12 @@ REFUSED = {
     "a shaking wall": (
         "",
         "fix 9 all wall/gran hertz/history 1e9 NULL 0 NULL 0 0 xplane -1 NULL wiggle x 1 1",
-        "must end in xplane, yplane or zplane and two places",
+        "must end in xplane, yplane or zplane and two positions",
     ),
     "hooke with hertz": (
         "",
         "fix 9 all wall/gran hooke 1e9 NULL 0 NULL 0 0 xplane -0.005 NULL",
-        "has contacts of hooke, the grains of hertz",
+        "has hooke contacts, but the grains have hertz contacts",
     ),
     "gravity aside": ("", "fix 9 all gravity 9.81 vector 0 0 -1", "must be along the column, x"),
     "gravity of some": ("", "group two id 2\nfix 9 two gravity 9.81 vector 1 0 0", "must act on"),
@@ -121,11 +125,11 @@ REFUSED = {
     "a force behind a stop": (
         "",
         "group t id 2\nfix 8 t setforce 0 0 0\nfix 9 all gravity 9.81 vector 1 0 0",
-        "acts on grains behind the setforce of line 17, so that they move",
+        "acts on grains after the setforce of line 17 stopped them, so that they move",
     ),
     "an inner grain": ("group", "group beads id 1 3", "atom 2 is held within the column"),
-    "an unknown group": ("fix 1", "fix 1 bears nve", "has the group bears, which is not known"),
-    "a group by region": ("group", "group beads region box", "has the group beads, which is not"),
+    "an unknown group": ("fix 1", "fix 1 bears nve", "uses the group bears, which is not def"),
+    "a group by region": ("group", "group beads region box", "uses the group beads, which is not"),
     "a second row": ("", "create_atoms 1 single 0 0.005 0", "is 0.005 m beside the line"),
     "a random row": ("", "create_atoms 1 random 20 1 NULL", "places grains that are not read"),
     "a grain outside": ("", "create_atoms 1 single 3 0 0", "is outside of the box"),
@@ -142,7 +146,7 @@ REFUSED = {
     "rerun": ("", "rerun own.lammpstrj", "is not understood"),
     "units real": ("units", "units real", "is not a style for grains"),
     "units lj": ("units", "units lj", "has no scale: add --units LENGTH,TIME,MASS"),
-    "no units": ("units", "", "has no command units, so that LAMMPS takes lj"),
+    "no units": ("units", "", "has no command units, so LAMMPS uses lj"),
     "a lattice": ("", "lattice sc 0.01", "scales positions"),
     "an atom style": ("atom_style", "atom_style ellipsoid", "must be sphere, bond"),
     "an open variable": ("", "timestep ${dt}", "uses the variable dt, whose value is not known"),
@@ -152,14 +156,14 @@ REFUSED = {
         "whose value is not known without LAMMPS",
     ),
     "a circle": ("", "variable a equal v_b\nvariable b equal v_a\ntimestep $a", "depend on each"),
-    "another power": ("", "variable a equal -2^2\ntimestep $a", "in an order of its own"),
-    "a logarithm": ("", "variable a equal log(10)\ntimestep $a", "to the base of 10"),
+    "another power": ("", "variable a equal -2^2\ntimestep $a", "in an unusual order"),
+    "a logarithm": ("", "variable a equal log(10)\ntimestep $a", "has the base 10"),
     "a bracket": ("", "timestep $(1e-7", "has a bracket that is not closed"),
     "a word": ("timestep", "timestep fast", "has 'fast' in place of a number"),
     "no step": ("timestep", "timestep 0", "must be a time above 0"),
     "a number of steps": ("run", "run 1e3", "has '1e3' in place of a whole number"),
     "a missing data file": ("", "read_data no.data", "there is no such file"),
-    "bonds": ("", "bond_style fene", "is a bond that is not understood"),
+    "bonds": ("", "bond_style fene", "is not a supported bond style"),
     "a periodic column": (
         "boundary",
         "boundary p f f\nregion box sphere 0 0 0 1",
@@ -202,9 +206,7 @@ def test_units_lj_need_a_scale(tmp_path: Path):
 
 def test_a_change_between_runs_requires_a_dump(tmp_path: Path):
     later = "velocity all set 0 0 0\nset atom 1 vx 0.1\nrun 50\n"
-    with pytest.raises(
-        InputError, match=r"comes between the runs of lines 17 and 20, where .*dump"
-    ):
+    with pytest.raises(InputError, match=r"is between the runs of lines 17 and 20, where .*dump"):
         read(tmp_path, START + later)
     # Commands after the last run change nothing, and runs add up.
     more = read(tmp_path, START + "run 50\nundump 1\nunfix 1\n")
@@ -335,11 +337,11 @@ def test_bonds_need_neighbours_and_one_law(tmp_path: Path):
     cases = {
         "create_bonds single/bond 1 1 3": "bonds atoms 1 and 3, which are not neighbours",
         f"{row}\ncreate_bonds single/bond 1 1 2": "bonds atoms 1 and 2 twice",
-        row[: row.rindex("\n")]: "has no bond of atom 9 and atom 10",
-        row.replace("1 1 2", "2 1 2"): "has no bond_coeff of type 2",
+        row[: row.rindex("\n")]: "has no readable bond between atom 9 and atom 10",
+        row.replace("1 1 2", "2 1 2"): "has no readable bond_coeff for type 2",
         f'{row}\nbond_coeff 1 0.01 "r^2 + __import__(1)"': "has a formula that is not understood",
-        f'{row}\nbond_coeff 1 0.01 "r^2 + q"': "has a formula with q, which is not given",
-        f"{row}\npair_style granular": "acts beside bonds",
+        f'{row}\nbond_coeff 1 0.01 "r^2 + q"': "has a formula with q, which is not defined",
+        f"{row}\npair_style granular": "acts in addition to bonds",
     }
     for bonds, message in cases.items():
         with pytest.raises(InputError, match=message):

@@ -63,7 +63,7 @@ def test_the_command_writes_a_scene_that_check_accepts(tmp_path: Path, capsys):
     facts = dict(line.split(": ", 1) for line in said if ": " in line)
     assert facts["column"].startswith("20 grains along z, which points up: grain 1 is atom 20")
     assert facts["gravity"].startswith("9.81 m/s2 (from overlaps")
-    assert facts["load"] == "none (from 18 overlaps, taken to be at rest)"
+    assert facts["load"] == "none (from 18 overlaps, assumed to be at rest)"
     assert facts["bottom"] == "grain 20 is held"
     assert facts["start"] == "grain 1 moves at 0.05 m/s, positive downward"
     assert float(facts["equilibrium"].split("at most ")[1].split(" N")[0]) < 1e-9
@@ -144,7 +144,7 @@ def test_a_dump_that_begins_during_a_wave(tmp_path: Path):
     # Grains count as at rest up to 1e-6 of the wave.
     assert difference(part, scene, 1e-7, units) < 2e-7
     # Later no grain is at rest.
-    with pytest.raises(InputError, match="its first frame is not at rest, so that its overlaps"):
+    with pytest.raises(InputError, match="its first frame is not at rest, so its overlaps"):
         scene_of_run([frames_from(dump, 30)], options, units)
 
 
@@ -159,7 +159,9 @@ def test_a_strike_after_the_first_frame_is_reported(tmp_path: Path):
 def test_a_change_within_the_dump_is_rejected(tmp_path: Path):
     later = LEVEL + "fix 9 beads viscous 1.0\nrun 1000\n"
     dump = run_input(tmp_path, later)
-    with pytest.raises(InputError, match=r"\(fix 9 .*changes the run at step 3000, amid the dump"):
+    with pytest.raises(
+        InputError, match=r"\(fix 9 .*changes the run at step 3000, within the dump"
+    ):
         scene_of_run([dump, tmp_path / "in.own"])
 
 
@@ -195,7 +197,9 @@ velocity all set 0 0 0
 
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
     dump = run_input(tmp_path, LEVEL.replace("%.17g", "%.6g"))
-    with pytest.raises(InputError, match=r"too few digits for overlaps of 1e-05 m: dump_modify"):
+    with pytest.raises(
+        InputError, match=r"too few digits for overlaps of 1e-05 m: use dump_modify"
+    ):
         scene_of_run([dump], RunOptions(material="steel", timestep=1e-7))
 
 
@@ -292,7 +296,9 @@ def test_an_instance_without_a_load_fix_has_no_load():
         assert scene.initial()[0] == pytest.approx(1e-5 * np.arange(11, -1, -1), rel=1e-9)
         lmp.command("fix down beads gravity 9.81 vector 1 0 0")
         lmp.command("fix push beads addforce 1 0 0")
-        with pytest.raises(InputError, match="has fix addforce, whose effect LAMMPS does not"):
+        with pytest.raises(
+            InputError, match="has fix addforce, whose effect cannot be read from LAMMPS"
+        ):
             Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         lmp.command("unfix push")
         lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")

@@ -53,8 +53,8 @@ TABLES = {
         "diameter,mass\n1e-3,1e-6\n1e-3\n",
         "{path}, line 3: must have 2 values, as the header has",
     ),
-    "nothing": ("diameter\n", "{path} has a header and nothing below it"),
-    "words": ("diameter\n1e-3\nwide\n", "{path}: the column diameter must hold numbers ("),
+    "nothing": ("diameter\n", "{path} has a header but no rows below it"),
+    "words": ("diameter\n1e-3\nwide\n", "{path}: the column diameter must contain numbers ("),
     "a count that skips": (
         "grain,diameter\n1,1e-3\n3,1e-3\n",
         "{path}: the column grain must count 1, 2, 3 ...",
@@ -86,13 +86,13 @@ def test_missing_or_unnamed_tables(tmp_path: Path) -> None:
     assert faults(GOOD | {"chain": {"file": 3}}, tmp_path) == [
         ("chain.file", "must be the name of a CSV file")
     ]
-    without = "a scene without a folder can name no file: give the numbers themselves"
+    without = "a scene without a folder cannot name a file: give the numbers themselves"
     assert faults(GOOD | {"chain": {"file": "grains.csv"}}) == [("chain.file", without)]
     (tmp_path / "grains.csv").write_text("diameter,mass\n1e-3,1e-6\n2e-3,2e-6\n")
     for twice in ("diameter", "masses"):
         found = faults(GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path)
         key = "mass" if twice == "masses" else twice
-        assert found == [(f"chain.{key}", "is in the file already; take it out of one of them")]
+        assert found == [(f"chain.{key}", "is in the file already; remove it from one of them")]
 
 
 def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:

@@ -39,9 +39,9 @@ def test_values_and_derivatives_agree_with_the_definition(cycles: float | None) 
         if cycles is not None:
             assert not wave.at(np.array([wave.end, 2 * wave.end]), order).any()
     assert wave.end == (np.inf if cycles is None else cycles / FREQUENCY)
-    assert wave.corners == (() if cycles is None else (wave.end,))
+    assert wave.kinks == (() if cycles is None else (wave.end,))
     assert wave.smooth_until(1e3)
-    assert wave.corner_spacing == wave.end
+    assert wave.kink_spacing == wave.end
     sum_of_sines = sum(a * np.sin(w * times) for a, w in wave.sines)
     assert sum_of_sines == pytest.approx(wave.at(times), rel=0, abs=1e-14 * abs(AMPLITUDE))
     assert wave.fastest == pytest.approx(max(w for _, w in wave.sines), rel=1e-14)
@@ -54,7 +54,7 @@ def test_a_half_sine_ends_at_its_zero() -> None:
     assert wave.at(times) == pytest.approx(expected, rel=1e-12, abs=0)
     slope = AMPLITUDE * np.pi / 0.4 * np.cos(np.pi * times / 0.4) * (times < 0.4)
     assert wave.at(times, 1) == pytest.approx(slope, rel=1e-12, abs=1e-12)
-    assert (wave.end, wave.corners, wave.smooth_until(1e3)) == (0.4, (0.4,), True)
+    assert (wave.end, wave.kinks, wave.smooth_until(1e3)) == (0.4, (0.4,), True)
     assert wave.fastest == pytest.approx(np.pi / 0.4, rel=1e-15)
     assert wave.gained == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-15)
     assert wave.area(1.0) == pytest.approx(-AMPLITUDE * 0.8 / np.pi, rel=1e-14)
@@ -67,8 +67,8 @@ def test_a_spline_passes_through_its_points() -> None:
     for order in range(4):
         assert np.array_equal(wave.at(times, order), spline(times, order))
         assert wave.largest(order) == pytest.approx(np.abs(spline(times, order)).max(), rel=0.02)
-    assert wave.corners[:-1] == pytest.approx(KNOTS, rel=1e-11)
-    assert wave.corner_spacing == pytest.approx(0.1, rel=1e-12)
+    assert wave.kinks[:-1] == pytest.approx(KNOTS, rel=1e-11)
+    assert wave.kink_spacing == pytest.approx(0.1, rel=1e-12)
     assert wave.fastest == pytest.approx(10.0, rel=1e-12)
     line = Waveform.through(KNOTS[:2], VALUES[:2], "spline", holds=True)
     assert line.smooth_until(KNOTS[1])

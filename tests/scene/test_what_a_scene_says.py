@@ -537,8 +537,8 @@ def test_every_excitation_describes_itself() -> None:
     assert [kind.fastest for kind in kinds] == pytest.approx(
         [0, 0, 0, 0, 0, 6e4 * np.pi, 6e4 * np.pi], rel=1e-14
     )
-    assert [kind.corner_spacing for kind in kinds] == [np.inf] * 7
-    assert Drive(**POINTS).corner_spacing == pytest.approx(1e-4, rel=1e-11)
+    assert [kind.kink_spacing for kind in kinds] == [np.inf] * 7
+    assert Drive(**POINTS).kink_spacing == pytest.approx(1e-4, rel=1e-11)
     assert not Drive(**POINTS).linear
     assert [kind.smooth_until(1.0) for kind in kinds] == [True] * 7
     assert impulse.energy(COLUMN) == pytest.approx(2e-6 * COLUMN.masses[1], rel=1e-15)

@@ -63,7 +63,7 @@ def test_model_and_solver_error_together_must_meet_the_tolerance():
     assert judged(model=4e-7, solver=6e-7) == (True, "within the tolerance")
     left_out = f"strike number {NUMBER}: linear theory leaves out up to"
     assert judged(model=5e-7, solver=6e-7) == (False, f"{left_out} 5e-07 of the solution")
-    assert judged(solver=2e-6) == (False, "its solver leaves about 2e-06, above the tolerance")
+    assert judged(solver=2e-6) == (False, "its solver error is about 2e-06, above the tolerance")
     assert judged(model=0.25) == (False, f"{left_out} 25 %")
     assert judged(model=1.0) == (False, f"{left_out} 100 %")
     unknown = "the error of the homogeneous chain is not known before the run"
@@ -231,7 +231,7 @@ def test_the_picture_of_a_plan():
         assert lines[label].get_xdata()[0] == pytest.approx(proposal.cost_s, rel=1e-12)
         assert lines[label].get_ydata()[0] == pytest.approx(error, rel=1e-12)
         assert (lines[label].get_markerfacecolor() == "none") != proposal.kept
-    ring = lines["taken"]
+    ring = lines["chosen"]
     assert ring.get_xdata()[0] == plan.expected_cost_s
     assert ring.get_ydata()[0] == pytest.approx(plan.expected_error, rel=1e-12)
     assert ring.get_markerfacecolor() == "none"
@@ -276,14 +276,14 @@ def test_linear_theory_with_a_large_model_error_is_replaced_by_eq_1():
         most = max(error.model, error.model_bound)
         remark = ", contact 3 opens" if error.remark else ""
         assert following.proposal.choices["redone"] == (
-            f"Eq. (3) leaves out up to {most:.1g} of the solution{remark} along the run of modes, "
-            "expected were 3e-07: run again with native, Eq. (1)"
+            f"Eq. (3) leaves out up to {most:.1g} of the solution{remark} in the run of modes "
+            "(expected: 3e-07): run again with native, Eq. (1)"
         )
         assert (
             following.proposal.choices["plan"] == f"native: {following.proposal.choices['redone']}"
         )
     with pytest.raises(
-        ToleranceNotMet, match=r"with the tolerance of 1e-16 exceeded; native: round-off alone"
+        ToleranceNotMet, match=r"more than the tolerance of 1e-16; native: round-off alone"
     ):
         fall_back(SCENE, attempt._replace(tolerance=1e-16), good)
 

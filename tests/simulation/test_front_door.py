@@ -182,8 +182,8 @@ def test_the_status_of_a_stopped_run(tmp_path, small_blocks):
     done = kept["samples_done"]
     assert 0 < done < 61
     assert words == (
-        f"stopped at the end of its time after {done} of 61 samples; lmpchain resume {folder} goes "
-        "on"
+        f"stopped at the end of its time after {done} of 61 samples; continue with lmpchain resume "
+        f"{folder}"
     )
     assert kept["reason"] == words
     assert (kept["state"], kept["samples"], kept["attempt"], kept["tolerance"]) == (
@@ -424,7 +424,7 @@ def test_allowed_contents_of_a_new_folder(tmp_path):
     (tmp_path / ".run.node-1-01234567.partial.json").touch()
     assert check_new(tmp_path) == tmp_path
     (tmp_path / "notes.txt").touch()
-    with pytest.raises(InputError, match=r"is neither empty nor a run folder: notes\.txt is not"):
+    with pytest.raises(InputError, match=r"is neither empty nor a run folder: notes\.txt was not"):
         check_new(tmp_path)
     with pytest.raises(InputError, match="is a file"):
         check_new(tmp_path / "notes.txt")

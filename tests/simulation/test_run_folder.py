@@ -313,9 +313,9 @@ def test_invalid_folders_are_rejected(
             "/proc/none/": "cannot be made",
         },
         "resume": {
-            f"{tmp_path}/other": "is no run folder",
-            f"{tmp_path}/none": "is no run folder",
-            f"{scene}": "is no run folder",
+            f"{tmp_path}/other": "is not a run folder",
+            f"{tmp_path}/none": "is not a run folder",
+            f"{scene}": "is not a run folder",
         },
     }[word]
     for folder, why in wanted.items():

@@ -151,8 +151,8 @@ def test_max_wall_on_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixt
     said = capsys.readouterr()
     assert said.out == ""
     assert re.fullmatch(
-        rf"stopped at the end of its time after \d+ of 20001 samples; lmpchain resume {folder}/? "
-        rf"goes on\n",
+        r"stopped at the end of its time after \d+ of 20001 samples; continue with "
+        rf"lmpchain resume {folder}/?\n",
         said.err,
     )
     assert status(folder)["state"] == "stopped"

@@ -164,7 +164,7 @@ def test_a_short_time_has_no_interval_and_states_the_remedy():
 
 def test_an_interval_of_the_fewest_batches_is_marked():
     scene = struck(vacuum(10), 1)
-    with pytest.warns(UserWarning, match=r"is worth 4 independent batches, .*: try time="):
+    with pytest.warns(UserWarning, match=r"has only 4 independent batches; .*: try time="):
         averages(scene, ["kinetic_energy:3"], time=5e-4, tolerance=6e-4)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -186,7 +186,7 @@ def test_an_unreachable_tolerance_names_the_call(monkeypatch):
     hopeful = time_averages.EnergyErrors(wobble=1e-6, walk=0.0)
     monkeypatch.setattr(time_averages, "AVERAGING", patience)
     monkeypatch.setattr(time_averages, "ENERGY_ERRORS", hopeful)
-    with pytest.raises(lmpchain.ToleranceNotMet, match=r"ask lmpchain\.averages for less"):
+    with pytest.raises(lmpchain.ToleranceNotMet, match=r"ask lmpchain\.averages for a larger"):
         averages(struck(vacuum(8)), ["kinetic_energy"], time=0.02, tolerance=1e-7)
 
 
@@ -248,7 +248,7 @@ def test_bad_input_is_one_line(scene, options: dict, fault: str):
 def test_a_run_at_a_given_step_beyond_predictability_warns():
     chain = Chain(grains=12, material="glass", diameter=1e-3)
     scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
-    with pytest.warns(UserWarning, match=r"no step predicts it: take averages.*lmpchain\.averages"):
+    with pytest.warns(UserWarning, match=r"whatever the step is: use averages.*lmpchain\.averages"):
         lmpchain.simulate(scene, engine="native", step=1e-7)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -130,9 +130,9 @@ def test_waves_of_the_wrong_type_are_rejected() -> None:
     less = 0.5 * AHEAD.overlap
     laws = (GAS.dispersive, GAS.toda, GAS.kdv, lambda *pair: GAS.thickness(*pair, 1e-3))
     for law in laws:
-        with pytest.raises(InputError, match=r"overlap: must .* or there is no shock"):
+        with pytest.raises(InputError, match=r"overlap: must .* otherwise there is no shock"):
             law(AHEAD, less)
-    with pytest.raises(InputError, match="overlap: must not exceed that ahead"):
+    with pytest.raises(InputError, match="overlap: must not exceed the overlap ahead"):
         GAS.rarefaction(AHEAD, 2 * AHEAD.overlap)
 
 

@@ -97,7 +97,7 @@ def test_averages_and_fitted_parameters_are_a_line_of_a_hundred_letters():
     walls = {"gravity": 0.0, "top": "wall", "bottom": "wall"}
     beads = SCENE.replace(chain=Chain(grains=4, diameter=1e-3, **walls))
     beads = beads.replace(excitation=lmpchain.Impulse(velocity=0.1))
-    with pytest.warns(UserWarning, match="velocity:1, temperature, force:2 is worth 4"):
+    with pytest.warns(UserWarning, match="velocity:1, temperature, force:2 has only 4"):
         average = lmpchain.averages(beads, ["velocity:1", "temperature", "force:2"], time=1e-4)
     assert re.fullmatch(
         r"Averages\(velocity:1 = \S+ ± \S+ m/s, temperature = \S+ ± \S+ J, 1 more; over 8e-05 s\)",

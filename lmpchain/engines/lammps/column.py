@@ -57,7 +57,7 @@ def value(wave: Waveform) -> str:
     """Return the LAMMPS variable formula of a waveform, upward."""
     if wave.spline is not None:
         return f"-(v_c0+{SINCE}*(v_c1+{SINCE}*(v_c2+{SINCE}*v_c3)))"
-    return f"-{SINE}" + (f"*{INSIDE}" if wave.envelope else "") + (BEFORE if wave.corners else "")
+    return f"-{SINE}" + (f"*{INSIDE}" if wave.envelope else "") + (BEFORE if wave.kinks else "")
 
 
 def slope(wave: Waveform) -> str:
@@ -66,7 +66,7 @@ def slope(wave: Waveform) -> str:
         return f"-(v_c1+{SINCE}*(2.0*v_c2+3.0*{SINCE}*v_c3))"
     plain = "-v_amplitude*v_omega*cos(v_omega*v_now)"
     if not wave.envelope:
-        return plain + (BEFORE if wave.corners else "")
+        return plain + (BEFORE if wave.kinks else "")
     return f"({plain}*{INSIDE}-{SINE}*v_envelope*sin(2.0*v_envelope*v_now)){BEFORE}"
 
 

@@ -223,9 +223,9 @@ def sum_energies(
     count = math.ceil(scene.linear_frequency * scene.duration / 10.0)
     if not scene.chain.damped or count > left:
         return {}
-    corners = excitation.waveform.corners if excitation.waveform else ()
+    kinks = excitation.waveform.kinks if excitation.waveform else ()
     edges = np.linspace(0.0, scene.duration, count + 1)
-    edges = np.union1d(edges, [t for t in corners if 0 < t < scene.duration])
+    edges = np.union1d(edges, [t for t in kinks if 0 < t < scene.duration])
     begin, width = edges[:-1], np.diff(edges)
     accepted = []
     largest = np.zeros(2)

@@ -184,7 +184,7 @@ class AuxiliarySteps:
             longer.append(OPENINGS.nearby_kinked if kinks else OPENINGS.nearby)
         arrangement = _arrange(steps, tuple(longer), self._nearby, twins, scenes[0].intervals)
         self.schedules, self.ratios, self.against, self.strides, self.together = arrangement
-        self._least_ratio = [self._ratio_between_corners(scene) for scene in scenes]
+        self._least_ratio = [self._ratio_between_kinks(scene) for scene in scenes]
 
     def order(self, opens: bool, smooth_excitation: bool) -> float:
         """Return the trusted order of the method, which is lower if contacts open or nearly so."""
@@ -243,15 +243,15 @@ class AuxiliarySteps:
             for field in zip(*distances, strict=True)
         )
 
-    def _ratio_between_corners(self, scene: Scene) -> float:
+    def _ratio_between_kinks(self, scene: Scene) -> float:
         """Return the smallest step ratio of the first auxiliary run and the main run.
 
         All runs end steps on kinks of the forcing. Between two kinks each run makes a whole number
         of steps, so that the ratio of the steps differs from the nominal ratio.
         """
-        if not scene.corners or not self.answer.adaptive:
+        if not scene.kinks or not self.answer.adaptive:
             return self.ratios[0]
-        times = np.array([0.0, *scene.corners, scene.duration])
+        times = np.array([0.0, *scene.kinks, scene.duration])
         # A piece that is shorter than a step of an auxiliary run is the last one, with few steps.
         long = np.diff(times) >= LONGER[-1] * self.answer.step
         pieces = times[:-1][long], times[1:][long]
@@ -309,7 +309,7 @@ def longer_steps(method: Method, scene: Scene, answer: Steps) -> list[float]:
     stable = [ratio for ratio in ratios if ratio * reach <= method.stability_limit]
     # A single auxiliary run may be right by chance if motions decay within a step or two. If kinks
     # end steps, all runs may have the same last step before a sample.
-    seen = len(stable) > 1 and not scene.corners
+    seen = len(stable) > 1 and not scene.kinks
     return stable if seen or not dies else []
 
 

@@ -288,7 +288,7 @@ def expected_reach(scene: Scene, method: Method, tolerance: float, adaptive: boo
     if adaptive:
         # All runs end steps on the kinks of an applied force. The longest steps of an auxiliary
         # run must fit between two kinks, or kinks would cut the steps of all runs alike.
-        spacing = scene.corner_spacing / LONGER[-1]
+        spacing = scene.kink_spacing / LONGER[-1]
         reach = min(reach, scene.highest_frequency * spacing)
     return reach
 

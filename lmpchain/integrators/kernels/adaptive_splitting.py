@@ -94,7 +94,7 @@ def _advance(chain, method, work, clock, out, landed):
         clock.length - state.done,
         ahead(chain, t, clock.begin + clock.length, RESOLUTION * clock.step),
     )
-    # Steps are equal up to the next landing or corner, unless an opening shortens them.
+    # Steps are equal up to the next landing or kink, unless an opening shortens them.
     h = clock.step * shorten(chain, y, w, pull, openings)
     done = end_of_step(chain, clock, remaining, h)
     h = done - state.done

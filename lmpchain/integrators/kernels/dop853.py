@@ -339,8 +339,8 @@ def _advance(chain, method, work, clock, out, landed):
     # The first stage is at the start of the step; its accelerations also determine the distance to
     # an opening.
     put(z[first - 1 : last + 1], y[first - 1 : last + 1])
-    # If the step begins at a corner of the imposed motion or force, `inside` selects the branch
-    # after the corner.
+    # If the step begins at a kink of the imposed motion or force, `inside` selects the branch
+    # after the kink.
     inside = now + 0.5 * min(remaining, clock.equal_step)
     impose(chain, z, now, inside)
     impose_velocity(chain, w, PAD, now)

@@ -140,15 +140,15 @@ def _advance(chain, method, work, clock, out, landed):
     widen(chain, 4)
     now = clock.begin + state.done * h
     then = clock.begin + (state.done + 1) * h
-    to_corner = cut(chain, now, h)
-    corner = now + to_corner if to_corner > 0.0 else then
+    to_kink = cut(chain, now, h)
+    kink = now + to_kink if to_kink > 0.0 else then
     for begin, end, length in (
-        (now, corner, to_corner if to_corner > 0.0 else h),
-        (corner, then, h - to_corner),
+        (now, kink, to_kink if to_kink > 0.0 else h),
+        (kink, then, h - to_kink),
     ):
         if begin < end:
             _step(chain, corrections, work, begin, end, length)
-    if to_corner > 0.0:
+    if to_kink > 0.0:
         state.step_size = 0.0
     watch(chain)
     look(chain, clock, state.steps + 1, then, 1.0)

@@ -16,7 +16,7 @@ from ...util.arrays import Array
 
 PAD = 8  # Number of doubles in a cache line.
 
-# A corner of the forcing within this fraction of a step from its end counts as at the end.
+# A kink of the forcing within this fraction of a step from its end counts as at the end.
 RESOLUTION = 1e-9
 
 # Imposed on a chain after t = 0: a sine, possibly with an envelope, or a cubic spline.

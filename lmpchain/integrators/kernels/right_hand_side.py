@@ -11,7 +11,7 @@ from .compiling import apart, compiled, inlined, pasted
 from .contact_forces import contact_forces, kick_and_drift, pull_to_rest, touching
 from .layout import PAD, RESOLUTION, Links, Rows
 from .team import meet, share
-from .waveform import call_corner, call_course
+from .waveform import call_course, call_kink
 
 # Number of force evaluations between two updates of the window, for long chains and for methods
 # with one stage.
@@ -33,10 +33,10 @@ def course(chain, t, order, inside):
 
 @inlined
 def ahead(chain, t, end, resolution):
-    """Return the time to the next corner of the forcing before `end`, else 1e300."""
+    """Return the time to the next kink of the forcing before `end`, else 1e300."""
     imposed = chain.imposed
     if imposed.acts:
-        return call_corner(imposed.laws[1], (imposed.wave, imposed.knots, t, end, resolution))
+        return call_kink(imposed.laws[1], (imposed.wave, imposed.knots, t, end, resolution))
     # The compiler flags assume finite numbers, so infinity is not allowed.
     return 1e300
 

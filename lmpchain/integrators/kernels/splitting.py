@@ -78,13 +78,13 @@ def _advance(chain, method, work, clock, out, landed):
     halved = burst
     for step in range(burst):
         begin = clock.begin + (made + step) * h
-        # A corner does not reduce the order of a method of order 2.
-        corner = cut(chain, begin, h) if stages > 1 else 0.0
-        if corner > 0.0:
+        # A kink does not reduce the order of a method of order 2.
+        kink = cut(chain, begin, h) if stages > 1 else 0.0
+        if kink > 0.0:
             halved = step
-            _fill_step(chain, method, work, filled, begin, 0.0, corner)
+            _fill_step(chain, method, work, filled, begin, 0.0, kink)
             filled += stages
-            _fill_step(chain, method, work, filled, begin + corner, 0.0, h - corner)
+            _fill_step(chain, method, work, filled, begin + kink, 0.0, h - kink)
         else:
             _fill_step(chain, method, work, filled, clock.begin, made + step, h)
         filled += stages
@@ -92,7 +92,7 @@ def _advance(chain, method, work, clock, out, landed):
     step = 0
     steps_before = state.steps
     while step < burst:
-        # Sweep up to the next observation; a step with a corner has twice as many rows.
+        # Sweep up to the next observation; a step with a kink has twice as many rows.
         end = min(burst, max(step + 1, state.next_look - steps_before))
         until_look = slice((step + (step > halved)) * stages, (end + (end > halved)) * stages)
         sweep(chain, slice_rows(work, until_look))

@@ -16,7 +16,7 @@ _WAVE = numba.from_dtype(WAVE)
 _KNOTS = types.float64[::1]
 _PIECES = types.float64[:, ::1]
 _COURSE = types.float64(_WAVE, _KNOTS, _PIECES, types.float64, types.int64, types.float64)
-_CORNER = types.float64(_WAVE, _KNOTS, types.float64, types.float64, types.float64)
+_KINK = types.float64(_WAVE, _KNOTS, types.float64, types.float64, types.float64)
 _kept = compiled_filler(fastmath=STRICT)
 
 
@@ -63,8 +63,8 @@ def _course(wave, knots, pieces, t, order, inside):
 
 
 @_kept
-def _corner(wave, knots, t, end, resolution):
-    """Return the time to the next corner before `end`, or 1e300 without one."""
+def _kink(wave, knots, t, end, resolution):
+    """Return the time to the next kink before `end`, or 1e300 without one."""
     if wave.knots > 0:
         knots = knots[: wave.knots]
         following = np.searchsorted(knots, t + resolution, "right")
@@ -78,9 +78,9 @@ def _corner(wave, knots, t, end, resolution):
 
 @cache
 def addresses() -> tuple[int, ...]:
-    """Return the memory addresses of the compiled functions `_course` and `_corner`."""
-    return address_of(_course, _COURSE), address_of(_corner, _CORNER)
+    """Return the memory addresses of the compiled functions `_course` and `_kink`."""
+    return address_of(_course, _COURSE), address_of(_kink, _KINK)
 
 
 call_course = caller(_COURSE)
-call_corner = caller(_CORNER)
+call_kink = caller(_KINK)

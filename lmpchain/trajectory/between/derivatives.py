@@ -216,20 +216,20 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
             order, share = 0, 1 / scene.chain.masses[grain - 1]
         acceleration[:] = share * wave.at(time, order), share * wave.at(time, order + 1)
         jumps = acceleration
-    # The waveform is smooth between corners, where the error of Hermite interpolation is included.
-    corners = np.array(wave.corners)
-    corner = np.diff(np.searchsorted(corners, time, side="right")) > 0
+    # The waveform is smooth between kinks, where the error of Hermite interpolation is included.
+    kinks = np.array(wave.kinks)
+    kink = np.diff(np.searchsorted(kinks, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
     bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
-    inside = corners[(corners > time[0]) & (corners < time[-1])]
+    inside = kinks[(kinks > time[0]) & (kinks < time[-1])]
     if wave.spline and inside.size:
         from scipy.interpolate import CubicHermiteSpline
 
-        # Samples do not resolve several corners in one interval.
+        # Samples do not resolve several kinks in one interval.
         between = CubicHermiteSpline(time, *jumps)
         off = np.abs(share * wave.at(inside, order) - between(inside))
         np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
-    doubt[:-1] = np.where(corner, bound, 0.0)
+    doubt[:-1] = np.where(kink, bound, 0.0)
     return ImposedSamples(wall, acceleration, doubt, grain, driven, wall_body)
 
 
