@@ -198,8 +198,16 @@ def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("script", KNOWN)
+LONG = ("damped_dimer", "energies")  # Figures that take ten seconds.
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(script, marks=pytest.mark.soak if script in LONG else pytest.mark.slow)
+        for script in KNOWN
+    ],
+)
 def test_figure(script: str, command: Command):
     found = numbers(command, script, "--quick")
     for label, (known, tolerance) in KNOWN[script].items():
@@ -457,8 +465,16 @@ def test_pictures_are_up_to_date_with_the_code(script: str, command: Command):
 MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MAPS)
+LONG_MAPS = ("energy", "extremes", "steps")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.soak if name in LONG_MAPS else pytest.mark.slow)
+        for name in MAPS
+    ],
+)
 def test_maps_of_method_limits(name: str, tmp_path: Path, command: Command):
     command("stability_map", name, "--quick", "-o", tmp_path)
     assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
