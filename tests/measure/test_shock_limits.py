@@ -35,7 +35,8 @@ def toda(piston: float, grains: int) -> shock.Shock:
     return shock.find(trajectory)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("piston", [pytest.param(0.6, marks=pytest.mark.slow), 1.2])
+@pytest.mark.slow
+@pytest.mark.parametrize("piston", [0.6, 1.2])
 def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston: float):
     """The leading soliton lags by 3 / (4 kappa) log t, so the errors fall with 1 / t."""
     exact = toda_chain.exact(piston)
