@@ -58,6 +58,21 @@ def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
     )
 
 
+def stirred(
+    chain: Chain,
+    velocity: float,
+    displacement: float = 0.0,
+    seed: int = 1,
+    last: int | None = None,
+) -> Profile:
+    """Return normally distributed motions of the movable grains up to `last`."""
+    rng = np.random.default_rng(seed)
+    v, u = (size * rng.normal(size=chain.grains) for size in (velocity, displacement))
+    end = min(last or chain.grains, chain.movable)
+    u[end:] = v[end:] = 0
+    return Profile(displacement=u, velocity=v)
+
+
 def random_scene(
     rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
 ) -> Scene:
