@@ -92,7 +92,7 @@ def weak(size: float) -> Excess:
     return Excess(2 * speeds[1] - speeds[0] - 1, kdv, whitham)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_kdv_is_wrong_by_the_square_of_the_amplitude():
     """The deviation (KdV - leading edge) / e^2 tends to 49/45 as e falls, as in Whitham's theory.
 

@@ -37,8 +37,8 @@ SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration
 MOVING = Scene(
     chain=LONG,
     excitation=stirred(LONG, 1e-5),
-    duration=2e-4,
-    samples=901,
+    duration=4e-4 / 3,
+    samples=601,
     grains=range(1, 101),
 )
 LASTING = {

@@ -326,8 +326,9 @@ def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     return process, ranks
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize(
+    "rank", [pytest.param(0, marks=pytest.mark.soak), pytest.param(1, marks=pytest.mark.slow)]
+)
 def test_a_killed_rank_ends_mpirun(tmp_path, rank):
     process, ranks = endless(tmp_path)
     os.kill(ranks[rank], signal.SIGKILL)
