@@ -198,7 +198,8 @@ def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
-LONG = ("damped_dimer", "energies")  # Figures that take ten seconds.
+# Figures that take five seconds or more, of measures that other slow tests check.
+LONG = ("averages", "damped_dimer", "energies", "rectifier", "scattering")
 
 
 @pytest.mark.parametrize(
@@ -487,7 +488,7 @@ def test_maps_of_method_limits(name: str, tmp_path: Path, command: Command):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_scaling(tmp_path: Path):
     picture = tmp_path / "scaling.png"
     done = subprocess.run(

@@ -227,8 +227,8 @@ def excess(seed: int) -> float:
     "seeds",
     [
         range(0, 1),
-        pytest.param(range(1, 14), marks=pytest.mark.slow),
-        pytest.param(range(14, 40), marks=pytest.mark.soak),
+        pytest.param(range(1, 8), marks=pytest.mark.slow),
+        pytest.param(range(8, 40), marks=pytest.mark.soak),
     ],
 )
 def test_random_scenes_on_a_ground(seeds):
