@@ -143,6 +143,7 @@ def test_indices_decay_by_the_differences_of_exponents() -> None:
             assert fall == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_indices_of_regular_motion_decay_as_powers_of_time() -> None:
     """On a torus of N dimensions the index of k > N deviations falls as t^(-2 (k - N))."""
     found = chaos_of(struck(Chain(grains=3, top_load=50.0, **BEADS), 0.2, 0.2))
