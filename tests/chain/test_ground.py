@@ -6,11 +6,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.example_scenes import stirred
 from helpers.thinned import thinned
 from scipy.interpolate import make_interp_spline
 
 import lmpchain
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Profile, Scene, laws, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Scene, laws, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.chain import ground
 from lmpchain.engines import Native
@@ -219,12 +220,10 @@ def test_the_energy_of_a_ground():
 def test_averages_of_springs_on_springs():
     """Kinetic and potential energy of linear springs have the same mean."""
     chain = on(SPRING, exponent=1.0, top="wall", bottom="wall")
-    rng = np.random.default_rng(1)
-    velocity = (1e-6 * rng.standard_normal(12)).tolist()
-    start = Profile(displacement=[0.0] * 12, velocity=velocity)
+    start = stirred(chain, 1e-6)
     scene = Scene(chain=chain, excitation=start, duration=3e4 * chain.time_scale, samples=2)
     average = lmpchain.averages(scene, ["kinetic_energy", "potential_energy"], tolerance=1e-5)
-    assert scene.energy == pytest.approx((chain.masses * np.square(velocity)).sum() / 2)
+    assert scene.energy == pytest.approx((chain.masses * np.square(start.velocity)).sum() / 2)
     for name in ("kinetic_energy", "potential_energy"):
         low, high = average.interval[name]
         assert low <= scene.energy / 2 <= high

@@ -660,6 +660,7 @@ def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):
     assert (tmp_path / "scene.nc").exists() == (words[0] == "run")
 
 
+@pytest.mark.slow
 def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
     (tmp_path / "scene.toml").write_text(SCENE)
     with open("/dev/full", "w") as full:
@@ -674,6 +675,7 @@ def test_a_full_disk_behind_stdout_is_an_error(tmp_path: Path):
     assert re.fullmatch(r"error: .*No space left on device\n", done.stderr)
 
 
+@pytest.mark.slow
 def test_closed_streams_are_allowed(tmp_path: Path):
     (tmp_path / "scene.toml").write_text(SCENE)
     command = f"{shlex.join(COMMAND)} run scene.toml --engine modes --tolerance 0.5 >&- 2>&-"

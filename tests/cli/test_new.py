@@ -113,12 +113,12 @@ def test_help_and_readme_begin_with_new(capsys: pytest.CaptureFixture[str]):
 
 @pytest.mark.slow
 @each_example
-def test_engines_agree_on_an_example(example: str, tmp_path: Path, capsys):
-    path = made(tmp_path, example)
-    picture = path.with_suffix(".png")
-    assert main(["compare", str(path), "-o", str(picture)]) == 0
-    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
-    errors = {row[0]: float(row[3]) for row in rows if row[1:2] == ["(1)"]}
-    assert set(errors) == {"lammps", "native"}
-    assert max(errors.values()) < 1e-6
-    assert picture.stat().st_size > 2e4
+def test_engines_agree_on_an_example(example: str, tmp_path: Path):
+    scene = Scene.from_toml(made(tmp_path, example))
+    if example == "vibrometer":  # The first tenth, because the whole takes ten seconds in LAMMPS.
+        scene = scene.replace(duration=scene.duration / 10)
+    runs = [simulate(scene, engine, 1e-6) for engine in ("lammps", "native")]
+    for field in ("displacement", "velocity"):
+        values, others = (getattr(run, field) for run in runs)
+        apart = np.abs(values - others).max() / np.abs(others).max()
+        assert apart < sum(run.error_estimate.total for run in runs) < 2e-6

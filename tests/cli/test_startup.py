@@ -217,6 +217,7 @@ def test_the_version_equals_that_of_the_project():
     assert lmpchain.__version__ == project["project"]["version"]
 
 
+@pytest.mark.slow
 def test_a_name_outside_the_output_encoding_is_printed(tmp_path):
     scene = tmp_path / "δ.toml"
     scene.write_text(SCENE, encoding="utf-8")

@@ -42,7 +42,7 @@ def test_a_delay_section_hardly_reduces_the_peak(numbers: dict[str, float]):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.soak  # Transfer matrices and runs of packets are tested in other files.
 @pytest.mark.parametrize("numbers", ["filter"], indirect=True)
 def test_a_filter_agrees_with_transfer_matrices_and_blocks_its_gap(numbers: dict[str, float]):
     for mass in (1, 2, 3):

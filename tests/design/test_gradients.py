@@ -161,7 +161,7 @@ def test_gradients_agree_with_differences_in_extended_precision(seed: int):
 @pytest.mark.parametrize(
     "seed",
     [
-        pytest.param(n, marks=pytest.mark.slow if n < 26 else pytest.mark.soak)
+        pytest.param(n, marks=pytest.mark.slow if n < 16 else pytest.mark.soak)
         for n in range(6, 100)
     ],
 )

@@ -61,7 +61,7 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
     rng = np.random.default_rng(3)
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_modulus": share})
     answers = []
-    for _ in range(200):
+    for _ in range(100):
         other = {
             name: values(VACUUM, name) * (1 + share * rng.standard_normal(12))
             for name in ("diameters", "youngs_modulus")
@@ -71,8 +71,8 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [1e-3, 3e-3])
-def test_drawn_chains_show_the_error_of_first_order(share: float):
+def test_drawn_chains_show_the_error_of_first_order():
+    share = 3e-3
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
     rng = np.random.default_rng(4)
     diameters = values(VACUUM, "diameters")

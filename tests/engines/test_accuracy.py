@@ -222,7 +222,7 @@ def test_chaos_is_refused_with_its_predictability_time():
     Beyond some time there is no answer.
     """
     chain = Chain(grains=12, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=5e-3, samples=51)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=31)
     with pytest.raises(
         ToleranceNotMet, match="amplifies round-off, which may exceed the tolerance at t = "
     ) as refusal:

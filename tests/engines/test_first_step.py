@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, stirred
 from helpers.independent_integrators import relative_error
 from helpers.taylor_series import reference as taylor
 
@@ -14,7 +14,6 @@ from lmpchain import (
     Displacement,
     Force,
     Impulse,
-    Profile,
     Scene,
     ToleranceNotMet,
     resume,
@@ -233,11 +232,9 @@ def test_landings_are_at_least_eight_steps_apart():
 
 def test_motion_of_many_grains_opens_contacts_without_a_reflection():
     """An error of 2.1e-11 was once estimated as 7.1e-12, as for a wave from one grain."""
-    rng = np.random.default_rng(8)
     chain = Chain(grains=60, diameter=1e-3, gravity=9.81)
-    velocity = np.zeros(60)
-    velocity[:20] = 0.1 * rng.normal(size=20)
-    scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-4, samples=4)
+    start = stirred(chain, 0.1, seed=8, last=20)
+    scene = Scene(chain=chain, excitation=start, duration=1e-4, samples=4)
     assert scene.highest_frequency * scene.duration < OPENINGS.returning * 60
     assert recurs(scene)
     assert not recurs(scene.replace(excitation=Impulse(velocity=0.1)))

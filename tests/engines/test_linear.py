@@ -6,9 +6,10 @@ Against each other, against extended precision, and against what linearising lea
 import mpmath
 import numpy as np
 import pytest
+from helpers.example_scenes import stirred
 from helpers.independent_integrators import relative_error
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes
 from lmpchain.engines.linear import engine as linear
 from lmpchain.integrators.kernels.chebyshev import bessel, terms
@@ -35,14 +36,10 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
         masses=rng.uniform(1, 4, grains) * 1e-6,
         contact_constants=rng.uniform(1, 4, grains - 1) * 1e9,
     )
-    u, v = (
-        strike * size * rng.normal(size=grains)
-        for size in (chain.length_scale, chain.length_scale / chain.time_scale)
-    )
-    u[chain.movable :] = v[chain.movable :] = 0
-    moved = Profile(displacement=u, velocity=v)
+    length = strike * chain.length_scale
+    moved = stirred(chain, length / chain.time_scale, length, seed)
     frequency = rng.uniform(0.05, 0.4) * chain.band_edge / 6
-    shaken = Drive(amplitude=strike * chain.length_scale, frequency=frequency)
+    shaken = Drive(amplitude=length, frequency=frequency)
     duration = rng.uniform(5, 60) / chain.band_edge * 6
     return Scene(chain=chain, excitation=shaken if driven else moved, duration=duration, samples=7)
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import struck
+from helpers.example_scenes import stirred, struck
 from helpers.independent_integrators import relative_error
 from scipy.integrate import solve_ivp
 
@@ -284,9 +284,7 @@ def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
         bottom="wall",
         masses=np.array([1.0, 2.0, 1.5, 3.0]) * 1e-6,
     )  # fmt: skip
-    rng = np.random.default_rng(1)
-    profile = Profile(velocity=1e-7 * rng.normal(size=4), displacement=1e-12 * rng.normal(size=4))
-    scene = Scene(chain=chain, excitation=profile, duration=1e-3)
+    scene = Scene(chain=chain, excitation=stirred(chain, 1e-7, 1e-12), duration=1e-3)
     for time in (1e-6, 1e-4, 1e-2):
         np.testing.assert_allclose(
             Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0

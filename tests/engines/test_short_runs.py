@@ -5,11 +5,12 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from helpers.example_scenes import random_scene
 from helpers.independent_integrators import relative_error
 from helpers.largest_motion import true_error
 from helpers.whole_runs import blocks_of
 
-from lmpchain import Chain, Displacement, Impulse, RunFailed, Scene, simulate
+from lmpchain import Chain, Impulse, RunFailed, Scene, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
 from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps
@@ -17,39 +18,14 @@ from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.steps import Steps
 
 
-def short_scene(rng: np.random.Generator) -> Scene:
-    """Return a few grains for at most a few radians of their fastest motion, with few samples."""
-    grains = int(rng.integers(2, 8))
-    chain = Chain(
-        grains=grains,
-        diameter=1e-3,
-        exponent=float(rng.choice([1.0, 1.25, 1.5, 2.0, 3.0])),
-        top=str(rng.choice(["free", "wall"])),
-        bottom=str(rng.choice(["wall", "fixed"])),
-        gravity=float(rng.choice([0.0, 9.81])),
-        top_load=float(10 ** rng.uniform(-4, 0)),
-    )
-    size = 10 ** rng.uniform(-5, 0.5)
-    sample = float(10 ** rng.uniform(-0.7, 0.7))
-    grain = int(rng.integers(1, grains))
-    length = chain.length_scale or float(chain.equilibrium_overlap[1])
-    speed = length * chain.band_edge
-    struck = Impulse(velocity=size * speed, grain=grain)
-    moved = Displacement(displacement=size * length, grain=grain)
-    excitation = struck if rng.random() < 0.5 else moved
-    samples = int(rng.choice([2, 2, 2, 3, 4, 6]))
-    return Scene(
-        chain=chain,
-        excitation=excitation,
-        duration=sample * (samples - 1) / chain.band_edge,
-        samples=samples,
-    )
-
-
 def check(seed: int) -> None:
     """Compare a run with the reference, at a tolerance or at a given step."""
     rng = np.random.default_rng([2026, seed])
-    scene = short_scene(rng)
+    scene = random_scene(rng)
+    # A sample takes 0.2 to 5 radians of the fastest motion.
+    samples = int(rng.choice([2, 2, 2, 3, 4, 6]))
+    duration = (samples - 1) * 10 ** rng.uniform(-0.7, 0.7) / scene.highest_frequency
+    scene = scene.replace(duration=min(duration, scene.duration), samples=samples)
     integrator = str(rng.choice(list(METHODS)))
     tolerance = float(10 ** rng.uniform(-9, -1.5))
     steps = int(rng.integers(1, 12))

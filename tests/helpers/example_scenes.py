@@ -9,11 +9,9 @@ from lmpchain import (
     Chain,
     Displacement,
     Drive,
-    Force,
     Impulse,
     Impurity,
     InputError,
-    Packet,
     Profile,
     Scene,
 )  # fmt: skip
@@ -58,6 +56,21 @@ def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
         duration=8 * chain.time_scale,
         samples=samples,
     )
+
+
+def stirred(
+    chain: Chain,
+    velocity: float,
+    displacement: float = 0.0,
+    seed: int = 1,
+    last: int | None = None,
+) -> Profile:
+    """Return normally distributed motions of the movable grains up to `last`."""
+    rng = np.random.default_rng(seed)
+    v, u = (size * rng.normal(size=chain.grains) for size in (velocity, displacement))
+    end = min(last or chain.grains, chain.movable)
+    u[end:] = v[end:] = 0
+    return Profile(displacement=u, velocity=v)
 
 
 def random_scene(
@@ -177,140 +190,3 @@ def _driven(rng: np.random.Generator, chain: Chain) -> Scene:
             times=times, displacement=np.append(0, rng.normal(size=apart.size)) * length
         )
     return Scene(chain=chain, excitation=excitation, duration=duration, samples=11)
-
-
-def acted_scene(
-    rng: np.random.Generator, exponents: tuple[float, ...] = (1.0, 1.25, 1.5, 1.5, 1.5, 2.0, 3.0)
-) -> Scene:
-    """Draw forces, bursts, moving walls and packets on chains of one or more grains."""
-    while True:
-        try:
-            chain = _ended(rng, _chain(rng, float(rng.choice(exponents))))
-            return _acted(rng, chain)
-        except InputError:
-            continue
-
-
-def _ended(rng: np.random.Generator, chain: Chain) -> Chain:
-    """Draw the constants of walls, and sometimes reduce the chain to a single grain."""
-    keys = chain.given()
-    if rng.random() < 0.1 and "wall" in (chain.top, chain.bottom):
-        lone = {key: value for key, value in keys.items() if key != "impurity"}
-        keys = lone | {"grains": 1, "diameter": float(chain.diameters[0])}
-        keys |= {"bottom": "wall" if chain.bottom == "fixed" else chain.bottom}
-        chain = Chain(**keys)
-    if rng.random() < 0.3:
-        keys.pop("top_material", None)
-        keys.pop("bottom_material", None)
-        keys["wall_constants"] = chain.wall_constants * 10 ** rng.uniform(-1, 1, 2)
-    return Chain(**keys)
-
-
-def _acted(rng: np.random.Generator, chain: Chain) -> Scene:
-    grain = 1 if rng.random() < 0.5 else int(rng.integers(1, chain.movable + 1))
-    length, omega = (
-        _units(rng, chain, grain)
-        if chain.grains > 1
-        else (chain.length_scale, 1 / chain.time_scale)
-    )
-    if not np.isfinite(omega) or not length:
-        length = 1e-8
-        omega = 1e4
-    size = 10 ** rng.uniform(-4, 1) if chain.compressed else 1.0
-    duration = rng.uniform(2, 20) / omega
-    frequency = omega / (2 * np.pi) * 10 ** rng.uniform(-1, 0.3)
-    strength = float(size * chain.masses[grain - 1] * omega**2 * length) * rng.choice([-1.0, 1.0])
-    cycles = float(rng.choice([1.0, 2.0, 5.0, rng.uniform(0.3, 6)]))
-    apart = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
-    times = apart * (duration * rng.uniform(1, 1.2) / apart[-1])
-    wall = 0 if chain.top == "wall" and rng.random() < 0.8 else 1
-    waves = {"amplitude": strength, "frequency": frequency}
-    excitation = {
-        "sine": lambda: Force(grain=grain, **waves),
-        "burst": lambda: Force(grain=grain, **waves, cycles=cycles),
-        "half-sine": lambda: Force(
-            grain=grain, shape="half-sine", amplitude=strength, duration=0.5 / frequency
-        ),
-        "points": lambda: Force(
-            grain=grain, times=times, force=rng.normal(size=times.size) * strength
-        ),
-        "moved": lambda: Drive(amplitude=size * length, frequency=frequency, grain=wall),
-        "moved in a burst": lambda: Drive(
-            amplitude=size * length, frequency=frequency, grain=wall, cycles=cycles
-        ),
-        "moved by points": lambda: Drive(
-            times=times,
-            displacement=np.append(0, rng.normal(size=times.size - 1)) * size * length,
-            grain=wall,
-        ),
-        "packet": lambda: Packet(
-            frequency=frequency / 2,
-            width=chain.grains / 13,
-            grain=chain.grains // 2,
-            amplitude=min(size, 1) * length,
-        ),
-    }
-    made = excitation[rng.choice(list(excitation))]()
-    return Scene(chain=chain, excitation=made, duration=duration, samples=11)
-
-
-def wide_scene(rng: np.random.Generator) -> Scene:
-    """Draw a scene from the whole range of inputs, with 2 to 10^5 grains."""
-    while True:
-        try:
-            return _at_speed(rng, _wide_chain(rng), 10 ** rng.uniform(-9, 0))
-        except InputError:
-            continue
-
-
-def _wide_chain(rng: np.random.Generator) -> Chain:
-    grains = int(10 ** rng.uniform(np.log10(2), 5.001))
-    gravity = 9.81 * 10 ** rng.uniform(-2, 2) if rng.random() < 0.7 else 0.0
-    walls = {end: "wall" for end in ("top", "bottom") if rng.random() < 0.2}
-    materials = {f"{end}_material": _material(rng) for end in walls if rng.random() < 0.5}
-    diameter = 1e-3 * 10 ** rng.uniform(-0.5, 1)
-    return Chain(
-        grains=grains,
-        material=_material(rng),
-        diameter=diameter if rng.random() < 0.7 else diameter * rng.uniform(0.7, 1.3, grains),
-        gravity=gravity,
-        exponent=float(rng.choice([1.0, 1.5, 1.5, 1.5, 3.0, *rng.uniform(1, 3, 3)])),
-        top_load=10 ** rng.uniform(-4, 1) if gravity == 0 or rng.random() < 0.2 else 0.0,
-        impurity=_impurities(rng, grains, diameter) if rng.random() < 0.3 else [],
-        **walls,
-        **materials,
-    )
-
-
-def _at_speed(rng: np.random.Generator, chain: Chain, speed: float) -> Scene:
-    """Draw an excitation that moves grains at about this speed, with a suitable duration."""
-    grain = 1 if rng.random() < 0.6 else int(rng.integers(1, chain.movable + 1))
-    mass = chain.masses[grain - 1]
-    contact = min(grain, chain.grains - 1) - 1
-    constant = chain.contact_constants[contact]
-    stiffness = chain.linear_stiffness[contact]
-    hit = speed / (mass * speed**2 / constant) ** (1 / (chain.exponent + 1))
-    omega = max(float(np.sqrt(stiffness / mass)), float(hit))
-    duration = rng.uniform(2, 20) / omega
-    sign = rng.choice([-1.0, 1.0])
-    kind = rng.choice(["impulse", "impulse", "displacement", "profile", "sine", "spline"])
-    if kind == "impulse":
-        excitation = Impulse(velocity=sign * speed, grain=grain)
-    elif kind == "displacement":
-        excitation = Displacement(displacement=sign * speed / omega, grain=grain)
-    elif kind == "profile":
-        velocity = np.zeros(chain.grains)
-        struck = slice(grain - 1, min(grain + 20, chain.movable))
-        velocity[struck] = speed * rng.normal(size=velocity[struck].size)
-        excitation = Profile(velocity=velocity)
-    elif kind == "sine":
-        frequency = omega * 10 ** rng.uniform(-1, 0.3)
-        excitation = Drive(amplitude=speed / frequency, frequency=frequency / (2 * np.pi))
-    else:
-        times = np.append(0, np.cumsum(rng.uniform(0.3, 1, rng.integers(5, 30))))
-        times *= duration * rng.uniform(1, 1.2) / times[-1]
-        path = np.append(0, rng.normal(size=times.size - 1)) * speed * times[-1] / times.size
-        excitation = Drive(times=times, displacement=path)
-    return Scene(
-        chain=chain, excitation=excitation, duration=duration, samples=int(rng.choice([5, 11, 51]))
-    )

@@ -11,12 +11,12 @@ import mpmath
 import numba
 import numpy as np
 import pytest
-from helpers.example_scenes import smooth
+from helpers.example_scenes import smooth, stirred
 from numba import float64, types
 from numba.core.registry import cpu_target
 from numpy.typing import NDArray
 
-from lmpchain import Chain, Profile, Scene
+from lmpchain import Chain, Scene
 from lmpchain.integrators.batch import ChainBatch, series, weakest
 from lmpchain.integrators.kernels import contact_forces as forces
 from lmpchain.integrators.kernels import right_hand_side, sample_loop, window
@@ -190,9 +190,7 @@ def untiled() -> Any:
 def test_tiled_loops_give_the_bits_of_untiled_ones(untiled: Any, monkeypatch: pytest.MonkeyPatch):
     """A wave fills three tiles, with opening contacts and a wall that only touches."""
     chain = Chain(grains=3 * kernels.TILE + 5, diameter=1e-3, top="wall")
-    velocity = 1e-2 * np.random.default_rng(1).normal(size=chain.grains)
-    velocity[-1] = 0
-    scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5, samples=3)
+    scene = Scene(chain=chain, excitation=stirred(chain, 1e-2), duration=1e-5, samples=3)
 
     def run() -> tuple[Array, Array]:
         stepper = NativeStepper(

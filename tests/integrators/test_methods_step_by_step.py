@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
+from helpers.example_scenes import stirred
 from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Profile, Scene
@@ -273,9 +274,7 @@ def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str
     )
     edge = chain.band_edge
     overlap = chain.equilibrium_overlap[0]
-    v = np.random.default_rng(1).normal(size=grains) * overlap * edge
-    v[-1] = 0
-    start = Profile(velocity=v)
+    start = stirred(chain, overlap * edge)
     frequency = 0.1 * edge
     duration = 3 / edge
     excitation = {

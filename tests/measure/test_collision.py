@@ -92,6 +92,7 @@ def test_toda_laws_agree_with_an_integrated_toda_chain(
         assert way * (grain - place) - speed * when == pytest.approx(law, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_head_on_shifts_tend_to_todas_as_amplitudes_fall() -> None:
     """The deviation of the ratio from 1 is about proportional to c - 1."""
     apart = []

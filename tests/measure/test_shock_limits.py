@@ -35,7 +35,8 @@ def toda(piston: float, grains: int) -> shock.Shock:
     return shock.find(trajectory)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("piston", [pytest.param(0.6, marks=pytest.mark.slow), 1.2])
+@pytest.mark.slow
+@pytest.mark.parametrize("piston", [0.6, 1.2])
 def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston: float):
     """The leading soliton lags by 3 / (4 kappa) log t, so the errors fall with 1 / t."""
     exact = toda_chain.exact(piston)
@@ -91,7 +92,7 @@ def weak(size: float) -> Excess:
     return Excess(2 * speeds[1] - speeds[0] - 1, kdv, whitham)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_kdv_is_wrong_by_the_square_of_the_amplitude():
     """The deviation (KdV - leading edge) / e^2 tends to 49/45 as e falls, as in Whitham's theory.
 

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_scenes import stirred
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -99,10 +100,10 @@ def test_indices_and_growth_agree_with_variational_equations_by_scipy(
 @cache
 def chaotic(seed: int) -> Chaos:
     """Return the exponents of one of many motions of one energy, in a sonic vacuum of 5 grains."""
-    velocity = np.random.default_rng(seed).normal(size=5)
-    velocity *= 0.1 / np.linalg.norm(velocity)
     chain = Chain(grains=5, **BEADS)
-    scene = Scene(chain=chain, excitation=Profile(velocity=velocity), duration=0.03)
+    start = stirred(chain, 1.0, seed=seed)
+    start = start.scaled(0.1 / np.linalg.norm(start.velocity))
+    scene = Scene(chain=chain, excitation=start, duration=0.03)
     return chaos_of(scene, seed=seed)
 
 
@@ -142,6 +143,7 @@ def test_indices_decay_by_the_differences_of_exponents() -> None:
             assert fall == pytest.approx(expected, rel=0.05)
 
 
+@pytest.mark.slow
 def test_indices_of_regular_motion_decay_as_powers_of_time() -> None:
     """On a torus of N dimensions the index of k > N deviations falls as t^(-2 (k - N))."""
     found = chaos_of(struck(Chain(grains=3, top_load=50.0, **BEADS), 0.2, 0.2))

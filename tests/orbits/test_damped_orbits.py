@@ -433,7 +433,7 @@ def test_a_resonance_curve_is_drawn_through_its_folds():
     assert by_load.get_ylabel() == "largest displacement"
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_two_hundred_orbits_of_81_grains_take_less_than_a_minute():
     """One core follows a family through resonances of the upper band of a dimer."""
     level = LEVEL | {"grains": 81, "damping": {"drag": 500.0}}

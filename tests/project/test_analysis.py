@@ -198,8 +198,17 @@ def numbers(command: Command, script: str, *words: str) -> dict[str, float]:
     return {label: float(number.split()[0]) for label, _, number in lines}
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("script", KNOWN)
+# Figures that take five seconds or more, of measures that other slow tests check.
+LONG = ("averages", "damped_dimer", "energies", "rectifier", "scattering")
+
+
+@pytest.mark.parametrize(
+    "script",
+    [
+        pytest.param(script, marks=pytest.mark.soak if script in LONG else pytest.mark.slow)
+        for script in KNOWN
+    ],
+)
 def test_figure(script: str, command: Command):
     found = numbers(command, script, "--quick")
     for label, (known, tolerance) in KNOWN[script].items():
@@ -457,8 +466,16 @@ def test_pictures_are_up_to_date_with_the_code(script: str, command: Command):
 MAPS = sorted(path.stem for path in (ANALYSIS / "maps").glob("[a-z]*.py"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", MAPS)
+LONG_MAPS = ("energy", "extremes", "steps")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.soak if name in LONG_MAPS else pytest.mark.slow)
+        for name in MAPS
+    ],
+)
 def test_maps_of_method_limits(name: str, tmp_path: Path, command: Command):
     command("stability_map", name, "--quick", "-o", tmp_path)
     assert (tmp_path / f"stability_{name}.png").stat().st_size > 10_000
@@ -471,7 +488,7 @@ def test_maps_of_method_limits(name: str, tmp_path: Path, command: Command):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_scaling(tmp_path: Path):
     picture = tmp_path / "scaling.png"
     done = subprocess.run(

@@ -12,7 +12,16 @@ FOLDER = ROOT / "analysis" / "calibration"
 SHARED = ("common", "scenes")
 SCRIPTS = sorted(path.stem for path in FOLDER.glob("*.py") if path.stem not in SHARED)
 # The slowest scripts.
-LONG = ("adaptive_steps", "halved_steps", "linear_model_error", "richardson_estimate", "roundoff")
+LONG = (
+    "adaptive_steps",
+    "amplified_rounding",
+    "halved_steps",
+    "linear_model_error",
+    "opening_error_factor",
+    "reference_cost",
+    "richardson_estimate",
+    "roundoff",
+)
 # Constants that a quick run with few scenes confirms.
 SHOWN = {
     "adaptive_steps": ["OPENING_STEPS.crossing", "OPENING_STEPS.least_crossing"],

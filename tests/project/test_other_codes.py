@@ -88,6 +88,7 @@ def test_yade_is_as_accurate_as_lammps(peer):
         peer("with_yade").codes(peer("problem").Problem(displaced))
 
 
+@pytest.mark.slow
 def test_codes_are_timed_alternately_with_lammps(peer, monkeypatch):
     """The time per step is the stored LAMMPS time, scaled by the ratio of shortest times."""
     run = peer("run")

@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.child_processes import PATIENCE, at_work, same, until
+from helpers.example_scenes import stirred
 
-from lmpchain import Chain, Impulse, Profile, Scene, Trajectory, load_sweep, simulate
+from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import mpi
 
@@ -29,15 +30,15 @@ CORES = sorted(os.sched_getaffinity(0))[:2]
 PROGRAMS = "lmpchain|mpiexec|mpirun|srun|sbatch|dask"
 
 STRIKE = Impulse(velocity=1e-5)
-STIRRED = Profile(velocity=np.append(1e-5 * np.random.default_rng(1).normal(size=3999), 0.0))
+LONG = Chain(grains=4000, diameter=1e-3)
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
 # The page stops this run, so the run must be long. Its steps are slow, because ranks synchronise at
 # each step.
 MOVING = Scene(
-    chain=Chain(grains=4000, diameter=1e-3),
-    excitation=STIRRED,
-    duration=2e-4,
-    samples=901,
+    chain=LONG,
+    excitation=stirred(LONG, 1e-5),
+    duration=4e-4 / 3,
+    samples=601,
     grains=range(1, 101),
 )
 LASTING = {

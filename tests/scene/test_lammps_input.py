@@ -54,7 +54,8 @@ def test_the_plain_input_is_understood(tmp_path: Path):
     assert (chain.top, chain.bottom, chain.gravity, chain.top_load) == ("free", "fixed", 0.0, 0.0)
     # Without a load, the overlaps of the input are displacements from touching.
     u, v = understood.fields["excitation"].initial(chain)
-    assert u == pytest.approx([2e-7, 1e-7, 0.0], rel=1e-8)
+    # Positions of millimetres have rounding errors of 1e-18 m.
+    assert u == pytest.approx([2e-7, 1e-7, 0.0], rel=1e-8, abs=1e-17)
     assert v.tolist() == [0.1, 0.0, 0.0]
     assert understood.fields["duration"] == pytest.approx(1e-5, rel=1e-15)
     assert understood.fields["samples"] == 101

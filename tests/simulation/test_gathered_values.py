@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.example_scenes import stirred
 from helpers.thinned import thinned
 from scipy.optimize import brentq, minimize_scalar
 
@@ -33,12 +34,10 @@ def springs(seed: int, samples: int = 3) -> Scene:
         masses=rng.uniform(1, 3, 3) * 1e-6, contact_constants=rng.uniform(1, 3, 2) * 1e7,
         wall_constants=rng.uniform(1, 3, 2) * 1e7,
     )  # fmt: skip
-    profile = Profile(
-        velocity=1e-3 * rng.normal(size=3), displacement=1e-3 / chain.band_edge * rng.normal(size=3)
-    )
+    start = stirred(chain, 1e-3, 1e-3 / chain.band_edge, seed)
     duration = rng.uniform(20, 40) / chain.band_edge
     return Scene(
-        chain=chain, excitation=profile, duration=duration, samples=samples, quantities=ASKED
+        chain=chain, excitation=start, duration=duration, samples=samples, quantities=ASKED
     )
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import stirred
 from helpers.independent_integrators import extended_reference
 from helpers.interpolated_peak import find_peak
 from scipy.optimize import brentq
@@ -19,7 +20,6 @@ from lmpchain import (
     Force,
     Impulse,
     InputError,
-    Profile,
     Scene,
     Stopped,
     Trajectory,
@@ -377,10 +377,10 @@ def test_accumulation_needs_the_memory_of_its_results():
     """All samples together would take a gigabyte."""
     size = 50_000
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
-    velocity = np.append(1e-3 * np.random.default_rng(1).normal(size=size - 1), 0.0)
+    start = stirred(chain, 1e-3)
     scene = Scene(
         chain=chain,
-        excitation=Profile(velocity=velocity),
+        excitation=start,
         duration=1.6e-4,
         samples=2,
         quantities=["peak_velocity"],
@@ -394,4 +394,4 @@ def test_accumulation_needs_the_memory_of_its_results():
     finally:
         tracemalloc.stop()
     assert t.displacement.nbytes + t.velocity.nbytes == 32 * size
-    assert (t.gathered["peak_velocity"] >= np.abs(velocity)).all()
+    assert (t.gathered["peak_velocity"] >= np.abs(start.velocity)).all()

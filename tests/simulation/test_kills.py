@@ -413,7 +413,7 @@ def killed(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("case", "times"), [("native", 2), ("lammps", 1), ("two ranks, then mpirun", 2)]
+    ("case", "times"), [("native", 1), ("lammps", 1), ("two ranks, then mpirun", 2)]
 )
 def test_repeated_kills(case: str, times: int, tmp_path: Path, truth: Callable):
     rng = random.Random(case)

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 from helpers import taylor_series
+from helpers.example_scenes import stirred
 
 import lmpchain
 from lmpchain import (
     Chain,
     Drive,
     Impulse,
-    Profile,
     Scene,
     Stopped,
     ToleranceNotMet,
@@ -25,10 +25,8 @@ from lmpchain.engines.stepping.monitor import JudgingTimes, place_looks
 
 def agitated(grains: int = 60, duration: float = 1e-3) -> Scene:
     """Return flying grains that all move."""
-    velocity = 1e-3 * np.random.default_rng(3).normal(size=grains)
-    velocity[-1] = 0.0
-    start = Profile(displacement=[0.0] * grains, velocity=velocity.tolist())
     chain = Chain(grains=grains, diameter=1e-3)
+    start = stirred(chain, 1e-3, seed=3)
     return Scene(chain=chain, excitation=start, duration=duration, samples=101)
 
 

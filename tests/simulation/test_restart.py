@@ -96,7 +96,6 @@ LONGEST = (
     "lammps, apart",
     "chebyshev",
     "lammps, pushed",
-    "lammps, wall moved",
     "lammps, driven",
     "lammps, away",
     "modes, pushed",
@@ -112,7 +111,17 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(name, marks=pytest.mark.slow if name in LONGEST else ()) for name in STOPPED],
+    [
+        pytest.param(
+            name,
+            marks=pytest.mark.soak
+            if name == "lammps, wall moved"
+            else pytest.mark.slow
+            if name in LONGEST
+            else (),
+        )
+        for name in STOPPED
+    ],
 )
 def test_stopped_after_every_block(case: str, tmp_path: Path):
     """The state belongs to the engine.
@@ -282,7 +291,10 @@ def on_ranks(scene: Scene, engine: engines.Lammps, ranks: list[int], folder: Pat
 
 @pytest.mark.parametrize(
     "ranks",
-    [pytest.param(each, marks=pytest.mark.slow) for each in ([2, 2], [1, 2, 4, 2, 3, 2])],
+    [
+        pytest.param([2, 2], marks=pytest.mark.slow),
+        pytest.param([1, 2, 4, 2, 3, 2], marks=pytest.mark.soak),
+    ],
     ids=str,
 )
 def test_a_grain_crosses_the_border_of_two_ranks(ranks: list[int], tmp_path: Path):

@@ -1042,7 +1042,7 @@ def test_dask_with_a_killed_worker(tmp_path, serial):
 
 @pytest.mark.slow
 def test_a_scheduler_that_dies_ends_the_sweep(tmp_path):
-    path = long_sweep(tmp_path, 400)
+    path = long_sweep(tmp_path, SCENES_OF_A_SWEEP)
     folder = tmp_path / "out"
     with (
         cluster(tmp_path) as (address, _, scheduler),

@@ -56,12 +56,20 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "one bit": flip,
     "text": lambda _: b"not found",
 }
+SLOW = [("empty", "nbi"), ("cut", "nbc"), ("one bit", "nbc")]  # The others are soak tests.
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("suffix", ["nbi", "nbc"])
-@pytest.mark.parametrize("damage", DAMAGE)
-def test_damaged_files_are_recompiled(suffix: str, damage: str, folder: Path):
+@pytest.mark.parametrize(
+    ("damage", "suffix"),
+    [
+        pytest.param(
+            damage, suffix, marks=pytest.mark.slow if (damage, suffix) in SLOW else pytest.mark.soak
+        )
+        for damage in DAMAGE
+        for suffix in ("nbi", "nbc")
+    ],
+)
+def test_damaged_files_are_recompiled(damage: str, suffix: str, folder: Path):
     assert run(folder) == ("42 0", "")
     assert run(folder) == ("42 1", "")
     (path,) = (folder / "cache").rglob(f"*.{suffix}")

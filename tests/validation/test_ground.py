@@ -223,7 +223,14 @@ def excess(seed: int) -> float:
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("seeds", [range(0, 1), pytest.param(range(1, 40), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "seeds",
+    [
+        range(0, 1),
+        pytest.param(range(1, 8), marks=pytest.mark.slow),
+        pytest.param(range(8, 40), marks=pytest.mark.soak),
+    ],
+)
 def test_random_scenes_on_a_ground(seeds):
     """No error exceeds both the tolerance and the estimate of the run."""
     assert {seed: ratio for seed in seeds if (ratio := excess(seed)) > 1} == {}

@@ -385,7 +385,7 @@ def test_surface_mode_of_a_dimer() -> None:
 
 
 @pytest.mark.parametrize(
-    ("engine", "place"), thinned(product(["native", "lammps"], ["band", "gap"]), 3)
+    ("engine", "place"), thinned(product(["native", "lammps"], ["band", "gap"]), 4)
 )
 def test_shaking_a_dimer(engine: str, place: str) -> None:
     """A weak drive in a band is not attenuated; in the gap the factor is e^kappa per cell.

@@ -113,7 +113,7 @@ def test_the_reference_closes_a_contact_whose_force_is_below_one_ulp_of_its_load
 @slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_few_trials(family):
-    rows = [trial(family, seed) for seed in range(3, 8)]
+    rows = [trial(family, seed) for seed in range(3, 6)]
     assert {row["ending"] for row in rows} <= {"right", "missed", "refused", "unresolved"}, table(
         rows
     )

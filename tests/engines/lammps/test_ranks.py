@@ -83,21 +83,16 @@ def same(one: Trajectory, other: Trajectory) -> bool:
 
 
 INTEGRATORS = ("verlet", "kahan-li6", "rkn6")
-FIRST = ("strike in the middle", "rkn6")
 SLOW = list(zip(SCENES, cycle(INTEGRATORS)))  # Each scene once.
 
 
 @pytest.mark.parametrize(
     ("name", "integrator"),
     [
-        pytest.param(
-            *each,
-            marks=() if each == FIRST else pytest.mark.slow if each in SLOW else pytest.mark.soak,
-        )
+        pytest.param(*each, marks=pytest.mark.slow if each in SLOW else pytest.mark.soak)
         for each in product(SCENES, INTEGRATORS)
     ],
 )
-@pytest.mark.slow
 def test_ranks_give_the_bytes_of_a_single_process(name, integrator):
     scene = SCENES[name]
     options = {"integrator": integrator, "step": 2e-7, "diameter": "physical"}
@@ -177,16 +172,13 @@ def test_plain_mpirun_of_the_command_line(tmp_path):
     assert "leave the number of ranks out" in said
 
 
-OF_OTHERS = {
-    "mpich": {"PMI_SIZE": "4", "PMI_RANK": "1", "PMI_FD": "99"},
-    "open mpi": {"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_RANK": "3"},
-    "slurm": {"SLURM_PROCID": "2", "SLURM_STEP_ID": "0", "SLURM_STEP_NUM_TASKS": "4"},
-}
+MPICH = {"PMI_SIZE": "4", "PMI_RANK": "1", "PMI_FD": "99"}
+OPEN_MPI = {"OMPI_COMM_WORLD_SIZE": "4", "OMPI_COMM_WORLD_RANK": "3"}
+SLURM = {"SLURM_PROCID": "2", "SLURM_STEP_ID": "0", "SLURM_STEP_NUM_TASKS": "4"}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", OF_OTHERS)
-def test_the_variables_of_another_program(kind: str, tmp_path):
+def test_the_variables_of_another_program(tmp_path):
     """A command started by another MPI program runs on its own on each rank, as does LAMMPS."""
     MIDDLE.to_toml(tmp_path / "scene.toml")
     scene = f"{tmp_path}/scene.toml"
@@ -197,7 +189,7 @@ def test_the_variables_of_another_program(kind: str, tmp_path):
     ):
         done = subprocess.run(
             [sys.executable, "-m", "lmpchain.cli", *words, f"{tmp_path}/{output}"],
-            env=os.environ | OF_OTHERS[kind],
+            env=os.environ | MPICH | OPEN_MPI | SLURM,
             capture_output=True,
             text=True,
             check=False,
@@ -334,8 +326,9 @@ def endless(tmp_path: Path) -> tuple[subprocess.Popen[str], dict[int, int]]:
     return process, ranks
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("rank", [0, 1])
+@pytest.mark.parametrize(
+    "rank", [pytest.param(0, marks=pytest.mark.soak), pytest.param(1, marks=pytest.mark.slow)]
+)
 def test_a_killed_rank_ends_mpirun(tmp_path, rank):
     process, ranks = endless(tmp_path)
     os.kill(ranks[rank], signal.SIGKILL)
