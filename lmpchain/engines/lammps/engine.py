@@ -215,12 +215,6 @@ class Lammps(TimeSteppingEngine):
             return [
                 ("pair_style", f"{self.pair_style} does not support a law by formula: leave it out")
             ]
-        native = "use the engine native"
-        if scene.chain.contact_viscosity.any():
-            fault = "LAMMPS supports no viscous contacts with a law by formula, only drag"
-            return [("chain.damping.viscoelastic", f"{fault}; {native}")]
-        if scene.excitation.wall is not None:
-            return [("excitation", f"LAMMPS cannot move a wall with a law by formula; {native}")]
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
