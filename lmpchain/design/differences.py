@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, RunFailed
 from ..integrators.batch import ChainBatch
 from ..integrators.differentiation import AnyMethod
+from ..integrators.methods import methods_of
 from ..integrators.observed_run import schedule_of
 from ..integrators.stepper import NativeStepper, room_for
 from ..scene.scene import Scene
@@ -33,6 +34,10 @@ MAX_CHANGE = 0.1
 # Largest number of further changes, and the smallest spread over the allowed one.
 MOST_CHANGES = 3
 TINY = 1e-6
+# Phase advance of the fastest motion between two times of a run that shows the forces, rad, and the
+# smallest number of these times.
+TURN = 0.5
+LEAST_LOOKS = 8
 # Largest number of steps in one call of a stepper.
 MOST_STEPS = 2**62
 
@@ -183,13 +188,13 @@ def differentiate(
 def scales_of(scene: Scene, name: str) -> Array:
     """Return the size of every entry of a parameter, (P,), which is that of its changes.
 
-    An entry of 0 has the size of the largest one. Missing walls and the motion of grains that are
-    held have the size 0.
+    An entry of 0 has the size of the largest one, or the one that `size_by_force` returns. Missing
+    walls and the motion of grains that are held have the size 0.
 
     Raises
     ------
     InputError
-        If all entries are 0, because no size of a change follows.
+        If no size of a change follows, because all entries are 0.
     """
     base = np.abs(params.values(scene, name))
     if name == "wall_constants":
@@ -200,9 +205,45 @@ def scales_of(scene: Scene, name: str) -> Array:
     if name == "displacement":
         largest = max(largest, scene.strike_velocity / scene.highest_frequency)
     if largest == 0:
-        message = "is 0, from which no size of a change follows: give a value other than 0"
-        raise InputError.at(name, message)
+        largest = size_by_force(scene, name)
     scales = np.where(base > 0, base, largest)
     if name in ("velocity", "displacement"):
         scales[scene.chain.movable :] = 0.0
     return scales
+
+
+def size_by_force(scene: Scene, name: str) -> float:
+    """Return the change of a parameter of a formula that changes the force by the force itself.
+
+    Both are the largest ones in a run. The force of a ground is compared with the largest force of
+    inertia, too, because it may be 0.
+
+    Raises
+    ------
+    InputError
+        If the parameter does not change the force, or belongs to no formula.
+    """
+    size = 0.0
+    if name.startswith("chain."):
+        chain = scene.chain
+        law, key = params.formula_of(chain, name)
+        looks = max(LEAST_LOOKS, math.ceil(scene.total_phase / TURN))
+        method = methods_of(chain)["dop853"]
+        run = FixedRun.of(scene, method, scene.duration, looks, np.arange(chain.grains) + 1)
+        force = 0.0
+        if law.of_ground:
+            places = run.displacement, run.time[:, None]
+            force = np.abs(chain.masses * np.gradient(run.velocity, run.time, axis=0)).max()
+        else:
+            numbers = np.flatnonzero(chain.contacts.exists)
+            law = law.with_walls(chain.grains).of(numbers)
+            closer = -np.diff(run.displacement, prepend=0.0, append=0.0)
+            overlap = (chain.contacts.overlap + closer)[:, numbers]
+            places = overlap, chain.contacts.constant[numbers]
+        force = max(force, np.abs(law.force(*places)).max())
+        slope = np.abs(law.force_slope(key, *places)).max()
+        size = float(force / slope) if slope > 0 else 0.0
+    if not 0 < size < math.inf:
+        message = "is 0, from which no size of a change follows: give a value other than 0"
+        raise InputError.at(name, message)
+    return size

@@ -16,7 +16,7 @@ from ..util.arrays import Array
 from ..util.units import FIELD_UNITS
 from . import parameters as params
 from .changes import changed
-from .differences import FixedRun, differentiate
+from .differences import FixedRun, differentiate, size_by_force
 from .traces import Traces, model
 
 TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
@@ -90,15 +90,20 @@ class Problem:
     def _add_parameter(self, name: str, base: Array, choice: Any) -> None:
         """Add a parameter: one factor for all entries, or single entries."""
         symbol = params.unit(self.scene, name)
+        vanishes = not base.any()
+        largest = float(np.abs(base).max())
+        if vanishes and name.startswith("chain."):
+            largest = size_by_force(self.scene, name)
         if isinstance(choice, str) and choice == "common":
-            if not base.any():
+            if largest == 0:
                 cure = "begin with a guess above 0" if name in MAY_VANISH else "name entries"
                 raise InputError.at(name, f"is 0 everywhere, which no factor changes: {cure}")
+            base = np.full(base.size, largest) if vanishes else base
             entries = base[base != 0]
             # Equal entries are estimated in their own unit, unequal entries by a factor.
             alike = bool((entries == entries[0]).all())
             unit = float(entries[0]) if alike else 1.0
-            self._add(name, unit, unit, symbol if alike else "")
+            self._add(name, 0.0 if vanishes else unit, unit, symbol if alike else "")
             self.along.append((name, base))
             return
         all_entries = isinstance(choice, str) and choice == "each"
@@ -108,7 +113,7 @@ class Problem:
             raise InputError.at(name, f"{message} (got {shown(choice)})")
         for number in numbers:
             # The unit of an entry of 0 is the largest entry.
-            unit = float(base[number - 1]) or float(np.abs(base).max()) or 1.0
+            unit = float(base[number - 1]) or largest or 1.0
             self._add(f"{name} {number}", float(base[number - 1]), unit, symbol)
             self.along.append((name, unit * (np.arange(base.size) == number - 1)))
 
@@ -253,7 +258,9 @@ class Problem:
 
         lowest = np.full(len(self.names), -np.inf)
         for index, (name, _) in enumerate(self.along):
-            if name not in SIGNED:
+            # A parameter of a formula that begins at 0 may change sign.
+            free_sign = name in SIGNED or (name.startswith("chain.") and self.origin[index] == 0)
+            if not free_sign:
                 lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
         # SciPy's limit on the gradient is absolute, so the residuals are scaled first.
         size = 1.0

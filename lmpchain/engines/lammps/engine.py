@@ -525,8 +525,10 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     the overlap at rest and the `closest` approach of a trial, m.
     """
     bounded = _bounds_overlaps(scene)
-    overlap = scene.overlap_bounds if bounded else scene.chain.contacts.overlap + closest
-    gauge = HEIGHTS.headroom * float(overlap.max())
+    rest = scene.chain.contacts.overlap
+    overlap = scene.overlap_bounds if bounded else rest + closest
+    # Bonds may be stretched at rest.
+    gauge = HEIGHTS.headroom * float(max(overlap.max(), -rest.min()))
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 
 

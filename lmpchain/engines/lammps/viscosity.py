@@ -41,12 +41,13 @@ class LammpsViscosity:
         law = self.chain.law.with_walls(self.chain.grains)
         viscosity = np.where(contacts.exists, self.chain.contact_viscosity, 0.0)
         constants = zip(law.names, law.parameters, strict=True)
-        values = {"o": contacts.overlap, "k": contacts.constant, **dict(constants)}
+        values = {"k": contacts.constant, **dict(constants)}
         # A missing wall has the stiffness of the next contact, which has a value.
         numbers = np.arange(viscosity.size)
         near = np.clip(numbers, *np.flatnonzero(contacts.exists)[[0, -1]])
-        return {"A": viscosity} | {
-            key: np.broadcast_to(values[key], numbers.shape)[near] for key in self._slope.names
+        used = {key: values[key] for key in self._slope.names if key != "o"}
+        return {"A": viscosity, "o": contacts.overlap[near]} | {
+            key: np.broadcast_to(value, numbers.shape)[near] for key, value in used.items()
         }
 
     @cached_property
