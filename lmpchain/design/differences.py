@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, RunFailed
 from ..integrators.batch import ChainBatch
 from ..integrators.differentiation import AnyMethod
-from ..integrators.methods import methods_of
+from ..integrators.dop853 import DormandPrince
 from ..integrators.observed_run import schedule_of
 from ..integrators.stepper import NativeStepper, room_for
 from ..scene.scene import Scene
@@ -228,8 +228,8 @@ def size_by_force(scene: Scene, name: str) -> float:
         chain = scene.chain
         law, key = params.formula_of(chain, name)
         looks = max(LEAST_LOOKS, math.ceil(scene.total_phase / TURN))
-        method = methods_of(chain)["dop853"]
-        run = FixedRun.of(scene, method, scene.duration, looks, np.arange(chain.grains) + 1)
+        grains = np.arange(chain.grains) + 1
+        run = FixedRun.of(scene, DormandPrince(), scene.duration, looks, grains)
         force = 0.0
         if law.of_ground:
             places = run.displacement, run.time[:, None]

@@ -3,7 +3,7 @@
 LAMMPS has no pair or bond style with damping by formula. Neighbouring grains are therefore chunks
 of two: "odd" ones of grains 1 and 2, 3 and 4, ..., and "even" ones of grains 2 and 3, 4 and 5, ...
 Their sums over displacements and velocities, with a minus for even grains, are changes of overlaps
-and the rates of these. Such a step takes the time of some ten steps without viscosity.
+and the rates of these. Steps take 1.4 times as long for 100 grains, 7 times for 10,000.
 """
 
 from __future__ import annotations
