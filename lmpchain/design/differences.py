@@ -34,10 +34,7 @@ MAX_CHANGE = 0.1
 # Largest number of further changes, and the smallest spread over the allowed one.
 MOST_CHANGES = 3
 TINY = 1e-6
-# Phase advance of the fastest motion between two times of a run that shows the forces, rad, and the
-# smallest number of these times.
-TURN = 0.5
-LEAST_LOOKS = 8
+TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Largest number of steps in one call of a stepper.
 MOST_STEPS = 2**62
 
@@ -212,6 +209,11 @@ def scales_of(scene: Scene, name: str) -> Array:
     return scales
 
 
+def first_looks(scene: Scene) -> int:
+    """Return the initial number of evaluation times after t = 0."""
+    return max(8, math.ceil(scene.total_phase / TURN))
+
+
 def size_by_force(scene: Scene, name: str) -> float:
     """Return the change of a parameter of a formula that changes the force by the force itself.
 
@@ -227,9 +229,8 @@ def size_by_force(scene: Scene, name: str) -> float:
     if name.startswith("chain."):
         chain = scene.chain
         law, key = params.formula_of(chain, name)
-        looks = max(LEAST_LOOKS, math.ceil(scene.total_phase / TURN))
         grains = np.arange(chain.grains) + 1
-        run = FixedRun.of(scene, DormandPrince(), scene.duration, looks, grains)
+        run = FixedRun.of(scene, DormandPrince(), scene.duration, first_looks(scene), grains)
         force = 0.0
         if law.of_ground:
             places = run.displacement, run.time[:, None]

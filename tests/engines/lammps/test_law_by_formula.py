@@ -24,6 +24,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.deck_reader import read_deck
+from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.export import write_deck
 
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
@@ -202,6 +203,12 @@ def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     u, v = read_dump(alone)
     assert np.abs(u).max() > 0
     assert np.array_equal(v, t.velocity)
+
+
+def test_bonds_that_are_stretched_at_rest_have_a_gauge_diameter():
+    chain = Chain(**ROW, law=Law("k*(o + e)", k=K, e=1e-6))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-4, samples=3)
+    assert gauge_diameter(scene) == pytest.approx(3e-6)
 
 
 def test_rkn6_meets_a_tolerance():
