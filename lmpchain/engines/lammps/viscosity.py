@@ -18,6 +18,9 @@ from ...chain.law import Law
 from ...util.arrays import Array
 from ...util.lazy import cached_property
 
+# Key of the viscosity A among the parameters of a formula, whose names contain no space.
+RELAXATION = "relaxation time"
+
 
 @dataclass(frozen=True)
 class LammpsViscosity:
@@ -46,7 +49,7 @@ class LammpsViscosity:
         numbers = np.arange(viscosity.size)
         near = np.clip(numbers, *np.flatnonzero(contacts.exists)[[0, -1]])
         used = {key: values[key] for key in self._slope.names if key != "o"}
-        return {"A": viscosity, "o": contacts.overlap[near]} | {
+        return {RELAXATION: viscosity, "o": contacts.overlap[near]} | {
             key: np.broadcast_to(value, numbers.shape)[near] for key, value in used.items()
         }
 
@@ -81,4 +84,4 @@ class LammpsViscosity:
         places = {key: name(f"d_{pair}{number}") for number, key in enumerate(self._values)}
         grown = name(change) if pair == "odd" else negative(name(change))
         values = places | {"o": add(places["o"], grown)}
-        return f"{places['A'].text}*({self._slope.substitute(values).lammps})*{rate}"
+        return f"{places[RELAXATION].text}*({self._slope.substitute(values).lammps})*{rate}"

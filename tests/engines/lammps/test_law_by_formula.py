@@ -50,7 +50,7 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         Drive(amplitude=1e-7, frequency=5e3),
         3e-4,
     ),
-    "springs": ({"law": Law("k*o", k=K)}, STRIKE, 1e-3),
+    "springs": ({"law": Law("A*o", A=K)}, STRIKE, 1e-3),
     "bilinear": ({"law": laws.bilinear(0.3, k=K)}, STRIKE, 1e-3),
     "an exponent below 1": (
         {"law": laws.power(0.6, k=10.0), "top_load": 1e-3},
