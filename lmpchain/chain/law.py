@@ -178,12 +178,7 @@ class Law(ContactLaw):
     def _set(self, formula: Formula, given: dict[str, float | tuple[float, ...]]) -> None:
         object.__setattr__(self, "formula", formula)
         object.__setattr__(self, "given", given)
-        arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
-        # In a ground law the time replaces the constant of a contact.
-        variables = "u, t, p" if self.of_ground else "o, k, p"
-        force, stiffness, curvature = (
-            part.function(variables, NUMPY, arguments) for part in _derived(formula)
-        )
+        force, stiffness, curvature = map(self._function, _derived(formula))
         super().__init__(
             force,
             stiffness,
@@ -193,6 +188,13 @@ class Law(ContactLaw):
             name=self.text,
         )
         object.__setattr__(self, "onset", self._onset())
+
+    def _function(self, part: Formula) -> Callable[..., Any]:
+        """Return a function of overlap, constant and parameters that evaluates a formula."""
+        arguments = {key: f"p[{n}]" for n, key in enumerate(self.names)}
+        # In a ground law the time replaces the constant of a contact.
+        variables = "u, t, p" if self.of_ground else "o, k, p"
+        return part.function(variables, NUMPY, arguments)
 
     @property
     def kernel(self) -> LawKernel:
@@ -344,6 +346,11 @@ class Law(ContactLaw):
     def stiffness(self, overlap: Any, constant: Any = None) -> Any:
         """Return the derivative of the force with respect to the overlap, N/m."""
         return self._filled(super().stiffness, overlap, constant)
+
+    def force_slope(self, key: str, overlap: Any, constant: Any = None) -> Any:
+        """Return the derivative of the force with respect to the parameter of this name."""
+        slope = self._function(self.formula.derivative(key))
+        return self._filled(lambda o, k: slope(o, k, self.parameters), overlap, constant)
 
     def curvature(self, overlap: Any, constant: Any = None) -> Any:
         """Return the second derivative of the force with respect to the overlap, N/m2."""

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, RunFailed
 from ..integrators.batch import ChainBatch
 from ..integrators.differentiation import AnyMethod
+from ..integrators.dop853 import DormandPrince
 from ..integrators.observed_run import schedule_of
 from ..integrators.stepper import NativeStepper, room_for
 from ..scene.scene import Scene
@@ -33,6 +34,7 @@ MAX_CHANGE = 0.1
 # Largest number of further changes, and the smallest spread over the allowed one.
 MOST_CHANGES = 3
 TINY = 1e-6
+TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Largest number of steps in one call of a stepper.
 MOST_STEPS = 2**62
 
@@ -184,13 +186,13 @@ def differentiate(
 def scales_of(scene: Scene, name: str) -> Array:
     """Return the size of every entry of a parameter, (P,), by which its changes are scaled.
 
-    An entry of 0 gets the size of the largest entry. The size is 0 for missing walls and for the
-    motion of held grains.
+    An entry of 0 gets the size of the largest entry; if all entries are 0, the size is that of
+    `size_by_force`. The size is 0 for missing walls and for the motion of held grains.
 
     Raises
     ------
     InputError
-        If all entries are 0, so that the size of a change is undefined.
+        If all entries are 0 and the size of a change is undefined.
     """
     base = np.abs(params.values(scene, name))
     if name == "wall_constants":
@@ -201,9 +203,49 @@ def scales_of(scene: Scene, name: str) -> Array:
     if name == "displacement":
         largest = max(largest, scene.strike_velocity / scene.highest_frequency)
     if largest == 0:
-        message = "is 0, so that the size of a change is undefined: give a value other than 0"
-        raise InputError.at(name, message)
+        largest = size_by_force(scene, name)
     scales = np.where(base > 0, base, largest)
     if name in ("velocity", "displacement"):
         scales[scene.chain.movable :] = 0.0
     return scales
+
+
+def first_looks(scene: Scene) -> int:
+    """Return the initial number of evaluation times after t = 0."""
+    return max(8, math.ceil(scene.total_phase / TURN))
+
+
+def size_by_force(scene: Scene, name: str) -> float:
+    """Return the change of a parameter of a formula that changes the force by the force itself.
+
+    Both are the largest ones in a run. The force of a ground is compared with the largest force of
+    inertia, too, because it may be 0.
+
+    Raises
+    ------
+    InputError
+        If the parameter does not change the force, or belongs to no formula.
+    """
+    size = 0.0
+    if name.startswith("chain."):
+        chain = scene.chain
+        law, key = params.formula_of(chain, name)
+        grains = np.arange(chain.grains) + 1
+        run = FixedRun.of(scene, DormandPrince(), scene.duration, first_looks(scene), grains)
+        force = 0.0
+        if law.of_ground:
+            places = run.displacement, run.time[:, None]
+            force = np.abs(chain.masses * np.gradient(run.velocity, run.time, axis=0)).max()
+        else:
+            numbers = np.flatnonzero(chain.contacts.exists)
+            law = law.with_walls(chain.grains).of(numbers)
+            closer = -np.diff(run.displacement, prepend=0.0, append=0.0)
+            overlap = (chain.contacts.overlap + closer)[:, numbers]
+            places = overlap, chain.contacts.constant[numbers]
+        force = max(force, np.abs(law.force(*places)).max())
+        slope = np.abs(law.force_slope(key, *places)).max()
+        size = float(force / slope) if slope > 0 else 0.0
+    if not 0 < size < math.inf:
+        message = "is 0, so that the size of a change is undefined: give a value other than 0"
+        raise InputError.at(name, message)
+    return size

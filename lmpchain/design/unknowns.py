@@ -16,10 +16,9 @@ from ..util.arrays import Array
 from ..util.units import FIELD_UNITS
 from . import parameters as params
 from .changes import changed
-from .differences import FixedRun, differentiate
+from .differences import FixedRun, differentiate, first_looks, size_by_force
 from .traces import Traces, model
 
-TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Relative error of a Jacobian by differences; the estimates of a fit do not depend on it.
 ACCURACY = 1e-5
 # Parameters that may change sign; all others stay above a tenth of their value.
@@ -62,7 +61,7 @@ class Problem:
             self._add_parameter(name, params.values(scene, name), parameters[name])
         for number, trace in enumerate(traces, 1):
             self._add_nuisances(trace, f" {number}" if len(traces) > 1 else "")
-        self.looks = max(8, int(np.ceil(scene.total_phase / TURN)))
+        self.looks = first_looks(scene)
         self.grains = np.unique(np.concatenate([trace.grains(scene) for trace in traces]))
 
     @property
@@ -90,16 +89,11 @@ class Problem:
     def _add_parameter(self, name: str, base: Array, choice: Any) -> None:
         """Add a parameter: one factor for all entries, or single entries."""
         symbol = params.unit(self.scene, name)
+        largest = float(np.abs(base).max())
+        if largest == 0 and name.startswith("chain."):
+            largest = size_by_force(self.scene, name)
         if isinstance(choice, str) and choice == "common":
-            if not base.any():
-                cure = "start from a guess above 0" if name in MAY_VANISH else "name entries"
-                raise InputError.at(name, f"is 0 everywhere, so a factor cannot change it: {cure}")
-            entries = base[base != 0]
-            # Equal entries are estimated in their own unit, unequal entries by a factor.
-            alike = bool((entries == entries[0]).all())
-            unit = float(entries[0]) if alike else 1.0
-            self._add(name, unit, unit, symbol if alike else "")
-            self.along.append((name, base))
+            self._add_common(name, base, largest, symbol)
             return
         all_entries = isinstance(choice, str) and choice == "each"
         numbers = range(1, base.size + 1) if all_entries else choice
@@ -108,9 +102,25 @@ class Problem:
             raise InputError.at(name, f"{message} (got {shown(choice)})")
         for number in numbers:
             # The unit of an entry of 0 is the largest entry.
-            unit = float(base[number - 1]) or float(np.abs(base).max()) or 1.0
+            unit = float(base[number - 1]) or largest or 1.0
             self._add(f"{name} {number}", float(base[number - 1]), unit, symbol)
             self.along.append((name, unit * (np.arange(base.size) == number - 1)))
+
+    def _add_common(self, name: str, base: Array, largest: float, symbol: str) -> None:
+        """Add one factor for all entries, or one change of the size `largest` if they are 0."""
+        if largest == 0:
+            cure = "start from a guess above 0" if name in MAY_VANISH else "name entries"
+            raise InputError.at(name, f"is 0 everywhere, so a factor cannot change it: {cure}")
+        if not base.any():
+            self._add(name, 0.0, largest, symbol)
+            self.along.append((name, np.full(base.size, largest)))
+            return
+        entries = base[base != 0]
+        # Equal entries are estimated in their own unit, unequal entries by a factor.
+        alike = bool((entries == entries[0]).all())
+        unit = float(entries[0]) if alike else 1.0
+        self._add(name, unit, unit, symbol if alike else "")
+        self.along.append((name, base))
 
     def estimates(self, theta: Array) -> Array:
         """Return the unknowns in their units."""
@@ -255,7 +265,9 @@ class Problem:
 
         lowest = np.full(len(self.names), -np.inf)
         for index, (name, _) in enumerate(self.along):
-            if name not in SIGNED:
+            # A parameter of a formula that begins at 0 may change sign.
+            free_sign = name in SIGNED or (name.startswith("chain.") and self.origin[index] == 0)
+            if not free_sign:
                 lowest[index] = NOTHING if name in MAY_VANISH else LOWEST
         # SciPy's limit on the gradient is absolute, so the residuals are scaled first.
         size = 1.0

@@ -116,6 +116,27 @@ CASES = {
         {"k": SPREAD},
         {"k": "chain.law.k"},
     ),
+    "hertz at 0": Case(
+        PRESSED.replace(law=Law(HERTZ.text, c=0.0)),
+        hertz,
+        nothing,
+        {"c": 0.0},
+        {"c": "chain.law.c"},
+    ),
+    "duffing at 0": Case(
+        PRESSED.replace(ground=Law(GROUND.text, s=0.0, beta=0.0)),
+        hertz,
+        duffing,
+        {"s": 0.0, "beta": 0.0},
+        {"s": "chain.ground.s", "beta": "chain.ground.beta"},
+    ),
+    "each contact at 0": Case(
+        PRESSED.replace(law=Law(HERTZ.text, c=[0.0] * (N - 1))),
+        hertz,
+        nothing,
+        {"c": np.zeros(N - 1)},
+        {"c": "chain.law.c"},
+    ),
 }
 
 
@@ -178,9 +199,10 @@ def derivatives_of(
     slopes = []
     for entry in range(base.size):
         value = base.copy()
-        value[entry] += 1j * TINY * abs(base[entry])
+        change = TINY * (abs(base[entry]) or 1.0)
+        value[entry] += 1j * change
         moved = case.values | {key: value if base.size > 1 else value[0]}
-        slopes.append(objective(motion_of(case, moved, 2)[-1]).imag / (TINY * abs(base[entry])))
+        slopes.append(objective(motion_of(case, moved, 2)[-1]).imag / change)
     return np.array(slopes)
 
 
@@ -304,6 +326,15 @@ def test_an_exact_trace_returns_the_stiffness_of_each_contact() -> None:
     np.testing.assert_allclose(found.scene.chain.contact_constants, SPREAD, rtol=1e-5)
 
 
+@pytest.mark.parametrize("c", [2e4, -2e4])
+def test_a_fit_begins_at_0(c: float) -> None:
+    case = CASES["hertz at 0"]
+    motion = motion_of(case, {"c": c}, 41).real
+    traces = Traces(np.linspace(0.0, END, 41), [2, 4], motion[:, 1, [1, 3]])
+    found = fit(traces, case.scene, ["chain.law.c"])
+    assert found.values["chain.law.c"] == pytest.approx(c, rel=1e-5)
+
+
 def test_optima_and_sensitivities_take_parameters_of_formulas() -> None:
     scene = CASES["hertz"].scene
     bounds = {"chain.law.c": (1e4, 3e4)}
@@ -329,7 +360,7 @@ def test_optima_and_sensitivities_take_parameters_of_formulas() -> None:
     [
         ("chain.law.b", {"law": HERTZ}, "parameters: must be masses | .* | chain.law.c"),
         ("chain.law.c", {}, "parameters: must be masses"),
-        ("chain.law.c", {"law": Law(HERTZ.text, c=0.0)}, "chain.law.c: is 0, so that the size"),
+        ("chain.law.q", {"law": Law("k*o + q*max(o - 1, 0)", q=0.0)}, "is 0, so that the size"),
         ("contact_constants", {"law": laws.toda(b=1e5, k=1e6)}, "use chain.law.k"),
         ("masses", {"law": HERTZ, "impurity": [{"grain": 2, "mass": 1e-6}]}, "with impurities"),
     ],

@@ -27,6 +27,7 @@ from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from ...util.lazy import cached_property
 from .ground import LammpsGround
+from .viscosity import LammpsViscosity
 
 # Coefficients of the current cubic piece in powers of the time since its start.
 PIECE = ("begin", "c0", "c1", "c2", "c3")
@@ -167,6 +168,19 @@ class LammpsColumn:
         """The force from the ground, or None."""
         law = self.chain.ground
         return LammpsGround(law, not self.scene.initial()[0].any()) if law else None
+
+    @cached_property
+    def viscosity(self) -> LammpsViscosity | None:
+        """The viscous forces of contacts by formula, or None."""
+        if self.formula is None or not self.chain.contact_viscosity.any():
+            return None
+        return LammpsViscosity(self.chain, self.scene.excitation.wall is not None)
+
+    @cached_property
+    def own(self) -> dict[str, Array]:
+        """The parameters that each grain has, (N,) each, by their names in LAMMPS."""
+        parts = (part.own for part in (self.ground, self.viscosity) if part)
+        return {key: values for own in parts for key, values in own.items()}
 
     @property
     def atoms(self) -> str:

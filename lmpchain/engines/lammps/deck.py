@@ -166,7 +166,7 @@ def holds_motion(column: LammpsColumn, folder: Path | None) -> bool:
 
     Otherwise the velocities are passed to LAMMPS in memory, which is much faster.
     """
-    return folder is not None or not column.bare or column.ground is not None
+    return folder is not None or not column.bare or bool(column.ground or column.viscosity)
 
 
 def _write_data(column: LammpsColumn, file: BinaryIO, whole: bool) -> None:
@@ -222,8 +222,8 @@ def _bond_lines(types: list[int]) -> Iterator[str]:
 
 
 def _own_lines(column: LammpsColumn) -> Iterator[str]:
-    """Yield the lines of the parameters that each grain has of the ground."""
-    if column.ground and (own := column.ground.own):
+    """Yield the lines of the parameters that each grain has."""
+    if own := column.own:
         yield from _lines(f"%d{' %r' * len(own)}\n", *own.values())
 
 

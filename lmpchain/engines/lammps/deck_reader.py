@@ -95,7 +95,7 @@ class _DeckLine(NamedTuple):
 class _Grains(NamedTuple):
     """Grains of a data file from the top, z upward: types and properties in SI units.
 
-    `own` has a column for each parameter of the ground that differs from grain to grain. `bonds`
+    `own` has a column for each parameter of formulas that differs from grain to grain. `bonds`
     has a row for each contact with a law by formula: number, type and grains.
     """
 
@@ -617,10 +617,10 @@ def _check_formulas(column: LammpsColumn, grains: _Grains) -> None:
     if not np.array_equal(grains.bonds, bonds):
         fault = "has other bonds than the contacts of the scene"
         raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
-    own = [*column.ground.own.values()] if column.ground else []
+    own = [*column.own.values()]
     read = grains.own.T
     if len(read) != len(own) or (own and not np.allclose(read, own, SAME_NUMBER, 0.0)):
-        fault = f"has other parameters of the ground under {OWN} than the scene"
+        fault = f"has other parameters of the grains under {OWN} than the scene"
         raise InputError.at(str(grains.path), f"{fault}: write the deck again with lmpchain deck")
 
 

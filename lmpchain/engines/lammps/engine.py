@@ -222,12 +222,6 @@ class Lammps(TimeSteppingEngine):
             return [
                 ("pair_style", f"{self.pair_style} does not support a law by formula: leave it out")
             ]
-        native = "use the native engine"
-        if scene.chain.contact_viscosity.any():
-            fault = "LAMMPS supports only drag with a law by formula, and no viscous contacts"
-            return [("chain.damping.viscoelastic", f"{fault}; {native}")]
-        if scene.excitation.wall is not None:
-            return [("excitation", f"LAMMPS cannot move a wall with a law by formula; {native}")]
         return []
 
     def trial_s(self, scene: Scene, tolerance: float) -> float:
@@ -539,8 +533,10 @@ def gauge_diameter(scene: Scene, closest: float = 0.0) -> float:
     the overlap at rest and the `closest` approach of a trial, m.
     """
     bounded = _bounds_overlaps(scene)
-    overlap = scene.overlap_bounds if bounded else scene.chain.contacts.overlap + closest
-    gauge = HEIGHTS.headroom * float(overlap.max())
+    rest = scene.chain.contacts.overlap
+    overlap = scene.overlap_bounds if bounded else rest + closest
+    # Bonds may be stretched at rest.
+    gauge = HEIGHTS.headroom * float(max(overlap.max(), -rest.min()))
     return gauge if gauge < scene.chain.diameters.min() else 0.0
 
 

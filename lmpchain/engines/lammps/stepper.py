@@ -95,6 +95,9 @@ class LammpsStepper:
             else:
                 start = () if deck.holds_motion(column, keep) else column.start
             communicator.ask("begin", plan, start, include)
+            if state and column.formula and scene.excitation.wall is not None:
+                # LAMMPS stops at a wall beyond a grain, so it moves once the heights are set.
+                communicator.ask("commands", "variable wall_on internal 1.0")
             self._take()
             self._check()
         except BaseException:

@@ -24,6 +24,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.deck_reader import read_deck
+from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.export import write_deck
 
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
@@ -49,7 +50,7 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         Drive(amplitude=1e-7, frequency=5e3),
         3e-4,
     ),
-    "springs": ({"law": Law("k*o", k=K)}, STRIKE, 1e-3),
+    "springs": ({"law": Law("A*o", A=K)}, STRIKE, 1e-3),
     "bilinear": ({"law": laws.bilinear(0.3, k=K)}, STRIKE, 1e-3),
     "an exponent below 1": (
         {"law": laws.power(0.6, k=10.0), "top_load": 1e-3},
@@ -96,30 +97,66 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         2e-4,
     ),
 }
-DEFAULT = ("drag", "toda under gravity", "adhesion")
+MOVED = [f"{name} + moving wall" for name in CASES if isinstance(CASES[name][1], Impulse)]
+VISCOUS = [f"{name} + viscous" for name in CASES]
+BOTH = "stiffer than Hertz + moving wall + viscous"
+NAMES = [*CASES, *MOVED, *VISCOUS, BOTH]
+DEFAULT = ("drag", "toda under gravity", "adhesion", "toda under gravity + viscous", BOTH)
 
 
 def case(name: str) -> tuple[Scene, float]:
     """Return a scene and a step, s."""
-    chain, excitation, duration = CASES[name]
+    plain, *others = name.split(" + ")
+    chain, excitation, duration = CASES[plain]
     scene = Scene(chain=Chain(**ROW | chain), excitation=excitation, duration=duration, samples=11)
+    omega = scene.highest_frequency
+    if "moving wall" in others:
+        walls = scene.chain.replace(top="wall", bottom="wall")
+        drive = Drive(grain=0, amplitude=0.01 / omega, frequency=omega / 30, cycles=3)
+        scene = scene.replace(chain=walls, excitation=drive)
+    if "viscous" in others:
+        damping = scene.chain.damping.replace(viscoelastic=0.05 / omega)
+        scene = scene.replace(chain=scene.chain.replace(damping=damping))
     return scene, duration / 500
 
 
-def some(names: tuple[str, ...]) -> list[Any]:
-    """Return all cases, of which the ones outside these names are slow."""
-    return [pytest.param(n, marks=() if n in names else pytest.mark.slow) for n in CASES]
+def some(names: tuple[str, ...], among: list[str] = NAMES) -> list[Any]:
+    """Return cases, of which the ones outside these names are slow."""
+    return [pytest.param(n, marks=() if n in names else pytest.mark.slow) for n in among]
+
+
+def check_agreement(scene: Scene, integrator: str, step: float) -> None:
+    """Check that both engines agree at the same steps, but for the rounding of heights."""
+    native = simulate(scene, Native(integrator=integrator, step=step))
+    ours = simulate(scene, Lammps(integrator=integrator, step=step, diameter="gauge"))
+    largest = np.abs(native.velocity).max()
+    assert native.cost.steps == ours.cost.steps
+    assert np.abs(native.velocity - ours.velocity).max() < 1e-10 * largest
+    expected = native.error_estimate.solver
+    assert ours.error_estimate.solver == pytest.approx(expected, rel=1e-3, abs=1e-10)
 
 
 @pytest.mark.parametrize("name", some(DEFAULT))
 def test_lammps_and_native_differ_by_less_than_1e_10_at_the_same_steps(name: str):
     scene, step = case(name)
-    native = simulate(scene, Native(integrator="verlet", step=step))
-    ours = simulate(scene, Lammps(integrator="verlet", step=step, diameter="gauge"))
-    largest = np.abs(native.velocity).max()
-    assert native.cost.steps == ours.cost.steps
-    assert np.abs(native.velocity - ours.velocity).max() < 1e-10 * largest
-    assert ours.error_estimate.solver == pytest.approx(native.error_estimate.solver, rel=1e-3)
+    check_agreement(scene, "verlet", step)
+
+
+@pytest.mark.parametrize(
+    "name", some(("toda + moving wall",), [name for name in MOVED if "drag" not in name])
+)
+def test_drifts_of_a_splitting_end_at_the_wall(name: str):
+    scene, step = case(name)
+    check_agreement(scene, "rkn6", 2 * step)
+
+
+@pytest.mark.parametrize("name", ["toda + moving wall", BOTH])
+def test_a_wall_follows_a_curve_through_points(name: str):
+    scene, step = case(name)
+    time = np.linspace(0.0, 0.7 * scene.duration, 15)
+    curve = scene.excitation.waveform.at(time)
+    drive = Drive(grain=0, times=time, displacement=curve - curve[0])
+    check_agreement(scene.replace(excitation=drive), "verlet", step)
 
 
 REFERENCES: dict[str, Callable[[Any], Any]] = {
@@ -154,7 +191,7 @@ def test_the_estimate_covers_the_error_against_scipy(name: str):
     assert 1e-7 < error <= 1.1 * t.error_estimate.solver
 
 
-@pytest.mark.parametrize("name", some(("toda under gravity",)))
+@pytest.mark.parametrize("name", some(("toda under gravity", BOTH)))
 def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     scene, step = case(name)
     write_deck(scene, tmp_path / "deck", step=step)
@@ -168,6 +205,12 @@ def test_a_deck_gives_the_bytes_of_the_library(name: str, tmp_path: Path):
     assert np.array_equal(v, t.velocity)
 
 
+def test_bonds_that_are_stretched_at_rest_have_a_gauge_diameter():
+    chain = Chain(**ROW, law=Law("k*(o + e)", k=K, e=1e-6))
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-4, samples=3)
+    assert gauge_diameter(scene) == pytest.approx(3e-6)
+
+
 def test_rkn6_meets_a_tolerance():
     scene, _ = case("toda")
     t = simulate(scene, "lammps", tolerance=1e-8)
@@ -178,7 +221,13 @@ def test_rkn6_meets_a_tolerance():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["toda under gravity", "one exponent a contact", "walls"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("toda under gravity", "one exponent a contact", "walls", BOTH),
+        *("one exponent a contact + viscous", "adhesion + moving wall"),
+    ],
+)
 def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
     scene, step = case(name)
     for diameter in ("physical", "gauge"):
@@ -191,7 +240,7 @@ def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
         assert np.array_equal(one.velocity, two.velocity)
 
 
-@pytest.mark.parametrize("name", some(("toda under gravity",)))
+@pytest.mark.parametrize("name", some(("toda under gravity", BOTH)))
 def test_a_resumed_run_gives_the_same_bits(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
@@ -204,19 +253,7 @@ def test_a_resumed_run_gives_the_same_bits(
 
 
 REFUSED: dict[str, tuple[dict[str, Any], dict[str, Any], Any, str]] = {
-    "damping": (
-        {"damping": {"viscoelastic": 1e-7}},
-        {},
-        STRIKE,
-        "only drag with a law by formula",
-    ),
     "pair style": ({}, {"pair_style": "gran/hertz/history"}, STRIKE, "leave it out"),
-    "moving wall": (
-        {"top": "wall", "top_load": 1e-2},
-        {},
-        Drive(grain=0, amplitude=1e-7, frequency=5e3),
-        "cannot move a wall",
-    ),
     "no closed energy": (
         {"law": Law("k*tanh(b*o)*exp(-(b*o)**2)*(1 + o**2)", k=K, b=1e3)},
         {},
@@ -235,7 +272,7 @@ def test_unsupported_features_are_rejected_in_one_line(name: str):
         simulate(scene, Lammps("verlet", step=1e-7, **options))
 
 
-@pytest.mark.parametrize("name", some(("toda under gravity", "walls", "drag")))
+@pytest.mark.parametrize("name", some(("toda under gravity", "walls", "drag", BOTH)))
 def test_a_deck_is_read_back_with_its_scene(name: str, tmp_path: Path):
     scene, step = case(name)
     write_deck(scene, tmp_path, step=step)
