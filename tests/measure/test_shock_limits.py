@@ -54,6 +54,9 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
         assert abs(wave.leading.speed / SOUND - exact.leading) < 3 * wave.leading.error / SOUND
         assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND
         assert wave.behind.overlap - OVERLAP == pytest.approx(LENGTH * exact.plateau, rel=1e-4)
+        # The means of 1/t over the middle and the last third of the way differ by 0.71 of the last.
+        missing = LENGTH * exact.height - wave.leading.height
+        assert wave.leading.height_error == pytest.approx(0.71 * missing, rel=0.12)
     assert waves[1].trailing.error < 0.11 * SOUND
     # The prediction for a granular chain with the same first two terms is the same.
     theory = waves[0].predictions["toda"]
