@@ -50,6 +50,11 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
     # The fit to the last third of the way, 2/3 to 1, changes the lag by 9/5 of log 3/2 over 1/3.
     lag = 0.75 / exact.width * exact.leading * 1.2
     assert (exact.leading - speed[1]) * sizes[1] == pytest.approx(lag, rel=0.1)
+    # A slower soliton is lower; its speed is sinh(kappa) / kappa, its height 2 log cosh(kappa).
+    slower = (np.cosh(exact.width) - exact.leading) / exact.width
+    lower = 2 * np.tanh(exact.width)
+    deficit = lag * lower / slower
+    assert (exact.height - height[1]) * sizes[1] == pytest.approx(deficit, rel=0.07)
     for wave in waves:
         assert abs(wave.leading.speed / SOUND - exact.leading) < 3 * wave.leading.error / SOUND
         assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND
