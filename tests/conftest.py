@@ -18,6 +18,8 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 # The processes that tests start share the byte code of the package.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# The processes that tests start buffer their output, as they do for a user.
+os.environ.pop("PYTHONUNBUFFERED", None)
 # Collection creates objects that all stay alive; garbage collection would take a third of its time.
 gc.disable()
 

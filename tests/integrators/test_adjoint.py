@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,10 @@ import pytest
 from helpers import plain_methods as plain
 from helpers.plain_methods import WIDE, Column, Motion
 
-from lmpchain import Chain, Drive, Force, Profile, Scene
-from lmpchain.integrators import adjoint
+from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene
+from lmpchain.integrators import adjoint, adjoint_dop853
 from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun, Inputs
+from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
 from lmpchain.integrators.kernels.adjoint_rows import Way
 from lmpchain.integrators.splittings import SPLITTINGS
 
@@ -292,6 +294,45 @@ def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
         terms = np.array([weights[0] * u[0], weights[1] * v[0]])
         along = sum(float(rows[0] @ field) for rows, field in zip(change, back, strict=True))
         assert abs(terms.sum() - along) <= 1e-11 * np.abs(terms).sum()
+
+
+@pytest.mark.parametrize(
+    ("method", "steps", "options"),
+    [
+        ("verlet", 20_000, {}),  # Steps are undone.
+        ("verlet", 20_000, {"top": "wall"}),
+        ("dop853", 4_000, {"damping": {"drag": 10.0}}),
+    ],
+)
+def test_memory_of_derivatives_is_limited(
+    method: str, steps: int, options: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+):
+    """The states of all steps would take more than 20 MB."""
+    chain = Chain(grains=100, diameter=1e-3, **options)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-4)
+
+    def derivatives() -> tuple[int, int, np.ndarray]:
+        """Return the memory after the run, the largest one, bytes, and the gradient over masses."""
+        tracemalloc.start()
+        run = differentiable(
+            scene, DIFFERENTIABLE[method], scene.duration / steps, 1, np.array([1])
+        )
+        of_run = tracemalloc.get_traced_memory()[0]
+        masses = run.pull(np.zeros((2, 1)), np.ones((2, 1))).masses
+        largest = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return of_run, largest, masses
+
+    derivatives()  # The first run loads compiled code.
+    usual, largest, masses = derivatives()
+    assert largest < 3e6
+    # A run with fewer checkpoints retains less.
+    for module in (adjoint, adjoint_dop853):
+        less = module.CHECKPOINTS._replace(total_bytes=2**15)
+        monkeypatch.setattr(module, "CHECKPOINTS", less)
+    of_run, _, same = derivatives()
+    assert of_run < usual - 2**15
+    np.testing.assert_allclose(same, masses, rtol=0, atol=1e-11 * np.abs(masses).max())
 
 
 def test_few_terms_suffice_for_weak_waves():

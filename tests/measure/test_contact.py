@@ -294,6 +294,19 @@ def test_an_arrival_that_sampling_hardly_shows() -> None:
     assert arrival(time, two).time == pytest.approx(8.5, abs=0.02)
 
 
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_maximum_beside_an_end_may_be_the_largest(direction: int) -> None:
+    """The samples do not show how high the signal rises beside its steep end."""
+    time = np.arange(40.0)
+    values = np.exp(-(((time - 20) / 5) ** 2))
+    values[:3] = 0.0, 0.75, 0.7
+    values[-1] = 0.72
+    peak = arrival(time, values[::direction])
+    middle, end = (20, 1) if direction > 0 else (19, 38)
+    assert peak.time == pytest.approx(middle, abs=0.01)
+    assert peak.error > abs(middle - end)
+
+
 @pytest.mark.parametrize("per_wave", thinned([3.0, 4.0, 6.0, 10.0], 2))
 def test_the_largest_of_nearly_equal_maxima_is_within_the_error(per_wave: float) -> None:
     """The error of the largest value includes the choice between nearly equal maxima.

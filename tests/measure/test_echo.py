@@ -118,6 +118,10 @@ def test_errors_cover_coarse_sampling() -> None:
         )
         covered.append(abs(coarse.seconds - fine.seconds) <= coarse.error)
         covered.append(abs(coarse.share - fine.share) <= coarse.share_error + fine.share_error)
+        out, back = coarse.pulses[:2]
+        assert coarse.error == pytest.approx(out.error + back.error, rel=1e-12)
+        relative = sum(abs(pulse.energy_error / pulse.energy) for pulse in (out, back))
+        assert coarse.share_error == pytest.approx(coarse.share * relative, rel=1e-12)
     assert np.mean(covered) >= 0.93
 
 
@@ -156,8 +160,9 @@ def test_missing_echoes_are_rejected_and_pictures_have_labels() -> None:
     t = struck(chain, 0.1, time_of(chain, 0.1, 48), 801)
     with pytest.raises(InputError, match="no echo"):
         echo.find(struck(chain, 0.1, 1.2e-4, 201), 8)
-    with pytest.raises(InputError, match="another grain"):
-        echo.find(t, 8, 8)
+    for reflector in (-1, 8, 26):
+        with pytest.raises(InputError, match="another grain"):
+            echo.find(t, 8, reflector)
     with pytest.raises(InputError, match="between 0 and 1"):
         echo.find(t, 8, least=2.0)
     # Walls are half a diameter beyond the last grains.

@@ -290,6 +290,11 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
     assert slope == pytest.approx((1 if direction == "down" else -1) * found.leading.speed)
     words = [text.get_text() for text in ax.texts]
     assert [word.split(":")[0] for word in words] == ["behind", "ahead"]
+    # The wave moves away from the state behind it.
+    left = [text.get_position()[0] < 0.5 for text in ax.texts]
+    assert left == [direction == "down", direction == "up"]
+    assert ax.get_xlim() == (found.contact.min() - 0.5, found.contact.max() + 0.5)
+    assert ax.get_ylim() == (0.0, found.time)
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,18 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
     # The fit to the last third of the way, 2/3 to 1, changes the lag by 9/5 of log 3/2 over 1/3.
     lag = 0.75 / exact.width * exact.leading * 1.2
     assert (exact.leading - speed[1]) * sizes[1] == pytest.approx(lag, rel=0.1)
+    # A slower soliton is lower; its speed is sinh(kappa) / kappa, its height 2 log cosh(kappa).
+    slower = (np.cosh(exact.width) - exact.leading) / exact.width
+    lower = 2 * np.tanh(exact.width)
+    deficit = lag * lower / slower
+    assert (exact.height - height[1]) * sizes[1] == pytest.approx(deficit, rel=0.07)
     for wave in waves:
         assert abs(wave.leading.speed / SOUND - exact.leading) < 3 * wave.leading.error / SOUND
         assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND
         assert wave.behind.overlap - OVERLAP == pytest.approx(LENGTH * exact.plateau, rel=1e-4)
+        # The means of 1/t over the middle and the last third of the way differ by 0.71 of the last.
+        missing = LENGTH * exact.height - wave.leading.height
+        assert wave.leading.height_error == pytest.approx(0.71 * missing, rel=0.12)
     assert waves[1].trailing.error < 0.11 * SOUND
     # The prediction for a granular chain with the same first two terms is the same.
     theory = waves[0].predictions["toda"]

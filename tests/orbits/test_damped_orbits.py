@@ -431,6 +431,9 @@ def test_a_resonance_curve_is_drawn_through_its_folds():
     by_load = orbits.follow(family[0], "drive.amplitude", 0.06 * OVERLAP).plot()
     assert by_load.get_xlabel() == "amplitude of the drive"
     assert by_load.get_ylabel() == "largest displacement"
+    assert ax.get_yscale() == "log"  # The resonance is more than 50 times as high as its foot.
+    assert (by_load.get_yscale(), by_load.get_ylim()[0]) == ("linear", 0.0)
+    assert by_load.yaxis.get_minorticklocs().size
 
 
 @pytest.mark.soak

@@ -356,15 +356,17 @@ def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
     path = tmp_path / "run.nc"
     with h5py.File(path, "w") as file:
         file.attrs["history"] = "2024-05-06T07:08:09+00:00 lmpchain run s.toml -o run.nc"
+    unsealed = path.read_bytes()
     seal_anew(path)
     expected = {"date": "2024-05-06 07:08 UTC", "command": "lmpchain run s.toml -o run.nc"}
     assert origin.origin(path) == expected
-    path.write_bytes(b"no such file")
-    os.utime(path, (1.7e9, 1.7e9))
-    assert origin.origin(str(path)) == {
-        "date": "2023-11-14 22:13 UTC (file)",
-        "command": "not recorded",
-    }
+    for content in (unsealed, b"no such file"):
+        path.write_bytes(content)
+        os.utime(path, (1.7e9, 1.7e9))
+        assert origin.origin(str(path)) == {
+            "date": "2023-11-14 22:13 UTC (file)",
+            "command": "not recorded",
+        }
     unknown = {"date": "not recorded", "command": "not recorded"}
     assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown
 

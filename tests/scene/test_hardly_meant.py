@@ -105,3 +105,12 @@ def test_a_sweep_warns_once(tmp_path):
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
     assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
+
+
+@pytest.mark.parametrize(("turn", "number"), [(9.9, 0), (10.1, 1)])
+def test_contacts_that_are_rigid_dashpots_cause_a_warning(turn: float, number: int):
+    frequency = struck(CHAIN, 1e-3).fastest_motion
+    damped = CHAIN.replace(damping={"viscoelastic": turn / frequency})
+    texts = said(lambda: struck(damped, 1e-3))
+    rigid = f"A omega is {turn:.2g}, so that contacts act as rigid dashpots"
+    assert sum(rigid in text for text in texts) == number

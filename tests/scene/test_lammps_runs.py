@@ -102,6 +102,8 @@ def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
     load = {"column": 0.0, "level": 5e8 * 1e-5**1.5, "tapered": 0.0, "cgs": 10.0}[name]
     assert scene.chain.top_load == pytest.approx(load, rel=1e-7, abs=1e-9)
     assert scene.chain.gravity == (9.81 if name == "column" else 0.0)
+    # The masses of the dump follow from one density.
+    assert "masses" not in scene.chain.given()
 
 
 def test_any_axis_and_either_direction(tmp_path: Path):

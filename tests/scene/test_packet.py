@@ -222,3 +222,12 @@ def test_part_and_scale():
     assert near == pytest.approx(u[49:390], rel=1e-9, abs=1e-12 * np.abs(u).max())
     assert far == pytest.approx(v[49:390], rel=1e-9, abs=1e-12 * np.abs(v).max())
     assert packet.scaled(3.0).initial(chain)[1] == pytest.approx(3 * v, rel=1e-14)
+
+
+def test_a_packet_reaches_9_widths_within_the_chain():
+    chain = uniform(40)
+    for grain, reached in ((13, (1, 31)), (20, (2, 38)), (28, (10, 40))):
+        packet = Packet(frequency=0.1 / chain.time_scale, width=2.0, grain=grain, amplitude=1e-9)
+        assert packet.reach(chain) == reached
+        displacement, velocity = packet.initial(chain)
+        assert displacement[reached[0] - 1] != 0 != velocity[reached[0] - 1]

@@ -128,17 +128,21 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
     largest = [
         max(size for grain in range(3) for _, size in tops(scene, kind, grain)) for kind in (0, 1)
     ]
-    for name, scale in (("peak_displacement", largest[0]), ("peak_velocity", largest[1])):
+    # Errors exceed that of the run, because samples may miss the largest value.
+    for name, scale, most in (
+        ("peak_displacement", largest[0], 1.1),
+        ("peak_velocity", largest[1], 2.0),
+    ):
         ratio = gathered[f"{name}_error"] / (error * scale)
-        assert (ratio > 0.9).all()
-        assert (ratio < 2.0).all()
+        assert (ratio > 1.0).all()
+        assert (ratio < most).all()
         for grain in range(3):
             top = max(size for _, size in tops(scene, int("velocity" in name), grain))
             assert abs(gathered[name][grain] - top) <= gathered[f"{name}_error"][grain]
     for contact in (1, 3):
         stiffness = scene.chain.contacts.stiffness[contact]
         ratio = gathered[f"peak_force:{contact}_error"] / (2 * stiffness * error * largest[0])
-        assert 0.9 < ratio < 2.0
+        assert 1.0 < ratio < 1.1
         dense = forces(scene, contact, np.linspace(0, scene.duration, 4001)).max()
         assert (
             abs(gathered[f"peak_force:{contact}"] - dense)
@@ -147,8 +151,8 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
     for contact in (0, 1):
         stiffness = scene.chain.contacts.stiffness[contact]
         ratio = gathered[f"force:{contact}_error"] / (2 * stiffness * error * largest[0])
-        assert (ratio > 0.9).all()
-        assert (ratio < 2.0).all()
+        assert (ratio > 1.0).all()
+        assert (ratio < 1.1).all()
         true = forces(scene, contact, gathered["fine_time"])
         assert (
             np.abs(gathered[f"force:{contact}"] - true) <= gathered[f"force:{contact}_error"]

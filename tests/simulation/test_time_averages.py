@@ -123,6 +123,20 @@ def test_forces_agree_with_those_of_measure(number: int):
     np.testing.assert_allclose(force, chain.contacts.force[number] + change, rtol=1e-9)
 
 
+@pytest.mark.parametrize("number", [1, 4])
+def test_quantities_of_a_grain_are_those_of_its_number(number: int):
+    chain = Chain(grains=5, diameter=1e-3)  # The last grain is held.
+    displacement, velocity = np.random.default_rng(1).normal(size=(2, 3, 5))
+    energy = chain.masses[number - 1] * velocity[:, number - 1] ** 2 / 2
+    for name, expected in (
+        ("displacement", displacement[:, number - 1]),
+        ("velocity", velocity[:, number - 1]),
+        ("kinetic_energy", energy),
+    ):
+        found = observable(chain, f"{name}:{number}").measure(displacement, velocity)
+        np.testing.assert_allclose(found, expected, rtol=1e-14)
+
+
 def test_equipartition_is_largest_if_one_grain_has_all_energy():
     chain = Chain(grains=5, diameter=1e-3)
     velocity = np.array([[0.0, 2.0, 0.0, 0.0, 0.0], [1.0, 1.0, 1.0, 1.0, 0.0], [0.0] * 5])
@@ -214,6 +228,7 @@ COLUMN = Chain(grains=8, diameter=1e-3)
         (SCENE, {"quantities": ["force"]}, "quantities: must be kinetic_energy"),
         (SCENE, {"quantities": ["force:9"]}, "quantities: the contacts are numbered 0 to 8"),
         (SCENE, {"quantities": ["velocity:9"]}, "quantities: the grains that move are numbered"),
+        (SCENE, {"quantities": ["velocity:0"]}, "quantities: the grains that move are numbered"),
         (SCENE, {"quantities": ["velocity:1", "velocity:1"]}, "quantities: must be names, each"),
         (SCENE, {"quantities": [3]}, "quantities: must be names"),
         (SCENE, {"time": -1.0}, "time: must be a time above 0 s"),

@@ -484,7 +484,8 @@ def test_explicit_depths_and_travel_times():
     assert (float(continuum.chi(0.0)), float(continuum.depth(0.0))) == (0.0, 0.0)
 
 
-def test_impulse_of_the_first_grain_starts_at_the_top():
-    phi, speed = continuum.impulse_of_grain([1, 2], 0.0)
+@pytest.mark.parametrize("delta", [1.0, 1.5])
+def test_impulse_of_the_first_grain_starts_at_the_top(delta: float):
+    phi, speed = continuum.impulse_of_grain([1, 2], 0.0, delta)
     assert phi.tolist() == [0.0, 0.0]
     assert speed.tolist() == [1.0, 0.0]

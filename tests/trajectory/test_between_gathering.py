@@ -210,6 +210,20 @@ def test_a_constant_speed_is_reached_at_its_beginning(sign: int):
     assert last["since"] == pytest.approx(1.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_second_flight_at_the_same_speed_is_another_maximum(sign: int):
+    """The speed falls between the flights, and rises again to almost the same speed."""
+    v = np.array([0, 0.3, 1, 1, 0.5, 1 - 1e-4, 1, 1, 1.0])
+    u = np.append(0, np.cumsum(H * (v[1:] + v[:-1]) / 2))
+    off = 1e-3 / (PUSHED * H)  # The errors exceed the difference of 1e-4.
+    kept = Gathered(sign * np.array([u, v, 0 * v, 0 * v]), np.zeros((4, SAMPLES)), off)
+    kept.take(0, FINAL)
+    first, second = kept.maxima()
+    assert (first["when"], second["when"]) == pytest.approx((2 * H, 6 * H), rel=1e-9)
+    assert (first["since"], second["since"]) == pytest.approx((0.5, 1.0), rel=1e-9)
+    assert second["off"] == pytest.approx(1e-3, rel=1e-6)
+
+
 def test_maxima_are_logged_in_the_order_in_which_they_exceed_all_before():
     """The log has all turning points of random polynomials that exceed all earlier values."""
     counts = set()

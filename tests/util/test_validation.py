@@ -253,3 +253,15 @@ def test_help_lists_fields_and_defaults():
     assert str(signature) == "(*, first, second, third=3.0)"
     assert Given(1.0, 2.0).given() == {"first": 1.0, "second": 2.0}
     assert repr(Given(1.0, 2.0)) == str(Given(1.0, 2.0)) == "Given(first=1, second=2)"
+
+
+def test_names_of_a_value_are_its_own_and_those_of_every_object():
+    class Summed(Sample):
+        def total(self) -> float:
+            return self.real + self.positive
+
+    names = set(dir(Summed()))
+    assert {"real", "positive", "total", "replace"} <= names
+    assert {"__class__", "__eq__", "__doc__"} <= names
+    assert not {"model_dump", "model_fields", "__pydantic_fields__", "__class_vars__"} & names
+    assert not {name for name in names if name.startswith("__")} - set(dir(object))

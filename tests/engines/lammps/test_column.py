@@ -363,6 +363,10 @@ def test_the_gauge_diameter_is_used_if_the_physical_one_is_too_coarse():
     assert "the tolerance is 1e-06" in tight.choices["why"]
     assert "round-off in heights is about" in tight.choices["why"]
     assert tight.solver_error <= 1e-6
+    # Half of the tolerance is for rounding, which is nearly all of the error here.
+    for share, diameter in ((2.1, "physical"), (1.9, "gauge")):
+        proposal = Lammps().propose(scene, share * loose.solver_error)
+        assert proposal.choices["diameter"] == diameter
     with pytest.raises(
         ToleranceNotMet,
         match=r"above the tolerance of 1e-06: use the gauge diameter, with an error of .*, or use",

@@ -14,6 +14,7 @@ from lmpchain import (
     Displacement,
     Drive,
     EngineUnavailable,
+    Force,
     Impulse,
     Impurity,
     InputError,
@@ -22,7 +23,7 @@ from lmpchain import (
     Scene,
     simulate,
 )
-from lmpchain.engines import Lammps
+from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps import deck, library
 from lmpchain.engines.lammps.column import LammpsColumn
 from lmpchain.engines.lammps.export import write_deck
@@ -98,6 +99,29 @@ def test_a_complete_deck_gives_the_bytes_of_the_library(tmp_path, name, integrat
     assert np.abs(u).max() > 0
     # A dump contains heights, including the initial ones.
     assert u[0] == pytest.approx(t.displacement[0], rel=0, abs=1e-17)
+
+
+FORCED = {
+    "drive": DECKS["harmonic drive"],
+    "wall": small(Drive(grain=0, amplitude=3e-8, frequency=5e4), top="wall", top_load=0.02),
+    "force": small(Force(grain=3, amplitude=1e-3, frequency=5e4), top_load=0.02),
+}
+
+
+@pytest.mark.parametrize("integrator", ["rkn6", "kahan-li6"])
+@pytest.mark.parametrize("name", FORCED)
+def test_methods_of_high_order_agree_with_the_native_engine(name: str, integrator: str):
+    ours, theirs = (
+        simulate(FORCED[name], engine)
+        for engine in (
+            Native(integrator, step=1e-7),
+            Lammps(integrator, step=1e-7, diameter="gauge"),
+        )
+    )
+    for field in ("displacement", "velocity"):
+        motion = getattr(ours, field)
+        off = 1e-11 * np.abs(motion).max()
+        np.testing.assert_allclose(getattr(theirs, field), motion, rtol=0, atol=off)
 
 
 def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
