@@ -27,13 +27,12 @@ from . import parameters as params
 from .changes import changed
 
 # Change of the phase of the fastest motion in the first difference, rad, and the largest relative
-# change of a parameter there; largest relative change in any difference.
+# change of a parameter there; largest change in any difference, relative to the parameter, or to
+# the change of a parameter of a formula that changes the force by itself.
 FIRST_PHASE = 0.1
 FIRST_CHANGE = 1e-2
 MAX_CHANGE = 0.1
-# Largest number of further changes, and the smallest spread over the allowed one.
-MOST_CHANGES = 3
-TINY = 1e-6
+MOST_CHANGES = 3  # Largest number of further changes.
 TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Largest number of steps in one call of a stepper.
 MOST_STEPS = 2**62
@@ -168,6 +167,7 @@ def differentiate(
         spread = np.abs(fine - coarse)
         return Differences((4 * fine - coarse) / 3, spread, 2 * rounding / change)
 
+    largest = MAX_CHANGE
     # The phase of the fastest motion changes by a part of a radian.
     change = FIRST_PHASE / max(FIRST_PHASE / FIRST_CHANGE, scene.total_phase)
     best = found = attempt(change)
@@ -175,10 +175,21 @@ def differentiate(
         allowed = accuracy * float(np.abs(best.slope).max(initial=0.0))
         if best.error <= allowed or allowed == 0.0:
             break
-        # The spread is of second order in the change.
-        spread = max(float(found.spread.max()), TINY * allowed)
-        change = min(change * math.sqrt(allowed / (2 * spread)), MAX_CHANGE)
-        found = attempt(change)
+        spread = float(found.spread.max())
+        if spread > found.rounding:
+            # The spread is of second order in the change.
+            change *= math.sqrt(allowed / (2 * spread))
+        else:
+            # Rounding, which is inversely proportional to the change, causes the spread.
+            change *= 2 * found.rounding / allowed
+        if change > largest:
+            largest = largest_change(scene, name, directions)
+        change = min(change, largest)
+        try:
+            found = attempt(change)
+        except InputError:
+            # The law does not allow so large a change.
+            break
         best = min(best, found, key=lambda differences: differences.error)
     return best
 
@@ -208,6 +219,16 @@ def scales_of(scene: Scene, name: str) -> Array:
     if name in ("velocity", "displacement"):
         scales[scene.chain.movable :] = 0.0
     return scales
+
+
+def largest_change(scene: Scene, name: str, directions: Array) -> float:
+    """Return the largest change in any difference, relative to the directions, (D, P).
+
+    A parameter of a formula with little influence on the force may change by more than itself.
+    """
+    if not name.startswith("chain."):
+        return MAX_CHANGE
+    return MAX_CHANGE * max(1.0, size_by_force(scene, name) / float(np.abs(directions).max()))
 
 
 def first_looks(scene: Scene) -> int:

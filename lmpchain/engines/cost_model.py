@@ -116,9 +116,9 @@ def check_time() -> None:
 
 def _cpu_time() -> float:
     """Return the CPU time of this process without compilation, s."""
-    from ..util.compilation import compiled_s
+    from ..util.compilation import compiled_cpu_s
 
-    return process_time() - compiled_s()
+    return process_time() - compiled_cpu_s()
 
 
 def in_words(time_s: float) -> str:

@@ -128,16 +128,19 @@ class _Stopwatch(Listener, threading.local):
     def __init__(self) -> None:
         self.depth = 0
         self.total_s = 0.0
+        self.cpu_s = 0.0
 
     def on_start(self, event: Event) -> None:
         if self.depth == 0:
-            self.began = time.perf_counter()
+            self.began = time.perf_counter(), time.thread_time()
         self.depth += 1
 
     def on_end(self, event: Event) -> None:
         self.depth -= 1
         if self.depth == 0:
-            self.total_s += time.perf_counter() - self.began
+            began, cpu_began = self.began
+            self.total_s += time.perf_counter() - began
+            self.cpu_s += time.thread_time() - cpu_began
 
 
 _stopwatch = _Stopwatch()
@@ -149,6 +152,11 @@ register("numba:compiler_lock", _stopwatch)
 def compiled_s() -> float:
     """Return the time that this thread has spent on compiling or loading cached results, s."""
     return _stopwatch.total_s
+
+
+def compiled_cpu_s() -> float:
+    """Return the CPU time that this thread has spent on compiling or loading cached results, s."""
+    return _stopwatch.cpu_s
 
 
 def clock() -> float:
