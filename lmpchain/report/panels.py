@@ -13,7 +13,7 @@ from ..measure import contact, energy, spectrum
 from ..measure.fit.column import is_uniform
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
-from ..util.plotting import COLOURS, Axes, axes_in_units, figure, legend, si
+from ..util.plotting import COLOURS, Axes, axes_in_units, figure, legend, letter_panels, si
 from .live import crop, extent
 from .verdicts import departure, front_below, linear_theory
 
@@ -119,10 +119,11 @@ def waveforms(run: Trajectory) -> Panel:
         above.set_xlabel("grain, from the top")
         return _panel(above, f"{caption}There is no linear theory of this scene.")
     error = departure(run, linear)
+    letter_panels([above, below])
     return _panel(
         above,
         f"{caption}Points: this run. Lines: linear theory, Eq. (3), at most {error:.2g} of the "
-        "largest velocity away (below).",
+        "largest velocity away (b).",
     )
 
 
@@ -162,6 +163,7 @@ def arrival(run: Trajectory) -> Panel:
         time.plot(track.grain, 1e6 * expected, "--", lw=1, label="long weak wave")
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")
     legend(time)
+    letter_panels([height, time])
     first, last = (f"{si(values[k], 'm/s', 1)} at grain {track.grain[k]}" for k in (0, -1))
     law = "No law is known for this chain." if power is None else f"Dashed: {name}."
     return _panel(

@@ -16,9 +16,11 @@ from ..util.notebook import Shown
 from ..util.plotting import (
     COLOURS,
     LEAST_ERROR,
+    PRINTED_WIDTH,
     Axes,
     chart,
     finish,
+    letter_panels,
     look_of,
     panels,
     typeset,
@@ -135,10 +137,12 @@ class Stability(Shown, Tabular):
         Axes
             The axes of the longest steps.
         """
-        steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
+        own = window(PRINTED_WIDTH, 11.0).subplots(4) if ax is None else []
+        steps, *others = panels(own if ax is None else ax)
         _draw_steps(steps, self)
         for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
             draw(panel, self)
+        letter_panels(own)
         return steps
 
     def _columns(self) -> Iterator[NamedColumn]:
