@@ -49,7 +49,7 @@ print(f"the leading wave over the piston: {vacuum.leading.velocity / 0.07:.3f}")
 less = -0.5 * chain.equilibrium_overlap[0] / 9.5e-3
 step = lmpchain.Riemann(velocity=(0, 0), strain=(less, 0), grain=350)
 opening = run(chain.replace(top="free"), step, 4e-3)
-picture = figure(7, 7)
+picture = figure(9, 9)
 panels = picture.subplots(2, 2).ravel()
 for ax, wave in zip(panels, (train, steady, vacuum, opening), strict=True):
     wave.plot(ax)
