@@ -168,14 +168,14 @@ def main() -> None:
         ylabel=f"velocity of bead {END} (mm/s)",
     )
     pulses.set_xlim(begin / UNIT - 10, SCENE.duration / UNIT)
-    pulses.set_ylim(top=10)
+    pulses.set_ylim(top=11)
     pulses.legend(title="peak force above the load", loc="upper left")
     beads.set(xlabel="bead", ylabel="diameter (mm)", xlim=(PIECE.start - 5, PIECE.stop + 6))
     found.plot(search)
     search.axhline(least, color="#E69F00", ls="--", label="random, best")
     search.set(yscale="log", xlabel="runs of each start", ylabel="least objective so far")
-    search.set_title("Search by gradients")
-    search.legend(loc="lower left")
+    search.set_title("Search by gradients, one line per start")
+    search.legend(search.lines[-1:], ["random, best"], loc=(0.3, 0.68))
     beads.set_title("Piece between equal beads")
     say(
         "delay by the speed of long waves over that wanted",
