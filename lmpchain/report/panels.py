@@ -18,7 +18,7 @@ from .live import crop, extent
 from .verdicts import departure, front_below, linear_theory
 
 # Fractions of the duration at which waveforms are drawn, and their colours.
-MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}
+MOMENTS = {0.25: "#E69F00", 0.5: "#0072B2", 1.0: "#009E73"}
 WIDTH = 4.7  # Inches; letters are readable on a phone, and two pictures fit side by side.
 
 
@@ -156,7 +156,9 @@ def arrival(run: Trajectory) -> Panel:
         axis.set(
             major_locator=LogLocator(subs=(1, 2, 3, 5)), major_formatter=form, minor_formatter=""
         )
-    legend(height)
+    # The legend needs room below the curve, which falls.
+    height.set_ylim(bottom=0.7 * height.get_ylim()[0])
+    legend(height, loc="lower left")
     time.plot(track.grain, 1e6 * track.time, ".", ms=4, label="this run")
     if chain.linearisable and chain.ground is None:
         expected = spectrum.travel_time(chain, max(1, source))[track.grain - 1]
