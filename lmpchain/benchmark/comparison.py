@@ -284,7 +284,7 @@ def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
 
 WIDEST = 60  # Largest number of grains shown.
 # Offsets of names from their markers in points; neighbours alternate above and below.
-NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
+NAME_PLACES = ((13, True), (-13, False), (30, True), (-30, False))
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
