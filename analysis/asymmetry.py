@@ -105,7 +105,7 @@ def main() -> None:
         style = {"color": shade, "marker": mark, "ms": 5, "mfc": "none"}
         error = 100 * abs(measured[-1] / theory[-1] - 1)
         width.loglog(
-            depths, measured, ls="none", **style, label=f"{name}: {error:.1g} % off at n = {last}"
+            depths, measured, ls="none", **style, label=f"{name}: {error:.1g} % off at {last}"
         )
         width.loglog(depths, theory, color=shade, lw=1.2)
         apart(off, depths, theory / measured, np.ones(depths.size), 1.0, lw=0.7, **style)

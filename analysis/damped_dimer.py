@@ -8,6 +8,7 @@ state no numbers: kinds of bifurcations are compared, and every number here is o
 
 import numpy as np
 from figures import SHADES, arguments, finish, say
+from scipy.interpolate import CubicSpline
 
 import lmpchain
 from lmpchain import orbits
@@ -35,6 +36,31 @@ def chain() -> lmpchain.Chain:
     )
 
 
+def smooth(family: orbits.Family) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return parameter, force and stability on a spline through the members of a family.
+
+    The spline is a function of the length of the chords between members, and its stability changes
+    at events.
+    """
+    curve = np.transpose([family.value, [orbit.response("force:1") for orbit in family]])
+    unit = np.ptp(curve, axis=0)
+    chords = np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)
+    kept = np.append(True, chords > 1e-6)
+    along = np.append(0.0, chords).cumsum()[kept]
+    fine = np.linspace(0.0, along[-1], 1000)
+    drawn = CubicSpline(along, curve[kept])(fine)
+
+    def place(point: tuple[float, float]) -> int:
+        return int(np.linalg.norm((drawn - point) / unit, axis=1).argmin())
+
+    ends = {place((event.value, event.orbit.response("force:1"))) for event in family.events}
+    stable = np.empty(fine.size, dtype=bool)
+    for piece in np.split(np.arange(fine.size), sorted(ends)):
+        middle = fine[piece[len(piece) // 2]]
+        stable[piece] = family.stable[kept][np.abs(along - middle).argmin()]
+    return *drawn.T, stable
+
+
 def main() -> None:
     """Continue the responses in the amplitude of the drive, and print the bifurcations."""
     given = arguments(__file__, __doc__)
@@ -48,15 +74,10 @@ def main() -> None:
         drive = lmpchain.Drive(amplitude=1e-8, frequency=frequency)
         first = orbits.find(dimer, drive=drive)
         family = orbits.follow(first, "drive.amplitude", STRONGEST)
-        size = np.array([orbit.response("force:1") for orbit in family])
-        # Curves interpolate between members of either branch.
-        ax.plot(1e6 * family.value, size, color=SHADES[5], lw=0.5)
-        for chosen, style, words in (
-            (family.stable, "-", "stable"),
-            (~family.stable, ":", "unstable"),
-        ):
+        value, size, stable = smooth(family)
+        for chosen, style, words in ((stable, "-", "stable"), (~stable, ":", "unstable")):
             drawn = np.where(chosen, size, np.nan)
-            ax.plot(1e6 * family.value, drawn, style, color=SHADES[5], lw=1.6, label=words)
+            ax.plot(1e6 * value, drawn, style, color=SHADES[5], lw=1.6, label=words)
         for number, event in enumerate(family.events, 1):
             say(f"{frequency / 1e3:g} kHz, {number}, {event.kind}", 1e6 * event.value, "µm")
             force = event.orbit.response("force:1")

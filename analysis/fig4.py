@@ -81,7 +81,7 @@ def main() -> None:
     pairs[1][0].set_ylabel("displacement / (speed of grain 1 at τ = 0)")
     pairs[0][1].set_ylabel("|difference| / max")
     for wave, _ in pairs:
-        wave.margins(y=0.6)
+        wave.margins(y=0.8)
     legends(picture, loc="upper left")
     finish(picture, given.output)
 

@@ -54,19 +54,19 @@ def main() -> None:
             for v, order in ((linear, m), (velocity, coarse))
         )
         at_points = dyson.average(linear, n ** (1 / 3), coarse, normalised)
-        weighted.plot(m, line, **style, label=f"Eq. (22) {label}, v of Eq. (19)")
+        weighted.plot(m, line, **style, label=f"Eq. (22) {label}")
         off = np.abs(points - at_points).max()
         weighted.plot(
             coarse,
             points,
             **NATIVE | {"color": style["color"]},
-            label=f"same, v of native: {off:.0e} off",
+            label=f"with native velocities: {off:.0e} off",
         )
         apart(below, coarse, points, at_points, 1.0, **style)
     limit = np.sqrt(m / (2 * np.pi)) * linear[0]
     late = r"$\sqrt{m / 2π}\; v_1$"
     weighted.plot(m[m > 30], limit[m > 30], color=SHADES[1], ls=":", label=late)
-    weighted.set(xscale="log", ylabel="Σ weight × velocity / $v_0$")
+    weighted.set(xscale="log", ylabel="Σ weight × velocity / $v_0$", ylim=(-0.4, 0.5))
     below.set(
         xlabel="order m (large: little disorder)", ylabel="|native − theory|", ylim=(1e-11, 1e-5)
     )

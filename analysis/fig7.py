@@ -46,9 +46,7 @@ def main() -> None:
         image, ax=weighted, label=label, ticks=[-most, -1, -0.1, 0, 0.1, 1, most], format="{x:g}"
     )
     off = np.abs(sums - theory).max(0)
-    below.plot(
-        tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): at most {off.max():.0e}"
-    )
+    below.plot(tau[1:], off[1:], color=SHADES[0], label=f"native − Eq. (19): {off.max():.0e}")
 
     averages = [ensemble(scene, order, columns, seed=1) for order in orders]
     largest = (
@@ -78,12 +76,11 @@ def main() -> None:
         noise.plot(tau[1:], error[1:], color=shade, label=f"m = {orders[place]}")
 
     weighted.set_title("One column, weighted sum")
-    mean.set_title(f"Mean of {columns} columns, smoothed contours")
-    noise.set_title("Error of the mean")
+    mean.set_title(f"{columns} columns, smoothed contours")
     for axes in (weighted, mean):
         axes.set(yscale="log", xlim=(0, TAU), ylabel="order m (large: little disorder)")
     below.set(xlabel="time τ", ylabel="|difference|", ylim=(1e-10, 1e-4))
-    noise.set(xlabel="time τ", ylabel="standard error", ylim=(1e-5, 1e4))
+    noise.set(xlabel="time τ", ylabel="error of the mean", ylim=(1e-5, 1e4))
     say("Eq. (22) at tau 15, m = 1", float(dyson.average(velocity[30], n ** (1 / 3), 1)))
     say("Eq. (22), native and Eq. (19) differ by", off.max())
     for place in (0, -1):

@@ -23,7 +23,7 @@ from matplotlib.text import Text
 import lmpchain
 from lmpchain.engines import Lammps, Native
 from lmpchain.util.files import write_aside
-from lmpchain.util.plotting import COLOURS, figure, typeset
+from lmpchain.util.plotting import COLOURS, LEAST_LETTER, PRINTED_WIDTH, figure, typeset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,7 +38,6 @@ NATIVE, LAMMPS = (
     for (colour, marker), size in ((Native.style, 3.5), (Lammps.style, 6.5))
 )
 THEORY = {"color": "0.2", "lw": 1.4}
-LEAST_LETTER = 8.0  # Smallest letters, pt, in pictures that are printed 7 inches wide.
 LETTERS = {
     "font.size": 9,
     "axes.labelsize": 8.5,
@@ -199,7 +198,10 @@ def save_for_print(picture: Figure, path: Path) -> None:
 
 
 def restyle(picture: Figure) -> None:
-    """Move titles to the left, after the panel letters, and typeset numbers as formulas."""
+    """Move titles to the left, after the panel letters, and typeset numbers as formulas.
+
+    No letters are smaller than `LEAST_LETTER` if the picture is printed 7 inches wide.
+    """
     lettered = [axes for axes in picture.axes if not axes.get_label().startswith("<")]
     for axes in picture.axes:
         title = axes.get_title() or axes.get_title(loc="left")
@@ -207,9 +209,10 @@ def restyle(picture: Figure) -> None:
         if len(lettered) > 1 and axes in lettered and not title.startswith("("):
             title = f"({ascii_lowercase[lettered.index(axes)]}) {title}"
         axes.set_title(title, loc="left", fontsize="medium")
+    least = LEAST_LETTER * max(1.0, picture.get_figwidth() / PRINTED_WIDTH)
     for text in picture.findobj(Text):
         text.set_text(re.sub(r"\blammps\b", "LAMMPS", typeset(text.get_text())))
-        text.set_fontsize(max(text.get_fontsize(), LEAST_LETTER))
+        text.set_fontsize(max(text.get_fontsize(), least))
 
 
 def commit() -> str:

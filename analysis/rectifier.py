@@ -15,6 +15,7 @@ from lmpchain.util.plotting import figure
 
 STEEL = lmpchain.Material("steel 316", density=8000.0, youngs_modulus=193e9, poissons_ratio=0.3)
 FREQUENCY = 10.5e3  # Hz, above the band of the chain, near the mode of the light sphere.
+ROUNDING = 1e-12  # Amplitude in N below which spectra show rounding errors.
 STRONGEST = 1.2e-6  # Amplitude of the drive, m.
 
 
@@ -96,7 +97,9 @@ def main() -> None:
     sent.axvspan(0, modes[-2] / 1e3, color="0.9", lw=0, zorder=0)
     sent.set(xlabel="frequency (kHz)", ylabel="amplitude at the far wall (N)")
     sent.set(xlim=(0, 24), ylim=(1e-15, 1e3))
-    sent.set_title("Spectra of runs, the band shaded")
+    sent.set_title("Spectra (Hann window), band shaded")
+    sent.axhline(ROUNDING, color="0.5", lw=1, ls=":", zorder=0)
+    sent.text(23.5, 0.5 * ROUNDING, "rounding errors", color="0.4", ha="right", va="top")
     sent.legend(loc="upper right")
     finish(picture, given.output)
 

@@ -75,7 +75,7 @@ def main() -> None:
         xlabel="x − Vt (grains)",
         ylabel="overlap beyond rest / largest",
         xlim=(0, 12),
-        ylim=(1e-15, 2),
+        ylim=(1e-15, 1e5),
     )
     tails.set_title("Tails: double exponential, exponential")
     tails.legend(loc="upper right")

@@ -111,7 +111,10 @@
     for (const tick of nice(x[0], x[1], box.w / 80)) pen.fillText(xtext(tick), place(tick, 0)[0], box.y + box.h + 4);
     pen.fillText(xlabel, box.x + box.w / 2, height - 14);
     pen.textAlign = "right"; pen.textBaseline = "middle";
-    for (const tick of nice(Math.min(...y), Math.max(...y), box.h / 30)) pen.fillText(ytext(tick), box.x - 5, place(0, tick)[1]);
+    for (const tick of nice(Math.min(...y), Math.max(...y), box.h / 30)) {
+      // A label at the lower end stands above those of the horizontal axis.
+      pen.fillText(ytext(tick), box.x - 5, Math.min(place(0, tick)[1], box.y + box.h - 5));
+    }
     pen.textAlign = "left"; pen.fillText(ylabel, 4, 8);
     pen.strokeRect(box.x, box.y, box.w, box.h);
     pen.save(); pen.beginPath(); pen.rect(box.x, box.y, box.w, box.h); pen.clip();

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
-from figures import arguments, finish, random_search, say
+from figures import arguments, finish, one_above_two, random_search, say
 
 from lmpchain import Chain, Force, Scene
 from lmpchain.design import ArrivalTime, PeakForce, Seen, Slopes, optimise
@@ -23,7 +23,6 @@ from lmpchain.design.changes import changed
 from lmpchain.design.gradients import looks_of
 from lmpchain.integrators.adjoint import DifferentiableRun
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.util.plotting import figure
 
 BEADS = 100
 PIECE = slice(25, 45)
@@ -144,8 +143,7 @@ def main() -> None:
         f"random, best of {tried}": best,
         f"optimised, {found.runs} runs": found.scene,
     }
-    picture = figure(12.0, 3.8)
-    pulses, beads, search = picture.subplots(1, 3)
+    picture, pulses, beads, search = one_above_two()
     for (name, scene), colour in zip(
         cases.items(), ("0.5", "#009E73", "#E69F00", "#0072B2"), strict=True
     ):
@@ -164,26 +162,21 @@ def main() -> None:
         )
         beads.step(np.arange(1, BEADS + 1), 1e3 * scene.chain.diameters, where="mid", color=colour)
     pulses.axvline(begin / UNIT + DELAY, ymax=0.6, color="0.8", zorder=0)
-    pulses.set_title("The pulse; the line: when half of it is wanted")
+    pulses.set_title("Pulse; the line marks the wanted time of half its height")
     pulses.set(
         xlabel="time over that of a long wave from bead to bead",
         ylabel=f"velocity of bead {END} (mm/s)",
     )
     pulses.set_xlim(begin / UNIT - 10, SCENE.duration / UNIT)
-    pulses.set_ylim(top=10)
-    pulses.legend(
-        frameon=False, fontsize="small", title="peak force above the load", loc="upper left"
-    )
+    pulses.set_ylim(top=11)
+    pulses.legend(title="peak force above the load", loc="upper left")
     beads.set(xlabel="bead", ylabel="diameter (mm)", xlim=(PIECE.start - 5, PIECE.stop + 6))
     found.plot(search)
     search.axhline(least, color="#E69F00", ls="--", label="random, best")
     search.set(yscale="log", xlabel="runs of each start", ylabel="least objective so far")
-    search.tick_params(labelsize="medium")
-    for axis in (search.xaxis, search.yaxis):
-        axis.label.set_fontsize("medium")
-    search.set_title("The search by gradients, a line a start")
-    search.legend(frameon=False, fontsize="small", loc="lower left")
-    beads.set_title("The piece between beads that are alike")
+    search.set_title("Search by gradients, one line per start")
+    search.legend(search.lines[-1:], ["random, best"], loc=(0.3, 0.68))
+    beads.set_title("Piece between equal beads")
     say(
         "delay by the speed of long waves over that wanted",
         delay_of_long_waves(found.values["diameters"]) / DELAY,

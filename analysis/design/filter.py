@@ -121,7 +121,7 @@ def main() -> None:
     say("gap from", gap[0])
     say("gap to", gap[1])
     say("pairs of runs", len(history))
-    picture = figure(11.0, 4.4)
+    picture = figure(7.5, 4.0)
     left, right = picture.subplots(1, 2)
     near = np.linspace(0.02, 0.998, 1500)
     for name, factors, style in (
@@ -145,22 +145,21 @@ def main() -> None:
     for share in () if given.quick else (0.2, 0.3, 0.38, STOP, 0.5, 0.6, 0.7, 0.75, PASS, 0.85):
         left.plot(share, Way(share).passed(found)[0], "o", ms=4, mfc="none", color="k")
     left.plot([], [], "o", ms=4, mfc="none", color="k", label="runs of packets")
-    left.set_title("What passes twelve cells")
-    right.set_title("The search by gradients of two runs")
+    left.set_title("Transmission of twelve cells")
+    right.set_title("Search by gradients of two runs")
     right.locator_params(axis="x", integer=True)
     left.set(
-        xlabel="frequency over the highest",
+        xlabel="frequency / band edge",
         ylabel="share of the energy that passes",
         ylim=(0, 1.05),
     )
-    below = {"loc": "upper left", "bbox_to_anchor": (0, -0.14), "ncols": 3}
-    left.legend(frameon=False, fontsize="small", **below)
+    picture.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     for part, name, colour in zip(
         np.transpose(history), ("stopped", "passing"), ("#D55E00", "#009E73"), strict=True
     ):
         right.plot(np.arange(1, part.size + 1), part, ".-", color=colour, label=name)
     right.set(xlabel="pair of runs", ylabel="share of the energy that passes", ylim=(0, 1.05))
-    right.legend(frameon=False)
+    right.legend()
     finish(picture, given.output)
 
 

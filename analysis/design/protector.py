@@ -244,7 +244,7 @@ def main() -> None:
     say("evolution, then gradients", both_peak, "N")
     say("runs with gradients after the evolution", both.runs)
     say("peak in three times the time over that", longer / both_peak)
-    picture = figure(11.0, 8.0)
+    picture = figure(7.5, 7.5)
     panels = picture.subplot_mosaic([["force", "search"], ["beads", "beads"]])
     over_time = panels["force"]
     search = panels["search"]
@@ -266,16 +266,18 @@ def main() -> None:
         draw_beads(beads, scene, -20.0 * place, colour)
         beads.text(-3, -20.0 * place, name.split(", best of")[0], ha="right", va="center")
     over_time.set(xlabel="time (ms)", ylabel="force on the wall (N)", ylim=(1, 1e5))
-    over_time.set_title("Force on the wall, and its largest")
-    over_time.legend(frameon=False, fontsize="small")
+    over_time.set_title("Force on the wall")
+    over_time.legend(title="largest force")
     found.plot(search)
     search.axhline(random_peak, color="#E69F00", ls="--", label="random, best")
     search.set(ylabel="least peak force so far (N)", xlabel="runs of each start, steel")
-    search.set_title("The search by gradients, a line a start")
-    search.legend(search.lines[-1:], ["random, best"], frameon=False, fontsize="small")
-    beads.set(xlim=(-75, 1e3 * BEADS * SIZE + 4), ylim=(-112, 12), xlabel="from the striker (mm)")
+    search.set_title("Search by gradients, one line per start")
+    search.legend(search.lines[-1:], ["random, best"])
+    beads.set(
+        xlim=(-95, 1e3 * BEADS * SIZE + 4), ylim=(-112, 12), xlabel="distance from the striker (mm)"
+    )
     beads.set(aspect="equal", yticks=[], xticks=range(0, 201, 25))
-    beads.set_title("The beads, struck from the left; white: PTFE")
+    beads.set_title("Beads, struck from the left; white: PTFE")
     finish(picture, given.output)
 
 

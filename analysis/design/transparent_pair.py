@@ -63,7 +63,7 @@ def main() -> None:
     say("mass of the lower one", pair[1])
     say("mass by the formula", float(by_formula[0]))
     say("runs", found.runs)
-    picture = figure(9.0, 3.8)
+    picture = figure(7.5, 3.8)
     left, right = picture.subplots(1, 2)
     near = omega * np.linspace(0.6, 1.2, 400)
     for name, one, style in (
@@ -79,17 +79,17 @@ def main() -> None:
             near / omega, 1 - scattering.transmission(one, near).transmitted, label=name, **style
         )
     left.set(
-        title="What the two beads reflect",
+        title="Reflection of the two beads",
         xlabel="frequency over that of the packet",
         ylabel="reflected share of the energy",
         ylim=(1e-6, 1),
         yscale="log",
     )
     left.axvline(1, color="0.8", zorder=0)
-    left.legend(frameon=False, fontsize="small", loc="lower left", handlelength=1.2)
+    picture.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     right.semilogy(np.arange(1, found.runs + 1), found.history[0] / whole, ".-", color="#0072B2")
     right.set(
-        title="The search by gradients",
+        title="Search by gradients",
         xlabel="run",
         ylabel="share of the energy that comes back",
     )

@@ -47,7 +47,7 @@ def measure(quick: bool) -> dict[str, Any]:
 
 def draw(data: dict[str, Any]) -> Figure:
     """Draw the two maps and two cuts."""
-    picture = figure(7.5, 7.5)
+    picture = figure(7.5, 8.5)
     (plane, spread), (waves, edge) = picture.subplots(2, 2)
     draw_strike(plane, data, picture)
     _draw_spread(spread, data, picture)
@@ -85,7 +85,7 @@ def draw_strike(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
     )
     plane.set_title("Eq. (35) after a strike on grain 1")
     no_answer(plane)
-    plane.legend(loc="lower right", frameon=True)
+    plane.legend(loc="upper left", bbox_to_anchor=(0, -0.18))
 
 
 def _draw_spread(plane: Axes, data: dict[str, Any], picture: Figure) -> None:
@@ -140,7 +140,8 @@ def _draw_waves(axes: Axes, data: dict[str, Any]) -> None:
     axes.set_xticks([2, 4, 8, 12.8, 20, 40], labels=["2", "4", "8", "12.8", "20", "40"])
     axes.minorticks_off()
     axes.set_title("Dispersion")
-    axes.legend()
+    axes.set_ylim(5e-4, 100)
+    axes.legend(loc="upper right")
 
 
 def _draw_front(axes: Axes, data: dict[str, Any]) -> None:
@@ -168,6 +169,6 @@ def _draw_front(axes: Axes, data: dict[str, Any]) -> None:
     axes.loglog(
         grain, grain ** (5 / 6), color="black", ls=":", lw=1.5, label="the paper's τ = n$^{5/6}$"
     )
-    axes.set(xlabel="grain, from the top", ylabel="τ", ylim=(0.8, 3 * arrival[-1]))
+    axes.set(xlabel="grain, from the top", ylabel="time τ", ylim=(0.8, 3 * arrival[-1]))
     axes.set_title("Arrival and width of the front")
     axes.legend(loc="upper left")

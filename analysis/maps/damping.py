@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from figures import DARK_OUTLINE, OUTLINE
+from figures import DARK_OUTLINE, SHADES
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from lmpchain import Chain, Impulse, Scene, simulate
 from lmpchain.benchmark.comparison import error
@@ -16,7 +17,8 @@ from lmpchain.util.plotting import figure
 
 PASSED = (20, 100, 500)  # Number of grains that the front has passed.
 LOAD = 0.01  # Load, N, on glass beads of 1 mm.
-LEVELS = (0.01, 0.1)
+LEVELS = {0.01: "white", 0.1: SHADES[5]}  # Errors of the contours and their colours.
+STYLES = {"measured": "solid", "law": "dashed"}
 
 
 def measure(quick: bool) -> dict[str, Any]:
@@ -69,15 +71,10 @@ def _errors(passed: int, number: float, viscosities: np.ndarray) -> list[float]:
     return errors
 
 
-def percent(level: float) -> str:
-    """Return the label of a contour of the logarithm of the error."""
-    return f"{100 * 10**level:.0f} %"
-
-
 def draw(data: dict[str, Any]) -> Figure:
-    """Draw a map per distance: white lines are measured, dashed ones are the law."""
+    """Draw a map per distance, with contours of the measured error and of the law."""
     distances = list(data["error"])
-    picture = figure(7.5, 3.6)
+    picture = figure(7.5, 4.0)
     panels = picture.subplots(1, len(distances), sharey=True, squeeze=False)[0]
     x = np.array(data["A omega"])
     for axes, grains in zip(panels, distances, strict=True):
@@ -87,24 +84,22 @@ def draw(data: dict[str, Any]) -> Figure:
             x, data["strike number"], errors, norm=LogNorm(1e-4, 1), cmap="cividis",
             shading="gouraud",
         )  # fmt: skip
-        laws = np.log10(data["law"][grains])
-        for values, colour, style in (
-            (np.log10(errors), "white", "solid"),
-            (laws, "black", "dashed"),
-        ):
-            lines = axes.contour(
-                x, data["strike number"], values, levels=np.log10(LEVELS), colors=colour,
-                linestyles=style, linewidths=2,
-            )  # fmt: skip
-            if colour == "white":
-                lines.set_path_effects(DARK_OUTLINE)
-            for text in axes.clabel(
-                lines, colors="black", fmt=lambda level: f"{100 * 10**level:.0f} %"
-            ):
-                text.set_path_effects(OUTLINE)
+        for values, style in zip((errors, data["law"][grains]), STYLES.values(), strict=True):
+            for level, colour in LEVELS.items():
+                axes.contour(
+                    x, data["strike number"], np.log10(values), levels=[np.log10(level)],
+                    colors=colour, linestyles=style, linewidths=2,
+                ).set_path_effects(DARK_OUTLINE)  # fmt: skip
         axes.set_xlim(x[0], x[-1])
         axes.set_title(f"After {grains} grains")
     panels[0].set_ylabel("strike number v0*")
     label = "error of the lossless model"
     picture.colorbar(shades, ax=list(panels), label=label, extend="both")
+    lines = [
+        Line2D([], [], color=colour, ls=style, lw=2, path_effects=DARK_OUTLINE)
+        for style in STYLES.values()
+        for colour in LEVELS.values()
+    ]
+    names = [f"{100 * level:.0f} %, {kind}" for kind in STYLES for level in LEVELS]
+    picture.legend(lines, names, loc="outside lower center", ncols=4)
     return picture

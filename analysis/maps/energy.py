@@ -155,7 +155,8 @@ def draw(data: dict[str, Any]) -> Figure:
     orders.xaxis.set_minor_formatter("")
     orders.set(xlabel="step × band edge", ylabel="spread of the energy error")
     orders.set_title("Spread against the step")
-    orders.legend()
+    orders.set_ylim(top=1e5)
+    orders.legend(loc="upper left")
     return picture
 
 

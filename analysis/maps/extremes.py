@@ -143,7 +143,7 @@ def _weights(axes: Axes, data: dict[str, Any]) -> None:
     axes.annotate(
         "overflows", (limits.MOST_PRINTED, 1e-6), (4, 0), "data", "offset points", color=RED
     )
-    axes.set(xlabel="m", ylabel="relative error", ylim=(1e-17, 1e-3))
+    axes.set(xlabel="order m", ylabel="relative error", ylim=(1e-17, 1e-3))
     axes.set_title(f"Dyson's weight, Eq. (23): overflow at m = {limits.MOST_PRINTED:.0f}")
 
 

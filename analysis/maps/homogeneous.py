@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 SHADES = tuple(COLOURS.values())
 DEEP = 1000  # Grain at the centre of wide initial disturbances.
+LABELLED = 80  # Grain at which the labels of the boundaries begin.
 LEVELS = (0.01, 0.1)
 XI = 1 / 3
 
@@ -95,9 +96,9 @@ def draw_boundaries(plane: Axes, first: float, last: float, background: str = "w
     )
     for level in LEVELS:
         label = f"{100 * level:.0f} %: T = √(12√2 · {level:g} n)"
-        below = 0.6 * uniform_reach(level, XI / 120)
+        below = 0.6 * uniform_reach(level, XI / LABELLED)
         plane.text(
-            120,
+            LABELLED,
             below,
             label,
             rotation=29,
@@ -128,7 +129,7 @@ def _draw_width(axes: Axes, data: dict[str, Any]) -> None:
     axes.set_yticks([10, 20, 50, 100, 200], labels=["10", "20", "50", "100", "200"])
     axes.minorticks_off()
     axes.set(
-        xlabel="standard deviation of the displacement (grains)",
+        xlabel="width of the displacement (grains)",
         ylabel="grains that the wave may go",
     )
     axes.set_title(f"Eq. (6) around grain {DEEP}")

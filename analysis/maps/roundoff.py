@@ -85,7 +85,7 @@ def draw(data: dict) -> Figure:
     axes[0].text(
         data["many"][-1],
         TOLERANCE * 1.4,
-        "default tolerance",
+        "default\ntolerance",
         color="0.4",
         fontsize="small",
         ha="right",

@@ -20,7 +20,7 @@ PERIODS = 100  # Duration in periods of the band edge, or of two struck grains i
 LOADED = {"grains": 12, "diameter": 1e-3, "gravity": 0.0, "top_load": 1e-3}
 STEEP = 1.05  # Growth factor per step at which every run breaks down.
 LINE = {"color": "0.2", "lw": 1.5}
-BEYOND = "the same for where its oscillators grow by 5 % a step"
+BEYOND = "predicted, if oscillators grow by 5 % a step"
 
 
 def struck(number: float) -> lmpchain.Scene:

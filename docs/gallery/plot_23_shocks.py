@@ -7,7 +7,7 @@ A piston, or a step of compression (the Riemann problem), sends them down a chai
 
 import lmpchain
 from lmpchain.measure import planar, self_similar, shock
-from lmpchain.util.plotting import figure
+from lmpchain.util.plotting import figure, letter_panels
 
 chain = lmpchain.Chain(
     grains=600,
@@ -50,8 +50,10 @@ less = -0.5 * chain.equilibrium_overlap[0] / 9.5e-3
 step = lmpchain.Riemann(velocity=(0, 0), strain=(less, 0), grain=350)
 opening = run(chain.replace(top="free"), step, 4e-3)
 picture = figure(9, 9)
-for ax, wave in zip(picture.subplots(2, 2).flat, (train, steady, vacuum, opening), strict=True):
+panels = picture.subplots(2, 2).ravel()
+for ax, wave in zip(panels, (train, steady, vacuum, opening), strict=True):
     wave.plot(ax)
+letter_panels(panels)
 
 # %%
 # Over distance divided by time, the profiles of a rarefaction at all times approach one curve, the

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.stats import beta
 
 import lmpchain
-from lmpchain.util.plotting import figure, legend
+from lmpchain.util.plotting import figure, legend, letter_panels
 
 GRAINS = 38
 chain = lmpchain.Chain(
@@ -36,7 +36,7 @@ for name, exact, value, interval in (
 
 # %%
 # The average up to each time, the means of its batches, and the interval.
-picture = figure(9.0, 6.0)
+picture = figure(7.0, 6.0)
 upper, lower = picture.subplots(2, 1)
 average.plot(upper, of="kinetic_energy")
 upper.axhline(share.mean() * scene.energy, color="k", ls=":", lw=1, label="microcanonical")
@@ -44,3 +44,4 @@ legend(upper, ncols=2)
 average.plot(lower, of="equipartition")
 lower.axhline(1.0, color="k", ls=":", lw=1, label="equipartition")
 legend(lower, ncols=2)
+letter_panels([upper, lower])

@@ -66,6 +66,6 @@ scene = lmpchain.Scene(
 split = wavenumbers.bands(
     lmpchain.simulate(scene, "native"), np.pi * np.array([0, 0.1, 0.2, 0.4, 1])
 )
-picture_of_bands = figure(7.5, 4)
+picture_of_bands = figure(7, 4)
 axes = split.plot(picture_of_bands.subplots())
 axes.set(ylim=(0, 5e-3 * split.total[-1]))

@@ -57,8 +57,8 @@ linear = np.array([lmpchain.theory.steady.drive_stiffness(column, shaker(f, 1.0)
 above.plot(fine, 1e3 * abs(linear) / (2 * np.pi * fine) ** 2, "k-", lw=1, label="linear column")
 below.plot(fine, linear.imag / abs(linear.real), "k-", lw=1)
 above.axhline(1e3 * column.masses.sum(), color="k", ls=":", lw=1, label="mass of the grains")
-above.set(xscale="log", yscale="log", ylabel="apparent mass (g)")
-below.set(xlabel="frequency (Hz)", yscale="log", ylabel="loss factor")
+above.set(xscale="log", yscale="log", ylabel="apparent mass (g)", title="(a)")
+below.set(xlabel="frequency (Hz)", yscale="log", ylabel="loss factor", title="(b)")
 above.legend()
 
 # %%

@@ -14,8 +14,11 @@ from ..scene.scene import Scene
 from ..util.plotting import (
     COLOURS,
     LEAST_ERROR,
+    LEAST_LETTER,
+    PRINTED_WIDTH,
     Axes,
     legend,
+    letter_panels,
     look_of,
     panels,
     window,
@@ -64,7 +67,7 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 ROOM = 0.75  # Names of marks beyond this fraction of the axes' width stand on the left of the mark.
-NAMES_WIDTH = 30  # Number of letters that fit below the narrow axes of the times.
+NAMES_WIDTH = 80  # Number of letters that fit below the axes of the times.
 LABELLED = 5  # Number of curves in colour: those that reach the target error soonest.
 TARGET = 1e-6  # Target error.
 FRONT = "#F0E442"
@@ -97,7 +100,7 @@ def draw(
     over_time.set(xlabel="time (s)", ylabel="relative error")
     explained = over_time.get_legend_handles_labels()
     if below:
-        legend(below, *explained, loc="upper right", ncols=3)
+        legend(below, *explained, loc="center", ncols=4)
     else:
         legend(rest[0] if rest else over_time, *explained, loc="upper right")
     if rest:
@@ -108,21 +111,23 @@ def draw(
         )
         _draw_orders(over_evaluations)
         _draw_bars(bars, times, styles)
+    if below:
+        letter_panels([over_time, *rest])
     return over_time
 
 
 def _figure(result: Any) -> tuple[list[Axes], Axes]:
-    """Create a figure; return its axes, and the axes below for the table of cheapest engines."""
-    picture = window(14.0, 8.6)
+    """Create a figure; return its axes, and the axes below for the legend."""
+    picture = window(PRINTED_WIDTH, 10.0)
     rooms = picture.subplot_mosaic(
-        [["time", "evaluations", "bars"], ["ways"] * 3],
-        width_ratios=(5, 5, 3.5),
-        height_ratios=(7, 1.7),
+        [["time", "evaluations"], ["bars"] * 2, ["legend"] * 2, ["ways"] * 2],
+        height_ratios=(4.5, 2.2, 0.6, 1.4),
     )
-    below = rooms.pop("ways")
-    _write_ways(below, result)
-    picture.suptitle(_title(result.scene), x=0.01, ha="left")
-    picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize="x-small", color="0.35")
+    _write_ways(rooms.pop("ways"), result)
+    below = rooms.pop("legend")
+    below.set_axis_off()
+    picture.suptitle(textwrap.fill(_title(result.scene), 92), x=0.01, ha="left", fontsize=10.0)
+    picture.supxlabel(_footer(result), x=0.01, ha="left", fontsize=LEAST_LETTER, color="0.35")
     return list(rooms.values()), below
 
 
@@ -154,7 +159,7 @@ def _write_ways(ax: Axes, result: Any) -> None:
         colour = COLOURS["vermilion"] if "lammps" in line else "black"
         weight = "bold" if row == 0 else "normal"
         height = 1 - row / len(lines)
-        text: dict[str, Any] = {"family": "monospace", "fontsize": "small", "va": "top"}
+        text: dict[str, Any] = {"family": "monospace", "fontsize": LEAST_LETTER, "va": "top"}
         ax.text(0.0, height, line, transform=ax.transAxes, color=colour, weight=weight, **text)
 
 
@@ -223,7 +228,7 @@ def _draw_errors(
         textcoords="offset points",
         va="top",
         color="0.4",
-        fontsize="x-small",
+        fontsize=LEAST_LETTER,
     )
     # The legend stands above the slopes of the orders if these are drawn.
     foot = 0.1 if cost == "seconds" else 0.46
@@ -288,10 +293,10 @@ def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[s
         text: dict[str, Any] = {
             "textcoords": "offset points",
             "va": "center",
-            "fontsize": "x-small",
+            "fontsize": LEAST_LETTER,
         }
         ax.annotate(f"{1e3 * times[name]:.3g}", (1e3 * times[name], row), (7, 0), **text)
-    ax.set_yticks(rows, reached, fontsize="x-small")
+    ax.set_yticks(rows, reached, fontsize=LEAST_LETTER)
     ax.set(xscale="log", xlabel="time (ms)", ylim=(len(reached) - 0.4, -0.6))
     ax.margins(x=0.3)
     ax.grid(axis="x", color="0.92", lw=0.6)
@@ -299,7 +304,7 @@ def _draw_bars(ax: Axes, times: Mapping[str, float], styles: Mapping[str, dict[s
     ax.set_title(f"Time to an error of $10^{{{exponent}}}$", loc="left", fontsize="medium")
     never = [name for name in times if name not in reached]
     if never:
-        names = textwrap.fill(f"never: {', '.join(never)}", NAMES_WIDTH)
+        names = textwrap.fill(f"not reached by {'; '.join(never)}", NAMES_WIDTH)
         ax.set_xlabel(f"time (ms)\n\n{names}")
 
 
@@ -324,9 +329,10 @@ def _draw_orders(ax: Axes) -> None:
         last = start * min((top / end) ** (1 / order), 10)
         low = top * (last / start) ** -order
         ax.plot([start, last], [top, low], color="0.5", lw=0.9)
-        ax.annotate(
-            f"{order}", (last, low), (2, -3), textcoords="offset points", va="top", color="0.35"
-        )
+        # The two steepest lines end close together, so the last number is on the left.
+        side = {"ha": "right"} if order == 8 else {}
+        place: dict[str, Any] = {"textcoords": "offset points", "va": "top", "color": "0.35"}
+        ax.annotate(f"{order}", (last, low), (2, -3), **place | side)
     ax.annotate("order", (start, top), (0, 4), textcoords="offset points", color="0.35")
 
 
@@ -351,4 +357,4 @@ def _footer(result: Any) -> str:
         "Times: the shortest of several runs after a first run, for the integration and, to a "
         f"tolerance, the error estimate, on {result.machine}; {versions}."
     )
-    return textwrap.fill(text, 235)
+    return textwrap.fill(text, 110)

@@ -17,9 +17,12 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import (
     LEAST_ERROR,
+    LEAST_LETTER,
+    PRINTED_WIDTH,
     Axes,
     label_ends,
     legend,
+    letter_panels,
     panels,
     set_title,
     window,
@@ -217,15 +220,17 @@ class Comparison(Shown, Tabular):
             On a single axes only the trajectories are drawn. By default a new figure shows the
             trajectories, errors, costs, and the motion over time and depth.
         """
+        own = {}
         if ax is None:
-            picture = window(10.5, 7.6)
-            rooms = picture.subplot_mosaic([["map", "wave"], ["error", "cost"]])
-            ax = [rooms[name] for name in ("wave", "error", "cost", "map")]
+            picture = window(PRINTED_WIDTH, 6.4)
+            own = picture.subplot_mosaic([["map", "error"], ["wave", "cost"]])
+            ax = [own[name] for name in ("wave", "error", "cost", "map")]
         wave, *others = panels(ax)
         _draw_wave(self, wave)
         legend(wave)
         for draw, axes in zip((_draw_errors, _draw_cost, _draw_map), others, strict=False):
             draw(self, axes)
+        letter_panels(list(own.values()))
         return wave
 
     def _columns(self) -> Iterator[NamedColumn]:
@@ -285,7 +290,7 @@ def _row(answer: Trajectory, reference: Reference) -> ComparisonRow:
 
 WIDEST = 60  # Largest number of grains shown.
 # Offsets of names from their markers in points; neighbours alternate above and below.
-NAME_PLACES = ((13, True), (-13, False), (26, True), (-26, False))
+NAME_PLACES = ((13, True), (-13, False), (30, True), (-30, False))
 
 
 def _draw_wave(comparison: Comparison, axes: Axes) -> None:
@@ -318,8 +323,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
         )
     axes.axhline(0, color="0.8", lw=0.8, zorder=0)
     axes.set(xlabel="grain number, from the top", ylabel=label, xlim=(first - 0.5, end + 0.5))
-    grains = f"Grains {first} to {end} of {scene.chain.grains}"
-    set_title(axes, f"{grains} at t = {scene.duration * 1e6:g} µs")
+    set_title(axes, f"Motion at t = {scene.duration * 1e6:g} µs")
     # The reference sets the scale; answers with large errors may leave the axes.
     span = np.array([last.min(), last.max()])
     if np.ptp(span):
@@ -328,7 +332,7 @@ def _draw_wave(comparison: Comparison, axes: Axes) -> None:
     far = [answer.engine for answer in shown if _leaves(answer.velocity[-1] / unit, limits)]
     if far:
         text = f"partly beyond the scale: {', '.join(far)}"
-        axes.text(0.01, 0.02, text, transform=axes.transAxes, fontsize=8)
+        axes.text(0.01, 0.02, text, transform=axes.transAxes, fontsize=LEAST_LETTER)
 
 
 def _shown(comparison: Comparison) -> list[Trajectory]:
@@ -375,7 +379,7 @@ def _draw_errors(comparison: Comparison, axes: Axes) -> None:
         axes.axhline(max(row.expected_error, LEAST_ERROR), color=colour, ls="--", lw=1.3)
     axes.axhline(max(reference.error, LEAST_ERROR), color="0.55", ls=":", lw=1.5)
     axes.set(xlabel="time (µs)", ylabel="relative error")
-    set_title(axes, "Error over time; dashed: expected by the engine, dotted: of the reference")
+    set_title(axes, "Error (dashed: expected)")
     axes.margins(y=0.12)
     ends = [
         (float(max(curve[-1], LEAST_ERROR)), row.engine, class_of(row.engine).style[0])
@@ -400,8 +404,8 @@ def _draw_cost(comparison: Comparison, axes: Axes) -> None:
         text: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": "small"}
         axes.annotate(name, (x, end), (0, height), textcoords="offset points", color=colour, **text)
     axes.set(xlabel="integration time (s)", ylabel="relative error")
-    set_title(axes, "Error and cost; bar: expected error")
-    axes.margins(x=0.25, y=0.3)
+    set_title(axes, "Error and cost (bar: expected)")
+    axes.margins(x=0.4, y=0.3)
 
 
 def _leaves(values: Array, limits: tuple[float, float]) -> bool:

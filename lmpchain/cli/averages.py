@@ -28,12 +28,13 @@ def averages(arguments: argparse.Namespace) -> int:
     keep(result, numbers, None)
     # Each average has a panel of its own, so `keep` does not apply.
     if picture:
-        from ..util.plotting import figure, save
+        from ..util.plotting import PRINTED_WIDTH, figure, letter_panels, save
 
-        pages = figure(7.0, 3.0 * len(result.mean))
+        pages = figure(PRINTED_WIDTH, 3.0 * len(result.mean))
         panels = pages.subplots(len(result.mean), squeeze=False)[:, 0]
         for ax, name in zip(panels, result.mean, strict=True):
             result.plot(ax, of=name)
+        letter_panels(list(panels))
         save(pages, picture, overwrite=True)
         print(f"picture: {picture}")
     return 0

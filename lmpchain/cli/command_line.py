@@ -256,7 +256,9 @@ def _parser() -> argparse.ArgumentParser:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.set_defaults(command=_show_help)
-    parser.add_argument("--version", action=ShowVersion, nargs=0, help="show the version and exit")
+    parser.add_argument(
+        "-V", "--version", action=ShowVersion, nargs=0, help="show the version and exit"
+    )
     parser.add_argument(
         "--print-completion",
         action=PrintCompletion,

@@ -92,12 +92,13 @@ def _describe(family: Family) -> list[str]:
 
 
 def _picture(family: Family, of: str) -> Figure:
-    from ..util.plotting import COLOURS, figure
+    from ..util.plotting import COLOURS, PRINTED_WIDTH, figure, letter_panels
 
-    picture = figure(11.0, 4.2)
+    picture = figure(PRINTED_WIDTH, 3.6)
     first, right = picture.subplots(1, 2)
     for ax in (first, right):
         ax.set_prop_cycle(color=list(COLOURS.values()))
     family.plot(first, of if family[0].drive else "")
     family[-1].plot(right)
+    letter_panels([first, right])
     return picture

@@ -44,9 +44,10 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         """Report a fault of the arguments in one line, and exit with code 2."""
-        # The message of argparse lists the choices, but does not suggest the most similar one.
-        if choice := re.search(r"invalid choice: '(.*)' \(choose from (.*)\)", message):
-            message += did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[2]))
+        # The message of argparse lists all choices; the most similar one, if any, is enough.
+        if choice := re.search(r"invalid choice: '(.*)'( \(choose from (.*)\))", message):
+            similar = did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[3]))
+            message = message.replace(choice[2], similar or choice[2])
         # A long word, such as a scene in place of its file name, would hide the message.
         brief = re.sub(rf"\S{{{SHOWN_LETTERS},}}", lambda match: short(match[0]), message)
         named = brief.removeprefix("argument ")

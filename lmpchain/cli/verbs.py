@@ -157,6 +157,7 @@ VERBS = {
             ),
             _argument(
                 "--example",
+                metavar="NAME",
                 choices=list(EXAMPLES),
                 help="; ".join(f"{key}: {text}" for key, text in EXAMPLES.items())
                 + " (default: column)",

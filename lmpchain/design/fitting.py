@@ -14,7 +14,7 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.plotting import SHADES, Axes, chart, finish, panels, window
+from ..util.plotting import SHADES, Axes, chart, finish, letter_panels, panels, window
 from ..util.tabular import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
 from .changes import changed
@@ -176,6 +176,8 @@ class Fit(Fitted, Tabular):
                     label = f"{kind} {place}"
                     single.plot(trace.time, prediction[:, column], color=colour, label=label)
             finish(single)
+        if ax is None:
+            letter_panels(axes)
         return axes if len(axes) > 1 else axes[0]
 
     def _columns(self) -> Iterator[NamedColumn]:

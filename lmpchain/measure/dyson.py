@@ -16,7 +16,16 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.plotting import COLOURS, Axes, legend, panels, set_title, window
+from ..util.plotting import (
+    COLOURS,
+    PRINTED_WIDTH,
+    Axes,
+    legend,
+    letter_panels,
+    panels,
+    set_title,
+    window,
+)
 from ..util.tables import align, counted, number, wrap
 from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
@@ -177,7 +186,8 @@ class DysonSums(Shown, Tabular):
         Axes
             Axes of the means.
         """
-        means, *terms_axes = panels(window(7.0, 8.0).subplots(2, sharex=True) if ax is None else ax)
+        own = window(PRINTED_WIDTH, 8.0).subplots(2, sharex=True) if ax is None else []
+        means, *terms_axes = panels(own if ax is None else ax)
         colours = list(COLOURS.values())
         grains = np.arange(1, ordered.size + 1)
         means.plot(grains, ordered / self.unit, color="black", lw=2.2, alpha=0.6, label="ordered")
@@ -215,6 +225,7 @@ class DysonSums(Shown, Tabular):
             panel.axhline(0, color="0.8", lw=0.8, zorder=0)
             legend(panel)
         panel.set_xlabel("grain number n, from the top")
+        letter_panels(own)
         return means
 
     def _columns(self) -> Iterator[NamedColumn]:

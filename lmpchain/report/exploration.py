@@ -324,11 +324,10 @@ def _render(
 
 
 def _label(key: str, kind: str) -> str:
-    """Return a key of the scene in words; keys of nested tables are added, because names repeat."""
+    """Return a key of the scene in words, without its first table: "damping viscoelastic"."""
     if key == "excitation.velocity" and kind == "impulse":
         return "strike velocity"
-    words = key.rpartition(".")[2].replace("_", " ")
-    return words if key.count(".") == 1 else f"{words} ({key})"
+    return key.partition(".")[2].replace(".", " ").replace("_", " ")
 
 
 def _caption(view: View, runs: int, plan: Sweep) -> str:

@@ -13,12 +13,12 @@ from ..measure import contact, energy, spectrum
 from ..measure.fit.column import is_uniform
 from ..theory.front import decay
 from ..trajectory.trajectory import Trajectory
-from ..util.plotting import COLOURS, Axes, axes_in_units, figure, legend, si
+from ..util.plotting import COLOURS, Axes, axes_in_units, figure, legend, letter_panels, si
 from .live import crop, extent
 from .verdicts import departure, front_below, linear_theory
 
 # Fractions of the duration at which waveforms are drawn, and their colours.
-MOMENTS = {0.25: "#56B4E9", 0.5: "#0072B2", 1.0: "#009E73"}
+MOMENTS = {0.25: "#E69F00", 0.5: "#0072B2", 1.0: "#009E73"}
 WIDTH = 4.7  # Inches; letters are readable on a phone, and two pictures fit side by side.
 
 
@@ -120,10 +120,11 @@ def waveforms(run: Trajectory) -> Panel:
         above.set_xlabel("grain, from the top")
         return _panel(above, f"{caption}There is no linear theory of this scene.")
     error = departure(run, linear)
+    letter_panels([above, below])
     return _panel(
         above,
         f"{caption}Points: this run. Lines: linear theory, Eq. (3), at most {error:.2g} of the "
-        "largest velocity away (below).",
+        "largest velocity away (b).",
     )
 
 
@@ -156,13 +157,16 @@ def arrival(run: Trajectory) -> Panel:
         axis.set(
             major_locator=LogLocator(subs=(1, 2, 3, 5)), major_formatter=form, minor_formatter=""
         )
-    legend(height)
+    # The legend needs room below the curve, which falls.
+    height.set_ylim(bottom=0.7 * height.get_ylim()[0])
+    legend(height, loc="lower left")
     time.plot(track.grain, 1e6 * track.time, ".", ms=4, label="this run")
     if chain.linearisable and chain.ground is None:
         expected = spectrum.travel_time(chain, max(1, source))[track.grain - 1]
         time.plot(track.grain, 1e6 * expected, "--", lw=1, label="long weak wave")
     time.set(xlabel="grain, from the top", ylabel="arrival (µs)")
     legend(time)
+    letter_panels([height, time])
     first, last = (f"{si(values[k], 'm/s', 1)} at grain {track.grain[k]}" for k in (0, -1))
     law = "No law is known for this chain." if power is None else f"Dashed: {name}."
     return _panel(

@@ -16,9 +16,11 @@ from ..util.notebook import Shown
 from ..util.plotting import (
     COLOURS,
     LEAST_ERROR,
+    PRINTED_WIDTH,
     Axes,
     chart,
     finish,
+    letter_panels,
     look_of,
     panels,
     typeset,
@@ -28,7 +30,7 @@ from ..util.tables import align, finite, number
 from ..util.tabular import NamedColumn, Tabular, of_rows
 
 # Place of the legend, beside the axes.
-LEGEND_BESIDE: dict[str, Any] = {"loc": "center left", "bbox_to_anchor": (1, 0.5)}
+LEGEND_BELOW: dict[str, Any] = {"below": 0.24, "ncols": 4}
 TOLERANCE = 1e-6  # Tolerance that defines the predictability horizon.
 
 
@@ -141,10 +143,12 @@ class Stability(Shown, Tabular):
         Axes
             The axes of the longest steps.
         """
-        steps, *others = panels(window(15.0, 8.5).subplots(2, 2).ravel() if ax is None else ax)
+        own = window(PRINTED_WIDTH, 12.0).subplots(4) if ax is None else []
+        steps, *others = panels(own if ax is None else ax)
         _draw_steps(steps, self)
         for draw, panel in zip((_draw_energy, _draw_growth, _draw_strength), others, strict=False):
             draw(panel, self)
+        letter_panels(own)
         return steps
 
     def _columns(self) -> Iterator[NamedColumn]:
@@ -173,7 +177,7 @@ def _draw_steps(axes: Axes, result: Stability) -> None:
     axes.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     axes.set_yticks(heights, [row.method for row in rows])
     axes.grid(axis="x", color="0.92", lw=0.6)
-    finish(axes, "Time step", **LEGEND_BESIDE)
+    finish(axes, "Time step", **LEGEND_BELOW)
 
 
 def _draw_energy(axes: Axes, result: Stability) -> None:
@@ -182,11 +186,11 @@ def _draw_energy(axes: Axes, result: Stability) -> None:
         colour = look_of(curve.name)["color"]
         error = np.maximum(curve.y[1:], LEAST_ERROR)
         axes.plot(curve.x[1:], error, color=colour, lw=1.2, label=curve.name)
-    finish(axes, "Energy, with forty steps a period of the fastest oscillation", **LEGEND_BESIDE)
+    finish(axes, "Energy, with forty steps a period of the fastest oscillation", **LEGEND_BELOW)
 
 
 def _draw_growth(axes: Axes, result: Stability) -> None:
-    chart(axes, "time [s]", "distance of two runs, over the largest value", "y")
+    chart(axes, "time [s]", "distance / largest value", "y")
     for curve in result.curves:
         if curve.panel == "growth":
             axes.plot(curve.x, np.maximum(curve.y, LEAST_ERROR), color=COLOURS["blue"], lw=1.3)
@@ -205,7 +209,8 @@ def _draw_growth(axes: Axes, result: Stability) -> None:
                     name = typeset(f"predictable to {TOLERANCE:g}, {label}")
                     axes.axvline(value, color="0.3", ls=style, lw=1.2, label=name)
     axes.locator_params(axis="x", nbins=5)
-    finish(axes, "Divergence of two runs, 1e-13 apart at the start", **LEGEND_BESIDE)
+    axes.set_ylim(top=10.0)
+    finish(axes, "Divergence of two runs, 1e-13 apart at the start", **LEGEND_BELOW)
 
 
 def _draw_strength(axes: Axes, result: Stability) -> None:
@@ -218,5 +223,7 @@ def _draw_strength(axes: Axes, result: Stability) -> None:
             error = np.maximum(curve.y, LEAST_ERROR)
             axes.plot(curve.x, error, color=colour, ls=style, lw=1.4, label=curve.name)
     axes.axvline(1.0, color="0.3", lw=1)
-    axes.annotate("this scene", (1.0, 0.6), (4, 0), ("data", "axes fraction"), "offset points")
-    finish(axes, "Model error and round-off", **LEGEND_BESIDE)
+    axes.annotate(
+        "this scene", (1.0, 0.6), (-4, 0), ("data", "axes fraction"), "offset points", ha="right"
+    )
+    finish(axes, "Model error and round-off", **LEGEND_BELOW | {"ncols": 2})

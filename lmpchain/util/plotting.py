@@ -7,6 +7,7 @@ import re
 import textwrap
 from collections.abc import Sequence
 from os import PathLike
+from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -35,6 +36,8 @@ COLOURS = {
 # Means with their errors, joined by a line.
 ERROR_BARS: dict[str, Any] = {"fmt": "o-", "ms": 3, "capsize": 2}
 NARROW = 3.5  # Width in inches of axes that share a page with others.
+PRINTED_WIDTH = 7.0  # Width in inches of a picture on a printed page.
+LEAST_LETTER = 8.0  # Size in points of the smallest letters of a picture of this width.
 LEAST_ERROR = 1e-17  # Drawn in place of 0 on a logarithmic axis; below all rounding errors.
 # Colours and markers of integrators: Okabe and Ito, and two shades that differ in lightness.
 SHADES = ("#E69F00", "#56B4E9", "#0072B2", "#009E73", "#CC79A7", "#D55E00", "#6A3D00", "#999933")
@@ -250,8 +253,8 @@ def axes_in_units(ax: Axes | None, x: str, y: str, logarithmic: str = "") -> Axe
         if axis.get_scale() == "linear" and (narrow or (name == "x" and unit)):
             ax.locator_params(axis=name, nbins=5 if narrow else 6)
         if narrow:
-            axis.label.set_fontsize(8.0)
-            axis.set_tick_params(labelsize=8.0)
+            axis.label.set_fontsize(LEAST_LETTER)
+            axis.set_tick_params(labelsize=LEAST_LETTER)
     return ax
 
 
@@ -268,6 +271,13 @@ def set_title(ax: Axes, text: str) -> None:
     ax.set_title(typeset(_fold(ax, text, wide)), loc="left", fontsize=10.0)
 
 
+def letter_panels(axes: Sequence[Axes]) -> None:
+    """Put (a), (b) ... before the titles of the panels of one picture, if there are several."""
+    if len(axes) > 1:
+        for letter, ax in zip(ascii_lowercase, axes, strict=False):
+            set_title(ax, f"({letter}) {ax.get_title(loc='left')}".rstrip())
+
+
 def legend(ax: Axes, *handles: Any, below: float | None = None, **keys: Any) -> None:
     """Add a legend of lines and markers, if there are any, with a font that fits the axes.
 
@@ -277,7 +287,7 @@ def legend(ax: Axes, *handles: Any, below: float | None = None, **keys: Any) -> 
         keys |= {"loc": "upper center", "bbox_to_anchor": (0.5, -below)}
     handles = handles or ax.get_legend_handles_labels()
     if handles[0]:
-        size = 7.0 if _inches(ax) < NARROW else 9.0
+        size = LEAST_LETTER if _inches(ax) < NARROW else 9.0
         labels = [typeset(_fold(ax, label, size + 2.0)) for label in handles[1]]
         ax.legend(
             handles[0], labels, **{"frameon": False, "fontsize": size, "handlelength": 1.5} | keys
@@ -366,7 +376,7 @@ def colour_bar(ax: Axes, shown: ScalarMappable, label: str, **keys: Any) -> None
     bar = ax.figure.figure.colorbar(shown, ax=ax, label=name, format=ticks, **keys)
     bar.ax.yaxis.label.set_fontsize(ax.yaxis.label.get_fontsize())
     if narrow:
-        bar.ax.tick_params(labelsize=8.0)
+        bar.ax.tick_params(labelsize=LEAST_LETTER)
 
 
 def _inches(ax: Axes) -> float:

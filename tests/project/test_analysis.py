@@ -371,7 +371,8 @@ CAPTIONS = {
         "runs": "after {:.0f} runs",
     },
     "delay_line": {
-        "runs with gradients": "({:.0f} runs with gradients in 5 s",
+        "runs with gradients": "({:.0f} runs with gradients in",
+        "time of each": "in {:.0f} s of the processor",
         "random pieces tried": "of {:.0f} random pieces",
         "delay by the speed of long waves over that wanted": "says {:.0%} of the delay",
     },

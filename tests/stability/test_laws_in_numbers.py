@@ -425,7 +425,7 @@ def test_the_four_panels_contain_the_numbers() -> None:
     ends = lines_of(growth)
     assert list(ends["predictable to $10^{-6}$, predicted"].get_xdata()) == [4e-4, 4e-4]
     assert list(ends["predictable to $10^{-6}$, measured"].get_xdata()) == [5e-4, 5e-4]
-    assert growth.get_ylabel() == "distance of two runs, over the largest value"
+    assert growth.get_ylabel() == "distance / largest value"
     curves = lines_of(strength)
     assert curves["Eq. (3), estimate"].get_linestyle() == "-"
     assert curves["lammps, physical diameter, round-off"].get_linestyle() == "--"

@@ -300,7 +300,7 @@ def test_a_legend_fits_its_axes(width: float):
     ax.figure.draw_without_rendering()
     assert shown.get_window_extent().width / ax.figure.dpi < 1.05 * inches
     smallest = min(letters(ax))
-    assert 0.8 * smallest < size < smallest
+    assert 0.8 * smallest < size <= smallest
     assert not shown.get_frame_on()
 
 
@@ -319,3 +319,13 @@ def test_a_legend_of_given_handles():
 
 def test_zero_is_drawn_below_all_rounding_errors():
     assert 0 < plotting.LEAST_ERROR < 1e-16
+
+
+def test_several_panels_have_letters():
+    first, second = (axes(WIDE) for _ in range(2))
+    second.set_title("Errors", loc="left")
+    plotting.letter_panels([first, second])
+    assert [ax.get_title(loc="left") for ax in (first, second)] == ["(a)", "(b) Errors"]
+    alone = axes(WIDE)
+    plotting.letter_panels([alone])
+    assert not alone.get_title(loc="left")
