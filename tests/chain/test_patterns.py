@@ -298,7 +298,7 @@ def test_faults_of_cells(tmp_path):
         ('cell = [{materal = "pom"}]\ndiameter = 1e-3', ["cell.0.materal"], "mean 'material'"),
         ("taper = 1.0\ndiameter = 1e-3", ["taper"], "must be below 1"),
         ("taper = 0.1\ndiameter = [1e-3, 1e-3]", ["diameter"], "must be a number"),
-        ('taper = 0.1\ncell = ["pom"]\nfile = "grains.csv"', ["cell", "taper"], "take it out"),
+        ('taper = 0.1\ncell = ["pom"]\nfile = "grains.csv"', ["cell", "taper"], "remove this key"),
     ):
         with pytest.raises(InputError, match=text.replace("[", r"\[")) as caught:
             from_file(tmp_path, lines)

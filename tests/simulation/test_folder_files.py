@@ -76,7 +76,7 @@ def test_a_scene_beside_a_run_json_is_not_a_run_folder(
     (tmp_path / "run.json").write_text(order)
     (tmp_path / "figure.png").write_bytes(b"picture")
     line = refused(tmp_path, capsys, scene, *options)
-    assert "neither empty nor a run folder: figure.png, run.json, scene.toml are not" in line
+    assert "neither empty nor a run folder: figure.png, run.json, scene.toml were not" in line
     assert "--force" not in line
     with pytest.raises(InputError, match="figure"):
         simulate(SCENE, "native", folder=tmp_path)

@@ -223,7 +223,7 @@ def test_a_sweep_json_of_a_user_is_preserved(tmp_path: Path, capsys: pytest.Capt
 
 def test_a_lock_of_a_user_is_preserved(tmp_path: Path):
     (tmp_path / ".lock").write_text("mine")
-    with pytest.raises(InputError, match=r"\.lock: is not lmpchain's"):
+    with pytest.raises(InputError, match=r"\.lock: is not a lock of lmpchain"):
         sweep(ASKED, tmp_path)
     assert (tmp_path / ".lock").read_text() == "mine"
 

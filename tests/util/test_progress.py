@@ -248,8 +248,10 @@ def test_uncached_code_is_compiled_in_every_process(capsys: pytest.CaptureFixtur
 
 def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.MonkeyPatch):
     now = SimpleNamespace(s=10.0)
-    monkeypatch.setattr(compilation, "time", SimpleNamespace(perf_counter=lambda: now.s))
-    before = compilation.compiled_s()
+    # On a busy machine, a second gives half a second of CPU time.
+    clocks = SimpleNamespace(perf_counter=lambda: now.s, thread_time=lambda: now.s / 2)
+    monkeypatch.setattr(compilation, "time", clocks)
+    before, cpu_before = compilation.compiled_s(), compilation.compiled_cpu_s()
 
     def at(second: float, change: Any) -> None:
         now.s = second
@@ -266,6 +268,7 @@ def test_the_stopwatch_counts_nested_compilations_once(monkeypatch: pytest.Monke
     at(20.0, start_event)
     at(20.5, end_event)
     assert compilation.compiled_s() - before == pytest.approx(6.5)
+    assert compilation.compiled_cpu_s() - cpu_before == pytest.approx(3.25)
     assert compilation.clock() == pytest.approx(20.5 - compilation.compiled_s())
     elsewhere: list[float] = []
     thread = threading.Thread(target=lambda: elsewhere.append(compilation.compiled_s()))

@@ -229,6 +229,14 @@ class LammpsColumn:
             raise InputError.at("chain.damping.drag", fault)
         return float(drag[0]) if drag.size else 0.0
 
+    @property
+    def drag_on_all(self) -> float | None:
+        """Drag m gamma of every moving grain, kg/s; None if their masses differ."""
+        first, last = self.mobile
+        masses = self.chain.masses[first - 1 : last]
+        alike = np.ptp(masses) <= 1e-14 * masses.max()
+        return self.drag * float(masses[0]) if alike else None
+
     @cached_property
     def diameters(self) -> Array:
         """Diameters, (N,) m."""

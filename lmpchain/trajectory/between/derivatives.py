@@ -218,7 +218,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
         jumps = acceleration
     # The waveform is smooth between kinks, where the error of Hermite interpolation is included.
     kinks = np.array(wave.kinks)
-    kink = np.diff(np.searchsorted(kinks, time, side="right")) > 0
+    has_kink = np.diff(np.searchsorted(kinks, time, side="right")) > 0
     jump, kink = np.abs(np.diff(jumps))
     bound = OPENINGS.kink * step * kink + (0.0 if wave.spline else jump)
     inside = kinks[(kinks > time[0]) & (kinks < time[-1])]
@@ -229,7 +229,7 @@ def imposed_on(scene: Scene, step: float, first: int, count: int) -> ImposedSamp
         between = CubicHermiteSpline(time, *jumps)
         off = np.abs(share * wave.at(inside, order) - between(inside))
         np.maximum.at(bound, np.searchsorted(time, inside) - 1, off)
-    doubt[:-1] = np.where(kink, bound, 0.0)
+    doubt[:-1] = np.where(has_kink, bound, 0.0)
     return ImposedSamples(wall, acceleration, doubt, grain, driven, wall_body)
 
 
