@@ -267,7 +267,7 @@ def test_a_script_without_its_guard_fails_with_the_remedy(from_file: bool, tmp_p
     )
     assert done.returncode != 0
     assert "went on" not in done.stdout
-    assert done.stderr.splitlines()[-1].startswith("lmpchain.errors.InputError: workers: cannot")
+    assert done.stderr.splitlines()[-1].startswith("lmpchain.errors.InputError: workers: several")
     assert 'if __name__ == "__main__":' in done.stderr.splitlines()[-1]
     if from_file:
         assert done.stderr.count("Traceback") == 1

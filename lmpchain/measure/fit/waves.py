@@ -76,7 +76,7 @@ class ModeFit(Fitted, Tabular):
         Energy of the scene at t = 0 including its nonlinear part, J; NaN if unknown.
     residual : (T,) array
         Relative deviation of the trajectory from the linear motion with the same state at t = 0,
-        Eqs. (15) and (16): the largest |x - x_linear| of any grain divided by the largest |x| of
+        Eqs. (15) and (16): the largest ``|x - x_linear|`` of any grain over the largest ``|x|`` of
         all grains and samples. It is the larger of the values for displacement and velocity.
     """
 
@@ -314,8 +314,8 @@ def fit_bessel(
     until : float, optional
         Last time of the fit, s. By default grain n is fitted until the first echo from an end of
         this range, or of the chain, can arrive. For an end at grain e, this is the time at which
-        ``2 s = m - 7.4 m^(1/3)``, m = 2 |2 e - n - p|, for the nominal rate. If there are more than
-        262144 values, only every k-th grain that the wave has reached is fitted.
+        ``2 s = m - 7.4 m^(1/3)``, ``m = 2 |2 e - n - p|``, for the nominal rate. If there are more
+        than 262144 values, only every k-th grain that the wave has reached is fitted.
 
     Returns
     -------

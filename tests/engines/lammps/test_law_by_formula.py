@@ -121,8 +121,12 @@ def case(name: str) -> tuple[Scene, float]:
 
 
 def some(names: tuple[str, ...], among: list[str] = NAMES) -> list[Any]:
-    """Return cases, of which the ones outside these names are slow."""
-    return [pytest.param(n, marks=() if n in names else pytest.mark.slow) for n in among]
+    """Return cases: these by default, a quarter of the others as slow, the rest as soak tests."""
+    others = [pytest.mark.soak if n % 4 else pytest.mark.slow for n in range(len(among))]
+    return [
+        pytest.param(name, marks=() if name in names else mark)
+        for name, mark in zip(among, others, strict=True)
+    ]
 
 
 def check_agreement(scene: Scene, integrator: str, step: float) -> None:
@@ -224,8 +228,11 @@ def test_rkn6_meets_a_tolerance():
 @pytest.mark.parametrize(
     "name",
     [
-        *("toda under gravity", "one exponent a contact", "walls", BOTH),
-        *("one exponent a contact + viscous", "adhesion + moving wall"),
+        *("toda under gravity", BOTH, "one exponent a contact + viscous"),
+        *(
+            pytest.param(name, marks=pytest.mark.soak)
+            for name in ("one exponent a contact", "walls", "adhesion + moving wall")
+        ),
     ],
 )
 def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
