@@ -331,9 +331,12 @@ def _is_index(words: Sequence[str]) -> bool:
 def _read_data(path: Path) -> _Grains:
     """Return the grains of a data file by number; raise `InputError` if it is invalid."""
     text = deck.read_user_text("deck", path)
-    _, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
+    first, *paragraphs = re.split(r"\n[ \t\r]*\n", text.rstrip())
     parts = [[line.split() for line in part.split("\n")] for part in paragraphs]
     try:
+        # LAMMPS ignores the first line only.
+        if "\n" in first:
+            raise ValueError
         title, rows = _read_sections(parts)
     except ValueError:
         fault = f"is not a column's data file: it needs {' or '.join(COLUMNS)}, Velocities and Rest"
