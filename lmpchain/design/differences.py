@@ -182,13 +182,13 @@ def differentiate(
         else:
             # Rounding, which is inversely proportional to the change, causes the spread.
             change *= 2 * found.rounding / allowed
-        if change > largest:
-            largest = largest_change(scene, name, directions)
-        change = min(change, largest)
         try:
+            if change > largest:
+                largest = largest_change(scene, name, directions)
+            change = min(change, largest)
             found = attempt(change)
         except InputError:
-            # The law does not allow so large a change.
+            # The force does not depend on the parameter, or the law does not allow the change.
             break
         best = min(best, found, key=lambda differences: differences.error)
     return best
