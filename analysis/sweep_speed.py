@@ -17,7 +17,7 @@ from unittest import mock
 
 import lmpchain
 from lmpchain.engines.base import ErrorBudget, Run
-from lmpchain.engines.stepping.run import SteppingRun
+from lmpchain.engines.stepping.time_stepping import SteppingRun
 from lmpchain.trajectory.record import Block
 
 KEEP = ["arrival_time", "peak_velocity"]

@@ -43,7 +43,7 @@ STATIONS = (
         "Run",
         "yields samples, and\nestimates their error",
         (
-            "engines/stepping/\n    run.py\n    monitor.py",
+            "engines/stepping/\n    time_stepping.py\n    monitor.py",
             "integrators/stepper.py",
             "integrators/kernels/",
         ),
@@ -58,7 +58,7 @@ STATIONS = (
     Station(
         "Picture",
         "a measurement, a chart,\na page about the run",
-        ("measure/", "trajectory/picture.py", "report/"),
+        ("measure/", "trajectory/trajectory.py", "report/"),
         "#56606B",
     ),
 )

@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from .chain import patterns as patterns
     from .chain.chain import Chain as Chain
     from .chain.damping import Damping as Damping
-    from .chain.impurities import Impurity as Impurity
     from .chain.law import Law as Law
     from .chain.materials import ALUMINIUM as ALUMINIUM
     from .chain.materials import BRASS as BRASS
@@ -43,6 +42,7 @@ if TYPE_CHECKING:
     from .chain.materials import STEEL_302 as STEEL_302
     from .chain.materials import STEEL_440C as STEEL_440C
     from .chain.materials import TUNGSTEN_CARBIDE as TUNGSTEN_CARBIDE
+    from .chain.materials import Impurity as Impurity
     from .chain.materials import Material as Material
     from .doctor import diagnose as diagnose
     from .errors import EngineUnavailable as EngineUnavailable
@@ -78,10 +78,9 @@ if TYPE_CHECKING:
 _MODULES = {
     "chain.chain": "Chain",
     "chain.damping": "Damping",
-    "chain.impurities": "Impurity",
     "chain.law": "Law",
-    "chain.materials": "Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C ALUMINIUM"
-    " BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
+    "chain.materials": "Impurity Material GLASS SODA_LIME_GLASS STEEL STEEL_302 STEEL_440C"
+    " ALUMINIUM BRASS BRONZE TUNGSTEN_CARBIDE PTFE POM NYLON RUBBER",
     "scene.excitation": "Impulse Displacement Profile Packet Riemann Drive Force",
     "scene.scene": "Scene",
     "simulation.api": "simulate resume",

@@ -20,7 +20,7 @@ from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
 from lmpchain.engines.native import Native
 from lmpchain.engines.step_control import first_attempt, solve_to_tolerance
-from lmpchain.engines.stepping.run import SteppingRun
+from lmpchain.engines.stepping.time_stepping import SteppingRun
 from lmpchain.errors import RunFailed, ToleranceNotMet
 from lmpchain.util.provenance import processor
 from lmpchain.util.tables import align

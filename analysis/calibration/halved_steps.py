@@ -22,8 +22,8 @@ from lmpchain import Chain, LmpchainError, Profile, Scene
 from lmpchain.design import Momentum, gradient
 from lmpchain.integrators.halving import SAFETY
 from lmpchain.integrators.splittings import SPLITTINGS
-from lmpchain.orbits import mesh as meshes
 from lmpchain.orbits import normal_mode, shooting
+from lmpchain.orbits import shooting as meshes
 from lmpchain.orbits.shooting import NEWTON
 
 REACHES = (0.8, 0.4, 0.2, 0.1)  # Values of omega h.

@@ -24,10 +24,9 @@ from linear_model_error import held
 from scenes import drawn
 
 from lmpchain import Scene
-from lmpchain.engines.linear import resonance
+from lmpchain.engines.linear import model_error
 from lmpchain.engines.linear.engine import Modes
-from lmpchain.engines.linear.model_error import LOOKS
-from lmpchain.engines.linear.resonance import FEW
+from lmpchain.engines.linear.model_error import FEW, LOOKS
 from lmpchain.errors import InputError
 
 FINER = 16  # Ratio of the numbers of evaluations.
@@ -100,7 +99,7 @@ def _few(count: int) -> Row:
             "grains": (grains,),
         }
         off: tuple[list[float], list[float]] = [], []
-        with mock.patch.object(resonance, "FEW", 2 * FEW):
+        with mock.patch.object(model_error, "FEW", 2 * FEW):
             for x in held(drawn(count, 73, strength=(-3.0, -0.5), spans=(60.0, 300.0), **ranges)):
                 rest = max(x.found.shifted, x.found.strayed)
                 for way, logarithms in zip((max(rest, x.found.resonant), rest), off, strict=True):

@@ -12,8 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from lmpchain import Chain
-from lmpchain.chain.plausible import LIMITS
-from lmpchain.stability.overlap import deepest, hertz_excess
+from lmpchain.chain.bounds import LIMITS
+from lmpchain.stability.find import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
 from lmpchain.util.plotting import figure
 

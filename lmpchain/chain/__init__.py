@@ -8,11 +8,10 @@ __getattr__ = attributes(
     ["laws", "patterns"],
     {
         "chain": "Chain",
-        "contacts": "Contacts",
+        "contact_law": "Contacts",
         "damping": "Damping",
-        "impurities": "Impurity",
         "law": "Law",
-        "materials": "Material",
+        "materials": "Impurity Material",
     },
 )
 __dir__ = listed(__name__)

@@ -25,16 +25,24 @@ from ..util.validation import (
     with_derived,
 )
 from . import ground
-from .bounds import Bounds, bounds
-from .contact_law import ContactLaw, power_law
-from .contacts import FEW_GRAINS, Contacts
+from .bounds import LIMITS, Bounds, bounds, least_compression, remarks, too_compressed
+from .contact_law import FEW_GRAINS, ContactLaw, Contacts, power_law
 from .damping import NO_DAMPING, OneDamping
 from .equilibrium import Equilibrium, derive_chain
-from .impurities import Impurities, Impurity, Kinds, kinds, misfits, with_impurities
 from .law import Law, OneLaw
-from .materials import GLASS, Material, OneMaterial, OneOrManyMaterials
+from .materials import (
+    GLASS,
+    Impurities,
+    Impurity,
+    Kinds,
+    Material,
+    OneMaterial,
+    OneOrManyMaterials,
+    kinds,
+    misfits,
+    with_impurities,
+)
 from .picture import ChainPicture
-from .plausible import LIMITS, least_compression, remarks, too_compressed
 
 
 class Chain(ChainPicture, Checked):

@@ -34,8 +34,7 @@ from ..errors import InputError, shown
 from ..util.arrays import Array, read_only
 from ..util.lazy import cached_property
 from ..util.validation import Checked, check_positive, non_negative
-from .contact_law import power_law
-from .contacts import Contacts, pair_value
+from .contact_law import Contacts, pair_value, power_law
 from .materials import Material, one_material, sphere_mass
 
 # Relative error of a step of the rebound; the sum over all steps stays below 1e-12.

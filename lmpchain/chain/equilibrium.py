@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..util.arrays import Array, read_only
-from .contacts import Contacts, dynamical_matrix, reduced
-from .impurities import with_impurities
-from .materials import sphere_mass
-from .plausible import LIMITS
+from .bounds import LIMITS
+from .contact_law import Contacts, dynamical_matrix, reduced
+from .materials import sphere_mass, with_impurities
 
 # Values of the top contact, of the contacts between grains, and of the bottom contact.
 Ends = tuple[float | Array, float | Array, float | Array]

@@ -11,23 +11,169 @@ import atexit
 import gc
 import io
 import os
+import re
 import resource
 import signal
 import sys
 import textwrap
 import threading
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout, suppress
-from typing import Any
+from typing import Any, NoReturn
 
-from ..errors import InputError, LmpchainError
+from ..errors import SHOWN_LETTERS, InputError, LmpchainError, did_you_mean, short
 from ..util import mpi
 from .common import complain, data_apart
-from .parser import Parser, ShowVersion
 from .run import resume, run, run_folder, sweep
-from .shell import SHELLS, PrintCompletion, PrintManual
 from .verbs import GROUPS, VERBS
+
+SHELLS = ("bash", "zsh", "tcsh")
+# Marks of metavars whose values are files or folders, such as SCENE.toml and FOLDER/.
+OF_FILES = (".", "FILE", "FOLDER", "DUMP")
+
+
+class PrintCompletion(argparse.Action):
+    """Option that prints the completion script of a shell for commands, options and files."""
+
+    def __call__(self, parser: argparse.ArgumentParser, _: Any, shell: Any, *__: Any) -> None:
+        """Print the script and exit; shtab is imported here because it is optional."""
+        try:
+            import shtab
+        except ModuleNotFoundError:
+            complain("--print-completion: requires shtab: pip install 'lmpchain[completion]'")
+            parser.exit(1)
+        commands = _commands(parser)
+        # shtab omits actions that the help does not show, and the help lists commands by groups.
+        commands.help = "command"
+        for command in commands.choices.values():
+            for action in command._actions:
+                if _is_file(action):
+                    action.complete = shtab.FILE  # type: ignore[attr-defined]
+        print(shtab.complete(parser, shell))
+        parser.exit()
+
+
+class PrintManual(argparse.Action):
+    """Option that prints the manual page, which `man` shows."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the page and exit."""
+        sys.stdout.write("\n".join(_manual(parser)) + "\n")
+        parser.exit()
+
+
+def _commands(parser: argparse.ArgumentParser) -> Any:
+    """Return the argparse action that selects the command; its `choices` are the subparsers."""
+    return next(each for each in parser._actions if isinstance(each, argparse._SubParsersAction))
+
+
+def _is_file(action: argparse.Action) -> bool:
+    """Return whether the value of an argument is a file or a folder."""
+    return isinstance(action.metavar, str) and any(part in action.metavar for part in OF_FILES)
+
+
+def _manual(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Yield the lines of the manual page in the roff format of `man`."""
+    yield '.TH LMPCHAIN 1 "" "lmpchain" "User Commands"'
+    yield ".SH NAME"
+    yield r"lmpchain \- waves in columns of Hertzian grains"
+    yield ".SH SYNOPSIS"
+    yield ".B lmpchain"
+    yield r".RI [ options ] " + '" " COMMAND " " ' + r"[ arguments ]"
+    yield ".SH DESCRIPTION"
+    for paragraph in (parser.description or "").split("\n\n"):
+        # A group of commands is a list, whose line breaks are preserved.
+        listed = "\n  " in paragraph
+        yield from (
+            (".PP", ".nf", *map(_plain, paragraph.splitlines()), ".fi")
+            if listed
+            else (
+                ".PP",
+                _plain(paragraph),
+            )
+        )
+    yield ".SH OPTIONS"
+    yield from _arguments(parser)
+    yield ".SH COMMANDS"
+    for name, command in _commands(parser).choices.items():
+        yield f".SS {_plain(name)}"
+        yield _plain(command.description)
+        yield f".PP\n.nf\n{_plain(command.epilog)}\n.fi"
+        yield from _arguments(command)
+    yield ".SH EXIT STATUS"
+    yield _plain(parser.epilog or "")
+
+
+def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
+    """Yield the arguments of a parser with their help."""
+    formatter = parser._get_formatter()
+    for action in parser._actions:
+        if action.help != argparse.SUPPRESS:
+            yield ".TP"
+            yield rf"\fB{_plain(formatter._format_action_invocation(action))}\fR"
+            yield _plain(formatter._expand_help(action) if action.help else "")
+
+
+def _plain(text: str) -> str:
+    """Return text escaped for `man`, so that a leading point is not a request."""
+    escaped = " ".join(text.split(" ")).replace("\\", r"\e").replace("-", r"\-")
+    lines = (rf"\&{line}" if line.startswith((".", "'")) else line for line in escaped.splitlines())
+    return "\n".join(lines)
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that reports a fault in one line, without the usage message."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, **options)
+        # Earlier spellings of options that are still accepted.
+        self.renamed: Mapping[str, str] = {}
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Report unknown arguments here, because only this parser has the command's options."""
+        if args is not None:
+            args = [self._current_spelling(each) for each in args]
+        arguments, unknown = super().parse_known_args(args, namespace)
+        if unknown:
+            options = self._option_string_actions
+            cures = [did_you_mean(name.partition("=")[0], options) for name in unknown]
+            cure = next(filter(None, cures), "")
+            self.error(f"unrecognized arguments: {' '.join(unknown)}{cure}")
+        return arguments, unknown
+
+    def _current_spelling(self, word: str) -> str:
+        """Return a word of the command line with an earlier spelling of an option replaced."""
+        name, equals, value = word.partition("=")
+        return self.renamed.get(name, name) + equals + value
+
+    def print_help(self, file: Any = None) -> None:
+        """Print the help; raise an error if the pipe is closed, which argparse may ignore."""
+        print(self.format_help(), end="", file=file)
+
+    def error(self, message: str) -> NoReturn:
+        """Report a fault of the arguments in one line, and exit with code 2."""
+        # The message of argparse lists all choices; the most similar one, if any, is enough.
+        if choice := re.search(r"invalid choice: '(.*)'( \(choose from (.*)\))", message):
+            similar = did_you_mean(choice[1], re.findall(r"[\w/-]+", choice[3]))
+            message = message.replace(choice[2], similar or choice[2])
+        # A long word, such as a scene in place of its file name, would hide the message.
+        brief = re.sub(rf"\S{{{SHOWN_LETTERS},}}", lambda match: short(match[0]), message)
+        named = brief.removeprefix("argument ")
+        complain(f"{'arguments: ' if named == brief else ''}{named}; see {self.prog} --help")
+        sys.exit(2)
+
+
+class ShowVersion(argparse.Action):
+    """Option that shows the version; the version is looked up only on demand."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        """Print the version and exit."""
+        from importlib.metadata import version
+
+        print(f"lmpchain {version('lmpchain')}")
+        parser.exit()
+
 
 # Most objects that a command creates at its start live to its end. Python's default frequency of
 # garbage collection, and the collection at exit, would take a quarter of the time of a short run.

@@ -13,8 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, TextIO
 
-from ..errors import InputError
-from ..util.suggestions import either
+from ..errors import InputError, either
 
 # Heavy modules are imported inside the functions, so that wrong input is reported at once.
 if TYPE_CHECKING:

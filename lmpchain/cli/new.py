@@ -93,7 +93,7 @@ def _from_run(arguments: argparse.Namespace, path: Path) -> int:
     from ..scene.lammps_column import RunOptions
     from ..scene.scene import Scene
     from ..trajectory.dump_frames import is_dump
-    from ..trajectory.dumped_grains import scene_of_run
+    from ..trajectory.lammps_dump import scene_of_run
 
     options = RunOptions(**{key: getattr(arguments, key) for key in RunOptions._fields})
     understood = scene_of_run(arguments.run, options, arguments.units)

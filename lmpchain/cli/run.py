@@ -1,4 +1,4 @@
-"""Commands that solve scenes: `run`, `resume`, `sweep`; and `deck`, which writes LAMMPS input."""
+"""Commands that solve or plan scenes: run, resume, averages, sweep, plan; and deck."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..errors import InputError, ToleranceNotMet, check_tolerance
+from ..errors import InputError, LmpchainError, ToleranceNotMet, check_tolerance, either
 from ..util import mpi
 from ..util.remarks import warn
-from ..util.suggestions import either
-from ..util.tables import align, counted, finite
+from ..util.tables import align, counted, finite, number
 from .common import (
     STANDARD,
     beside,
     check_numbers,
+    check_outputs,
     collect,
     complain,
+    keep,
     on_terminal,
     output,
     read_scene,
@@ -66,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..simulation.api import simulate
     from ..simulation.choice import refusals
     from ..simulation.folder_files import is_run, remove
-    from ..stability.pre_run import pre_run_warnings
+    from ..stability.find import pre_run_warnings
 
     if reasons := refusals(scene, engine):
         raise InputError(reasons)
@@ -314,3 +315,78 @@ def sweep(arguments: argparse.Namespace) -> int:
     if reasons:
         complain(f"{len(reasons)} scenes failed, the first because: {reasons[0]}")
     return 1 if reasons else 0
+
+
+def plan(arguments: argparse.Namespace) -> int:
+    """Print the engines' proposals for a scene and the choice; calibrate the cost model."""
+    if arguments.scene is None and not arguments.calibrate:
+        raise InputError.at("scene", "is missing; name a scene file, or use --calibrate alone")
+    if arguments.scene is None and arguments.json:
+        raise InputError.at("json", "needs a scene file: name one")
+    scene, numbers, _ = collect(
+        lambda: arguments.scene and read_scene(arguments.scene),
+        lambda: check_numbers(arguments, arguments.scene or ""),
+        lambda: check_tolerance(arguments.tolerance),
+    )
+    # Calibration runs first, so that the proposals below use the new speeds.
+    if arguments.calibrate:
+        _calibrate()
+    if scene:
+        from ..simulation.planner import plan
+
+        result = plan(scene, arguments.tolerance, arguments.engine)
+        print(result.table())
+        keep(result, numbers, None)
+    return 0
+
+
+def _calibrate() -> None:
+    from ..engines.cost_model import cache_file, measured
+    from ..simulation.planner import calibrate
+
+    try:
+        path, seconds = calibrate()
+    except OSError as error:
+        raise LmpchainError(
+            f"{cache_file()}: cannot be written: {error.strerror or error}"
+        ) from None
+    print(f"measured in {seconds:.2g} s how fast the engines are here: {path}")
+    rows = [("engine", "overhead of a run", "cost over the shipped one")]
+    rows += [
+        (name, number(1e3 * start, unit="ms"), f"{slowness:.2g}")
+        for name, (start, slowness) in measured().items()
+    ]
+    print("\n".join(align(rows)))
+
+
+def averages(arguments: argparse.Namespace) -> int:
+    """Average quantities of a scene over time."""
+    scene, picture, numbers = collect(
+        lambda: read_scene(arguments.scene),
+        *check_outputs(arguments, arguments.scene),
+    )
+    from ..simulation import time_averages
+
+    result = time_averages.averages(
+        scene,
+        [name.strip() for name in arguments.of.split(",")],
+        time=arguments.time,
+        tolerance=arguments.energy_tolerance,
+        warm_up=arguments.warm_up,
+        copies=arguments.copies,
+        progress=on_terminal(),
+    )
+    print(result.table())
+    keep(result, numbers, None)
+    # Each average has a panel of its own, so `keep` does not apply.
+    if picture:
+        from ..util.plotting import PRINTED_WIDTH, figure, letter_panels, save
+
+        pages = figure(PRINTED_WIDTH, 3.0 * len(result.mean))
+        panels = pages.subplots(len(result.mean), squeeze=False)[:, 0]
+        for ax, name in zip(panels, result.mean, strict=True):
+            result.plot(ax, of=name)
+        letter_panels(list(panels))
+        save(pages, picture, overwrite=True)
+        print(f"picture: {picture}")
+    return 0

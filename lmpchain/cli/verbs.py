@@ -9,18 +9,13 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ..errors import shown
-from .averages import averages
-from .check import check
 from .common import STANDARD
-from .compare import compare, doctor, stability, workprec
-from .explore import explore
+from .compare import check, compare, doctor, stability, workprec
 from .new import EXAMPLES, new
 from .orbit import orbit
 from .pages import docs
-from .plan import plan
-from .read import dyson, export, fit, report
-from .run import deck, resume, run, sweep
-from .sensitivity import UNCERTAIN, sensitivity
+from .read import UNCERTAIN, dyson, explore, export, fit, report, sensitivity
+from .run import averages, deck, plan, resume, run, sweep
 
 
 def _duration(text: str) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, RunFailed
 from ..integrators.batch import ChainBatch
 from ..integrators.differentiation import AnyMethod
-from ..integrators.dop853 import DormandPrince
+from ..integrators.methods import DormandPrince
 from ..integrators.observed_run import schedule_of
 from ..integrators.stepper import NativeStepper, room_for
 from ..scene.scene import Scene

@@ -15,7 +15,7 @@ from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import SHADES, Axes, chart, finish, letter_panels, panels, window
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
 from .changes import changed
 from .traces import Traces

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..engines.cost_model import announce
 from ..engines.stepping.rounding import native_floor
-from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, shown
+from ..errors import InputError, RunFailed, ToleranceNotMet, check_tolerance, not_among, shown
 from ..integrators.adjoint import Inputs
 from ..integrators.differentiation import (
     DIFFERENTIABLE,
@@ -24,7 +24,6 @@ from ..integrators.halving import SAFETY, HalvedAnswer, halve
 from ..scene.scene import Scene
 from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
-from ..util.suggestions import not_among
 from . import parameters as params
 from .differences import FixedRun, differentiate, scales_of
 from .objectives import Objective, Seen, Slopes

@@ -16,7 +16,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ..chain import ground
-from ..chain.contacts import Contacts
+from ..chain.contact_law import Contacts
 from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array, whole_numbers

@@ -22,7 +22,7 @@ from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import RUNS, Answer, at_step, refine

@@ -18,14 +18,13 @@ import numpy as np
 from scipy import sparse
 
 from ..chain.chain import Chain
-from ..chain.contacts import pair_slopes
+from ..chain.contact_law import pair_slopes
 from ..chain.law import Law
-from ..errors import InputError, shown
+from ..errors import InputError, not_among, shown
 from ..integrators.adjoint import Inputs
 from ..scene.acting import Drive, Force
 from ..scene.scene import Scene, check_scene
 from ..util.arrays import Array
-from ..util.suggestions import not_among
 
 VISCOSITY = "damping.viscoelastic"
 DRAG = "damping.drag"

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError, RunFailed, shown
+from ..errors import InputError, RunFailed, not_among, shown
 from ..integrators.differentiation import DIFFERENTIABLE
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
-from ..util.suggestions import not_among
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
 from . import parameters as params
 from .changes import changed
 from .gradients import Gradient, at_step, gradient, shortens

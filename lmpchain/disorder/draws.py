@@ -18,10 +18,9 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..chain.materials import Material
-from ..errors import InputError, shown
+from ..errors import InputError, not_among, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
-from ..util.suggestions import not_among
 from ..util.validation import make_unchecked
 
 Law = Literal["dyson", "paper"]

@@ -17,7 +17,7 @@ from scipy.stats import t as student
 
 from ..chain.chain import Chain
 from ..engines.base import Engine
-from ..errors import InputError, shown
+from ..errors import InputError, not_among, shown
 from ..scene.scene import Scene, check_scene
 from ..simulation.batch_means import LEVEL
 from ..simulation.many import simulate_many
@@ -27,8 +27,7 @@ from ..util.notebook import Shown
 from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
-from ..util.suggestions import not_among
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
 from .draws import (
     Law,
     Of,

@@ -13,9 +13,9 @@ from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import Axes, chart, finish
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
+from .averages import Average, Draw, StreamedAverages, draw_mean, take_average
 from .draws import Law, Of, check, fault_of_count
-from .streaming import Average, Draw, StreamedAverages, draw_mean, take_average
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,10 +9,9 @@ from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Literal
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean, either, not_among
 from ..scene.scene import Scene
 from ..util.lazy import listed
-from ..util.suggestions import did_you_mean, either, not_among
 from .base import Engine
 
 if TYPE_CHECKING:

@@ -3,7 +3,7 @@
 An engine predicts how its work grows with the scene. Two numbers convert work to time: the start-up
 time of every answer (`Engine.start_up_s`), and the slowness of this machine relative to the machine
 on which the engine was timed, 1 unless it was measured. `lmpchain plan --calibrate` measures both
-numbers (`lmpchain.simulation.calibration`) and stores them in the user's cache folder. No other
+numbers (`lmpchain.simulation.planner`) and stores them in the user's cache folder. No other
 command measures them, because plans should be reproducible. Without a measurement the shipped
 numbers are sufficient: where the choice matters, engines differ by factors of ten, and machines by
 factors of two.

@@ -6,13 +6,12 @@ from typing import ClassVar
 
 import numba
 
-from ..errors import InputError, shown
+from ..errors import InputError, not_among, shown
 from ..integrators.batch import FORCES
 from ..integrators.methods import LAGGED
 from ..scene.scene import Scene
 from ..util.arrays import check_flags
 from ..util.plotting import COLOURS
-from ..util.suggestions import not_among
 from .base import Proposal
 from .stepping.time_stepping import CompiledSteps
 

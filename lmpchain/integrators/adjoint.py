@@ -26,15 +26,15 @@ from numpy.polynomial.chebyshev import cheb2poly, poly2cheb
 from numpy.typing import NDArray
 
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts
+from ..chain.contact_law import Contacts
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from .kernels import adjoint as kernels
 from .kernels.adjoint_rows import Above, Adjoint, AdjointForce, Bodies, Way
 from .kernels.adjoint_tangent import Directions, ForceResponse, tangent
 from .kernels.contact_forces import ROOTS, Form
-from .kernels.course import Course, Looks, Stretch
 from .kernels.layout import PAD, BatchArrays
+from .kernels.sample_loop import Course, Looks, Stretch
 from .observed_run import ObservedRun
 from .splittings import Splitting
 

@@ -18,12 +18,12 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from .adjoint import Inputs, by_contacts
 from .batch import ChainBatch
-from .dop853 import DormandPrince
 from .kernels import adjoint_dop853 as kernels
 from .kernels.adjoint_rows import AdjointForce, Way
-from .kernels.course import Looks
 from .kernels.dop853 import Weighted
 from .kernels.layout import PAD, Noted
+from .kernels.sample_loop import Looks
+from .methods import DormandPrince
 from .observed_run import ObservedRun, schedule_of
 from .stepper import NativeStepper, room_for
 from .steps import Steps

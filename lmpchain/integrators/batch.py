@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from ..chain import ground
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts, together
+from ..chain.contact_law import Contacts, together
 from ..scene.scene import Scene
 from ..util.arrays import Array, read_only
-from .kernels import waveform
+from .kernels import right_hand_side
 from .kernels.contact_forces import FORMS, PLAIN, ROOTS, Form, address_of_ground, addresses
 from .kernels.layout import PAD, WAVE, BatchArrays
 from .kernels.table import aligned_rows, fill_batch, place_bodies
@@ -281,7 +281,7 @@ class ChainBatch:
             if spline is not None:
                 knots[real, :count] = spline.x
                 pieces[real, :, : count - 1] = spline.c
-        return True, reach + (PAD - 1), table, knots, pieces, np.array(waveform.addresses())
+        return True, reach + (PAD - 1), table, knots, pieces, np.array(right_hand_side.addresses())
 
 
 @lru_cache(maxsize=64)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..scene.scene import Scene
 from .adjoint import DifferentiableRun
 from .adjoint_dop853 import DifferentiableDampedRun
-from .dop853 import DormandPrince
+from .methods import DormandPrince
 from .observed_run import adaptive_steps
 from .splittings import SPLITTINGS, Splitting
 

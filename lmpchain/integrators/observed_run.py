@@ -18,11 +18,10 @@ from ..util.arrays import Array
 from ..util.lazy import cached_property
 from .batch import ChainBatch
 from .kernels.adjoint import ImposedPath
-from .kernels.course import Looks
 from .kernels.layout import ALONE, PAD, Chains
-from .method import Method
+from .kernels.sample_loop import Looks
 from .stepper import NativeStepper
-from .steps import Steps
+from .steps import Method, Steps
 
 
 def hold_steps(

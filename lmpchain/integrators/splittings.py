@@ -18,8 +18,7 @@ import numpy as np
 from ..util.arrays import Array
 from ..util.lazy import cached_property
 from .kernels.layout import SplittingStages
-from .method import March
-from .steps import Steps, shorten_steps
+from .steps import March, Steps, shorten_steps
 
 if TYPE_CHECKING:
     from .batch import ChainBatch

@@ -23,8 +23,7 @@ from .kernels.layout import (
     Noted,
     team,
 )
-from .method import March, Method
-from .steps import Steps, clocks
+from .steps import March, Method, Steps, clocks
 
 NOTHING = np.empty((0, 0, 0, 0))
 UNFIT = "the stored state does not belong to this run"

@@ -11,13 +11,12 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ..chain.damping import viscous_force
 from ..errors import InputError, shown
-from ..trajectory.picture import scale
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import Trajectory, scale
 from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, draw_map, finish, legend, thin_rows
-from ..util.tabular import NamedColumn, Tabular, number_columns
+from ..util.tables import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 from .motion import OF_DRIVER
 

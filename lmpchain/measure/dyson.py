@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts
+from ..chain.contact_law import Contacts
 from ..errors import InputError, shown
 from ..theory import dyson
 from ..trajectory.trajectory import Trajectory
@@ -26,8 +26,7 @@ from ..util.plotting import (
     set_title,
     window,
 )
-from ..util.tables import align, counted, number, wrap
-from ..util.tabular import NamedColumn, Tabular, number_columns
+from ..util.tables import NamedColumn, Tabular, align, counted, number, number_columns, wrap
 from .bodies import motion
 
 if TYPE_CHECKING:

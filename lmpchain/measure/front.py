@@ -9,13 +9,12 @@ import numpy as np
 from scipy import optimize, stats
 
 from ..errors import InputError, shown
-from ..trajectory.picture import UNITS_OF_FIELDS
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, mark_decades
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
 from .motion import motion_of
 from .recorded import Field, check
 

@@ -10,13 +10,12 @@ import numpy as np
 from ..chain.chain import Chain
 from ..errors import InputError, shown
 from ..theory.bands import Cell, branches, local_bands, repeating
-from ..trajectory.picture import UNITS_OF_FIELDS
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
 from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, draw_map, legend
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
 from .recorded import Field, check
 
 __dir__ = listed(__name__)

@@ -21,9 +21,8 @@ __getattr__ = attributes(
     names={
         "chaos": "Chaos chaos_of",
         "orbit": "Orbit",
-        "search": "find linear_mode",
+        "search": "find linear_mode switch",
         "modes": "breather mode_family normal_mode",
-        "branches": "switch",
         "continuation": "follow",
         "family": "Event Family",
     },

@@ -21,10 +21,10 @@ from ..errors import InputError, RunFailed
 from ..scene.scene import Scene, check_scene
 from ..simulation.batch_means import BATCHING, estimate
 from ..util.arrays import Array, whole_numbers
-from ..util.linear_algebra import in_one_thread
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular
+from .floquet import in_one_thread
 from .flow import Flow
 
 REACH = 0.1  # Step times the highest frequency, rad.

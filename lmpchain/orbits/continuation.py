@@ -22,13 +22,12 @@ from ..errors import InputError, RunFailed, shown
 from ..scene.excitation import Drive, Force
 from ..util.arrays import Array, check_flags
 from ..util.compilation import clock
-from ..util.linear_algebra import in_one_thread
 from ..util.progress import ProgressBar
 from . import floquet
-from .closing import Aspect, aspects, returns
 from .damped_flow import flow_of
-from .events import EVENTS, Member, locate
+from .events import EVENTS, Aspect, Member, aspects, locate, returns
 from .family import Event, Family
+from .floquet import in_one_thread
 from .flow import Flow
 from .orbit import Orbit, orbit_of
 from .shooting import (

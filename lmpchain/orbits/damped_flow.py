@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..chain.chain import Chain
-from ..integrators.dop853 import DormandPrince
 from ..integrators.kernels.damped_tangent import Body, ImposedStages, RungeKutta, march
 from ..integrators.kernels.layout import PAD
 from ..integrators.kernels.tangent import BodyRow, Deviations
+from ..integrators.methods import DormandPrince
 from ..scene.excitation import Drive, Force
 from ..util.arrays import Array
 from .flow import Flow

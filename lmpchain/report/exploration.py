@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InputError, LmpchainError, shown
+from ..errors import InputError, LmpchainError, shown, unknown_key
 from ..measure.front import Front
 from ..scene.scene import Scene
 from ..simulation.api import simulate
@@ -23,10 +23,8 @@ from ..util.files import check_not_foreign, expanded, write_aside
 from ..util.progress import ProgressBar
 from ..util.provenance import command
 from ..util.remarks import warnings_aside
-from ..util.suggestions import unknown_key
 from . import live
-from .html import render_live
-from .live import Slider, View
+from .live import Slider, View, render_live
 from .verdicts import facts, front_below, linear_theory, short_power, unit_of_key
 
 SOURCE_KEYS = ("scene", "over", "engine", "tolerance")

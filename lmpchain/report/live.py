@@ -11,16 +11,17 @@ from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
+from markupsafe import Markup
 
 from ..errors import InputError
 from ..measure import energy
 from ..measure.front import Front
 from ..measure.recorded import leaves_rest
 from ..measure.spectrum import travel_time
-from ..trajectory.picture import MOVING, scale
-from ..trajectory.trajectory import Trajectory
+from ..trajectory.trajectory import MOVING, Trajectory, scale
 from ..util.arrays import Array, as_slice
 from ..util.plotting import loudest_rows
+from ..util.templates import render
 
 
 class ViewSizes(NamedTuple):
@@ -320,3 +321,25 @@ class _ViewStore:
         joined = np.concatenate(self._arrays) if self._arrays else np.zeros(0, "<u2")
         planes = joined.astype("<u2").view(np.uint8).reshape(-1, 2).T
         return base64.b64encode(zlib.compress(planes.tobytes(), 9)).decode("ascii")
+
+
+def render_live(template: str, numbers: dict[str, Any], **values: Any) -> str:
+    """Render the template of a page with a live figure.
+
+    Parameters
+    ----------
+    template : str
+        Name of a template of the package.
+    numbers : dict
+        Numbers of the figure, from `live.figure_numbers`.
+    **values
+        Other values that the template uses.
+
+    Returns
+    -------
+    str
+    """
+    script = render("live.js")
+    # The security policy contains the hash of the script, so that no other script runs.
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return render(template, live=numbers, script=Markup(script), digest=digest, **values)

@@ -20,11 +20,9 @@ from ..util.arrays import Array
 from .acting import Drive
 from .excitation import Impulse
 from .initial import Profile
-from .lammps_contacts import read_wall
-from .lammps_forces import ColumnGrains, bond_forces, pair_forces, span
+from .lammps_forces import ColumnGrains, bond_forces, pair_forces, read_wall, span
 from .lammps_input import LammpsInput
-from .lammps_load import CERTAIN, fit_line, gravity_of, load_between, mean_load
-from .lammps_state import RunFix, RunGrains
+from .lammps_state import CERTAIN, RunFix, RunGrains, fit_line, gravity_of, load_between, mean_load
 from .lammps_text import InputLine
 
 AXES = "xyz"

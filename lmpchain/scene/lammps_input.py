@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, shown
-from ..util.lammps_units import CONSISTENT, read_units
-from .lammps_data import is_data, read_data
-from .lammps_state import RunAtom, RunBond, RunFix, RunGrains, RunPair, RunState
+from ..util.units import CONSISTENT, read_units
+from .lammps_state import RunAtom, RunBond, RunFix, RunGrains, RunPair, RunState, is_data, read_data
 from .lammps_text import (
     LAMMPS_NUMBER,
     MOST_DIGITS,

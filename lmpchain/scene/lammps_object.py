@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InputError, shown
-from ..util.lammps_units import read_units
+from ..util.units import read_units
 from .lammps_input import OBSERVERS
 from .lammps_state import RunGrains
 

@@ -11,9 +11,8 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from ..chain.chain import Chain
-from ..errors import shown
+from ..errors import not_among, shown
 from ..util.arrays import plain
-from ..util.suggestions import not_among
 from ..util.validation import Checked, Positive, Whole
 
 

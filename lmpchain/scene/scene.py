@@ -11,8 +11,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from ..chain.bounds import LIMITS, beyond_hertz
 from ..chain.picture import DETAILED_GRAINS, DRAWN_POINTS
-from ..chain.plausible import LIMITS, beyond_hertz
 from ..errors import InputError, shown
 from ..util.arrays import Array
 from ..util.files import expanded, write_aside

@@ -15,13 +15,11 @@ import numpy as np
 
 from ..chain.chain import Chain
 from ..chain.damping import Damping
-from ..chain.impurities import Impurity
 from ..chain.law import Law
-from ..chain.materials import MATERIALS, Material
+from ..chain.materials import MATERIALS, Impurity, Material
 from ..chain.patterns import IN_FILES, write_out
-from ..errors import InputError, short, shown
+from ..errors import InputError, did_you_mean, not_among, short, shown, unknown_key
 from ..util.files import check_readable, expanded
-from ..util.suggestions import did_you_mean, not_among, unknown_key
 from ..util.validation import Checked, make_unchecked
 from .base import Excitation
 from .excitation import EXCITATIONS, Profile

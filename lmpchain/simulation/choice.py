@@ -14,11 +14,10 @@ from .. import engines
 from ..engines.base import Engine, ErrorBudget, Proposal
 from ..engines.cost_model import speed
 from ..engines.step_control import Attempt, first_attempt
-from ..errors import InputError, ToleranceNotMet
+from ..errors import InputError, ToleranceNotMet, not_among
 from ..scene.scene import Scene
 from ..util.compilation import clock
 from ..util.provenance import versions
-from ..util.suggestions import not_among
 
 AUTO = "auto"
 REFUSED = "cannot do it: "  # Start of the verdict on an engine that refuses a scene.

@@ -9,11 +9,10 @@ import numpy as np
 
 from ..chain import ground
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts
-from ..errors import InputError, shown
+from ..chain.contact_law import Contacts
+from ..errors import InputError, not_among, shown
 from ..scene.recording import contact_of
 from ..util.arrays import Array
-from ..util.suggestions import not_among
 
 # Quantities of the whole chain, and of one grain or contact, whose number follows a colon.
 OF_CHAIN = ("kinetic_energy", "potential_energy", "temperature", "equipartition")

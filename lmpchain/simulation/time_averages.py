@@ -28,8 +28,7 @@ from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from ..util.tables import align, number
-from ..util.tabular import NamedColumn, Tabular
+from ..util.tables import NamedColumn, Tabular, align, number
 from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable

@@ -8,17 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..chain.contact_law import PowerForce
-from ..chain.contacts import Contacts
+from ..chain.contact_law import Contacts, PowerForce
 from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
 from ..engines.stepping.time_stepping import TimeSteppingEngine
-from ..errors import InputError
+from ..errors import InputError, not_among
 from ..integrators.splittings import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array
-from ..util.suggestions import not_among
 
 Long = np.longdouble
 STEP = 0.3  # Value of omega h for rkn6 at which its truncation error is about 1e-9.

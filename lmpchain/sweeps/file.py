@@ -20,13 +20,12 @@ from .. import engines
 from ..chain.materials import Material, named
 from ..chain.patterns import write_out
 from ..disorder.draws import Law, Of, realisation
-from ..errors import InputError, check_tolerance, short, shown
+from ..errors import InputError, check_tolerance, did_you_mean, short, shown, unknown_key
 from ..scene.scene import Scene
 from ..scene.toml_file import FILE_SIZES, SECTIONS, parse
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
 from ..util.lazy import cached_property
-from ..util.suggestions import did_you_mean, unknown_key
 from ..util.validation import Checked, Positive, Whole
 from .axes import MAKERS, Axis, Fault, Seed, make_axes
 from .quantities import QUANTITIES, of_contact, with_gathered

@@ -9,6 +9,17 @@
 
 A file gets its name only when it is complete and on the disk. `reason` is empty for scenes with a
 result, and "not done" for scenes without a sealed shard or a part, even if a damaged file exists.
+
+The layout is checked before use, by plain JSON and file names. No codec is created and no chunk is
+opened before the store has passed this check. Seals verify that shards and coordinates are
+complete:
+
+    store.json              seal of the descriptions of all arrays, and of the coordinates
+    shards/0000003.json     seal of one shard of every array
+
+A seal lists files with their sizes and hashes, and is written when these files are on the disk. A
+shard without a seal counts as not done, because it may be empty or missing after a power cut or an
+interrupted copy. Zarr would read such a shard as one that was never written.
 """
 
 from __future__ import annotations
@@ -17,24 +28,177 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from secrets import token_hex
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..errors import InputError, short
 from ..trajectory.gathered import file_name
+from ..trajectory.zarr_store import KEYS, MOST_SHRUNK, codec_names, codec_names_in_shards, metadata
 from ..util.arrays import Array
-from ..util.files import replacing, unpack_one
+from ..util.files import (
+    check_tree,
+    flush_to_disk,
+    read_sealed_json,
+    replacing,
+    sealed_json,
+    unpack_one,
+)
 from ..util.lazy import cached_property
-from . import seals
+from ..util.provenance import checksum
 from .file import Sweep
 from .quantities import quantity
-from .store_check import STORE, check_store
+
+# Data types, and their codecs.
+KINDS = {"float64": "bytes", "int64": "bytes", "string": "vlen-utf8"}
+FILLS = {"float64": "NaN", "string": "not done"}  # Fill values for scenes without a result.
+ENCODING = {"name": "default", "configuration": {"separator": "/"}}
+
+
+class StoreSizes(NamedTuple):
+    """Sizes of the files of a store.
+
+    Attributes
+    ----------
+    shard_scenes : int
+        Number of scenes in a shard divided by the number of arrays, so that 10^4 scenes need fewer
+        than 100 files.
+    shard_bytes : int
+        Largest size of a shard, unless one batch is larger.
+    chunk_bytes : int
+        Largest piece of a shard that is read at once, unless one scene is larger.
+    plain_bytes : int
+        Largest size of an array without shards, which is read at once. A larger array is accepted
+        if its compressed file is large enough for it.
+    """
+
+    shard_scenes: int = 160
+    shard_bytes: int = 2**27
+    chunk_bytes: int = 2**18
+    plain_bytes: int = 2**26
+
+
+STORE = StoreSizes()
+
+
+def check_store(store: Path) -> tuple[int, dict[str, dict[str, Any]]]:
+    """Return the scenes in a batch, and the metadata of every array by name.
+
+    `OSError`, `ValueError`, `KeyError` or `TypeError` is raised if the store is not one that
+    lmpchain writes.
+    """
+    check_tree(store)
+    group = metadata(store)
+    batch = group["attributes"].get("batch")
+    if group.get("node_type") != "group" or type(batch) is not int or batch < 1:
+        raise ValueError("it was not written by lmpchain")
+    arrays = {}
+    for node in sorted(store.iterdir()):
+        if node.is_dir():
+            arrays[node.name] = metadata(node)
+            _check_array(node, arrays[node.name])
+        elif node.name != "zarr.json":
+            raise ValueError(f"{node.name} does not belong there")
+    return batch, arrays
+
+
+def _check_array(node: Path, array: dict[str, Any]) -> None:
+    """Raise `ValueError` unless lmpchain stores an array in this way."""
+
+    def require(condition: object, fault: str) -> None:
+        if not condition:
+            raise ValueError(f"{node.name} {fault}")
+
+    strange = array.keys() - KEYS or array.get("storage_transformers")
+    require(
+        array["node_type"] == "array" and not strange,
+        "is stored in a way that lmpchain does not use",
+    )
+    shape = array["shape"]
+    dimensions = array["dimension_names"]
+    sizes = shape and all(type(length) is int and length > 0 for length in shape)
+    require(sizes and len(shape) == len(dimensions), "has a shape that lmpchain does not use")
+    # Labels are written to pages and tables.
+    labels = (*dimensions, *array["attributes"].values())
+    require(
+        all(isinstance(label, str) for label in labels), "has labels that lmpchain does not use"
+    )
+    kind = array["data_type"]
+    require(kind in KINDS, "has a type of data that lmpchain does not use")
+    grid = array["chunk_grid"]
+    chunk = grid["configuration"]["chunk_shape"]
+    usual = grid["name"] == "regular" and array["chunk_key_encoding"] == ENCODING
+    if dimensions[0] == "scene":
+        inner = array["codecs"][0]["configuration"]["chunk_shape"]
+        codecs = codec_names_in_shards(array["codecs"], tuple(inner))
+        usual &= _fits_shards(shape, chunk, inner) and array["fill_value"] == FILLS[kind]
+    else:
+        codecs = codec_names(array["codecs"])
+        usual &= chunk == shape and _fits_file(shape, node)
+    require(usual, "has chunks that lmpchain does not use, or claims more data than its file has")
+    require(
+        codecs == [KINDS[kind], "zstd", "crc32c"],
+        "is stored with codecs that lmpchain does not use",
+    )
+
+
+def _fits_shards(shape: list[int], shard: list[int], chunk: list[int]) -> bool:
+    """Return whether a shard consists of whole chunks of whole scenes, none of them too large."""
+    scene_bytes = 8 * math.prod(shape[1:])
+    return (
+        chunk[0] > 0
+        and shard[0] % chunk[0] == 0
+        and shard[1:] == shape[1:] == chunk[1:]
+        and chunk[0] * scene_bytes <= max(STORE.chunk_bytes, scene_bytes)
+    )
+
+
+def _fits_file(shape: list[int], node: Path) -> bool:
+    """Return whether an array is small, or its compressed file large enough for its size."""
+    stored = sum(path.stat().st_size for path in (node / "c").rglob("*") if path.is_file())
+    return 8 * math.prod(shape) <= max(STORE.plain_bytes, MOST_SHRUNK * stored)
+
+
+OF_STORE = "store.json"
+OF_SHARDS = "shards"
+
+
+def of_shard(folder: Path, shard: int) -> Path:
+    """Return the path of the seal of a shard."""
+    return folder / OF_SHARDS / f"{shard:07d}.json"
+
+
+def write_seal(folder: Path, seal: Path, files: Iterable[Path]) -> None:
+    """Seal files below a folder, once they are on the disk."""
+    files = sorted(files)
+    flush_to_disk(files)
+    listed = {
+        path.relative_to(folder).as_posix(): [path.stat().st_size, checksum(path)] for path in files
+    }
+    seal.parent.mkdir(exist_ok=True)
+    with replacing(seal) as aside:
+        aside.write_text(sealed_json({"files": listed}), encoding="utf-8")
+
+
+def is_whole(folder: Path, seal: Path, thorough: bool = False) -> bool:
+    """Return whether all listed files exist with their size and, if `thorough`, their hash."""
+    record = read_sealed_json(seal)
+    if record is None:
+        return False
+    try:
+        return all(
+            (folder / name).stat().st_size == size
+            and (not thorough or checksum(folder / name) == digest)
+            for name, (size, digest) in record["files"].items()
+        )
+    except (OSError, LookupError, TypeError, ValueError, AttributeError):
+        return False
+
 
 NAME = "sweep.json"
 PARTS = "parts"
@@ -44,7 +208,7 @@ SCALARS = {"model_error": "of the equation that was solved", "solver_error": "of
 # All names in a folder of results.
 OWN = re.compile(
     rf"{re.escape(NAME)}|{PARTS}/[0-9]{{7}}(\.some)?\.npz|"
-    rf"{seals.OF_STORE}|{seals.OF_SHARDS}/[0-9]+\.json|"
+    rf"{OF_STORE}|{OF_SHARDS}/[0-9]+\.json|"
     rf"{re.escape(RESULTS)}/([^/]+/)?zarr\.json|{re.escape(RESULTS)}/[^/]+/c(/[0-9]+)+"
 )
 HALF_WRITTEN = re.compile(r"[^/]+\.[0-9a-f]{32}\.partial|\.[0-9]{7}(\.some)?\..*partial(\.npz)?")
@@ -223,7 +387,7 @@ def create_results(
             for path, place in zip(files, places, strict=True):
                 place.parent.mkdir(parents=True, exist_ok=True)
                 os.replace(path, place)
-        seals.write_seal(folder, folder / seals.OF_STORE, places)
+        write_seal(folder, folder / OF_STORE, places)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -264,12 +428,12 @@ def _open_checked(folder: Path) -> Iterator[tuple[int, dict[str, dict[str, Any]]
 
 def intact(folder: Path) -> bool:
     """Return whether the metadata and coordinates of a store are unchanged."""
-    return seals.is_whole(folder, folder / seals.OF_STORE, thorough=True)
+    return is_whole(folder, folder / OF_STORE, thorough=True)
 
 
 def complete(folder: Path, shard: int) -> bool:
     """Return whether a shard of every array exists."""
-    return seals.is_whole(folder, seals.of_shard(folder, shard))
+    return is_whole(folder, of_shard(folder, shard))
 
 
 def part_of(folder: Path, first: int, whole: bool = True) -> Path:
@@ -326,7 +490,7 @@ def _write_shard(folder: Path, layout: StoreLayout, shard: int, parts: Sequence[
         store[name][shard * layout.shard : shard * layout.shard + len(values)] = values
     # Zarr writes no shard for scenes without any results.
     files = [path for name in layout.columns for path in _shard_files(folder, name, shard)]
-    seals.write_seal(folder, seals.of_shard(folder, shard), files)
+    write_seal(folder, of_shard(folder, shard), files)
 
 
 def _shard_files(folder: Path, name: str, shard: int) -> list[Path]:
@@ -368,8 +532,8 @@ def clean(folder: Path, layout: StoreLayout) -> None:
 def forget_damaged(folder: Path, layout: StoreLayout) -> None:
     """Delete damaged results, so that they are computed again."""
     for shard in range(layout.shards):
-        seal = seals.of_shard(folder, shard)
-        if not seals.is_whole(folder, seal, thorough=True):
+        seal = of_shard(folder, shard)
+        if not is_whole(folder, seal, thorough=True):
             seal.unlink(missing_ok=True)
             # Zarr would read the old file before it writes the shard anew.
             for name in layout.columns:

@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..chain.chain import Chain
-from ..chain.contacts import Contacts, pair_value
+from ..chain.contact_law import Contacts, pair_value
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
-from ..util.tabular import NamedColumn, Tabular, number_columns
+from ..util.tables import NamedColumn, Tabular, number_columns
 from .domain import real, require
 from .modes import eigenmodes, ground_of
 

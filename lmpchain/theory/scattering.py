@@ -22,14 +22,13 @@ from scipy.optimize import brentq
 
 from ..chain import sponge
 from ..chain.chain import Chain
-from ..chain.impurities import Impurity
-from ..errors import shown
+from ..chain.materials import Impurity
+from ..errors import not_among, shown
 from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.suggestions import not_among
-from ..util.tabular import Tabular
+from ..util.tables import Tabular
 from .domain import real, require
 
 __dir__ = listed(__name__)

@@ -29,14 +29,18 @@ from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
 from .domain import real, require
-from .soliton_limits import (
+from .soliton_series import (
+    SolitonSeries,
     coste_speed,
     kdv_overlap,
+    law,
+    long_wave_speed,
     nesterenko_overlap,
     nesterenko_speed,
+    rows,
     sen_displacement,
+    solve_series,
 )
-from .soliton_series import SolitonSeries, law, long_wave_speed, rows, solve_series
 
 __all__ = [
     "Soliton",

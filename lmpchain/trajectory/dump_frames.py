@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ..errors import InputError, short
 from ..util.arrays import Array
 from ..util.files import check_readable, expanded
-from ..util.lammps_units import STYLES, Units, read_units
+from ..util.units import STYLES, Units, read_units
 from .other_formats import describe_other_format
 
 BEGIN = b"ITEM: TIMESTEP"

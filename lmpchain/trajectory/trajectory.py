@@ -5,17 +5,17 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from os import PathLike
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
 
 from ..errors import InputError, short
 from ..scene.scene import Scene
-from ..util.arrays import Array
+from ..util.arrays import Array, as_slice
 from ..util.files import expanded
 from ..util.notebook import Shown
-from ..util.tables import counted
-from ..util.tabular import Tabular
+from ..util.plotting import chart, draw_map, thin_rows
+from ..util.tables import Tabular, counted
 from .other_formats import describe_other_format
 from .record import Record, read_result, select_gathered
 
@@ -23,6 +23,38 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.axes import Axes
     from MDAnalysis import Universe
+
+UNITS_OF_FIELDS = {"velocity": "m/s", "displacement": "m"}
+MOVING = 1e-3  # Fraction of the largest motion below which a grain counts as at rest.
+
+
+def draw_motion(
+    trajectory: Record, field: Literal["velocity", "displacement"], ax: Axes | None
+) -> Axes:
+    """Draw the motion over time and depth; see `Trajectory.plot`."""
+    from matplotlib.ticker import MaxNLocator
+
+    ax = chart(ax, "time [s]", "grain, from the top")
+    order = as_slice(np.argsort(trajectory.grains))
+    # A picture has fewer columns than the trajectory has samples.
+    stride = -(-trajectory.time.size // 4000)
+    time = trajectory.time[::stride]
+    motion = np.asarray(getattr(trajectory, field)[::stride])[:, order]
+    rows, drawn = thin_rows(trajectory.grains[order], motion.T)
+    limit = scale(motion)
+    label = f"{field}, downward [{UNITS_OF_FIELDS[field]}]"
+    colours: dict[str, Any] = {"cmap": "RdBu_r", "vmin": -limit, "vmax": limit}
+    draw_map(ax, time, rows, drawn, label, extend="both", **colours)
+    ax.set(xlim=time[[0, -1]], ylim=ax.get_ylim()[::-1])
+    ax.yaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+    return ax
+
+
+def scale(motion: Array) -> float:
+    """Return the median peak of the moving grains, at which colours saturate."""
+    largest = np.abs(motion).max(0)
+    return float(np.median(largest[largest > MOVING * largest.max()])) if largest.any() else 1.0
+
 
 DRAWN_VALUES = 4_000_000  # A notebook shows larger trajectories without a picture.
 
@@ -111,7 +143,6 @@ class Trajectory(Shown, Record, Tabular):
         field : "velocity" or "displacement"
             Field to draw.
         """
-        from .picture import draw_motion
 
         return draw_motion(self, field, ax)
 
@@ -176,7 +207,7 @@ class Trajectory(Shown, Record, Tabular):
         >>> bool(peak == t.velocity[:, :5].max())
         True
         """
-        from .mdanalysis import make_universe
+        from .other_formats import make_universe
 
         return make_universe(self)
 

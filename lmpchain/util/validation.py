@@ -11,12 +11,11 @@ from typing import Annotated, Any, ClassVar, NoReturn, Self, TypeVar
 import numpy as np
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from ..errors import InputError, shown
+from ..errors import InputError, did_you_mean, shown, unknown_key
 from .arrays import Array, numbers, objection, plain, read_only
 from .lazy import cached_property
 from .notebook import Shown
 from .remarks import warn
-from .suggestions import did_you_mean, unknown_key
 
 NOT_GIVEN: Any = None  # Default of array fields that are computed if they are not given.
 

@@ -4,7 +4,7 @@ import numpy as np
 from scipy.linalg.lapack import dstebz
 
 from lmpchain.chain.band_edge import band_edges
-from lmpchain.chain.contacts import dynamical_matrix
+from lmpchain.chain.contact_law import dynamical_matrix
 
 EPSILON = np.finfo(float).eps
 

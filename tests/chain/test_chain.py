@@ -27,8 +27,8 @@ from lmpchain import (
     Scene,
     simulate,
 )
-from lmpchain.chain import plausible
-from lmpchain.chain.contacts import Contacts
+from lmpchain.chain import bounds
+from lmpchain.chain.contact_law import Contacts
 from lmpchain.chain.materials import MATERIALS, SYNONYMS
 
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
@@ -707,10 +707,8 @@ def test_a_long_squeezed_column_is_refused_before_memory_is_taken(odd: list[Impu
         assert tracemalloc.get_traced_memory()[1] < 2e6
     finally:
         tracemalloc.stop()
-    limits = dataclasses.replace(plausible.LIMITS, long_chain=1000)
-    monkeypatch.setattr(plausible, "LIMITS", limits)
+    limits = dataclasses.replace(bounds.LIMITS, long_chain=1000)
+    monkeypatch.setattr(bounds, "LIMITS", limits)
     long = Chain(grains=1000, diameter=1e-3, impurity=odd, top="wall", bottom="wall", top_load=1e-3)
     relative = (long.contacts.overlap / long.contact_lengths)[-2]
-    assert (
-        0.95 < plausible.least_compression(long._kinds, 1000, 1e-3, 9.81, long.law) / relative <= 1
-    )
+    assert 0.95 < bounds.least_compression(long._kinds, 1000, 1e-3, 9.81, long.law) / relative <= 1

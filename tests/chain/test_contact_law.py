@@ -8,12 +8,9 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Impulse, Impurity, InputError, Law, Scene
-from lmpchain.chain.bounds import bounds
-from lmpchain.chain.contact_law import PowerForce
-from lmpchain.chain.contacts import Contacts, dynamical_matrix, together
-from lmpchain.chain.impurities import Kinds, kinds
-from lmpchain.chain.materials import GLASS, PTFE, STEEL, Material
-from lmpchain.chain.plausible import LIMITS, least_compression
+from lmpchain.chain.bounds import LIMITS, bounds, least_compression
+from lmpchain.chain.contact_law import Contacts, PowerForce, dynamical_matrix, together
+from lmpchain.chain.materials import GLASS, PTFE, STEEL, Kinds, Material, kinds
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
 STRAINS = np.array([-3.0, -1.5, -1.0, -0.99, -0.5, -0.03, -0.019, -1e-5, -1e-12, 0.0])

@@ -34,7 +34,7 @@ from lmpchain import (
 from lmpchain.benchmark.truth import truth
 from lmpchain.cli import command_line, common, compare, orbit, pages
 from lmpchain.cli.command_line import main
-from lmpchain.cli.explore import read_axis
+from lmpchain.cli.read import read_axis
 from lmpchain.cli.verbs import VERBS
 from lmpchain.simulation.run_folder import Stopped
 from lmpchain.trajectory.record import ErrorEstimate
@@ -121,12 +121,12 @@ def test_warnings_are_printed_before_the_run(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(
-        "lmpchain.stability.pre_run.pre_run_warnings", lambda *_: ["it is rough", "it is long"]
+        "lmpchain.stability.find.pre_run_warnings", lambda *_: ["it is rough", "it is long"]
     )
     monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: answer)
     assert main(["run", str(scene), "--tolerance", "0.1"]) == 0
     assert capsys.readouterr().err == "warning: it is rough\nwarning: it is long\n"
-    monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: [])
+    monkeypatch.setattr("lmpchain.stability.find.pre_run_warnings", lambda *_: [])
     for engine, alone in (("auto", True), ("native", True), ("lammps", False)):
         start_under_mpirun(monkeypatch, 0)
         command = ["run", str(scene), "--force", "--tolerance", "0.1", "--engine", engine]
@@ -499,7 +499,7 @@ def test_a_calibration_prints_its_results(
     tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(
-        "lmpchain.simulation.calibration.calibrate", lambda: (tmp_path / "speeds", 12.345)
+        "lmpchain.simulation.planner.calibrate", lambda: (tmp_path / "speeds", 12.345)
     )
     speeds = {"native": (0.0123, 1.5), "lammps": (0.5, 0.75)}
     monkeypatch.setattr("lmpchain.engines.cost_model.measured", lambda: speeds)
@@ -516,7 +516,7 @@ def test_a_calibration_prints_its_results(
     def fails() -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("lmpchain.simulation.calibration.calibrate", fails)
+    monkeypatch.setattr("lmpchain.simulation.planner.calibrate", fails)
     assert main(["plan", "--calibrate"]) == 1
     assert capsys.readouterr().err.endswith(": cannot be written: No space left on device\n")
 

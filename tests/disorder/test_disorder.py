@@ -305,7 +305,7 @@ def test_a_batch_is_its_chains(engine, monkeypatch):
     assert np.array_equal(one.displacement, alone[0].displacement)
     assert np.isnan(one.velocity_error).all()
     whole = ensemble(scene, 3, 21, seed=11, engine=made)
-    monkeypatch.setattr("lmpchain.disorder.streaming.BATCH", 4)
+    monkeypatch.setattr("lmpchain.disorder.averages.BATCH", 4)
     assert_same(whole, ensemble(scene, 3, 21, seed=11, engine=made))
 
 

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
 from lmpchain.engines.linear import model_error
-from lmpchain.engines.linear.resonance import Resonance
+from lmpchain.engines.linear.model_error import Resonance
 from lmpchain.theory.modes import eigenmodes
 from lmpchain.trajectory.record import LARGEST_ERROR
 from lmpchain.util.arrays import EPSILON

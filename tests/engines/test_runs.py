@@ -13,7 +13,7 @@ from helpers.independent_integrators import extended_reference, relative_error
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
 from lmpchain.engines.stepping import monitor
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.engines.stepping.time_stepping import kind
 from lmpchain.integrators.methods import METHODS
 

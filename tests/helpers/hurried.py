@@ -8,8 +8,8 @@ A run of one second then has as many attempts and checkpoints as a run of one ho
 import sys
 
 from lmpchain.cli import command_line
-from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.engines.stepping import time_stepping
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import run_folder
 
 LONGER = 20  # Factor on the steps that the command would choose.

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from lmpchain import Scene, Stopped, resume, simulate
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 
 
 def stop_three_times(

@@ -11,7 +11,7 @@ from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 

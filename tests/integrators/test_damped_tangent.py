@@ -6,10 +6,10 @@ from helpers.taylor_series import reference
 
 from lmpchain import Chain, Damping, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.dop853 import DormandPrince
 from lmpchain.integrators.kernels.damped_tangent import Body, ImposedStages, RungeKutta, march
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.tangent import BodyRow, Deviations
+from lmpchain.integrators.methods import DormandPrince
 
 GRAINS = 5
 STEPS = 60

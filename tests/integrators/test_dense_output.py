@@ -12,8 +12,8 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines.native import Native
 from lmpchain.engines.stepping.auxiliary_runs import AuxiliarySteps
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels.dense_output import DenseRates, fill_samples
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, PAD, STATE, SampleRow
+from lmpchain.integrators.kernels.window import DenseRates, fill_samples
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps, clocks

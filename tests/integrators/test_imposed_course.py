@@ -5,7 +5,7 @@ import pytest
 
 from lmpchain import Chain, Drive, Scene
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels import waveform
+from lmpchain.integrators.kernels import right_hand_side
 
 CHAIN = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-3)
 UNIT = CHAIN.time_scale
@@ -25,9 +25,9 @@ DRIVES = {
 def test_the_compiled_forcing_equals_that_of_the_scene(drive: Drive, order: int):
     scene = Scene(chain=CHAIN, excitation=drive, duration=6 * UNIT, samples=3)
     arrays = ChainBatch([scene]).arrays
-    waveform.addresses()
+    right_hand_side.addresses()
     found = [
-        waveform._course(arrays.wave[0], arrays.knots[0], arrays.pieces[0], t, order, t)
+        right_hand_side._course(arrays.wave[0], arrays.knots[0], arrays.pieces[0], t, order, t)
         for t in TIMES
     ]
     exact = scene.excitation.waveform.at(TIMES, order)

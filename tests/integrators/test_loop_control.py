@@ -10,14 +10,7 @@ import pytest
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.kernels import (
-    dense_output,
-    right_hand_side,
-    sample_loop,
-    team,
-    waveform,
-    window,
-)
+from lmpchain.integrators.kernels import right_hand_side, sample_loop, team, window
 from lmpchain.integrators.kernels.layout import (
     LEAST_SHARE,
     PAD,
@@ -32,9 +25,9 @@ from lmpchain.integrators.steps import Steps
 share = team.share.py_func
 widen = window.widen.py_func
 ahead = right_hand_side.ahead.py_func
-kink = waveform._kink.py_func
+kink = right_hand_side._kink.py_func
 cut = right_hand_side.cut.py_func
-passes = dense_output.passes.py_func
+passes = window.passes.py_func
 end_of_step = sample_loop.end_of_step.py_func
 
 

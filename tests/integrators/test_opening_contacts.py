@@ -12,8 +12,8 @@ from helpers.whole_runs import blocks_of
 from lmpchain import Chain, Impulse, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.engines.stepping import step_choice
+from lmpchain.engines.stepping import time_stepping as stepping_run
 
 
 @pytest.mark.parametrize("name", ["fig5 g", "fig1"])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE
 from lmpchain.integrators.methods import METHODS

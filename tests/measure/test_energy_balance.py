@@ -30,7 +30,7 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.engines import Modes, Native
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.measure import energy
 from lmpchain.trajectory.record import ErrorEstimate
 

@@ -6,7 +6,7 @@ import pytest
 from lmpchain import Chain, Drive, Force, Impulse, Scene, Trajectory, simulate
 from lmpchain.cli import main
 from lmpchain.measure.fit import fit_passage
-from lmpchain.measure.fit import passage as module
+from lmpchain.measure.fit import overview as module
 from lmpchain.measure.fit.overview import summary
 
 CHAIN = Chain(grains=40, material="steel", diameter=10e-3, gravity=0.0, top_load=20.0)

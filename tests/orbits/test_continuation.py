@@ -11,7 +11,7 @@ from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, orbits
 from lmpchain.orbits import Family, continuation
-from lmpchain.orbits.closing import Aspect, aspects
+from lmpchain.orbits.events import Aspect, aspects
 from lmpchain.orbits.modes import mode_family
 from lmpchain.orbits.shooting import Equations
 from lmpchain.theory import modes

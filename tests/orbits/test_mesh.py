@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive
-from lmpchain.orbits import mesh
+from lmpchain.orbits import shooting
 from lmpchain.orbits.flow import Flow, Passage
 
 CHAIN = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
@@ -21,30 +21,32 @@ def test_the_highest_frequency_bounds_the_stiffest_chain():
     overlap = chain.contacts.overlap - np.diff(u, axis=1, prepend=0.0, append=0.0)
     stiffness = 1.5 * chain.contacts.constant * np.sqrt(np.maximum(overlap, 0.0)).max(0)
     bound = 2 * (stiffness[:-1] + stiffness[1:]) / masses
-    assert mesh.highest_frequency(Flow(chain, 1e6), u) == pytest.approx(
+    assert shooting.highest_frequency(Flow(chain, 1e6), u) == pytest.approx(
         np.sqrt(bound.max()), rel=1e-12
     )
     driven = Flow(chain, 1e6, Drive(amplitude=1e-9, frequency=1e5))
-    assert mesh.highest_frequency(driven, u) == pytest.approx(np.sqrt(bound[1:].max()), rel=1e-12)
+    assert shooting.highest_frequency(driven, u) == pytest.approx(
+        np.sqrt(bound[1:].max()), rel=1e-12
+    )
 
 
 @pytest.mark.parametrize("turns", [0.5, 10.0, 37.0])
 @pytest.mark.parametrize("reach", [0.3, 0.1])
 def test_uniform_steps_limit_the_phase_of_the_fastest_motion(turns: float, reach: float):
     rest = np.zeros((1, 5))
-    period = turns / mesh.highest_frequency(FLOW, rest)
-    steps = mesh.uniform(FLOW, period, rest, reach)
+    period = turns / shooting.highest_frequency(FLOW, rest)
+    steps = shooting.uniform(FLOW, period, rest, reach)
     assert steps.size % 2 == 0
     np.testing.assert_allclose(steps, 1 / steps.size, rtol=1e-14)
     fewest = max(24.0, turns / reach)
     assert fewest <= steps.size <= fewest + 3
     if reach == 0.3:
-        assert mesh.uniform(FLOW, period, rest).size == steps.size
+        assert shooting.uniform(FLOW, period, rest).size == steps.size
 
 
 def test_very_long_periods_have_a_limited_number_of_steps():
     rest = np.zeros((1, 5))
-    steps = mesh.uniform(FLOW, 1e9 / mesh.highest_frequency(FLOW, rest), rest)
+    steps = shooting.uniform(FLOW, 1e9 / shooting.highest_frequency(FLOW, rest), rest)
     assert 20_000 <= steps.size <= 20_003
 
 
@@ -68,13 +70,13 @@ def test_openings_are_at_zero_overlaps():
     steps /= steps.sum()
     u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
     period = 3e-5
-    times = mesh.openings(FLOW, passage_of(u, v / period), period, steps)
+    times = shooting.openings(FLOW, passage_of(u, v / period), period, steps)
     dense = np.linspace(0, 1, 100_001)
     overlap = EPS - np.diff(moving(dense)[0], axis=1, prepend=0.0, append=0.0)
     passed = np.flatnonzero(np.diff(overlap > 0, axis=0).any(1))
     assert len(passed) > 2
     np.testing.assert_allclose(times, dense[passed], rtol=0, atol=1.2e-5)
-    closed = mesh.openings(FLOW, passage_of(0.2 * u, 0.2 * v / period), period, steps)
+    closed = shooting.openings(FLOW, passage_of(0.2 * u, 0.2 * v / period), period, steps)
     assert closed.size == 0
 
 
@@ -86,11 +88,11 @@ def test_a_contact_that_never_closes_does_not_open():
     size = 1e-7
     u = size * np.array([[1.0, -0.5], [0.9, -0.4], [0.8, -0.3], [0.9, -0.4], [1.0, -0.5]])
     passage = passage_of(u, np.zeros((5, 2)))
-    assert mesh.openings(flow, passage, 1.0, steps).size == 0
+    assert shooting.openings(flow, passage, 1.0, steps).size == 0
     for touch, many in ((1e-10, 0), (1e-8, 2)):
         touching = u.copy()
         touching[2, 0] = -touch * size  # The contact with the top wall closes for a moment.
-        times = mesh.openings(flow, passage_of(touching, np.zeros((5, 2))), 1.0, steps)
+        times = shooting.openings(flow, passage_of(touching, np.zeros((5, 2))), 1.0, steps)
         assert times.size == many
 
 
@@ -100,17 +102,17 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
     """Steps are about 0.35 of the time to the nearest opening, including its mirror images."""
     rest = np.zeros((1, 5))
     times = np.array([0.13, 0.31, 0.62])
-    highest = mesh.highest_frequency(FLOW, rest)
+    highest = shooting.highest_frequency(FLOW, rest)
     period = turns / highest
-    steps = mesh.graded(FLOW, period, rest, times, reach)
-    even = mesh.uniform(FLOW, period, rest, reach)
+    steps = shooting.graded(FLOW, period, rest, times, reach)
+    even = shooting.uniform(FLOW, period, rest, reach)
     assert steps.size % 2 == 0
     assert steps.sum() == pytest.approx(1, rel=1e-12)
     np.testing.assert_allclose(steps, steps[::-1], rtol=1e-12)
     every = np.array([0.13, 0.31, 0.38, 0.62, 0.69, 0.87])
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     distance = np.abs((ends[1:] + ends[:-1])[:, None] / 2 - every).min(1)
-    least = mesh.MESH.crossing / turns
+    least = shooting.MESH.crossing / turns
     grading = 0.35 * reach / 0.3
     wanted = np.clip(grading * distance, least, even[0])
     smooth = (np.abs(grading * distance - least) > 0.5 * least) & (distance > steps)
@@ -131,7 +133,7 @@ def test_graded_steps_are_symmetric_and_shrink_towards_openings(turns: float, re
 def test_steps_of_a_driven_chain_are_short_only_at_its_openings():
     drive = Drive(amplitude=1e-9, frequency=1e5)
     flow = Flow(CHAIN, 1e6, drive)
-    steps = mesh.graded(flow, 1e-5, np.zeros((1, CHAIN.grains)), np.array([0.13]), 0.3)
+    steps = shooting.graded(flow, 1e-5, np.zeros((1, CHAIN.grains)), np.array([0.13]), 0.3)
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     assert ends[-1] == pytest.approx(1, rel=1e-12)
     assert steps[np.abs(ends[1:] - 0.13).argmin()] < 1e-3 * steps.max()
@@ -140,17 +142,17 @@ def test_steps_of_a_driven_chain_are_short_only_at_its_openings():
 
 def test_without_openings_steps_are_uniform():
     rest = np.zeros((1, 5))
-    period = 100 / mesh.highest_frequency(FLOW, rest)
+    period = 100 / shooting.highest_frequency(FLOW, rest)
     for reach in (0.3, 0.1):
-        steps = mesh.graded(FLOW, period, rest, np.zeros(0), reach)
-        np.testing.assert_array_equal(steps, mesh.uniform(FLOW, period, rest, reach))
+        steps = shooting.graded(FLOW, period, rest, np.zeros(0), reach)
+        np.testing.assert_array_equal(steps, shooting.uniform(FLOW, period, rest, reach))
 
 
 def test_very_many_openings_give_a_limited_number_of_steps():
     rest = np.zeros((1, 5))
     times = np.linspace(0.01, 0.49, 400)
-    period = 4e3 / mesh.highest_frequency(FLOW, rest)
-    steps = mesh.graded(FLOW, period, rest, times)
+    period = 4e3 / shooting.highest_frequency(FLOW, rest)
+    steps = shooting.graded(FLOW, period, rest, times)
     assert steps.size == 20_000
     assert steps.sum() == pytest.approx(1, rel=1e-12)
 
@@ -160,14 +162,14 @@ def test_an_opening_near_the_begin_or_the_middle_counts_from_both_sides(time: fl
     """Steps are short on both sides of t = 0 and of half a period, where the motion is mirrored."""
     rest = np.zeros((1, 5))
     turns = 50.0
-    period = turns / mesh.highest_frequency(FLOW, rest)
-    steps = mesh.graded(FLOW, period, rest, np.array([time]))
+    period = turns / shooting.highest_frequency(FLOW, rest)
+    steps = shooting.graded(FLOW, period, rest, np.array([time]))
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     middles = (ends[1:] + ends[:-1]) / 2
     near = min(time, 1 - time)
     every = np.array([near, 1 - near, -near, 1 + near])
     distance = np.abs(middles[:, None] - every).min(1)
-    even = mesh.uniform(FLOW, period, rest)[0]
+    even = shooting.uniform(FLOW, period, rest)[0]
     close = (
         (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
     )
@@ -181,12 +183,12 @@ def test_an_opening_of_a_driven_chain_counts_a_period_earlier_and_later(time: fl
     turns = 50.0
     rest = np.zeros((1, CHAIN.grains))
     flow = Flow(CHAIN, 1e6, Drive(amplitude=1e-9, frequency=1e5))
-    period = turns / mesh.highest_frequency(flow, rest)
-    steps = mesh.graded(flow, period, rest, np.array([time]))
+    period = turns / shooting.highest_frequency(flow, rest)
+    steps = shooting.graded(flow, period, rest, np.array([time]))
     ends = np.concatenate(([0.0], np.cumsum(steps)))
     middles = (ends[1:] + ends[:-1]) / 2
     distance = np.abs(middles[:, None] - (time + np.array([-1.0, 0.0, 1.0]))).min(1)
-    even = mesh.uniform(flow, period, rest)[0]
+    even = shooting.uniform(flow, period, rest)[0]
     close = (
         (distance > 2 * steps) & (0.35 * distance < 0.8 * even) & (0.35 * distance > 3e-4 / turns)
     )
@@ -198,7 +200,7 @@ def test_an_opening_of_a_driven_chain_counts_a_period_earlier_and_later(time: fl
 def test_a_driven_chain_has_the_same_largest_number_of_steps():
     rest = np.zeros((1, CHAIN.grains))
     flow = Flow(CHAIN, 1e6, Drive(amplitude=1e-9, frequency=1e5))
-    period = 4e3 / mesh.highest_frequency(flow, rest)
-    steps = mesh.graded(flow, period, rest, np.linspace(0.01, 0.99, 800))
+    period = 4e3 / shooting.highest_frequency(flow, rest)
+    steps = shooting.graded(flow, period, rest, np.linspace(0.01, 0.99, 800))
     assert steps.size == 20_000
     assert steps.sum() == pytest.approx(1, rel=1e-12)

@@ -11,8 +11,8 @@ from scipy.integrate import quad
 
 from lmpchain import Chain, Drive, InputError, Profile, orbits, simulate
 from lmpchain.errors import RunFailed
-from lmpchain.orbits import Orbit, closing, floquet
-from lmpchain.orbits.closing import Aspect
+from lmpchain.orbits import Orbit, events, floquet
+from lmpchain.orbits.events import Aspect
 from lmpchain.orbits.flow import Flow
 from lmpchain.orbits.shooting import Equations, OrbitPoint
 
@@ -301,7 +301,7 @@ def test_a_known_orbit_near_the_path_is_found():
         return solved
 
     def meets(known: list[float], shift: float = 0.0, error: float = 0.0) -> bool:
-        return closing.returns(
+        return events.returns(
             solver(shift), equations, [Aspect(np.array(known), error)], here, there
         )
 
@@ -319,8 +319,8 @@ def test_a_known_orbit_near_the_path_is_found():
     assert len(asked) == count
     assert not meets([2.2, 0.08, 0.0, 2.0])  # The orbit is near, but different.
     assert len(asked) == count + 1
-    assert not closing.returns(solver(0.0), equations, [Aspect(here.unknown, 0.0)], here, there)
-    assert not closing.returns(lambda *_: None, equations, [Aspect(np.array(on), 0.0)], here, there)
+    assert not events.returns(solver(0.0), equations, [Aspect(here.unknown, 0.0)], here, there)
+    assert not events.returns(lambda *_: None, equations, [Aspect(np.array(on), 0.0)], here, there)
     # The path is a cubic along the directions of both members.
     here.direction = np.array([0.0, 1.0, 0.0, 0.0])
     bow = [2.0, 2 * 0.125, 0.0, 2.0]

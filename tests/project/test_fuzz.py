@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 
 Tables = dict[str, Any]
 MARK = "INJECTED"  # Text that no deck may contain.

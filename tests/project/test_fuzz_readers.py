@@ -18,7 +18,7 @@ from helpers.standalone_lammps import lmp
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import folder_files
 from lmpchain.simulation.run_folder import status
 from lmpchain.sweeps.file import read_sweep

@@ -15,7 +15,7 @@ from helpers.live_figure import arrays
 from helpers.seals import seal_anew
 
 from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
-from lmpchain.report import document, origin, page, write
+from lmpchain.report import document, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import _view, title
 from lmpchain.report.live import crop, extent, figure_numbers
@@ -332,7 +332,7 @@ def test_a_folder_states_the_start_of_its_first_session(tmp_path: Path):
     ]
     (tmp_path / "run.json").write_text(json.dumps({"sessions": sessions}))
     expected = {"date": "2024-05-06 21:08 UTC", "command": "lmpchain run s.toml"}
-    assert origin.origin(tmp_path) == expected
+    assert document.origin(tmp_path) == expected
     os.utime(tmp_path, (1.7e9, 1.7e9))
     by_file = {"date": "2023-11-14 22:13 UTC (file)", "command": "not recorded"}
     for text in (
@@ -342,14 +342,14 @@ def test_a_folder_states_the_start_of_its_first_session(tmp_path: Path):
         "[",
     ):
         (tmp_path / "run.json").write_text(text)
-        assert origin.origin(tmp_path) == by_file
+        assert document.origin(tmp_path) == by_file
 
 
 def test_records_of_sessions_are_read_up_to_16_MB(tmp_path: Path):
     session = json.dumps({"sessions": [{"began": "2024-05-06T00:00:00+00:00", "command": "run"}]})
     for size, command in ((2**24, "run"), (2**24 + 1, "not recorded")):
         (tmp_path / "run.json").write_text(session.ljust(size))
-        assert origin.origin(tmp_path)["command"] == command
+        assert document.origin(tmp_path)["command"] == command
 
 
 def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
@@ -359,16 +359,16 @@ def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
     unsealed = path.read_bytes()
     seal_anew(path)
     expected = {"date": "2024-05-06 07:08 UTC", "command": "lmpchain run s.toml -o run.nc"}
-    assert origin.origin(path) == expected
+    assert document.origin(path) == expected
     for content in (unsealed, b"no such file"):
         path.write_bytes(content)
         os.utime(path, (1.7e9, 1.7e9))
-        assert origin.origin(str(path)) == {
+        assert document.origin(str(path)) == {
             "date": "2023-11-14 22:13 UTC (file)",
             "command": "not recorded",
         }
     unknown = {"date": "not recorded", "command": "not recorded"}
-    assert origin.origin(None) == origin.origin(tmp_path / "none") == unknown
+    assert document.origin(None) == document.origin(tmp_path / "none") == unknown
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,7 @@ from lmpchain import report as htmlreport
 from lmpchain.cli.command_line import main
 from lmpchain.measure.spectrum import travel_time
 from lmpchain.report import document
-from lmpchain.report.document import title
-from lmpchain.report.origin import origin
+from lmpchain.report.document import origin, title
 from lmpchain.report.panels import arrival
 from lmpchain.report.verdicts import front_below
 from lmpchain.util.provenance import command

@@ -28,7 +28,7 @@ from lmpchain import (
 )
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.measure import contact, energy

@@ -18,7 +18,7 @@ from scipy.integrate import simpson
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.splittings import SPLITTINGS
 from lmpchain.scene.waveform import Waveform

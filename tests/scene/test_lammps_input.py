@@ -13,7 +13,7 @@ from lmpchain import InputError, LmpchainError
 from lmpchain.cli.command_line import main
 from lmpchain.scene.lammps_column import RunOptions, infer_scene
 from lmpchain.scene.lammps_input import LammpsInput
-from lmpchain.trajectory.dumped_grains import scene_of_run
+from lmpchain.trajectory.lammps_dump import scene_of_run
 
 START = """units si
 atom_style sphere

@@ -11,7 +11,7 @@ from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
 from lmpchain.scene.lammps_column import RunOptions, Understood
-from lmpchain.trajectory.dumped_grains import scene_of_run
+from lmpchain.trajectory.lammps_dump import scene_of_run
 
 UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
 STEPS = {"column": 1e-7, "dimer": 1e-8, "harmonic": 1e-5, "lepton": 1e-5, "floor": 1e-8}

@@ -17,7 +17,7 @@ from lmpchain.engines import Native, cost_model
 from lmpchain.engines.base import ErrorBudget, Proposal
 from lmpchain.engines.step_control import Attempt
 from lmpchain.integrators.steps import Steps
-from lmpchain.simulation import calibration, planner
+from lmpchain.simulation import planner
 from lmpchain.simulation.choice import (
     cheapest,
     choose,
@@ -310,15 +310,15 @@ class Answers:
         self.start = start
         self.slowness = slowness
         self.count = 0
-        monkeypatch.setattr(calibration.time, "perf_counter", lambda: self.now)
-        monkeypatch.setattr(calibration, "simulate", self.simulate)
+        monkeypatch.setattr(planner.time, "perf_counter", lambda: self.now)
+        monkeypatch.setattr(planner, "simulate", self.simulate)
 
     def simulate(self, scene, engine, tolerance):
         """Advance the simulated clock; all repeats but the last take longer."""
         self.count += 1
         start, slowness = cost_model.speed(engine.name, engine.start_up_s)
         work = (engine.propose(engine.part(scene), tolerance).cost_s - start) / slowness
-        late = 0.1 if self.count % calibration.REPEATS else 0.0
+        late = 0.1 if self.count % planner.REPEATS else 0.0
         self.now += self.start + self.slowness * work + late
 
 
@@ -328,7 +328,7 @@ def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
     It is written with the name of the machine.
     """
     Answers(monkeypatch, 3e-3, 2.5)
-    path, took = calibration.calibrate()
+    path, took = planner.calibrate()
     assert took > 0
     kept = json.loads(path.read_text())
     assert kept["host"] == platform.node()
@@ -341,7 +341,7 @@ def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
         3e-3 + 0.5, rel=1e-6
     )
     assert cost_model.speed("no such engine", 1e-3) == (1e-3, 1.0)
-    again = calibration.calibrate()[0]
+    again = planner.calibrate()[0]
     assert json.loads(again.read_text())["engines"]["native"] == pytest.approx(
         [3e-3, 2.5], rel=1e-3
     )
@@ -349,7 +349,7 @@ def test_a_calibration_finds_start_up_and_slowness_of_every_engine(monkeypatch):
 
 def test_a_clock_that_stands_still_gives_plausible_speeds(monkeypatch):
     Answers(monkeypatch, 0.0, 0.0)
-    calibration.calibrate()
+    planner.calibrate()
     start, slowness = cost_model.speed("native", Native.start_up_s)
     assert 0 < start < Native.start_up_s / 1000
     assert 0 < slowness < 1e-3

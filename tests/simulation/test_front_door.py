@@ -27,7 +27,7 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 from lmpchain.engines.step_control import first_attempt
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import api, folder_files, many, run_folder
 from lmpchain.simulation.choice import engine_for
 from lmpchain.simulation.folder_files import (

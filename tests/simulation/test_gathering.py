@@ -30,7 +30,7 @@ from lmpchain import (
 )
 from lmpchain.disorder.averages import ensemble
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.measure.contact import contacts
 from lmpchain.measure.motion import motion_of
 from lmpchain.simulation.run_folder import status

@@ -44,8 +44,8 @@ from lmpchain import (
 from lmpchain.engines.lammps import engine as lammps_engine
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.linear import engine as linear
-from lmpchain.engines.stepping import run as stepping_run
 from lmpchain.engines.stepping import time_stepping
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.steps import Steps
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.folder_files import is_run

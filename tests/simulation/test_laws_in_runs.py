@@ -23,7 +23,7 @@ from lmpchain import (
     simulate_many,
 )
 from lmpchain.engines import Native
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.engines.stepping.time_stepping import kind
 
 N = 9

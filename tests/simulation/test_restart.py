@@ -27,7 +27,7 @@ from lmpchain import (
     resume,
     simulate,
 )
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import run_folder
 from lmpchain.simulation.run_folder import status
 

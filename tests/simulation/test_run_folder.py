@@ -32,7 +32,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation.run_folder import status
 
 SCENE = Scene(

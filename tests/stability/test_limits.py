@@ -12,9 +12,9 @@ from helpers.thinned import thinned
 from laws import limits
 
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
-from lmpchain.chain.plausible import LIMITS
+from lmpchain.chain.bounds import LIMITS
+from lmpchain.stability.find import deepest, hertz_excess
 from lmpchain.stability.linear_theory import linear_law
-from lmpchain.stability.overlap import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
 
 

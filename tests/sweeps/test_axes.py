@@ -10,8 +10,7 @@ from scipy import stats
 
 from lmpchain import InputError
 from lmpchain.sweeps import axes as module
-from lmpchain.sweeps.axes import Axis, make_axes
-from lmpchain.sweeps.laws import GrainLaw, Normal, Uniform, make_law
+from lmpchain.sweeps.axes import Axis, GrainLaw, Normal, Uniform, make_axes, make_law
 
 
 def faults(parts: dict[str, Any]) -> list[tuple[str, str]]:

@@ -7,9 +7,9 @@ import pytest
 
 from lmpchain import Chain, Scene
 from lmpchain.chain.equilibrium import derive_chain
-from lmpchain.sweeps import realisations
+from lmpchain.sweeps import tasks
 from lmpchain.sweeps.file import read_sweep
-from lmpchain.sweeps.realisations import scenes
+from lmpchain.sweeps.tasks import scenes
 
 HARD = {"density": 7800.0, "youngs_modulus": 2e11, "poissons_ratio": 0.3}
 LAWS: dict[str, dict[str, Any]] = {
@@ -183,8 +183,8 @@ def test_an_invalid_chain_is_derived_alone(spoilt: str):
         checked["material.poissons_ratio"][1, 2] = 0.6
     with np.errstate(all="ignore"):
         equilibria = derive_chain(chain, drawn)
-        sound = realisations._sound(chain, equilibria, checked)
-        undrawn = realisations._sound(chain, equilibria, {})
+        sound = tasks._sound(chain, equilibria, checked)
+        undrawn = tasks._sound(chain, equilibria, {})
     assert sound.tolist() == [True, False, True]
     # Random contacts alone may be soft.
     expected = [True, spoilt in ("compression", "drawn"), True]

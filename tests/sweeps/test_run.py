@@ -14,9 +14,9 @@ import pytest
 
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
-from lmpchain.sweeps.executors import Here
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.results import find_recorded, make_labels
+from lmpchain.sweeps.run import Here
 from lmpchain.sweeps.tasks import count_scenes
 
 SCENE: dict[str, Any] = {

@@ -10,7 +10,7 @@ import pytest
 import zarr
 
 from lmpchain import InputError, load_sweep, sweep
-from lmpchain.sweeps import store, store_check
+from lmpchain.sweeps import store
 from lmpchain.sweeps.file import is_name, read_sweep, read_text
 from lmpchain.sweeps.store import (
     StoredArray,
@@ -97,7 +97,7 @@ def test_chunks_are_read_a_quarter_of_a_megabyte_at_a_time(tmp_path: Path):
     assert np.isnan(velocity.fill_value)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results.zarr", "store.json"]
     assert len(list((tmp_path / "results.zarr").iterdir())) == 4
-    batch, arrays = store_check.check_store(tmp_path / "results.zarr")
+    batch, arrays = store.check_store(tmp_path / "results.zarr")
     assert (batch, sorted(arrays)) == (4, ["peak", "reason", "velocity"])
 
 
@@ -233,10 +233,10 @@ def test_an_array_cannot_declare_more_than_its_file_can_contain(tmp_path: Path):
         folder.mkdir()
         plain(folder, 5, held=held, shape=[length])
         if sound:
-            assert store_check.check_store(folder / "results.zarr")[0] == 1
+            assert store.check_store(folder / "results.zarr")[0] == 1
         else:
             with pytest.raises(ValueError, match="claims more data than its file has"):
-                store_check.check_store(folder / "results.zarr")
+                store.check_store(folder / "results.zarr")
 
 
 def test_the_inner_chunks_of_a_shard_are_small_and_complete(tmp_path: Path):
@@ -252,14 +252,14 @@ def test_the_inner_chunks_of_a_shard_are_small_and_complete(tmp_path: Path):
         inner["chunk_shape"] = [rows, 128, 32]
         file.write_text(json.dumps(about))
         if sound:
-            store_check.check_store(tmp_path / "results.zarr")
+            store.check_store(tmp_path / "results.zarr")
         else:
             with pytest.raises((ValueError, ZeroDivisionError)):
-                store_check.check_store(tmp_path / "results.zarr")
+                store.check_store(tmp_path / "results.zarr")
     inner["chunk_shape"] = [8, 128, 16]
     file.write_text(json.dumps(about))
     with pytest.raises(ValueError, match="has chunks"):
-        store_check.check_store(tmp_path / "results.zarr")
+        store.check_store(tmp_path / "results.zarr")
 
 
 @pytest.mark.parametrize("batch", [0, -1, True, 1.0, "1", None])
@@ -269,7 +269,7 @@ def test_a_batch_is_a_positive_integer(tmp_path: Path, batch: Any):
     about = json.loads(file.read_text())
     file.write_text(json.dumps(about | {"attributes": {"batch": batch}}))
     with pytest.raises(ValueError, match="was not written by lmpchain"):
-        store_check.check_store(tmp_path / "results.zarr")
+        store.check_store(tmp_path / "results.zarr")
 
 
 # --- places, keys and names

@@ -42,9 +42,9 @@ from lmpchain.measure.contact import contacts, wall_force
 from lmpchain.measure.front import track
 from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
-from lmpchain.sweeps.executors import Here, Processes
 from lmpchain.sweeps.file import read_sweep
-from lmpchain.sweeps.realisations import scenes
+from lmpchain.sweeps.run import Here, Processes
+from lmpchain.sweeps.tasks import scenes
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 SHORT: dict[str, Any] = {
@@ -817,7 +817,7 @@ def test_processes_end_within_a_task(how):
     """Worker processes end with their pool, and with the process of the pool, however it ends."""
     script = (
         "import os, sys, time\n"
-        "from lmpchain.sweeps.executors import Processes\n"
+        "from lmpchain.sweeps.run import Processes\n"
         "pool = Processes(1)\n"
         "print(pool.submit(os.getpid).result(), flush=True)\n"
         "pool.submit(time.sleep, 600)\n"

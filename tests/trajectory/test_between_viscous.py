@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, Drive, Scene
-from lmpchain.trajectory.accumulator import STILL, Accumulator, viscous_contact
+from lmpchain.trajectory.accumulator import STILL, Accumulator, largest_force, viscous_contact
 from lmpchain.trajectory.between.maxima import Window
-from lmpchain.trajectory.between.viscous_forces import largest_force
 
 CHAIN = Chain(
     grains=4,

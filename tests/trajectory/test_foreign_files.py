@@ -21,8 +21,8 @@ from numcodecs.abc import Codec
 
 from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
-from lmpchain.engines.stepping import run as stepping_run
-from lmpchain.report.origin import origin
+from lmpchain.engines.stepping import time_stepping as stepping_run
+from lmpchain.report.document import origin
 from lmpchain.simulation import folder_files
 from lmpchain.util.files import seal
 

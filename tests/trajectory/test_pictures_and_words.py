@@ -7,8 +7,8 @@ import pytest
 
 from lmpchain import Chain, Impulse, Scene, Trajectory
 from lmpchain.trajectory import gathered, trajectory
-from lmpchain.trajectory.picture import scale
 from lmpchain.trajectory.record import Cost, ErrorEstimate
+from lmpchain.trajectory.trajectory import scale
 from lmpchain.util.plotting import figure
 
 SCENE = Scene(

@@ -20,8 +20,7 @@ from lmpchain.trajectory.record import (
     read_scene,
     verdict,
 )
-from lmpchain.trajectory.zarr_layout import file_shapes
-from lmpchain.trajectory.zarr_store import Writer, usable
+from lmpchain.trajectory.zarr_store import Writer, file_shapes, usable
 
 SCENE = Scene(
     chain=Chain(grains=1000, diameter=1e-3),

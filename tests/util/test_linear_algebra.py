@@ -3,7 +3,7 @@
 import scipy.linalg  # noqa: F401  the library whose threads are counted
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from lmpchain.util.linear_algebra import in_one_thread
+from lmpchain.orbits.floquet import in_one_thread
 
 
 def threads() -> set[int]:

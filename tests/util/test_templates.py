@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from lmpchain import InputError
+from lmpchain.errors import did_you_mean, not_among
 from lmpchain.util import provenance
 from lmpchain.util.lazy import attributes, listed
-from lmpchain.util.suggestions import did_you_mean, not_among
 from lmpchain.util.tables import align, finite, number
 from lmpchain.util.templates import render, render_text
 

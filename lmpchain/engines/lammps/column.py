@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...chain.chain import Chain
-from ...chain.contacts import pair_value
+from ...chain.contact_law import pair_value
 from ...chain.law import Law
 from ...errors import InputError
 from ...scene.base import Excitation
@@ -26,8 +26,7 @@ from ...scene.scene import Scene
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from ...util.lazy import cached_property
-from .ground import LammpsGround
-from .viscosity import LammpsViscosity
+from .viscosity import LammpsGround, LammpsViscosity
 
 # Coefficients of the current cubic piece in powers of the time since its start.
 PIECE = ("begin", "c0", "c1", "c2", "c3")

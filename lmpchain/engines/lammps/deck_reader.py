@@ -13,8 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...chain.chain import Chain
-from ...chain.contact_law import power_law
-from ...chain.contacts import pair_value
+from ...chain.contact_law import pair_value, power_law
 from ...chain.damping import Damping
 from ...errors import InputError, short
 from ...integrators.methods import LAGGED

@@ -13,18 +13,16 @@ from typing import Any, ClassVar, NamedTuple, Self
 import numpy as np
 
 from ...chain.law import Law
-from ...errors import InputError, LmpchainError, ToleranceNotMet, shown
-from ...integrators.method import Method
+from ...errors import InputError, LmpchainError, ToleranceNotMet, not_among, shown
 from ...integrators.methods import methods_of
 from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
-from ...integrators.steps import Steps
+from ...integrators.steps import Method, Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import Array
 from ...util.files import expanded, make_folder
 from ...util.plotting import COLOURS
 from ...util.remarks import warn
-from ...util.suggestions import not_among
 from ..base import ErrorBudget, Proposal, Run
 from ..cost_model import announce, check_time
 from ..step_control import (
@@ -33,8 +31,7 @@ from ..step_control import (
     first_attempt,
     solve_to_tolerance,
 )
-from ..stepping.run import SteppingRun
-from ..stepping.time_stepping import CompiledSteps, TimeSteppingEngine
+from ..stepping.time_stepping import CompiledSteps, SteppingRun, TimeSteppingEngine
 from . import deck, watching
 from .column import PAIR_STYLES, LammpsColumn
 from .stepper import LammpsStepper, word

@@ -65,8 +65,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ...integrators.method import Method
-from ...integrators.steps import MANY_STEPS, Steps
+from ...integrators.steps import MANY_STEPS, Method, Steps
 from ...scene.excitation import Displacement, Impulse
 from ...scene.scene import Scene
 from ...util.arrays import Array

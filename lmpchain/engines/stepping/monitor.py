@@ -19,8 +19,8 @@ from ...chain import ground
 from ...errors import RunFailed
 from ...integrators.kernels.reductions import NOT_A_NUMBER, SOUND, TOO_FAST, compare
 from ...integrators.kernels.table import ROUNDED
-from ...integrators.method import Method
 from ...integrators.stepper import UNFIT, NativeStepper, Stepper, room_for
+from ...integrators.steps import Method
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
 from ...util.arrays import EPSILON, SMALLEST, Array, last_digit

@@ -14,10 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...integrators.batch import ChainBatch
-from ...integrators.method import Method
 from ...integrators.methods import methods_of
 from ...integrators.stepper import NativeStepper
-from ...integrators.steps import Steps
+from ...integrators.steps import Method, Steps
 from ...scene.excitation import Profile
 from ...scene.scene import Scene
 from ...util.arrays import EPSILON, Array

@@ -18,8 +18,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from ...errors import InputError
-from ...integrators.method import Method
-from ...integrators.steps import MANY_STEPS, Steps
+from ...integrators.steps import MANY_STEPS, Method, Steps
 from ...scene.scene import Scene
 from ..base import ErrorBudget
 from .auxiliary_runs import DIES, LONGER, OPENINGS, TRUST

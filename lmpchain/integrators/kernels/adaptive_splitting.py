@@ -8,7 +8,6 @@ from __future__ import annotations
 import numpy as np
 
 from .compiling import compiled_march, fma, inlined, pasted
-from .dense_output import DenseRates, fill_jerk, fill_samples, keep, passes
 from .layout import PAD, RESOLUTION, Chains, Rows, Shortening, SplittingStages, make_rows
 from .openings import shorten
 from .right_hand_side import (
@@ -24,7 +23,7 @@ from .right_hand_side import (
 )
 from .sample_loop import end_of_step, sample_loop
 from .team import meet, share
-from .window import look, watch, widen
+from .window import DenseRates, fill_jerk, fill_samples, keep, look, passes, watch, widen
 
 
 @inlined

@@ -37,10 +37,17 @@ from .adjoint_rows import (
     keep_row,
     touch,
 )
-from .course import Stretch, compiled_gradient, count_rows, drift_before, fill_rows, loop
 from .layout import PAD, Rows
 from .right_hand_side import sweep
-from .sample_loop import chain_of
+from .sample_loop import (
+    Stretch,
+    chain_of,
+    compiled_gradient,
+    count_rows,
+    drift_before,
+    fill_rows,
+    loop,
+)
 from .window import watch, widen
 
 # Largest number of rows between two updates of the window; the forward pass uses longer bursts.

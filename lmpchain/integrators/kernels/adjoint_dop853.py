@@ -23,10 +23,9 @@ from ...util.arrays import Array
 from .adjoint import ImposedPath
 from .adjoint_rows import Way, hertz_power, power, touch
 from .compiling import apart
-from .course import compiled_gradient, loop
 from .dop853 import Weighted, add_rows, note
 from .layout import PAD
-from .sample_loop import chain_of
+from .sample_loop import chain_of, compiled_gradient, loop
 from .window import rest_ahead
 
 

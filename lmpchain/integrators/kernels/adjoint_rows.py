@@ -14,7 +14,7 @@ from numba import types
 
 from ...util.arrays import Array
 from .compiling import apart, by_form, exponential, llvm, logarithm
-from .course import loop
+from .sample_loop import loop
 
 
 class Way(IntEnum):

@@ -8,8 +8,8 @@ from ...util.arrays import Array
 from .adjoint import BURST
 from .adjoint_rows import Bodies, hertz_power, power, touch
 from .compiling import apart
-from .course import compiled_gradient, count_rows, fill_rows, loop
 from .layout import PAD
+from .sample_loop import compiled_gradient, count_rows, fill_rows, loop
 
 
 class ForceResponse(NamedTuple):

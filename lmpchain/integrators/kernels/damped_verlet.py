@@ -11,11 +11,10 @@ import numpy as np
 
 from ...util.arrays import Array
 from .compiling import compiled_march, inlined, pasted
-from .dense_output import fill_rates
 from .layout import PAD, Chains
 from .right_hand_side import accelerate, add_ground, forced, hold, impose, impose_velocity
 from .sample_loop import sample_loop
-from .window import look, watch, widen
+from .window import fill_rates, look, watch, widen
 
 
 @inlined

@@ -3,10 +3,9 @@
 from ...util.lazy import attributes, listed
 
 _NAMES = {
-    "overview": "Summary summary",
+    "overview": "FrontPassage Summary fit_passage summary",
     "waves": "BesselFit ModeFit fit_bessel fit_modes",
     "column": "ContinuumFit ExponentFit FrontLaw fit_continuum fit_exponents",
-    "passage": "FrontPassage fit_passage",
     "solitary": "SolitonFit fit_soliton",
     "inverse": "ParameterFit Trace fit_parameter",
 }

@@ -15,11 +15,10 @@ from ...chain.chain import Chain
 from ...errors import InputError
 from ...scene.excitation import Displacement, Impulse
 from ...theory.modes import eigenmodes
-from ...trajectory.picture import UNITS_OF_FIELDS
-from ...trajectory.trajectory import Trajectory
+from ...trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
 from ...util.arrays import Array
 from ...util.plotting import Axes, chart, choose_few, finish
-from ...util.tabular import Tabular
+from ...util.tables import Tabular
 from ..bodies import motion
 from ..recorded import Field
 from .table import Fitted, FittedNumber

@@ -9,7 +9,7 @@ import pytest
 from lmpchain import Chain, Damping, Impulse, InputError, Scene, Stopped, resume, simulate
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.stepper import LammpsStepper
-from lmpchain.engines.stepping import run as stepping_run
+from lmpchain.engines.stepping import time_stepping as stepping_run
 
 SCENE = Scene(
     chain=Chain(grains=8, diameter=1e-3, damping=Damping(viscoelastic=1e-8)),
