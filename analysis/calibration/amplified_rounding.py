@@ -23,7 +23,7 @@ from scenes import drawn
 from lmpchain import Scene
 from lmpchain.engines.stepping.rounding import GROWTH, amplify_rounding, native_floor
 from lmpchain.errors import RunFailed
-from lmpchain.integrators.splittings import RKN6
+from lmpchain.integrators.methods import RKN6
 from lmpchain.stability.predictability import SEED
 from lmpchain.stability.roundoff import STEP, measured_floor
 

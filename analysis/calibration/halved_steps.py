@@ -21,7 +21,7 @@ from scenes import drawn
 from lmpchain import Chain, LmpchainError, Profile, Scene
 from lmpchain.design import Momentum, gradient
 from lmpchain.integrators.halving import SAFETY
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.orbits import normal_mode, shooting
 from lmpchain.orbits import shooting as meshes
 from lmpchain.orbits.shooting import NEWTON

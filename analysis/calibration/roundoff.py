@@ -25,8 +25,7 @@ from lmpchain.engines.stepping.rounding import ROUNDING, native_floor, plain_los
 from lmpchain.errors import InputError, ToleranceNotMet
 from lmpchain.integrators.batch import STRONG, force_form
 from lmpchain.integrators.kernels.contact_forces import ROOTS
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import RKN6
+from lmpchain.integrators.methods import METHODS, RKN6
 from lmpchain.simulation.api import simulate
 from lmpchain.stability.roundoff import floor as predicted_floor
 from lmpchain.stability.roundoff import measured_floor

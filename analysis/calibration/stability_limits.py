@@ -19,7 +19,7 @@ from common import Row, command
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.engines.stepping.step_choice import FIRST_STEP
 from lmpchain.integrators.methods import METHODS
-from lmpchain.stability.find import TRUSTED
+from lmpchain.stability.pre_run import TRUSTED
 from lmpchain.stability.step_limit import blow_up, limit
 
 NUMBERS = np.geomspace(1e-2, 1e4, 7)

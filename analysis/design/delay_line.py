@@ -19,10 +19,10 @@ from figures import arguments, finish, one_above_two, random_search, say
 
 from lmpchain import Chain, Force, Scene
 from lmpchain.design import ArrivalTime, PeakForce, Seen, Slopes, optimise
-from lmpchain.design.changes import changed
 from lmpchain.design.gradients import looks_of
+from lmpchain.design.parameters import changed
 from lmpchain.integrators.adjoint import DifferentiableRun
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 
 BEADS = 100
 PIECE = slice(25, 45)

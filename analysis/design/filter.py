@@ -18,7 +18,7 @@ from figures import arguments, finish, say
 from lmpchain import Chain, Packet, Profile, Scene
 from lmpchain.design import Energy
 from lmpchain.design.gradients import at_step
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.theory import bands, scattering
 from lmpchain.util.plotting import figure
 

@@ -34,10 +34,10 @@ from figures import arguments, finish, random_search, say
 
 from lmpchain import Chain, Impulse, Scene
 from lmpchain.design import PeakForce, optimise
-from lmpchain.design.changes import changed
 from lmpchain.design.gradients import looks_of
+from lmpchain.design.parameters import changed
 from lmpchain.integrators.adjoint import DifferentiableRun
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.util.plotting import figure
 
 BEADS = 20

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from lmpchain import Chain
 from lmpchain.chain.bounds import LIMITS
-from lmpchain.stability.find import deepest, hertz_excess
+from lmpchain.stability.pre_run import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
 from lmpchain.util.plotting import figure
 

@@ -27,7 +27,8 @@ from ..util.plotting import (
     set_title,
     window,
 )
-from ..util.tables import NamedColumn, Tabular, align, finite, number, of_rows, wrap
+from ..util.tables import align, finite, number, wrap
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .reference import Reference
 
 __dir__ = listed(__name__)

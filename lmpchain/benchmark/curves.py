@@ -12,7 +12,8 @@ from ..scene.scene import Scene
 from ..util.notebook import Shown
 from ..util.plotting import Axes
 from ..util.provenance import processor
-from ..util.tables import NamedColumn, Tabular, align, duration, finite, number, of_rows
+from ..util.tables import align, duration, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .chart import KNOWN as KNOWN
 from .chart import draw
 from .chart import front as front

@@ -15,8 +15,7 @@ from ..engines.lammps.deck_reader import read_deck
 from ..engines.lammps.engine import HEIGHTS
 from ..engines.native import Native
 from ..errors import InputError
-from ..integrators.methods import BY_NAME, LAGGED
-from ..integrators.splittings import SPLITTINGS
+from ..integrators.methods import BY_NAME, LAGGED, SPLITTINGS
 from ..measure import energy, front
 from ..scene.scene import Scene
 from ..trajectory.dump_frames import is_dump

@@ -1,14 +1,15 @@
-"""The command `new`: write a commented example scene, with its measured data file if any."""
+"""Commands for a first use: `new` writes an example scene, `docs` opens the documentation."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import shlex
+import webbrowser
 from pathlib import Path
 from typing import Any
 
-from ..errors import InputError
+from ..errors import InputError, LmpchainError
 from ..util.tables import wrap
 from .common import STDOUT, beside, collect, output, written
 
@@ -118,3 +119,21 @@ def _new(name: str, suffix: str, force: bool) -> Path:
     if path != STDOUT and path.exists() and not force:
         raise InputError.at(name, "already exists: name another file, or add --force")
     return path
+
+
+SOURCES = Path(__file__).parent.parent.parent / "docs"  # Only in a checkout.
+
+
+def docs(arguments: argparse.Namespace) -> int:
+    """Open the built documentation in a browser, and print its location."""
+    page = SOURCES / "build" / "index.html"
+    if not page.is_file():
+        build = f"pip install -e '.[docs]' && sphinx-build {SOURCES} {SOURCES / 'build'}"
+        raise LmpchainError(
+            f"the pages are not built: {build}; or read {SOURCES / 'index.md'}"
+            if SOURCES.is_dir()
+            else "this installation has no pages: they are in the folder docs of the source code"
+        )
+    print(page.as_uri())
+    webbrowser.open(page.as_uri())
+    return 0

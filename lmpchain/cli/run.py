@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     from ..simulation.api import simulate
     from ..simulation.choice import refusals
     from ..simulation.folder_files import is_run, remove
-    from ..stability.find import pre_run_warnings
+    from ..stability.pre_run import pre_run_warnings
 
     if reasons := refusals(scene, engine):
         raise InputError(reasons)

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 from ..errors import shown
 from .common import STANDARD
 from .compare import check, compare, doctor, stability, workprec
-from .new import EXAMPLES, new
+from .new import EXAMPLES, docs, new
 from .orbit import orbit
-from .pages import docs
 from .read import UNCERTAIN, dyson, explore, export, fit, report, sensitivity
 from .run import averages, deck, plan, resume, run, sweep
 

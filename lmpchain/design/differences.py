@@ -24,7 +24,7 @@ from ..integrators.stepper import NativeStepper, room_for
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from . import parameters as params
-from .changes import changed
+from .parameters import changed
 
 # Change of the phase of the fastest motion in the first difference, rad, and the largest relative
 # change of a parameter there; largest change in any difference, relative to the parameter, or to

@@ -15,9 +15,9 @@ from ..measure.fit.table import Fitted, FittedNumber
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import SHADES, Axes, chart, finish, letter_panels, panels, window
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from ..util.units import FIELD_UNITS
-from .changes import changed
+from .parameters import changed
 from .traces import Traces
 from .unknowns import Problem
 

@@ -22,11 +22,11 @@ from ..util.arrays import Array, check_flags, numbers
 from ..util.files import LARGEST_JSON, check_readable, make_folder, replacing
 from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
-from .changes import changed
 from .gradients import RUNS, Answer, at_step, refine
 from .objectives import Objective
+from .parameters import changed
 
 
 def fingerprint(*values: Any) -> str:

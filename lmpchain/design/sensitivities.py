@@ -13,11 +13,11 @@ from ..integrators.differentiation import DIFFERENTIABLE
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from . import parameters as params
-from .changes import changed
 from .gradients import Gradient, at_step, gradient, shortens
 from .objectives import ArrivalTime, Energy, KineticEnergy, Momentum, Objective, PeakForce
+from .parameters import changed
 
 ROWS = 12  # Number of rows of a table.
 # Number of pairs of random chains; the scatter is some 5 % off if the result is far from linear.

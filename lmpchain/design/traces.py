@@ -18,7 +18,7 @@ from ..scene.trace_file import TraceFile
 from ..util.arrays import Array, check_flags, numbers, whole_numbers
 from ..util.notebook import Shown
 from ..util.remarks import note
-from ..util.tables import NamedColumn, Tabular, number_columns
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from ..util.units import FIELD_UNITS
 from .differences import FixedRun
 from .objectives import Seen, contact_force

@@ -15,8 +15,8 @@ from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.units import FIELD_UNITS
 from . import parameters as params
-from .changes import changed
 from .differences import FixedRun, differentiate, first_looks, size_by_force
+from .parameters import changed
 from .traces import Traces, model
 
 # Relative error of a Jacobian by differences; the estimates of a fit do not depend on it.

@@ -22,7 +22,7 @@ from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .draws import Law, Of, check, disordered, factors, fault_of_count, fault_of_whole, realisation
 
 BATCH = 16  # Number of chains in a batch.

@@ -27,7 +27,7 @@ from ..util.notebook import Shown
 from ..util.plotting import COLOURS, Axes, chart, finish
 from ..util.progress import ProgressBar
 from ..util.remarks import warnings_aside
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .draws import (
     Law,
     Of,

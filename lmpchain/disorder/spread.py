@@ -13,7 +13,7 @@ from ..errors import InputError, shown
 from ..scene.scene import Scene
 from ..util.arrays import Array
 from ..util.plotting import Axes, chart, finish
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .averages import Average, Draw, StreamedAverages, draw_mean, take_average
 from .draws import Law, Of, check, fault_of_count
 

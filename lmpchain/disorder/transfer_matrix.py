@@ -33,7 +33,7 @@ from ..util.compilation import compiled_once
 from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart
 from ..util.progress import ProgressBar
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .draws import check, fault_of_whole
 
 PIECE = 2**16  # Number of grains drawn at a time.

@@ -35,8 +35,8 @@ from .kernels.adjoint_tangent import Directions, ForceResponse, tangent
 from .kernels.contact_forces import ROOTS, Form
 from .kernels.layout import PAD, BatchArrays
 from .kernels.sample_loop import Course, Looks, Stretch
+from .methods import Splitting
 from .observed_run import ObservedRun
-from .splittings import Splitting
 
 
 class Checkpoints(NamedTuple):

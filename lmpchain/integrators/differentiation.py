@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from ..scene.scene import Scene
 from .adjoint import DifferentiableRun
 from .adjoint_dop853 import DifferentiableDampedRun
-from .methods import DormandPrince
+from .methods import SPLITTINGS, DormandPrince, Splitting
 from .observed_run import adaptive_steps
-from .splittings import SPLITTINGS, Splitting
 
 AnyMethod = Splitting | DormandPrince
 AnyRun = DifferentiableRun | DifferentiableDampedRun

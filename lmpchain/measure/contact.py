@@ -16,7 +16,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, draw_map, finish, legend, thin_rows
-from ..util.tables import NamedColumn, Tabular, number_columns
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion
 from .motion import OF_DRIVER
 

@@ -26,7 +26,8 @@ from ..util.plotting import (
     set_title,
     window,
 )
-from ..util.tables import NamedColumn, Tabular, align, counted, number, number_columns, wrap
+from ..util.tables import align, counted, number, wrap
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import motion
 
 if TYPE_CHECKING:

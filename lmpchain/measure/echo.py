@@ -20,7 +20,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import sensor
 from .flight import arrival

@@ -21,7 +21,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.tables import NamedColumn, Tabular, number_columns
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .bodies import known_contacts, motion, motion_of_all
 from .motion import Motion, motion_of
 

@@ -14,7 +14,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, mark_decades
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .motion import motion_of
 from .recorded import Field, check
 

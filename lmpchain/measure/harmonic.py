@@ -28,7 +28,7 @@ from ..util.arrays import Array, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import force_above_rest
 from .motion import motion_of

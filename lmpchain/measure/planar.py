@@ -37,7 +37,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .shock import find, medium_of, wave_of
 
 __dir__ = listed(__name__)

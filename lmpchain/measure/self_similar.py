@@ -13,7 +13,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .shock import EDGE_COLOURS, Shock, find
 
 __dir__ = listed(__name__)

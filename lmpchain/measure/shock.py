@@ -30,7 +30,7 @@ from ..util.plotting import (
     prefixed,
 )
 from ..util.plotting import edges as cell_edges
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .crests import first_crests, first_passages
 
 __dir__ = listed(__name__)

@@ -17,7 +17,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, Axes, chart, finish
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from . import crests
 from .energy import shares
 from .fit.column import is_uniform

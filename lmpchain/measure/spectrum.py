@@ -15,7 +15,7 @@ from ..util.arrays import Array, as_slice
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, draw_map, legend
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 from .recorded import Field, check
 
 __dir__ = listed(__name__)

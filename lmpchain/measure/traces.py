@@ -13,7 +13,7 @@ from ..trajectory.trajectory import Trajectory
 from ..util.arrays import Array, check_flags, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .contact import contacts, sensor, wall_force
 from .energy import ledger
 

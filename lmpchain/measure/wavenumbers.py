@@ -24,7 +24,7 @@ from ..util.arrays import Array, numbers, whole_numbers
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .bodies import motion
 from .energy import shares
 

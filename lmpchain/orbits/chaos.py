@@ -23,7 +23,7 @@ from ..simulation.batch_means import BATCHING, estimate
 from ..util.arrays import Array, whole_numbers
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .floquet import in_one_thread
 from .flow import Flow
 

@@ -17,7 +17,7 @@ from ..theory.modes import eigenmodes
 from ..util.arrays import Array
 from ..util.notebook import Shown
 from ..util.plotting import COLOURS, Axes, axes_in_units, legend, set_title
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from .floquet import Complex
 from .orbit import Orbit
 

@@ -12,7 +12,7 @@ from ..errors import InputError, shown
 from ..integrators.batch import ChainBatch
 from ..integrators.kernels.layout import PAD, BatchArrays
 from ..integrators.kernels.tangent import BodyRow, Deviations, Held, TangentSteps, march
-from ..integrators.splittings import KAHAN_LI8
+from ..integrators.methods import KAHAN_LI8
 from ..scene.excitation import Drive, Force, Profile
 from ..scene.scene import Scene
 from ..util.arrays import Array

@@ -18,7 +18,7 @@ from ..util.arrays import Array, read_only
 from ..util.lazy import cached_property
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 from . import floquet
 from .flow import Flow, Passage
 from .shooting import Equations, OrbitPoint, Solution

@@ -76,7 +76,7 @@ def wave(run: Trajectory) -> Panel:
 
 def waveforms(run: Trajectory) -> Panel:
     """Draw velocity over grain number at several times, with linear theory if it applies."""
-    from ..util.plotting import UnitFormatter
+    from ..util.ticks import UnitFormatter
 
     run = crop(run)
     picture = figure(WIDTH, 4.4)
@@ -132,7 +132,7 @@ def arrival(run: Trajectory) -> Panel:
     """Draw peak velocity and arrival time of the front against depth, with their power laws."""
     from matplotlib.ticker import LogLocator, StrMethodFormatter
 
-    from ..util.plotting import UnitFormatter
+    from ..util.ticks import UnitFormatter
 
     track = front_below(run)
     chain = run.scene.chain

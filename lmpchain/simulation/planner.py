@@ -25,7 +25,8 @@ from ..util.files import replacing
 from ..util.notebook import Shown
 from ..util.plotting import LEAST_ERROR, Axes, chart, finish
 from ..util.remarks import warnings_aside
-from ..util.tables import NamedColumn, Tabular, align, number, of_rows, wrap
+from ..util.tables import align, number, wrap
+from ..util.tabular import NamedColumn, Tabular, of_rows
 from .api import simulate
 from .choice import REFUSED, ask, cheapest, propose, reason
 

@@ -19,7 +19,7 @@ from ..engines.stepping.rounding import perturb
 from ..engines.stepping.step_choice import FIRST_STEP
 from ..errors import InputError, ToleranceNotMet, check_tolerance, shown
 from ..integrators.batch import ChainBatch
-from ..integrators.splittings import SPLITTINGS, Splitting
+from ..integrators.methods import SPLITTINGS, Splitting
 from ..integrators.stepper import NativeStepper
 from ..integrators.steps import Steps
 from ..scene.scene import Scene, check_scene
@@ -28,7 +28,8 @@ from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
 from ..util.progress import RATE, ProgressBar
 from ..util.remarks import warn
-from ..util.tables import NamedColumn, Tabular, align, number
+from ..util.tables import align, number
+from ..util.tabular import NamedColumn, Tabular
 from ..util.validation import check_positive, make_unchecked
 from .batch_means import BATCHING, Estimate, estimate
 from .observables import Observable, observable

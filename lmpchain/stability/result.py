@@ -26,7 +26,8 @@ from ..util.plotting import (
     typeset,
     window,
 )
-from ..util.tables import NamedColumn, Tabular, align, finite, number, of_rows
+from ..util.tables import align, finite, number
+from ..util.tabular import NamedColumn, Tabular, of_rows
 
 # Place of the legend, beside the axes.
 LEGEND_BELOW: dict[str, Any] = {"below": 0.24, "ncols": 4}

@@ -13,7 +13,7 @@ from ..chain.equilibrium import force_at_rest
 from ..engines import Lammps, Native
 from ..engines.stepping.time_stepping import TimeSteppingEngine
 from ..errors import InputError, not_among
-from ..integrators.splittings import RKN6, Splitting
+from ..integrators.methods import RKN6, Splitting
 from ..scene.scene import Scene
 from ..simulation.api import simulate
 from ..util.arrays import Array

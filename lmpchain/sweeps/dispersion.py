@@ -17,7 +17,7 @@ from ..simulation.many import simulate_many
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart, finish, prefixed
-from ..util.tables import NamedColumn, Tabular
+from ..util.tabular import NamedColumn, Tabular
 
 SAMPLES_A_PERIOD = 24  # Number of samples per period.
 NUMBERS_OF_A_WAVE = {

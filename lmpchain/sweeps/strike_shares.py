@@ -19,7 +19,7 @@ from ..theory.soliton import solve
 from ..util.arrays import Array, numbers
 from ..util.notebook import Shown
 from ..util.plotting import ERROR_BARS, Axes, chart, finish
-from ..util.tables import Tabular
+from ..util.tabular import Tabular
 
 # Numbers of grains of the first chain and of the longest one. Waves separate slowly if the exponent
 # is near 1.

@@ -25,7 +25,7 @@ from ..util.arrays import Array
 from ..util.lazy import listed
 from ..util.notebook import Shown
 from ..util.plotting import Axes, chart, finish, prefixed
-from ..util.tables import NamedColumn, Tabular, number_columns
+from ..util.tabular import NamedColumn, Tabular, number_columns
 from .domain import real, require
 from .modes import eigenmodes, ground_of
 

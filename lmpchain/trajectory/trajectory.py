@@ -15,7 +15,8 @@ from ..util.arrays import Array, as_slice
 from ..util.files import expanded
 from ..util.notebook import Shown
 from ..util.plotting import chart, draw_map, thin_rows
-from ..util.tables import Tabular, counted
+from ..util.tables import counted
+from ..util.tabular import Tabular
 from .other_formats import describe_other_format
 from .record import Record, read_result, select_gathered
 
@@ -207,7 +208,7 @@ class Trajectory(Shown, Record, Tabular):
         >>> bool(peak == t.velocity[:, :5].max())
         True
         """
-        from .other_formats import make_universe
+        from .mdanalysis import make_universe
 
         return make_universe(self)
 

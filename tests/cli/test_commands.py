@@ -32,7 +32,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.benchmark.truth import truth
-from lmpchain.cli import command_line, common, compare, orbit, pages
+from lmpchain.cli import command_line, common, compare, new, orbit
 from lmpchain.cli.command_line import main
 from lmpchain.cli.read import read_axis
 from lmpchain.cli.verbs import VERBS
@@ -121,12 +121,12 @@ def test_warnings_are_printed_before_the_run(
     scene: Path, answer: Trajectory, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.setattr(
-        "lmpchain.stability.find.pre_run_warnings", lambda *_: ["it is rough", "it is long"]
+        "lmpchain.stability.pre_run.pre_run_warnings", lambda *_: ["it is rough", "it is long"]
     )
     monkeypatch.setattr("lmpchain.simulation.api.simulate", lambda *_, **__: answer)
     assert main(["run", str(scene), "--tolerance", "0.1"]) == 0
     assert capsys.readouterr().err == "warning: it is rough\nwarning: it is long\n"
-    monkeypatch.setattr("lmpchain.stability.find.pre_run_warnings", lambda *_: [])
+    monkeypatch.setattr("lmpchain.stability.pre_run.pre_run_warnings", lambda *_: [])
     for engine, alone in (("auto", True), ("native", True), ("lammps", False)):
         start_under_mpirun(monkeypatch, 0)
         command = ["run", str(scene), "--force", "--tolerance", "0.1", "--engine", engine]
@@ -535,9 +535,9 @@ def test_a_plan_needs_a_scene_or_a_calibration(scene: Path, capsys: pytest.Captu
 
 def test_documentation_is_opened_where_it_was_built(tmp_path: Path, monkeypatch: Any, capsys: Any):
     opened: list[str] = []
-    monkeypatch.setattr(pages.webbrowser, "open", opened.append)
-    assert (pages.SOURCES / "index.md").exists()
-    monkeypatch.setattr(pages, "SOURCES", tmp_path / "docs")
+    monkeypatch.setattr(new.webbrowser, "open", opened.append)
+    assert (new.SOURCES / "index.md").exists()
+    monkeypatch.setattr(new, "SOURCES", tmp_path / "docs")
     assert main(["docs"]) == 1
     assert "this installation has no pages" in capsys.readouterr().err
     (tmp_path / "docs").mkdir()

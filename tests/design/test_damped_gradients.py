@@ -22,7 +22,7 @@ from lmpchain.design import (
     gradient,
     parameters,
 )
-from lmpchain.design.changes import changed
+from lmpchain.design.parameters import changed
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
 from lmpchain.integrators.stepper import NativeStepper

@@ -20,7 +20,7 @@ from lmpchain.design import (
 )
 from lmpchain.design.gradients import at_step
 from lmpchain.integrators.adjoint import DifferentiableRun, economise
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 
 LOOKS = 6
 STEPS = 4

@@ -21,7 +21,7 @@ from lmpchain.design import (
 from lmpchain.design.gradients import at_step
 from lmpchain.engines import Native
 from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.measure.energy import shares
 
 

@@ -11,9 +11,8 @@ import pytest
 
 from lmpchain import Chain, InputError, Profile, Scene
 from lmpchain.design import Momentum, optimise
-from lmpchain.design.changes import changed
 from lmpchain.design.optimisation import fingerprint
-from lmpchain.design.parameters import values
+from lmpchain.design.parameters import changed, values
 
 # Three balls with gaps: m_2 = sqrt(m_1 m_3) maximises the momentum of the third (Huygens).
 BALLS = Scene(

@@ -7,7 +7,7 @@ import pytest
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
 from lmpchain.design import parameters
-from lmpchain.design.changes import changed
+from lmpchain.design.parameters import changed
 from lmpchain.integrators.adjoint import Inputs
 
 N = 5

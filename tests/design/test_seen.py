@@ -21,7 +21,7 @@ from lmpchain.design import (
 from lmpchain.design.gradients import at_step, looks_of
 from lmpchain.design.objectives import contact_force, quadrature
 from lmpchain.engines import Native
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 
 METHOD = SPLITTINGS["kahan-li8"]
 ONE = Chain(grains=2, diameter=1e-3)  # One grain moves, under its weight.

@@ -9,10 +9,9 @@ import pytest
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
-from lmpchain.design.changes import changed
 from lmpchain.design.gradients import at_step
-from lmpchain.design.parameters import values
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.design.parameters import changed, values
+from lmpchain.integrators.methods import SPLITTINGS
 
 VACUUM = Scene(
     chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"),

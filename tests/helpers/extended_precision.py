@@ -3,7 +3,7 @@
 import numpy as np
 
 from lmpchain import Chain
-from lmpchain.integrators.splittings import Splitting
+from lmpchain.integrators.methods import Splitting
 
 REAL = np.longdouble
 

@@ -14,7 +14,7 @@ from helpers.forcing import Curve
 from numpy.typing import NDArray
 
 from lmpchain import Scene
-from lmpchain.integrators.splittings import Splitting
+from lmpchain.integrators.methods import Splitting
 
 Array = NDArray[np.longdouble]
 WIDE = np.longdouble

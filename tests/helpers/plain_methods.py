@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from lmpchain import Scene
-from lmpchain.integrators.splittings import Splitting
+from lmpchain.integrators.methods import Splitting
 
 WIDE = np.longdouble
 Array = NDArray[np.longdouble]

@@ -12,9 +12,8 @@ from helpers.thinned import thinned
 
 from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
-from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.methods import METHODS, RKN4, RKN6, Splitting
 from lmpchain.integrators.observed_run import adaptive_steps
-from lmpchain.integrators.splittings import RKN4, RKN6, Splitting
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import OPENING_STEPS, Steps
 

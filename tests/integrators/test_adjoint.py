@@ -15,7 +15,7 @@ from lmpchain.integrators import adjoint, adjoint_dop853
 from lmpchain.integrators.adjoint import CHECKPOINTS, DifferentiableRun, Inputs
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
 from lmpchain.integrators.kernels.adjoint_rows import Way
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 
 GRAINS = 6
 LOOKS = 3

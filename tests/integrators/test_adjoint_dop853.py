@@ -6,7 +6,7 @@ from helpers import taylor_series
 
 from lmpchain import Chain, Damping, Force, Impulse, Scene
 from lmpchain.design import KineticEnergy, gradient, parameters
-from lmpchain.design.changes import changed
+from lmpchain.design.parameters import changed
 from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
 
 GRAINS = 6

@@ -12,8 +12,7 @@ from scipy.integrate import simpson
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
 from lmpchain.engines.stepping import time_stepping as stepping_run
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 
 NATIVE = engines.Native.integrators[1:]  # Without "auto".
 ENGINES = {"native": NATIVE, "lammps": engines.Lammps.integrators}

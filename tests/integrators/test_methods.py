@@ -13,9 +13,8 @@ from scipy.interpolate import make_interp_spline
 from lmpchain import Chain, Drive, Force, Impulse, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
-from lmpchain.integrators.methods import METHODS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS, Splitting
 from lmpchain.integrators.observed_run import ImposedCourse
-from lmpchain.integrators.splittings import SPLITTINGS, Splitting
 from lmpchain.integrators.stepper import NativeStepper, room_for
 from lmpchain.integrators.steps import MANY_STEPS, Steps, first_growth
 

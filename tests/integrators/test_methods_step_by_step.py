@@ -15,8 +15,7 @@ from lmpchain import Chain, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, name_of
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.right_hand_side import TILE
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 

@@ -12,7 +12,7 @@ from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels import tangent
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.tangent import march
-from lmpchain.integrators.splittings import RKN4
+from lmpchain.integrators.methods import RKN4
 
 GRAINS = 5
 UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.

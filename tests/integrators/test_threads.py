@@ -12,8 +12,7 @@ from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq
 from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, Scene, orbits, simulate
 from lmpchain.engines import Native
 from lmpchain.errors import RunFailed
-from lmpchain.integrators.splittings import KAHAN_LI8
+from lmpchain.integrators.methods import KAHAN_LI8
 from lmpchain.orbits import Orbit
 from lmpchain.orbits.flow import Flow
 from lmpchain.theory.modes import eigenmodes

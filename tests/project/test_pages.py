@@ -417,7 +417,7 @@ def test_the_command_opens_the_pages(
 ):
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)
-    monkeypatch.setattr("lmpchain.cli.pages.SOURCES", tmp_path / "docs")
+    monkeypatch.setattr("lmpchain.cli.new.SOURCES", tmp_path / "docs")
     assert main(["docs"]) == 1
     assert "this installation has no pages" in capsys.readouterr().err
     (tmp_path / "docs" / "build").mkdir(parents=True)

@@ -29,8 +29,7 @@ from lmpchain import (
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import time_stepping as stepping_run
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.measure import contact, energy
 from lmpchain.scene.excitation import EXCITATIONS
 from lmpchain.scene.waveform import Waveform

@@ -19,8 +19,7 @@ from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.engines.stepping import time_stepping as stepping_run
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.scene.waveform import Waveform
 
 Array = NDArray[np.float64]

@@ -19,8 +19,8 @@ from lmpchain.engines import Lammps, Native
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.integrators.methods import METHODS
 from lmpchain.stability import find
-from lmpchain.stability.find import deepest, hertz_excess, pre_run_warnings
 from lmpchain.stability.linear_theory import linear_law, strike_number_at, strike_number_where
+from lmpchain.stability.pre_run import deepest, hertz_excess, pre_run_warnings
 from lmpchain.stability.predictability import (
     amplifies,
     growth_rate,

@@ -13,8 +13,8 @@ from laws import limits
 
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
 from lmpchain.chain.bounds import LIMITS
-from lmpchain.stability.find import deepest, hertz_excess
 from lmpchain.stability.linear_theory import linear_law
+from lmpchain.stability.pre_run import deepest, hertz_excess
 from lmpchain.theory import bessel, dyson
 
 

@@ -16,7 +16,8 @@ from lmpchain import Chain, Drive, Impulse, Scene
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps, Modes, Native
 from lmpchain.stability import find
-from lmpchain.stability.find import pre_run_warnings, stability
+from lmpchain.stability.find import stability
+from lmpchain.stability.pre_run import pre_run_warnings
 from lmpchain.stability.result import Stability
 from lmpchain.stability.step_limit import limit
 

@@ -12,8 +12,7 @@ from scipy.linalg import eigvalsh_tridiagonal
 
 from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, patterns
 from lmpchain.benchmark.reference import Reference
-from lmpchain.integrators.methods import METHODS
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.stability.step_limit import blow_up, energy_error, limit, struck_frequency, suspect
 from lmpchain.theory.modes import eigenmodes
 

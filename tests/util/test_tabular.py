@@ -12,7 +12,7 @@ from lmpchain.cli import main
 from lmpchain.design import Traces
 from lmpchain.measure import contact, energy, fit, front, spectrum, traces
 from lmpchain.theory import bands, dimer_soliton, scattering
-from lmpchain.util.tables import Tabular
+from lmpchain.util.tabular import Tabular
 
 CHAIN = Chain(
     grains=12,

@@ -16,8 +16,7 @@ from ...chain.chain import Chain
 from ...chain.contact_law import pair_value, power_law
 from ...chain.damping import Damping
 from ...errors import InputError, short
-from ...integrators.methods import LAGGED
-from ...integrators.splittings import SPLITTINGS
+from ...integrators.methods import LAGGED, SPLITTINGS
 from ...scene.base import Excitation
 from ...scene.excitation import Drive, Force, Impulse, Profile
 from ...scene.scene import Scene

@@ -14,8 +14,7 @@ import numpy as np
 
 from ...chain.law import Law
 from ...errors import InputError, LmpchainError, ToleranceNotMet, not_among, shown
-from ...integrators.methods import methods_of
-from ...integrators.splittings import SPLITTINGS, VERLET, Splitting
+from ...integrators.methods import SPLITTINGS, VERLET, Splitting, methods_of
 from ...integrators.steps import Method, Steps
 from ...scene.scene import Scene
 from ...trajectory.record import LARGEST_ERROR
@@ -32,7 +31,7 @@ from ..step_control import (
     solve_to_tolerance,
 )
 from ..stepping.time_stepping import CompiledSteps, SteppingRun, TimeSteppingEngine
-from . import deck, watching
+from . import deck
 from .column import PAIR_STYLES, LammpsColumn
 from .stepper import LammpsStepper, word
 from .subprocess_ranks import gather
@@ -359,8 +358,8 @@ class Lammps(TimeSteppingEngine):
         column = self.column(scene, proposal)
         if self.run_folder and self.include:
             word(self.run_folder)
-            outputs = watching.make_outputs(self.run_folder.absolute())
-            column = replace(column, include=watching.move_outputs(self.include, outputs))
+            outputs = deck.make_outputs(self.run_folder.absolute())
+            column = replace(column, include=deck.move_outputs(self.include, outputs))
         log = "none"
         if self.keep is not None:
             log = word(self.keep / "log.lammps")
@@ -399,7 +398,7 @@ class Lammps(TimeSteppingEngine):
         """
         fault = "LAMMPS cannot continue with this option after a stop: leave it out in a run folder"
         faults = [(key, fault) for key in UNKEPT if getattr(self, key)]
-        if fault := watching.find_fault(self.include):
+        if fault := deck.find_fault(self.include):
             faults.append(("include", fault))
         if faults:
             raise InputError(faults)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError, RunFailed
-from ...integrators.splittings import Splitting
+from ...integrators.methods import Splitting
 from ...integrators.steps import Steps
 from ...util.arrays import Array
 from . import deck

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import EngineUnavailable, RunFailed
 from ...integrators.kernels.layout import RESOLUTION
-from ...integrators.splittings import Splitting
+from ...integrators.methods import Splitting
 from ...scene.waveform import Waveform
 from ...util.arrays import Array
 from .library import check_packages, close_lammps, open_lammps

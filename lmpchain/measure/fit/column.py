@@ -18,7 +18,7 @@ from ...theory.domain import chi, exponents
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import SHADES, Axes, chart, finish, mark_decades
-from ...util.tables import Tabular
+from ...util.tabular import Tabular
 from ..front import FEWEST, Exponents, Front, PowerLaw, asymptotic, exponent, fit_power, track
 from ..recorded import Field
 from .table import Fitted, FittedNumber

@@ -18,7 +18,8 @@ from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array, numbers, whole_numbers
 from ...util.notebook import Shown
 from ...util.plotting import Axes, chart, choose_few, finish, with_error
-from ...util.tables import NamedColumn, Tabular, counted, number_columns
+from ...util.tables import counted
+from ...util.tabular import NamedColumn, Tabular, number_columns
 from ...util.units import FIELD_UNITS
 from ..bodies import motion
 from ..contact import sensor

@@ -15,7 +15,7 @@ from ...theory.soliton import Soliton, coste_speed, nesterenko_speed, solve, str
 from ...trajectory.trajectory import Trajectory
 from ...util.arrays import Array
 from ...util.plotting import Axes, chart, finish
-from ...util.tables import Tabular
+from ...util.tabular import Tabular
 from ..front import FEWEST, track
 from .column import is_uniform
 from .table import Fitted, FittedNumber

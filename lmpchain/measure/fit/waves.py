@@ -18,7 +18,7 @@ from ...theory.modes import eigenmodes
 from ...trajectory.trajectory import UNITS_OF_FIELDS, Trajectory
 from ...util.arrays import Array
 from ...util.plotting import Axes, chart, choose_few, finish
-from ...util.tables import Tabular
+from ...util.tabular import Tabular
 from ..bodies import motion
 from ..recorded import Field
 from .table import Fitted, FittedNumber

@@ -33,7 +33,7 @@ from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
 from lmpchain.engines.lammps.worker import LocalState, StepPlan, deck_steps
-from lmpchain.integrators.splittings import SPLITTINGS
+from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.util import mpi
 
 UNLIKE = Chain(

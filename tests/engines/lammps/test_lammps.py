@@ -30,7 +30,7 @@ from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.lammps.subprocess_ranks import gather
 from lmpchain.engines.lammps.worker import Worker
-from lmpchain.integrators.splittings import VERLET
+from lmpchain.integrators.methods import VERLET
 from lmpchain.integrators.steps import Steps
 
 DECKS = {
