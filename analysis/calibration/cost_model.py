@@ -21,9 +21,10 @@ import numpy as np
 from common import Row, best, command, quantile
 from scipy.optimize import least_squares, nnls
 
-from lmpchain import Chain, Impulse, Profile, Scene, engines
+from lmpchain import Chain, Impulse, Law, Profile, Scene, engines
 from lmpchain.engines.base import Engine
-from lmpchain.engines.lammps.engine import Lammps
+from lmpchain.engines.lammps.column import LammpsColumn
+from lmpchain.engines.lammps.engine import LETTER_OVERHEAD, VISCOUS_OVERHEAD, Lammps
 from lmpchain.engines.linear.closed_form import Bessel
 from lmpchain.engines.linear.engine import Chebyshev, LinearEngine, Modes
 from lmpchain.engines.linear.model_error import dense, evaluations
@@ -218,10 +219,39 @@ def main(quick: bool = False) -> list[Row]:
             )
     for engine in (Modes(), Chebyshev()):
         rows += _linear(engine, quick)
-    return [*rows, _formula(quick)]
+    return [*rows, *_laws_by_formula(100 if quick else 400), _closed_form(quick)]
 
 
-def _formula(quick: bool) -> Row:
+def _laws_by_formula(steps: int) -> list[Row]:
+    """Return the rows of LAMMPS with contact laws by formula, without and with viscosity."""
+    law = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e3)
+    engine = Lammps("verlet", 1e-5 / steps)
+
+    def scene_of(chain: Chain) -> Scene:
+        # All grains move, so that none is left out.
+        velocity = 1e-4 * np.sin(np.arange(chain.grains))
+        velocity[chain.movable :] = 0.0
+        return Scene(chain=chain, excitation=Profile(velocity=velocity), duration=1e-5, samples=3)
+
+    def evaluation(chain: Chain) -> float:
+        costs = [simulate(scene_of(chain), engine).cost for _ in range(3)]
+        return min(cost.integration_s / cost.force_evaluations for cost in costs)
+
+    diameters = 1e-3 * np.linspace(1.0, 1.2, 20)
+    chains = [Chain(grains=20, diameter=diameter, law=law) for diameter in (1e-3, diameters)]
+    letters = [LammpsColumn(scene_of(chain), 0.0).parsed_letters for chain in chains]
+    alike, different = map(evaluation, chains)
+    letter = (different - alike) / (letters[1] - letters[0])
+    long = Chain(grains=1000, diameter=1e-3, gravity=0.0, top_load=1.0, law=law)
+    viscous = evaluation(long.replace(damping={"viscoelastic": 1e-9})) - evaluation(long)
+    unit = engine.seconds_per_grain_step
+    return [
+        supported("LETTER_OVERHEAD", LETTER_OVERHEAD, letter / unit, "grains a letter"),
+        supported("VISCOUS_OVERHEAD", VISCOUS_OVERHEAD, viscous / 1000 / unit, "grains a grain"),
+    ]
+
+
+def _closed_form(quick: bool) -> Row:
     """Return the row of the closed forms: seconds per value."""
     engine = Bessel()
     scene = struck(300, 50.0, 31 if quick else 101)

@@ -293,6 +293,23 @@ class LammpsColumn:
             for k, r, n in rows
         ]
 
+    @property
+    def _law_numbers(self) -> Array:
+        """Constant and parameters of a law by formula, (C, 1 + P), for each contact."""
+        assert self.formula
+        constants = self.chain.contact_constants
+        own = (np.broadcast_to(value, constants.shape) for value in self.formula.parameters)
+        return np.column_stack([constants, *own])
+
+    @property
+    def parsed_letters(self) -> int:
+        """Letters of all formulas, which LAMMPS parses anew at each force evaluation."""
+        if self.formula is None:
+            return 0
+        formulas = len(np.unique(self._law_numbers, axis=0))
+        walls = int(np.count_nonzero(self.chain.wall_constants))
+        return (formulas + walls) * len(self.formula.lepton(constant=1 / 3))
+
     @cached_property
     def bonds(self) -> tuple[list[int], list[str]]:
         """Bond type of each contact for a law by formula, and the `bond_coeff` of each type.
@@ -303,12 +320,10 @@ class LammpsColumn:
         law = self.formula
         assert law
         d = self.diameters
-        constants = self.chain.contact_constants
-        own = (np.broadcast_to(value, constants.shape) for value in law.parameters)
-        rows = np.column_stack([(d[:-1] + d[1:]) / 2, constants, *own])
+        rows = np.column_stack([(d[:-1] + d[1:]) / 2, self._law_numbers])
         _, first, kinds = np.unique(rows, axis=0, return_index=True, return_inverse=True)
         coefficients = [
-            f"{float(rows[n, 0])!r} {law.lepton(constant=float(constants[n]), contact=n)}"
+            f"{float(rows[n, 0])!r} {law.lepton(constant=float(rows[n, 1]), contact=n)}"
             for n in first.tolist()
         ]
         return (kinds.ravel() + 1).tolist(), coefficients

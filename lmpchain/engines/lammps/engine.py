@@ -43,6 +43,12 @@ UNKEPT = ("keep", "template")  # Options that prevent a run from continuing in a
 # Each drift of a splitting is a separate LAMMPS run with commands and kicks from outside. It costs
 # as much as a step of this number of grains, some 17 us.
 RUN_OVERHEAD = 250
+# LAMMPS parses formulas at each force evaluation. A letter takes as long as a step of this number
+# of grains, some 3.5 us.
+LETTER_OVERHEAD = 50
+# The variables of viscous forces by formula take as long as a step of this number of grains for
+# each grain, some 1 us.
+VISCOUS_OVERHEAD = 14
 DIAMETERS = ("auto", "physical", "gauge")
 
 
@@ -307,9 +313,12 @@ class Lammps(TimeSteppingEngine):
             )
         return small
 
-    def overhead(self, method: Method) -> int:
+    def overhead(self, scene: Scene, method: Method) -> int:
         """Return the overhead of a force evaluation, in units of grains."""
-        return super().overhead(method) if method.order <= 2 else RUN_OVERHEAD
+        column = LammpsColumn(scene, 0.0, self.pair_style)
+        run = super().overhead(scene, method) if method.order <= 2 else RUN_OVERHEAD
+        variables = VISCOUS_OVERHEAD * bool(column.viscosity) + bool(column.ground)
+        return run + LETTER_OVERHEAD * column.parsed_letters + variables * scene.chain.grains
 
     def round_off(self, scene: Scene, gauge: float, steps: int, peaks: Array) -> float:
         """Return a bound on the relative rounding error of a run, from one ulp of a height.

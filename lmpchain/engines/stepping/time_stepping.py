@@ -364,7 +364,7 @@ class TimeSteppingEngine(Engine):
     def cost(self, scene: Scene, method: Method, steps: int) -> float:
         """Return the expected time of this number of steps, s."""
         grain_steps = (
-            method.evaluations * steps * (self.count_active(scene) + self.overhead(method))
+            method.evaluations * steps * (self.count_active(scene) + self.overhead(scene, method))
         )
         return seconds(self.name, self.start_up_s, self.seconds_per_grain_step * grain_steps)
 
@@ -372,7 +372,7 @@ class TimeSteppingEngine(Engine):
     def typical_round_off(self, scene: Scene, steps: int, speed: float) -> float:
         """Return the expected rounding error of this number of steps at this largest speed, m/s."""
 
-    def overhead(self, method: Method) -> int:
+    def overhead(self, scene: Scene, method: Method) -> int:
         """Return the overhead of a force evaluation in units of grains."""
         return EVALUATION_OVERHEAD
 

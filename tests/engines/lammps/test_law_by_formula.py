@@ -247,6 +247,18 @@ def test_two_ranks_give_the_bytes_of_a_single_process(name: str):
         assert np.array_equal(one.velocity, two.velocity)
 
 
+def test_the_expected_time_counts_the_formula_of_every_contact():
+    """LAMMPS parses each different formula at every force evaluation."""
+
+    def work(diameter: Any) -> float:
+        chain = Chain(grains=20, diameter=diameter, law=CUBIC)
+        scene = Scene(chain=chain, excitation=STRIKE, duration=1e-4)
+        lammps = Lammps("verlet", 1e-6)
+        return lammps.propose(scene, 1e-3).cost_s - lammps.start_up_s
+
+    assert work(np.linspace(1e-3, 1.2e-3, 20)) == pytest.approx(19 * work(1e-3), rel=0.1)
+
+
 @pytest.mark.parametrize("name", some(("toda under gravity", BOTH)))
 def test_a_resumed_run_gives_the_same_bits(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
