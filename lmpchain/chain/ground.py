@@ -22,7 +22,7 @@ from .law import SMOOTH, Law, bend_powers
 KINK_TIMES = (0.0, 1 / 3, 1.0)
 # Displacements (relative to the largest) and times (relative to the duration) at which the largest
 # stiffness is sought.
-PLACES = np.linspace(-1.0, 1.0, 17)
+CHECKED_DISPLACEMENTS = np.linspace(-1.0, 1.0, 17)
 MOMENTS = np.linspace(0.0, 1.0, 65)
 # The work against the ground is integrated over pieces of a displacement, each exact up to degree
 # 15. Their number is doubled until the work changes by less than this part, or is as large as this.
@@ -106,7 +106,7 @@ def largest_stiffness(law: Law, displacement: float, duration: float) -> Array:
     times = MOMENTS * duration if "t" in law.formula.names else np.zeros(1)
     # Grains with individual parameters are evaluated together, one time after the other.
     alike = not any(np.ndim(value) for value in law.parameters)
-    places = PLACES[:, None] * displacement
+    places = CHECKED_DISPLACEMENTS[:, None] * displacement
     largest: Any = 0.0
     with np.errstate(all="ignore"):
         for time in [times] if alike else times:

@@ -35,7 +35,7 @@ MAX_CHANGE = 0.1
 MOST_CHANGES = 3  # Largest number of further changes.
 TURN = 0.5  # Initial phase advance of the fastest motion between two evaluation times, rad.
 # Largest number of steps in one call of a stepper.
-MOST_STEPS = 2**62
+UNLIMITED_STEPS = 2**62
 
 
 class FixedRun(NamedTuple):
@@ -85,7 +85,7 @@ class FixedRun(NamedTuple):
         stepper = NativeStepper(batch, method, schedule, {})
         u, v = room_for(1, looks + 1, scene.chain.grains)
         u[:, 0], v[:, 0] = batch.initial
-        stepper.fill(u, v, 0, looks, MOST_STEPS)
+        stepper.fill(u, v, 0, looks, UNLIMITED_STEPS)
         columns = grains - 1
         run = cls(
             observed.time,

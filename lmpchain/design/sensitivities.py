@@ -24,8 +24,8 @@ ROWS = 12  # Number of rows of a table.
 PAIRS = 16
 # Values below this one (SI units) count as 0. Momentum and energy far ahead of a wave may be
 # smaller, because they decay faster than any power.
-NOTHING = 1e-150
-AT_REST = 1e-9  # Relative rounding of a force at rest.
+NO_INFLUENCE = 1e-150
+REST_ROUNDING = 1e-9  # Relative rounding of a force at rest.
 # Order of a table: properties of the chain, then loads and excitation.
 CANDIDATES = (
     "diameters",
@@ -305,10 +305,10 @@ def _remark(scene: Scene, answer: Objective, value: float) -> str:
     within = f"within {scene.duration:g} s: use a longer duration"
     if isinstance(answer, PeakForce):
         rest = float(scene.chain.contacts.force[answer.contact])
-        at_rest = abs(value - rest) <= AT_REST * rest
+        at_rest = abs(value - rest) <= REST_ROUNDING * rest
         words = f"no wave reaches contact {answer.contact} {within}; this is its force at rest"
         return words if at_rest else ""
-    return f"no wave reaches these grains {within}" if abs(value) < NOTHING else ""
+    return f"no wave reaches these grains {within}" if abs(value) < NO_INFLUENCE else ""
 
 
 def _draw_pairs(

@@ -47,7 +47,7 @@ PLACE = 0.7
 HALF_DISTANCE = 4
 LEAST_HEIGHT = 0.05  # Smallest height of a measured wave, trough to crest, relative to the jump.
 DRAWN = 6  # Number of orbits in a picture.
-COLUMNS = (
+ORBIT_COLUMNS = (
     "self_similar",
     "phase_speed",
     "crest",
@@ -61,7 +61,7 @@ COLUMNS = (
     "orbit_mean",
     "orbit_mean_error",
 )
-POINTS = 201  # Number of points of an orbit from crest to trough.
+ORBIT_POINTS = 201  # Number of points of an orbit from crest to trough.
 
 
 class ClosedOrbit(NamedTuple):
@@ -210,7 +210,7 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
     measured = []
     for k in range(count):
         begin, end = crests[k : k + 2]
-        inside = np.linspace(begin, end, POINTS)
+        inside = np.linspace(begin, end, ORBIT_POINTS)
         overlap = curve(inside)
         trough = float(overlap.min())
         crest = float(heights[k : k + 2].mean())
@@ -249,7 +249,7 @@ def orbits(trajectory: Trajectory, direction: Literal["down", "up"] = "down") ->
     if not rows:
         few = "the wave has fewer than two crests that are high enough: record longer"
         raise InputError.at("duration", few)
-    columns = dict(zip(COLUMNS, np.array(rows).T, strict=True))
+    columns = dict(zip(ORBIT_COLUMNS, np.array(rows).T, strict=True))
     return PlanarOrbits(
         contact=int(shock.contact[number]),
         orbits=tuple(closed),
@@ -325,7 +325,7 @@ def _orbit(
     if not run.t_events[0].size:
         return None
     half = float(run.t_events[0][0])
-    place = np.linspace(0.0, half, POINTS)
+    place = np.linspace(0.0, half, ORBIT_POINTS)
     value, slope = low + size * run.sol(place)[0], size * run.sol(place)[1]
     if ode is _of_forces:
         overlap = (value / gas.constant) ** (1 / gas.exponent)

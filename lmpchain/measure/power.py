@@ -26,7 +26,7 @@ from .motion import motion_of
 __dir__ = listed(__name__)
 
 SAMPLES = 8  # Smallest number of samples in a period.
-POINTS = 32  # Number of points in a period over which the power is averaged.
+PERIOD_POINTS = 32  # Number of points in a period over which the power is averaged.
 DRAWN_PIECES = 200  # Number of pieces in a picture.
 
 
@@ -219,7 +219,7 @@ def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, 
         # The last sample is included.
         near = slice((len(time) - 1) % stride, None, stride)
         curve: BSpline = make_interp_spline(time[near], power[near], 7)
-        turn = np.arange(POINTS * periods) / (POINTS * periods)
+        turn = np.arange(PERIOD_POINTS * periods) / (PERIOD_POINTS * periods)
         window = 1 - np.cos(2 * np.pi * turn)
         return float(window @ curve(begin + periods * period * turn)) / turn.size
 

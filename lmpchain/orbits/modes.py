@@ -41,7 +41,7 @@ class KnownLimits:
     alone: tuple[float, float] = (1e-4, 1e2)
 
 
-LIMITS = KnownLimits()
+ORBIT_LIMITS = KnownLimits()
 
 
 def normal_mode(chain: Chain, mode: int, energy: float, *, progress: bool = False) -> Orbit:
@@ -110,9 +110,9 @@ def mode_family(
     """
     chain.refuse_ground("the search for orbits")
     check_positive("energy", energy)
-    displacement, period = linear_mode(chain, mode, LIMITS.strain)
+    displacement, period = linear_mode(chain, mode, ORBIT_LIMITS.strain)
     # A slow mode becomes nearly resonant with its harmonics at smaller amplitudes.
-    displacement *= min(1.0, 2 * np.pi / period / (LIMITS.slow * chain.band_edge)) ** 2
+    displacement *= min(1.0, 2 * np.pi / period / (ORBIT_LIMITS.slow * chain.band_edge)) ** 2
     rest = np.zeros(chain.grains)
     linear = float(chain.excess_energy(displacement, rest))
     # The family starts below the requested energy, so that it is continued upward.
@@ -172,7 +172,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
         raise InputError.at("grain", f"{grain} {message}")
 
     def chain_at(share: float) -> Chain:
-        factor = np.where(heavier, LIMITS.heavy ** (1 - share), 1.0)
+        factor = np.where(heavier, ORBIT_LIMITS.heavy ** (1 - share), 1.0)
         return chain.replace(masses=factor * chain.masses)
 
     rest = np.zeros(chain.grains)
@@ -183,7 +183,7 @@ def breather(chain: Chain, grain: int, period: float, *, progress: bool = False)
     # move.
     gentle = period < slowest
     if gentle:
-        displacement[grain - 1] = LIMITS.strain * chain.contacts.overlap[grain]
+        displacement[grain - 1] = ORBIT_LIMITS.strain * chain.contacts.overlap[grain]
         energy = float(chain.excess_energy(displacement, rest))
         limit = find(chain_at(0.0), (displacement, rest), slowest, energy=energy)
     else:
@@ -225,7 +225,7 @@ def amplitude_alone(chain: Chain, grain: int, period: float) -> float:
         speed = np.sqrt(2 * np.maximum(energy - potential(x), 1e-30 * energy) / mass)
         return float(2 * (half * np.cos(angle) / speed) @ weight * np.pi / 2 / period - 1)
 
-    amplitudes = np.log(np.geomspace(*LIMITS.alone, 100))
+    amplitudes = np.log(np.geomspace(*ORBIT_LIMITS.alone, 100))
     misses = np.array([excess(amplitude) for amplitude in amplitudes])
     crossing = np.flatnonzero(misses[1:] * misses[:-1] <= 0)
     if not crossing.size:

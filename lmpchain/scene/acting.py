@@ -46,7 +46,7 @@ class WaveformLimits:
     overshoot: float = 0.1
 
 
-LIMITS = WaveformLimits()
+WAVEFORM_LIMITS = WaveformLimits()
 
 
 class _Acting(Measured):
@@ -129,11 +129,11 @@ class _Acting(Measured):
             yield "amplitude", f"give {self._words(values)} (or a file with both)"
         elif self.times is not None:
             yield from self._point_faults(values, getattr(self, values))
-        elif not self.waveform.fastest < LIMITS.frequency:
+        elif not self.waveform.fastest < WAVEFORM_LIMITS.frequency:
             # The envelope of a burst of few cycles, or of a short push, may have a high frequency.
             # The error then names its key.
             key = "frequency"
-            if 2 * np.pi * (self.frequency or 0.0) < LIMITS.frequency:
+            if 2 * np.pi * (self.frequency or 0.0) < WAVEFORM_LIMITS.frequency:
                 # These fields set the envelope of a burst, a half-sine or a piston.
                 key = next(key for key in ("cycles", "duration", "rise") if key in fields)
             frequency = f"corresponds to {self.waveform.fastest:.2g} rad/s"
@@ -149,18 +149,18 @@ class _Acting(Measured):
 
     def _point_faults(self, key: str, values: Array) -> Iterator[tuple[str, str]]:
         """Yield the faults of the points of a curve."""
-        if (np.abs(values) > LIMITS.value).any():
-            yield key, f"must be at most {LIMITS.value:g} in magnitude"
+        if (np.abs(values) > WAVEFORM_LIMITS.value).any():
+            yield key, f"must be at most {WAVEFORM_LIMITS.value:g} in magnitude"
             return
         if len(self.times) != len(values) or len(self.times) < 2:
             yield key, f"must have one entry for each of two or more times, not {len(values)}"
             return
         steps = np.diff(self.times)
         # The curve overflows if some points are much closer to each other than others.
-        if self.times[0] < 0 or not (steps > LIMITS.spacing * self.times[-1]).all():
-            smallest = f"{LIMITS.spacing:g} of the last"
+        if self.times[0] < 0 or not (steps > WAVEFORM_LIMITS.spacing * self.times[-1]).all():
+            smallest = f"{WAVEFORM_LIMITS.spacing:g} of the last"
             yield "times", f"must be 0 or more, and increase by more than {smallest}"
-        elif (steps < 1 / LIMITS.frequency).any():
+        elif (steps < 1 / WAVEFORM_LIMITS.frequency).any():
             apart = f"are {steps.min():.2g} s apart"
             yield "times", f"{apart}, which is too little to compute: use SI units"
         elif self.interpolation == "spline":
@@ -169,7 +169,7 @@ class _Acting(Measured):
     def _overshoot(self, values: Array) -> Iterator[tuple[str, str]]:
         """Yield a fault if the spline leaves the range of its points."""
         low, high = self.waveform.range
-        slack = LIMITS.overshoot * np.ptp(values)
+        slack = WAVEFORM_LIMITS.overshoot * np.ptp(values)
         if low < values.min() - slack or high > values.max() + slack:
             span = f"goes from {low:.3g} to {high:.3g}"
             points = f"through points from {values.min():.3g} to {values.max():.3g}"

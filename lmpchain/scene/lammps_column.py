@@ -30,7 +30,7 @@ BESIDE = 1e-6  # Largest distance of a grain from the axis, in diameters.
 SIDEWAYS = 1e-9  # Largest transverse speed, relative to the largest velocity.
 SAME = 5e-6  # Relative difference of equal masses, one of which has six digits.
 EQUAL = 1e-14  # Relative difference of equal numbers.
-AT_REST = 1e-6  # Largest difference of an overlap from its value at rest, relative to it.
+REST_DIFFERENCE = 1e-6  # Largest difference of an overlap from its value at rest, relative to it.
 QUIET = 1e-6  # A grain is at rest below this fraction of the largest velocity.
 FEWEST_CONTACTS = 3  # Smallest number of contacts at rest that determine gravity and load.
 UNLIKE = 1e-2  # Relative scatter of forces above which a column is not at rest.
@@ -647,7 +647,7 @@ class RunColumn:
                 squeezed += law.overlap(np.array(load + weight), np.array(end.constant))
             return float(squeezed) - total
 
-        slack = self.grains.slack * len(weights) + AT_REST * abs(total)
+        slack = self.grains.slack * len(weights) + REST_DIFFERENCE * abs(total)
         loose = 0.0 if bottom.kind == "free" else excess(0.0)
         if loose > slack:
             raise self._refuse(
@@ -754,7 +754,7 @@ class RunColumn:
         """Return the initial displacements from rest, (N,) m, and add a finding on their size."""
         rest = chain.equilibrium_overlap
         off = overlaps - rest
-        slack = self.grains.slack + AT_REST * rest
+        slack = self.grains.slack + REST_DIFFERENCE * rest
         resting = np.abs(off) <= slack
         forces = chain.law.force(overlaps, chain.contacts.constant[1:-1])
         residual = float(np.abs(forces - chain.contacts.force[1:-1]).max())
@@ -770,7 +770,7 @@ class RunColumn:
         bottom = self.ends[1]
         if bottom.kind == "wall" and math.isfinite(bottom.overlap):
             below = bottom.overlap - float(chain.contacts.overlap[-1])
-            wall_slack = self.grains.slack + AT_REST * float(chain.contacts.overlap[-1])
+            wall_slack = self.grains.slack + REST_DIFFERENCE * float(chain.contacts.overlap[-1])
             below = 0.0 if abs(below) <= wall_slack else below
         if bottom.kind == "free":
             return np.concatenate([[0.0], -np.cumsum(off)])

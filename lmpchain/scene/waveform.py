@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
 Interpolation = Literal["pchip", "linear", "spline"]
-ROUNDED = 4 * EPSILON  # Relative rounding error of sample times.
+TIME_ROUNDING = 4 * EPSILON  # Relative rounding error of sample times.
 # Largest speed of a curve by frequencies above the band edge, relative to its largest speed.
 NEGLIGIBLE_SPEED = 1e-3
 # Longest record, in samples, for which a spectrum is computed.
@@ -50,7 +50,7 @@ def curve_through(times: Array, values: Array, interpolation: Interpolation, hol
         make = PchipInterpolator if interpolation == "pchip" else CubicSpline
         curve = make(times, values)
     # A sample at the last point belongs to the curve, even if rounding shifted it slightly later.
-    behind = times[-1] * (1 + ROUNDED)
+    behind = times[-1] * (1 + TIME_ROUNDING)
     last = curve(behind)[None]
     # The last piece is extrapolated without end, so it must be constant.
     ends = behind + (times[-1] - times[-2]) * np.arange(2 if holds else 3)

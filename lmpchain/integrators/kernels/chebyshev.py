@@ -54,7 +54,7 @@ class SeriesLimits(NamedTuple):
     chunk: int = 64
 
 
-LIMITS = SeriesLimits()
+SERIES_LIMITS = SeriesLimits()
 compiled_series = partial(compiled_once, "the Chebyshev series", 8, error_model="numpy")
 
 
@@ -122,7 +122,7 @@ def bessel(z, orders):
                 total[i] += 2 * current[i]
         largest = 0.0
         for i in range(z.size):
-            below = 2 * n / max(z[i], LIMITS.argument) * current[i] - above[i]
+            below = 2 * n / max(z[i], SERIES_LIMITS.argument) * current[i] - above[i]
             above[i] = current[i]
             current[i] = below
             largest = max(largest, abs(below))
@@ -168,10 +168,10 @@ def series(x, chain, scale, of_t, of_w, reach):
     grains = x.size
     orders = of_t.shape[1]
     first, last = reach
-    tiny = LIMITS.motion * _largest(x)
+    tiny = SERIES_LIMITS.motion * _largest(x)
     double = np.empty(grains)  # 2 T_k x
     total = np.zeros(grains + 2)  # W_k x between two grains at rest
-    chunk = min(orders, LIMITS.chunk)
+    chunk = min(orders, SERIES_LIMITS.chunk)
     pull = np.empty(grains)
     ts = np.zeros((chunk, grains))
     ws = np.zeros((chunk, grains))
@@ -220,8 +220,8 @@ def series(x, chain, scale, of_t, of_w, reach):
 @compiled_series()
 def moving(u, v):
     """Set grains that hardly move to rest; return the first other grain, and one after the last."""
-    still_u = LIMITS.motion * _largest(u)
-    still_v = LIMITS.motion * _largest(v)
+    still_u = SERIES_LIMITS.motion * _largest(u)
+    still_v = SERIES_LIMITS.motion * _largest(v)
     first = 0
     last = u.size
     while first < last and abs(u[first]) <= still_u and abs(v[first]) <= still_v:
@@ -249,7 +249,8 @@ def _weights(scale, times, now):
     table = bessel(z, 2 * terms(z[-1]) + 2)
     orders = table.shape[0]
     while (
-        orders > 4 and max(_largest(table[orders - 2]), _largest(table[orders - 1])) < LIMITS.weight
+        orders > 4
+        and max(_largest(table[orders - 2]), _largest(table[orders - 1])) < SERIES_LIMITS.weight
     ):
         orders -= 2
     count = times.size
