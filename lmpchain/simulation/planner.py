@@ -25,7 +25,7 @@ from ..util.files import replacing
 from ..util.notebook import Shown
 from ..util.plotting import LEAST_ERROR, Axes, chart, finish
 from ..util.remarks import warnings_aside
-from ..util.tables import align, number, wrap
+from ..util.tables import align, duration, number, wrap
 from ..util.tabular import NamedColumn, Tabular, of_rows
 from .api import simulate
 from .choice import REFUSED, ask, cheapest, propose, reason
@@ -251,7 +251,7 @@ def _cells(proposal: Proposal) -> Iterator[str]:
     yield number(proposal.solver_error, ".1g")
     yield str(proposal.active_grains or "")
     yield number(proposal.step, unit="s")
-    yield number(1e3 * proposal.cost_s, unit="ms")
+    yield duration(proposal.cost_s, missing="")
 
 
 REPEATS = 5  # Number of timed repetitions of each solution.
