@@ -23,7 +23,7 @@ from scipy.integrate import solve_ivp
 
 import lmpchain
 
-SPEEDS = {"weak": 1e-6, "strong": 8.57e-4}
+SPEEDS = {"1 µm/s": 1e-6, "0.857 mm/s": 8.57e-4}
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
 TOGETHER = 64  # Number of scenes of `simulate_many`.
 UNIT = 1e-6  # Unit of time of the other code, s.
@@ -173,21 +173,15 @@ def simulate_together(scenes: list[lmpchain.Scene], tolerance: float, _: int) ->
 
 
 def main() -> None:
-    """Print the table."""
+    """Print the rows of the page, and of the README."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repeats", type=int, default=100)
     repeats = parser.parse_args().repeats
     there = importlib.util.find_spec("numbalsoda") is not None
     made, name = (numbalsoda_calls, "numbalsoda") if there else (scipy_calls, "scipy")
     peers = [made(law) for law in (plain, exact)]
-    print(
-        f"least of {repeats} calls, ms; "
-        f"over: {name}'s whole call over making the scene and simulate together"
-    )
-    print(
-        f"{'':8}{'tolerance':>10}{'scene':>8}{'simulate':>10}"
-        f"{'adds':>8}{'auto':>8}{'many':>8}{name:>12}{'over':>7}"
-    )
+    print(f"least of {repeats} calls, ms, as in speed.md; the other code is {name}\n")
+    calls_us: dict[tuple[str, float], tuple[float, float]] = {}
     for strike, velocity in SPEEDS.items():
         for tolerance in TOLERANCES:
             able = ((peer, loosest(peer, velocity, tolerance)) for peer in peers)
@@ -214,12 +208,21 @@ def main() -> None:
             many = least({"many": together}, 5)["many"] / TOGETHER
             alone, auto = (took[engine] - took["scene"] for engine in inside)
             adds = alone - min(inside["native"]), auto - min(inside["auto"])
-            print(
-                f"{strike:8}{tolerance:10.0e}{took['scene']:8.3f}{alone:10.3f}"
-                f"{adds[0]:8.3f}{adds[1]:8.3f}{many:8.3f}"
-                f"{took['peer']:12.3f}{took['peer'] / took['native']:7.2f}",
-                flush=True,
-            )
+            numbers = took["scene"], alone, *adds, many, took["peer"]
+            cells = [
+                f"{strike}, {tolerance:.0e}" if tolerance == TOLERANCES[0] else f"{tolerance:.0e}",
+                *(f"{number:.3f}" for number in numbers),
+                f"{took['peer'] / took['native']:.1f}",
+            ]
+            print(f"| {' | '.join(cells)} |".replace("e-0", "e-"), flush=True)
+            calls_us[strike, tolerance] = 1e3 * took["native"], 1e3 * took["peer"]
+    print("\nthe rows of the README, us\n")
+    for label, digits, which in (
+        ("a whole call: the scene, its 101 samples and their estimate", 2, 0),
+        (f"a whole call of {name}, without an estimate", 3, 1),
+    ):
+        values = [calls_us["0.857 mm/s", tolerance][which] for tolerance in TOLERANCES]
+        print("|", label, "|", " | ".join(f"{float(f'{v:.{digits}g}'):,.0f}" for v in values), "|")
 
 
 if __name__ == "__main__":
