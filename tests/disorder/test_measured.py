@@ -37,9 +37,7 @@ def test_intervals_cover_mean_and_quantiles() -> None:
 
 
 @pytest.mark.parametrize("chains", [10, 30, 100])
-@pytest.mark.parametrize(
-    "law", [stats.norm(), stats.uniform(), stats.gamma(4), stats.gamma(2), stats.expon()]
-)
+@pytest.mark.parametrize("law", [stats.uniform(), stats.gamma(2), stats.expon()])
 def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
     """The intervals of 94 to 96 % of 20000 ensembles contain the mean; nearly so if small."""
     draws = 20000

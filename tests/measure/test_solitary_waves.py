@@ -90,7 +90,7 @@ def test_hard_strike_under_a_load_sends_one_wave() -> None:
         chain=loaded,
         excitation=Impulse(velocity=5 * unit),
         duration=60 * loaded.time_scale,
-        samples=2001,
+        samples=1001,
     )
     train = solitary.find(simulate(scene, "native", 1e-7))
     assert train.speed[0] * loaded.time_scale > 1

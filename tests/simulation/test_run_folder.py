@@ -142,7 +142,7 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
 def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     """Every session appends to the log; its size does not depend on the drifts of a splitting."""
     engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
-    scene = paper("fig5 g", 301)
+    scene = paper("fig5 g", 61)
     with pytest.raises(Stopped):
         simulate(scene, engine, folder=tmp_path / "run", max_wall=1e-9)
     first = (tmp_path / "run" / "log.lammps").read_text()

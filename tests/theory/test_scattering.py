@@ -120,8 +120,16 @@ def test_two_uniform_leads():
     assert found.transmitted == pytest.approx(4 * one * other / (one + other) ** 2, rel=1e-7)
 
 
-@pytest.mark.parametrize("grains", [[5, 6], [5, 6, 7], [4, 8]])
-@pytest.mark.parametrize("vary", ["diameter", "mass", "youngs_modulus"])
+@pytest.mark.parametrize(
+    ("grains", "vary"),
+    [
+        ([5, 6], "diameter"),
+        ([4, 8], "diameter"),
+        ([5, 6, 7], "mass"),
+        ([5, 6], "youngs_modulus"),
+        ([5, 6, 7], "youngs_modulus"),
+    ],
+)
 def test_transparent_impurities(grains: list[int], vary: str):
     for x in (0.62,):
         for factor in transparent(HOST, x * EDGE, grains, vary):
