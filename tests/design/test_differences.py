@@ -232,7 +232,7 @@ OBJECTIVES: dict[str, tuple[Any, Callable[[Any], Any]]] = {
 # Every chain has the first objective; the second one needs no new forces.
 @pytest.mark.parametrize(
     ("name", "what"),
-    [(name, "momentum") for name in CASES]
+    [(name, "momentum") for name in CASES if name != "hertz at 0"]
     + [(name, "kinetic energy") for name in ("viscous", "duffing")],
 )
 def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str, what: str) -> None:
@@ -251,7 +251,7 @@ def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str,
 def test_opening_contacts_keep_the_stated_error() -> None:
     """The reference ends its steps where a contact opens; its differences are of order 4."""
     c = 2e4
-    chain = PRESSED.replace(top_load=0.01, law=HERTZ)
+    chain = PRESSED.replace(grains=6, top_load=0.01, law=HERTZ)
     scene = CASES["hertz"]._replace(chain=chain, strike=0.3).scene
 
     def momentum(value: float) -> float:

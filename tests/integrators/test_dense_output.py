@@ -121,7 +121,7 @@ def test_pieces_and_threads_do_not_change_the_bits():
     scene = Scene(chain=chain, excitation=strike, duration=40 / chain.band_edge, samples=25)
     schedule = Steps(9, 12, scene.duration / 18, True, dense=1)
     once, pieces, *shared = (
-        samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), *[(2, 3)] * 20)
+        samples_of(scene, schedule, "rkn6", *how) for how in ((1,), (1, 1), *[(2, 3)] * 8)
     )
     for number, (field, piece) in enumerate(zip(once, pieces, strict=True)):
         assert field[1:].any(1).all()
