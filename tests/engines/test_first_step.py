@@ -102,7 +102,7 @@ def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
     The answer is the same however it was asked for.
     """
     engine = Native("rkn6")
-    scene = VACUUM.replace(chain=VACUUM.chain.replace(grains=10), duration=5e-5)
+    scene = VACUUM.replace(chain=VACUUM.chain.replace(grains=8), duration=4e-5)
     first = engine.propose(scene, 1e-6)
     assert engine.propose(scene, 1e-9).step == first.step
     assert engine.propose(column(1e-2), 1e-9).step < engine.propose(column(1e-2), 1e-6).step
