@@ -33,9 +33,9 @@ from lmpchain.design import (
 from lmpchain.measure import contact, energy
 
 TINY = 1e-30
-N = 5
+
 END = 2e-5
-PRESSED = Chain(grains=N, diameter=1e-3, gravity=0.0, top_load=1.0)
+PRESSED = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=1.0)
 BONDED = PRESSED.replace(top_load=0.0)
 MASS = float(PRESSED.masses[0])
 K = float(PRESSED.contact_constants[0])
@@ -85,7 +85,8 @@ class Case(NamedTuple):
 
 HERTZ = Law("k*max(o, 0)**1.5*(1 + c*o)", c=2e4)
 GROUND = Law("s*u + beta*u**3", s=2e5, beta=1e19)
-SPREAD = K * (1 + 0.05 * np.arange(N - 1))
+SHORT = PRESSED.replace(grains=4)
+SPREAD = K * (1 + 0.05 * np.arange(3))
 CASES = {
     "hertz": Case(PRESSED.replace(law=HERTZ), hertz, nothing, {"c": 2e4}, {"c": "chain.law.c"}),
     "viscous": Case(
@@ -111,7 +112,7 @@ CASES = {
         {"s": "chain.ground.s", "beta": "chain.ground.beta"},
     ),
     "each contact": Case(
-        PRESSED.replace(law=Law("k*max(o, 0)**1.5", k=SPREAD)),
+        SHORT.replace(law=Law("k*max(o, 0)**1.5", k=SPREAD)),
         hertz,
         nothing,
         {"k": SPREAD},
@@ -140,10 +141,10 @@ CASES = {
         {"s": "chain.ground.s", "beta": "chain.ground.beta"},
     ),
     "each contact at 0": Case(
-        PRESSED.replace(law=Law(HERTZ.text, c=[0.0] * (N - 1))),
+        SHORT.replace(law=Law(HERTZ.text, c=[0.0] * 3)),
         hertz,
         nothing,
-        {"c": np.zeros(N - 1)},
+        {"c": np.zeros(3)},
         {"c": "chain.law.c"},
     ),
 }

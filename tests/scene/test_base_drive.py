@@ -16,7 +16,7 @@ from lmpchain.cli.command_line import main
 from lmpchain.measure import contact, energy, power, shock
 
 SHAKEN = Drive(end="bottom", amplitude=3e-6, frequency=2000.0)
-PATH = Drive(end="bottom", times=[0, 3e-4, 7e-4, 1e-3], displacement=[0, -1e-6, 1e-6, 0])
+PATH = Drive(end="bottom", times=[0, 2e-4, 4e-4, 6e-4], displacement=[0, -1e-6, 1e-6, 0])
 BOTTOMS = pytest.mark.parametrize("bottom", ["wall", "fixed"])
 
 
@@ -63,7 +63,7 @@ def own_solution(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 @cache
 def solved(bottom: str, top: str, drive: Drive) -> tuple[Scene, Reference]:
     """Return a scene for all methods, and its reference."""
-    scene = scene_of(column(grains=5, bottom=bottom, top=top), drive, 8e-4, 81)
+    scene = scene_of(column(grains=5, bottom=bottom, top=top), drive, 5e-4, 51)
     return scene, reference(scene)
 
 
