@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_scenes import paper
+from helpers.thinned import thinned
 from scipy.special import jv
 
 from lmpchain import (
@@ -330,7 +331,7 @@ def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: An
     assert fit.runs < 40
 
 
-@pytest.mark.parametrize("parameter", PARAMETERS)
+@pytest.mark.parametrize("parameter", thinned(PARAMETERS, 3))
 def test_noise_in_a_trace_increases_the_error(parameter: Any):
     true, guess = PARAMETERS[parameter]
     clean = Trace.of(simulate(struck(parameter, true), "native", 1e-9), [6])

@@ -83,7 +83,7 @@ def test_errors_cover_the_exact_linear_dispersion() -> None:
         lossy = plain.replace(damping=losses)
         small = 1e-6 * plain.equilibrium_overlap[0]
         source: Drive | Force = Drive(amplitude=small, frequency=omega / 2 / np.pi)
-        if number >= 4:
+        if number >= 2:
             push = small * plain.linear_stiffness[0]
             source = Force(grain=2, amplitude=push, frequency=omega / 2 / np.pi)
         found = harmonic.wave(driven(patterns.absorbing(lossy, bottom=60), source, 110))

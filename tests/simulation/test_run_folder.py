@@ -16,6 +16,7 @@ import xarray
 from filelock import FileLock
 from helpers.child_processes import COMMAND, at_work, finish, same, start, write
 from helpers.example_scenes import paper
+from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
@@ -120,7 +121,7 @@ def test_provenance(finished: Path):
         assert hashlib.sha256((finished / name).read_bytes()).hexdigest() == digest
 
 
-@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+@pytest.mark.parametrize("integrator", thinned(["verlet", "rkn6"], 2))
 def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
     """With velocity Verlet the deck is the run itself; otherwise it solves the same scene."""
     scene = paper("fig5 g", 11)
