@@ -121,8 +121,8 @@ def case(name: str) -> tuple[Scene, float]:
 
 
 def some(names: tuple[str, ...], among: list[str] = NAMES) -> list[Any]:
-    """Return cases: these by default, a quarter of the others as slow, the rest as soak tests."""
-    others = [pytest.mark.soak if n % 4 else pytest.mark.slow for n in range(len(among))]
+    """Return cases: these by default, an eighth of the others as slow, the rest as soak tests."""
+    others = [pytest.mark.soak if n % 8 else pytest.mark.slow for n in range(len(among))]
     return [
         pytest.param(name, marks=() if name in names else mark)
         for name, mark in zip(among, others, strict=True)
@@ -228,10 +228,16 @@ def test_rkn6_meets_a_tolerance():
 @pytest.mark.parametrize(
     "name",
     [
-        *("toda under gravity", BOTH, "one exponent a contact + viscous"),
+        "toda under gravity",
+        BOTH,
         *(
             pytest.param(name, marks=pytest.mark.soak)
-            for name in ("one exponent a contact", "walls", "adhesion + moving wall")
+            for name in (
+                "one exponent a contact + viscous",
+                "one exponent a contact",
+                "walls",
+                "adhesion + moving wall",
+            )
         ),
     ],
 )
