@@ -172,9 +172,7 @@ def test_masses_of_two_impurities_that_are_transparent(apart: int):
     assert 1 in numbers
 
 
-@pytest.mark.parametrize(
-    ("factor", "count"), [(0.099, 0), (0.101, 1), (0.115, 1), (9.9, 1), (10.1, 0), (11.5, 0)]
-)
+@pytest.mark.parametrize(("factor", "count"), [(0.099, 0), (0.101, 1), (9.9, 1), (10.1, 0)])
 def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int):
     apart, grains = (1, [5, 6]) if factor > 1 else (4, [4, 8])
     k = np.linspace(0.3, 0.6, 300)
