@@ -303,6 +303,7 @@ def test_a_tolerance_known_to_be_unreachable(scene: Path, capsys: pytest.Capture
     assert names(scene.parent) == ["scene.toml"]
 
 
+@pytest.mark.slow
 def test_a_missed_tolerance_names_the_predictability_time(
     scene: Path, capsys: pytest.CaptureFixture[str]
 ):

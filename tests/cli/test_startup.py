@@ -116,6 +116,7 @@ def test_a_native_run_imports_only_required_modules(tmp_path: Path):
     assert used <= {"numba", "h5py", "h5netcdf", "tqdm", "scipy"}
 
 
+@pytest.mark.slow
 def test_a_deck_needs_neither_lammps_nor_netcdf(tmp_path: Path):
     used = loaded(command("deck", str(SCENES / "fig5_1g.toml"), "-o", "deck"), tmp_path)
     assert "jinja2" in used

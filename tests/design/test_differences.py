@@ -338,6 +338,7 @@ def test_fits_recover_parameters_within_their_intervals() -> None:
     assert (np.abs(np.mean(off, axis=0)) < 3 / np.sqrt(12)).all()
 
 
+@pytest.mark.slow
 def test_an_exact_trace_returns_the_stiffness_of_each_contact() -> None:
     stiffness = SPREAD[:2]
     chain = PRESSED.replace(grains=3, law=Law("k*max(o, 0)**1.5", k=stiffness))

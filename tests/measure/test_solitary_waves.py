@@ -82,6 +82,7 @@ def test_errors_cover_a_coarser_run() -> None:
         assert (shift <= getattr(coarse, f"{name}_error")).all()
 
 
+@pytest.mark.slow
 def test_hard_strike_under_a_load_sends_one_wave() -> None:
     """The wave is faster than sound; its energy agrees with the exact wave."""
     loaded = chain(140, top_load=0.01, bottom="wall")

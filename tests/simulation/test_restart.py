@@ -89,6 +89,7 @@ STOPPED = {
 LONGEST = (
     "native",
     "driven",
+    "pushed",
     "wall moved",
     "several attempts",
     "verlet",

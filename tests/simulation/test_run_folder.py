@@ -354,6 +354,7 @@ def test_an_empty_folder_can_be_used(tmp_path: Path):
     assert status(tmp_path / "run")["state"] == "finished"
 
 
+@pytest.mark.slow
 def test_one_process_at_a_time(tmp_path: Path):
     folder = tmp_path / "run"
     with pytest.raises(Stopped):
