@@ -181,7 +181,7 @@ def test_errors_without_a_known_cause_are_reported(tmp_path: Path):
     ("integrator", "pair_style"),
     [
         ("verlet", "granular"),
-        ("verlet", "gran/hertz/history"),
+        pytest.param("verlet", "gran/hertz/history", marks=pytest.mark.slow),
         pytest.param("lagged-verlet", "granular", marks=pytest.mark.slow),
         pytest.param("lagged-verlet", "gran/hertz/history", marks=pytest.mark.slow),
     ],

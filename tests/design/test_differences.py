@@ -7,6 +7,7 @@ in complex arithmetic. A parameter with an imaginary part of 1e-30 gives the exa
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,12 +33,12 @@ from lmpchain.design import (
 from lmpchain.measure import contact, energy
 
 TINY = 1e-30
-N = 6
+
 END = 2e-5
-PRESSED = Chain(grains=N, diameter=1e-3, gravity=0.0, top_load=1.0)
+PRESSED = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=1.0)
 BONDED = PRESSED.replace(top_load=0.0)
-MASS = PRESSED.masses[:-1]
-K = PRESSED.contact_constants
+MASS = float(PRESSED.masses[0])
+K = float(PRESSED.contact_constants[0])
 COUNTS = range(2, 18, 2)
 Values = dict[str, Any]
 
@@ -72,7 +73,7 @@ class Case(NamedTuple):
     values: Values
     names: dict[str, str]
     strike: float = 0.1
-    steps: int = 100
+    steps: int = 40
     viscosity: float = 0.0
 
     @property
@@ -84,7 +85,8 @@ class Case(NamedTuple):
 
 HERTZ = Law("k*max(o, 0)**1.5*(1 + c*o)", c=2e4)
 GROUND = Law("s*u + beta*u**3", s=2e5, beta=1e19)
-SPREAD = K * (1 + 0.05 * np.arange(N - 1))
+SHORT = PRESSED.replace(grains=4)
+SPREAD = K * (1 + 0.05 * np.arange(3))
 CASES = {
     "hertz": Case(PRESSED.replace(law=HERTZ), hertz, nothing, {"c": 2e4}, {"c": "chain.law.c"}),
     "viscous": Case(
@@ -110,7 +112,7 @@ CASES = {
         {"s": "chain.ground.s", "beta": "chain.ground.beta"},
     ),
     "each contact": Case(
-        PRESSED.replace(law=Law("k*max(o, 0)**1.5", k=SPREAD)),
+        SHORT.replace(law=Law("k*max(o, 0)**1.5", k=SPREAD)),
         hertz,
         nothing,
         {"k": SPREAD},
@@ -139,10 +141,10 @@ CASES = {
         {"s": "chain.ground.s", "beta": "chain.ground.beta"},
     ),
     "each contact at 0": Case(
-        PRESSED.replace(law=Law(HERTZ.text, c=[0.0] * (N - 1))),
+        SHORT.replace(law=Law(HERTZ.text, c=[0.0] * 3)),
         hertz,
         nothing,
-        {"c": np.zeros(N - 1)},
+        {"c": np.zeros(3)},
         {"c": "chain.law.c"},
     ),
 }
@@ -151,7 +153,7 @@ CASES = {
 def rest_of(case: Case, p: Values) -> NDArray[Any]:
     """Return the overlaps at rest, (N-1,), by iterations with the real slope."""
     load = case.chain.top_load
-    overlap = np.full(N - 1, 1e-6 if load else 0.0, complex)
+    overlap = np.full(case.chain.grains - 1, 1e-6 if load else 0.0, complex)
     for _ in range(60 if load else 0):
         slope = (case.law(overlap.real + 1e-10, p) - case.law(overlap.real - 1e-10, p)) / 2e-10
         overlap = overlap - (case.law(overlap, p) - load) / slope.real
@@ -188,7 +190,7 @@ def motion_of(case: Case, p: Values, samples: int = 21) -> NDArray[Any]:
             row = new
         return row[-1]
 
-    y = np.zeros((2, N - 1), complex)
+    y = np.zeros((2, case.chain.grains - 1), complex)
     y[1, 0] = case.strike
     rows = [y]
     each = max(1, case.steps // (samples - 1))
@@ -199,47 +201,58 @@ def motion_of(case: Case, p: Values, samples: int = 21) -> NDArray[Any]:
     return np.array(rows)
 
 
-def derivatives_of(
-    case: Case, key: str, objective: Callable[[NDArray[Any]], Any]
-) -> NDArray[np.float64]:
-    """Return the derivatives of an objective of the final state by all entries of a parameter."""
+@cache
+def states_of(name: str, key: str) -> tuple[list[NDArray[Any]], list[float]]:
+    """Return the final states for a complex step of each entry of a parameter, and the steps."""
+    case = CASES[name]
     base = np.atleast_1d(case.values[key]).astype(complex)
-    slopes = []
+    states, changes = [], []
     for entry in range(base.size):
         value = base.copy()
-        change = TINY * (abs(base[entry]) or 1.0)
-        value[entry] += 1j * change
+        changes.append(TINY * float(abs(base[entry]) or 1.0))
+        value[entry] += 1j * changes[-1]
         moved = case.values | {key: value if base.size > 1 else value[0]}
-        slopes.append(objective(motion_of(case, moved, 2)[-1]).imag / change)
-    return np.array(slopes)
+        states.append(motion_of(case, moved, 2)[-1])
+    return states, changes
+
+
+def derivatives_of(
+    name: str, key: str, objective: Callable[[NDArray[Any]], Any]
+) -> NDArray[np.float64]:
+    """Return the derivatives of an objective of the final state by all entries of a parameter."""
+    states, changes = states_of(name, key)
+    return np.array([objective(y).imag for y in states]) / changes
 
 
 OBJECTIVES: dict[str, tuple[Any, Callable[[Any], Any]]] = {
-    "momentum": (Momentum([3]), lambda y: MASS[2] * y[1, 2]),
-    "kinetic energy": (KineticEnergy([2, 3]), lambda y: (MASS[1:3] * y[1, 1:3] ** 2).sum() / 2),
+    "momentum": (Momentum([3]), lambda y: MASS * y[1, 2]),
+    "kinetic energy": (KineticEnergy([2, 3]), lambda y: MASS * (y[1, 1:3] ** 2).sum() / 2),
 }
 
 
-@pytest.mark.parametrize("what", OBJECTIVES)
-@pytest.mark.parametrize("name", CASES)
+# Every chain has the first objective; the second one needs no new forces.
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [(name, "momentum") for name in CASES if name != "hertz at 0"]
+    + [(name, "kinetic energy") for name in ("viscous", "duffing")],
+)
 def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str, what: str) -> None:
     case = CASES[name]
     objective, of_state = OBJECTIVES[what]
     found = gradient(case.scene, objective, case.names.values(), tolerance=1e-5)
     assert found.error <= 1e-5
     for key, parameter in case.names.items():
-        true = derivatives_of(case, key, of_state)
+        true = derivatives_of(name, key, of_state)
         assert found[parameter].shape == true.shape
         off = np.abs(found[parameter] - true).max()
         assert off <= found.errors[parameter], parameter
         assert off <= 1e-5 * np.abs(true).max(), parameter
 
 
-@pytest.mark.parametrize("adaptive", [False, True])
-def test_opening_contacts_keep_the_stated_error(adaptive: bool) -> None:
+def test_opening_contacts_keep_the_stated_error() -> None:
     """The reference ends its steps where a contact opens; its differences are of order 4."""
     c = 2e4
-    chain = PRESSED.replace(top_load=0.01, law=HERTZ)
+    chain = PRESSED.replace(grains=6, top_load=0.01, law=HERTZ)
     scene = CASES["hertz"]._replace(chain=chain, strike=0.3).scene
 
     def momentum(value: float) -> float:
@@ -248,15 +261,16 @@ def test_opening_contacts_keep_the_stated_error(adaptive: bool) -> None:
         changed = scene.replace(chain=chain.replace(law=law), samples=2)
         run = extrapolated_midpoint.solve(changed, 1e-15)
         assert run.events > 0
-        return float(MASS[2] * run.velocity[-1, 2])
+        return float(MASS * run.velocity[-1, 2])
 
     def difference(h: float) -> float:
         return (momentum(c * (1 + h)) - momentum(c * (1 - h))) / (2 * c * h)
 
     true = (4 * difference(1e-3) - difference(2e-3)) / 3
-    found = gradient(scene, Momentum([3]), ["chain.law.c"], tolerance=1e-4, adaptive=adaptive)
-    off = abs(found["chain.law.c"][0] - true)
-    assert off <= found.errors["chain.law.c"] <= 1e-4 * abs(true) * 1.01
+    for adaptive in (False, True):
+        found = gradient(scene, Momentum([3]), ["chain.law.c"], tolerance=1e-4, adaptive=adaptive)
+        off = abs(found["chain.law.c"][0] - true)
+        assert off <= found.errors["chain.law.c"] <= 1e-4 * abs(true) * 1.01, adaptive
 
 
 PLAIN = Scene(chain=PRESSED, excitation=Impulse(velocity=0.1), duration=END, samples=21)
@@ -324,41 +338,44 @@ def test_fits_recover_parameters_within_their_intervals() -> None:
     assert (np.abs(np.mean(off, axis=0)) < 3 / np.sqrt(12)).all()
 
 
+@pytest.mark.slow
 def test_an_exact_trace_returns_the_stiffness_of_each_contact() -> None:
-    case = CASES["each contact"]
+    stiffness = SPREAD[:2]
+    chain = PRESSED.replace(grains=3, law=Law("k*max(o, 0)**1.5", k=stiffness))
+    case = Case(chain, hertz, nothing, {"k": stiffness}, {"k": "chain.law.k"})
     motion = motion_of(case, case.values, 41).real
-    guess = case.scene.replace(chain=PRESSED.replace(law=Law("k*max(o, 0)**1.5", k=K)))
-    traces = Traces(np.linspace(0.0, END, 41), [2, 4], motion[:, 1, [1, 3]])
+    guess = case.scene.replace(chain=chain.replace(law=Law("k*max(o, 0)**1.5", k=[K, K])))
+    traces = Traces(np.linspace(0.0, END, 41), [1, 2], motion[:, 1])
     found = fit(traces, guess, {"chain.law.k": "each"})
-    np.testing.assert_allclose(found.values["chain.law.k"], SPREAD, rtol=1e-5)
-    np.testing.assert_allclose(found.scene.chain.contact_constants, SPREAD, rtol=1e-5)
+    np.testing.assert_allclose(found.values["chain.law.k"], stiffness, rtol=1e-5)
+    np.testing.assert_allclose(found.scene.chain.contact_constants, stiffness, rtol=1e-5)
 
 
-@pytest.mark.parametrize("c", [2e4, -2e4])
-def test_a_fit_begins_at_0(c: float) -> None:
+def test_a_fit_begins_at_0() -> None:
     case = CASES["hertz at 0"]
-    motion = motion_of(case, {"c": c}, 41).real
+    motion = motion_of(case, {"c": -2e4}, 41).real
     traces = Traces(np.linspace(0.0, END, 41), [2, 4], motion[:, 1, [1, 3]])
     found = fit(traces, case.scene, ["chain.law.c"])
-    assert found.values["chain.law.c"] == pytest.approx(c, rel=1e-5)
+    assert found.values["chain.law.c"] == pytest.approx(-2e4, rel=1e-5)
 
 
 def test_optima_and_sensitivities_take_parameters_of_formulas() -> None:
-    scene = CASES["hertz"].scene
+    chain = PRESSED.replace(grains=3, law=HERTZ)
+    scene = CASES["hertz"].scene.replace(chain=chain)
     bounds = {"chain.law.c": (1e4, 3e4)}
-    best = optimise(scene, Momentum([3]), ["chain.law.c"], bounds, starts=1, maximise=True, runs=10)
+    best = optimise(scene, Momentum([2]), ["chain.law.c"], bounds, starts=1, maximise=True, runs=10)
     assert isinstance(best, Optimum)
     ends = [
         gradient(
-            scene.replace(chain=PRESSED.replace(law=Law(HERTZ.text, c=c))),
-            Momentum([3]),
+            scene.replace(chain=chain.replace(law=Law(HERTZ.text, c=c))),
+            Momentum([2]),
             ["chain.law.c"],
             tolerance=1e-3,
         ).value
         for c in (1e4, 3e4)
     ]
     assert best.value >= max(ends) - 1e-4 * abs(max(ends))
-    found = sensitivity(scene, "momentum:3", {"chain.law.c": 0.05})
+    found = sensitivity(scene, "momentum:2", {"chain.law.c": 0.05}, tolerance=1e-3)
     assert "chain.law.c" in found.relative
     assert found.scatter == pytest.approx(found.uncertainty["chain.law.c"], rel=0.3)
 

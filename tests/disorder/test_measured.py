@@ -36,10 +36,8 @@ def test_intervals_cover_mean_and_quantiles() -> None:
     assert all(0.945 < covered < 0.995 for covered in quantiles)
 
 
-@pytest.mark.parametrize("chains", [10, 30, 100])
-@pytest.mark.parametrize(
-    "law", [stats.norm(), stats.uniform(), stats.gamma(4), stats.gamma(2), stats.expon()]
-)
+@pytest.mark.parametrize("chains", [10, 30, pytest.param(100, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("law", [stats.uniform(), stats.gamma(2), stats.expon()])
 def test_intervals_cover_the_mean_of_skewed_laws(law: Any, chains: int) -> None:
     """The intervals of 94 to 96 % of 20000 ensembles contain the mean; nearly so if small."""
     draws = 20000
@@ -108,6 +106,7 @@ def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
     assert {"x", "mean", "quantile_0.95"} < set(table.columns)
 
 
+@pytest.mark.slow
 def test_tolerances_of_modulus_and_load_follow_the_law_of_sound() -> None:
     """The speed is proportional to E^(1/3) F^(1/6), so that relative deviations add in squares."""
     modulus = CHAIN.material.youngs_modulus

@@ -234,8 +234,8 @@ alone = numba.njit(error_model="numpy", fastmath=forces.STRICT, _nrt=False)
     [
         (Form.CORRECTED, "sqrt"),
         pytest.param(6, "sqrt", marks=pytest.mark.slow),
-        (Form.POLYNOMIAL, "fmadd"),
-        (Form.POWER, "div"),
+        pytest.param(Form.POLYNOMIAL, "fmadd", marks=pytest.mark.slow),
+        pytest.param(Form.POWER, "div", marks=pytest.mark.slow),
         pytest.param(Form.UNCOMPRESSED_POWER, "div", marks=pytest.mark.slow),
     ],
 )

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, InputError, Riemann, Scene, Trajectory, simulate
@@ -25,8 +26,10 @@ def shock_of(exponent: float, strength: float, grains: int = 300) -> Trajectory:
     return simulate(scene, "native", 1e-6)
 
 
-@pytest.mark.parametrize("exponent", [1.3, 1.5, 2.0, 3.0])
-@pytest.mark.parametrize("strength", [0.1, 0.3, 0.6])
+@pytest.mark.parametrize(
+    ("exponent", "strength"),
+    thinned([(1.5, 0.1), (1.3, 0.6), (3.0, 0.3), (1.5, 0.6), (2.0, 0.3)], 2),
+)
 def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength: float) -> None:
     waves = planar.orbits(shock_of(exponent, strength))
     assert len(waves.orbits) >= 4

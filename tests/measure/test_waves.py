@@ -70,6 +70,7 @@ def test_the_covariance_of_fitted_parameters(late: Trajectory):
     assert (fit.struck, fit.field) == (1, "velocity")
 
 
+@pytest.mark.slow
 def test_noise_scatters_as_the_covariance_says(late: Trajectory):
     """One standard error covers 68 %, two cover 95 %; the parameters have the stated covariance."""
     rng = np.random.default_rng(20)

@@ -158,6 +158,7 @@ def test_pages_of_the_reference_differ_by_more_than_case():
     assert sorted(files) == sorted(set(files))
 
 
+@pytest.mark.slow
 def test_pictures_of_the_gallery_are_described_by_their_titles(tmp_path: Path):
     """A separate process is used, because the gallery changes settings of lmpchain."""
     (tmp_path / "images").mkdir()

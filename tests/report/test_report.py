@@ -126,8 +126,8 @@ def test_titles_distinguish_runs(run: Trajectory):
     assert len(titles) == 5
 
 
-def test_the_live_view_contains_the_motion(run: Trajectory):
-    live = arrays(numbers_of(htmlreport.page(run)))
+def test_the_live_view_contains_the_motion(run: Trajectory, text: str):
+    live = arrays(numbers_of(text))
     there = np.searchsorted(run.time, live["time"] * (1 - 1e-8))
     shown = run.velocity[np.ix_(there, live["grains"] - 1)]
     assert np.abs(live["velocity"] - shown).max() < np.abs(shown).max() / 60000

@@ -1,5 +1,6 @@
 """A column whose base is shaken: all methods against references that do not turn it upside down."""
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,12 @@ from scipy.optimize import brentq
 
 import lmpchain
 from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, engines, simulate
-from lmpchain.benchmark.reference import reference
+from lmpchain.benchmark.reference import Reference, reference
 from lmpchain.cli.command_line import main
 from lmpchain.measure import contact, energy, power, shock
 
 SHAKEN = Drive(end="bottom", amplitude=3e-6, frequency=2000.0)
-PATH = Drive(end="bottom", times=[0, 3e-4, 7e-4, 1e-3], displacement=[0, -1e-6, 1e-6, 0])
+PATH = Drive(end="bottom", times=[0, 2e-4, 4e-4, 6e-4], displacement=[0, -1e-6, 1e-6, 0])
 BOTTOMS = pytest.mark.parametrize("bottom", ["wall", "fixed"])
 
 
@@ -59,6 +60,14 @@ def own_solution(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return run.y[:moving].T, run.y[moving:].T
 
 
+@cache
+def solved(bottom: str, top: str, drive: Drive) -> tuple[Scene, Reference]:
+    """Return a scene for all methods, and its reference."""
+    scene = scene_of(column(grains=5, bottom=bottom, top=top), drive, 5e-4, 51)
+    return scene, reference(scene)
+
+
+# The methods vary first, so that one process computes the reference of a scene.
 @pytest.mark.parametrize(("bottom", "top"), [("wall", "free"), ("fixed", "wall")])
 @pytest.mark.parametrize("drive", [SHAKEN, PATH], ids=["sine", "path"])
 @pytest.mark.parametrize(
@@ -68,8 +77,7 @@ def own_solution(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 def test_errors_of_all_methods_hold_where_contacts_open(
     bottom: str, top: str, drive: Drive, method: str, tolerance: float
 ) -> None:
-    scene = scene_of(column(bottom=bottom, top=top), drive)
-    exact = reference(scene)
+    scene, exact = solved(bottom, top, drive)
     run = simulate(scene, engines.Native(method), tolerance=tolerance)
     off = max(
         np.abs(run.displacement - exact.displacement).max() / exact.scale[0],
@@ -80,11 +88,10 @@ def test_errors_of_all_methods_hold_where_contacts_open(
     assert run.error_estimate.total <= tolerance
 
 
-@BOTTOMS
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(("bottom", "seed"), [("wall", 0), ("fixed", 1)])
 def test_damped_random_columns_agree_with_own_integration(bottom: str, seed: int) -> None:
     damping = Damping(viscoelastic=1e-6, drag=100.0)
-    scene = scene_of(column(seed, bottom=bottom, damping=damping), SHAKEN)
+    scene = scene_of(column(seed, bottom=bottom, damping=damping), SHAKEN, 6e-4, 61)
     u, v = own_solution(scene)
     run = simulate(scene, "native", tolerance=1e-8)
     moving = slice(0, scene.chain.movable)

@@ -254,7 +254,7 @@ def test_a_weak_strike_is_solved_by_linear_theory_within_its_error():
 
 
 def test_linear_theory_where_it_is_cheaper():
-    scene = periodic(duration=2e5)
+    scene = periodic(duration=5e4)
     plan = lmpchain.plan(scene)
     t = simulate(scene)
     assert plan.engine == t.engine == "modes"

@@ -16,6 +16,7 @@ import xarray
 from filelock import FileLock
 from helpers.child_processes import COMMAND, at_work, finish, same, start, write
 from helpers.example_scenes import paper
+from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
@@ -120,7 +121,7 @@ def test_provenance(finished: Path):
         assert hashlib.sha256((finished / name).read_bytes()).hexdigest() == digest
 
 
-@pytest.mark.parametrize("integrator", ["verlet", "rkn6"])
+@pytest.mark.parametrize("integrator", thinned(["verlet", "rkn6"], 2))
 def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
     """With velocity Verlet the deck is the run itself; otherwise it solves the same scene."""
     scene = paper("fig5 g", 11)
@@ -142,7 +143,7 @@ def test_the_deck_of_a_run_in_lammps(integrator: str, tmp_path: Path):
 def test_the_log_of_lammps(integrator: str, tmp_path: Path):
     """Every session appends to the log; its size does not depend on the drifts of a splitting."""
     engine = lmpchain.engines.Lammps(integrator=integrator, step=1e-7, diameter="physical")
-    scene = paper("fig5 g", 301)
+    scene = paper("fig5 g", 61)
     with pytest.raises(Stopped):
         simulate(scene, engine, folder=tmp_path / "run", max_wall=1e-9)
     first = (tmp_path / "run" / "log.lammps").read_text()
@@ -353,6 +354,7 @@ def test_an_empty_folder_can_be_used(tmp_path: Path):
     assert status(tmp_path / "run")["state"] == "finished"
 
 
+@pytest.mark.slow
 def test_one_process_at_a_time(tmp_path: Path):
     folder = tmp_path / "run"
     with pytest.raises(Stopped):

@@ -97,7 +97,7 @@ def test_modes_fade_with_depth():
 # superpositions
 
 
-@pytest.mark.parametrize(("delta", "place"), thinned(product([1.0, 1.5, 3.0], PLACES), 2))
+@pytest.mark.parametrize(("delta", "place"), thinned(product([1.0, 1.5, 3.0], PLACES), 4))
 def test_superposition_and_packet(delta: float, place: tuple[float, float | None]):
     """Eqs. (29) and (32) against mpmath at h > 0, and at h = 0 against the limit of the formula."""
     h, tau = place[0], when(*place, delta)
@@ -106,7 +106,7 @@ def test_superposition_and_packet(delta: float, place: tuple[float, float | None
     assert continuum.packet(h, tau, delta) == pytest.approx(exact.real, rel=1e-13)
 
 
-@pytest.mark.parametrize(("delta", "place"), thinned(product([1.2, 1.5, 3.0], PLACES), 2))
+@pytest.mark.parametrize(("delta", "place"), thinned(product([1.2, 1.5, 3.0], PLACES), 4))
 def test_superposition_and_resonant_packet(delta: float, place: tuple[float, float | None]):
     """Eqs. (31) and (34), A = lambda^-nu, along two rays."""
     h, tau = place[0], when(*place, delta)

@@ -120,8 +120,16 @@ def test_two_uniform_leads():
     assert found.transmitted == pytest.approx(4 * one * other / (one + other) ** 2, rel=1e-7)
 
 
-@pytest.mark.parametrize("grains", [[5, 6], [5, 6, 7], [4, 8]])
-@pytest.mark.parametrize("vary", ["diameter", "mass", "youngs_modulus"])
+@pytest.mark.parametrize(
+    ("grains", "vary"),
+    [
+        ([5, 6], "diameter"),
+        ([4, 8], "diameter"),
+        ([5, 6, 7], "mass"),
+        ([5, 6], "youngs_modulus"),
+        ([5, 6, 7], "youngs_modulus"),
+    ],
+)
 def test_transparent_impurities(grains: list[int], vary: str):
     for x in (0.62,):
         for factor in transparent(HOST, x * EDGE, grains, vary):
@@ -164,9 +172,7 @@ def test_masses_of_two_impurities_that_are_transparent(apart: int):
     assert 1 in numbers
 
 
-@pytest.mark.parametrize(
-    ("factor", "count"), [(0.099, 0), (0.101, 1), (0.115, 1), (9.9, 1), (10.1, 0), (11.5, 0)]
-)
+@pytest.mark.parametrize(("factor", "count"), [(0.099, 0), (0.101, 1), (9.9, 1), (10.1, 0)])
 def test_factors_are_searched_between_a_tenth_and_ten(factor: float, count: int):
     apart, grains = (1, [5, 6]) if factor > 1 else (4, [4, 8])
     k = np.linspace(0.3, 0.6, 300)

@@ -1,6 +1,7 @@
 """Solitary waves of the lattice: equation of motion, conservation laws, limits and refusals."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,12 +12,29 @@ from lmpchain import Chain, InputError
 from lmpchain.theory import soliton, soliton_series
 from lmpchain.theory.soliton import Soliton, solve
 
-VACUUM = [solve(delta=delta, velocity=0.7) for delta in (1.2, 1.5, 2.0, 3.0)]
+VACUUM = [{"delta": delta, "velocity": 0.7} for delta in (1.2, 1.5, 2.0, 3.0)]
 LOADED = [
-    solve(delta=delta, speed=speed)
+    {"delta": delta, "speed": speed}
     for delta, speed in ((1.5, 1.01), (1.5, 1.5), (1.5, 8.0), (3.0, 1.2))
 ]
-each = pytest.mark.parametrize("wave", VACUUM + LOADED, ids=lambda w: f"{w.delta}, {w.speed:.3g}")
+
+
+@cache
+def solved(**options: float) -> Soliton:
+    return solve(**options)
+
+
+@pytest.fixture
+def wave(request: pytest.FixtureRequest) -> Soliton:
+    return solved(**request.param)
+
+
+def waves(cases: list[dict[str, float]]) -> pytest.MarkDecorator:
+    """Pass the waves of some options to a test."""
+    return pytest.mark.parametrize("wave", cases, ids=str, indirect=True)
+
+
+each = waves(VACUUM + LOADED)
 
 
 def excess(wave: Soliton, overlap: np.ndarray) -> np.ndarray:
@@ -76,16 +94,14 @@ def test_energy_and_momentum_are_constant_in_time(wave: Soliton):
         assert wave.momentum == pytest.approx(wave.velocity(n).sum(), rel=1e-12)
 
 
-@pytest.mark.parametrize(
-    "wave", [LOADED[i] for i in (0, 1, 3)], ids=lambda w: f"{w.delta}, {w.speed:.3g}"
-)
+@waves([LOADED[i] for i in (0, 1, 3)])
 def test_exponential_tail(wave: Soliton):
     """sinh(kappa/2) = c kappa/2 for linear waves far from the middle, up to 8 c."""
     kappa = -np.log(float(wave.overlap(wave.reach - 0.5) / wave.overlap(wave.reach - 1.5)))
     assert np.sinh(kappa / 2) / (kappa / 2) == pytest.approx(wave.speed, rel=1e-9)
 
 
-@pytest.mark.parametrize("wave", VACUUM, ids=lambda w: f"{w.delta}")
+@waves(VACUUM)
 def test_double_exponential_tail(wave: Soliton):
     """log r(x + 1) / log r(x) tends to delta, with the correction of the equation."""
     x = 0.8 * wave.reach
@@ -166,7 +182,7 @@ def test_on_a_chain(load: float, downward: bool):
     assert u[:2] == pytest.approx(u[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("wave", VACUUM[:1] + LOADED[:1], ids=lambda w: f"{w.delta}, {w.speed:.3g}")
+@waves(VACUUM[:1] + LOADED[:1])
 def test_picture(wave: Soliton):
     (axes,) = wave.plot().figure.axes
     x = axes.lines[0].get_xdata()
@@ -231,7 +247,7 @@ def test_displacement_published():
     x = np.linspace(-3, 3, 13)
     f = 2.39536 * x + 0.268529 * x**3 + 0.0061347 * x**5
     assert soliton.sen_displacement(x) == pytest.approx(1 / (1 + np.exp(f)), rel=1e-9, abs=1e-16)
-    wave = VACUUM[1]
+    wave = solved(**VACUUM[1])
     share = wave.displacement(x) / wave.displacement(-9.0)
     assert share == pytest.approx(soliton.sen_displacement(x), rel=0, abs=3e-4)
 
@@ -292,7 +308,7 @@ def test_an_unresolvable_wave_is_reported(monkeypatch):
 
 def test_positions_at_which_a_wave_fits_a_chain():
     """The wave extends to 1e-10 of its largest overlap, and one grain more, on both sides."""
-    wave = VACUUM[1]
+    wave = solved(**VACUUM[1])
     far = 1 + brentq(lambda x: float(wave.overlap(x) / wave.overlap(0.0)) - 1e-10, 1, wave.reach)
     chain = Chain(**CHAIN)
     low, high = 1 + far, 39 - far  # Grain 40 is fixed.
@@ -328,7 +344,7 @@ def test_positions_at_which_a_wave_fits_a_chain():
 def test_the_whole_profile_on_a_chain():
     """All displacements and velocities are in SI units; the fixed bottom grain does not move."""
     chain = Chain(**CHAIN, bottom="fixed")
-    wave = VACUUM[1]
+    wave = solved(**VACUUM[1])
     profile = wave.on(chain, 12.25)
     x = np.arange(1, 41) - 12.25
     unit = (chain.masses[0] / chain.contact_constants[0]) ** 0.4

@@ -72,6 +72,7 @@ def test_refusals(keys: dict[str, float], said: str):
         solve(**keys)
 
 
+@pytest.mark.slow
 def test_a_chain_that_is_not_such_a_dimer():
     with pytest.raises(lmpchain.InputError, match="masses: "):
         wave_near(0.36).on(lmpchain.Chain(grains=60, diameter=1e-3, gravity=0.0), 30)

@@ -162,7 +162,7 @@ def test_speed_of_the_free_end_of_a_released_chain(
 
 
 @pytest.mark.parametrize(
-    ("exponent", "grains"), thinned([(1.5, 4000), (2.0, 1000), (3.0, 1000)], 2)
+    ("exponent", "grains"), thinned([(2.0, 1000), (1.5, 4000), (3.0, 1000)], 2)
 )
 def test_rarefaction(exponent: float, grains: int) -> None:
     """Compression and speed of a rarefaction wave, self-similar in z = x / (c0 t).

@@ -95,7 +95,7 @@ def reference(scene: Scene, force: Callable[[Any], Any]) -> tuple[np.ndarray, np
     size = np.abs(start).max() * np.repeat([1e-20, 1e-14], N)
     options: dict[str, Any] = {"method": "DOP853", "rtol": 3e-14, "atol": size}
     kinked = len(chain.law.kinks(1.0)) > 0
-    longest = 0.01 / scene.highest_frequency if kinked else np.inf
+    longest = 0.03 / scene.highest_frequency if kinked else np.inf
     times = scene.time
     run = solve_ivp(rates, (0.0, times[-1]), start, t_eval=times, max_step=longest, **options)
     return run.y[:N].T, run.y[N:].T
