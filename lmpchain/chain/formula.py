@@ -33,6 +33,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from ..errors import InputError
+from ..util.lazy import cached_property
 
 # Largest number of characters, nested levels and operations of a formula, and its largest number.
 MAX_LENGTH = 1000
@@ -97,7 +98,7 @@ class Formula:
                 waiting.append((node, True))
                 waiting += ((part, False) for part in node.parts)
 
-    @property
+    @cached_property
     def names(self) -> list[str]:
         """Names of variables and parameters in the order of their evaluation."""
         return [str(node.value) for node in self.walk() if node.operation == "name"]

@@ -69,6 +69,7 @@ MOST_PIECES = 20
 VALUES_AT_ONCE = 100_000
 # Largest number of iterations of a solution; bisection alone needs fewer.
 ITERATIONS = 2000
+WIDEN = 1e3  # Largest factor between two values of x.
 # Overlaps, relative to the largest one, at which the largest stiffness is searched.
 PARTS = np.linspace(0.0, 1.0, 33)[1:]
 
@@ -93,29 +94,31 @@ def solve_growing(
 ) -> Array:
     """Return the x >= 0 at which a function that grows from 0 has this value; infinite if none.
 
-    Newton's method is used, and bisection if a step leaves the bracket. For the value 0 or infinity
-    the value itself is returned.
+    Newton's method is used for the logarithms, which finds the root of a power in one step. Where
+    a step leaves the bracket, the logarithm is bisected, or x grows by `WIDEN` if it has no upper
+    bound yet. For the value 0 or infinity the value itself is returned.
     """
     target = np.asarray(target)
     with np.errstate(all="ignore"):
         known = np.isfinite(target) & (target > 0)
-        high = np.where(known, np.maximum(start, 1e-300), 0)
-        while (short := known & np.isfinite(high) & (function(high) < target)).any():
-            high = np.where(short, 2 * high, high)
-        low = np.zeros_like(high)
-        x = high
+        x = np.where(known, np.maximum(start, 1e-300), 0)
+        low = np.zeros_like(x)
+        high = np.where(known, np.inf, 0)
         for _ in range(ITERATIONS):
-            off = function(x) - target
-            low = np.where(off < 0, x, low)
-            high = np.where(off < 0, high, x)
-            step = x - off / slope(x)
-            new = np.where((low <= step) & (step <= high), step, (low + high) / 2)
+            value = function(x)
+            low = np.where(value < target, x, low)
+            high = np.where(value < target, high, x)
+            step = x * (target / value) ** (value / (x * slope(x)))
+            middle = np.sqrt(np.maximum(low, high / WIDEN**2)) * np.sqrt(high)
+            farther = np.minimum(WIDEN * x, LARGEST)
+            other = np.where(np.isfinite(high), middle, farther)
+            new = np.where((low <= step) & (step <= np.minimum(high, farther)), step, other)
             if not (known & (np.abs(new - x) > 2 * np.finfo(x.dtype).eps * x)).any():
                 break
             x = new
         # A force that saturates never reaches some values, and overflows on the way there.
         near = np.abs(function(new) - target) <= CLOSE * target
-        reached = (np.isfinite(high) & (function(high) >= target)) | near
+        reached = near | (function(np.where(np.isfinite(high), high, new)) >= target)
         return np.where(known, np.where(reached, new, np.inf), target)
 
 
@@ -233,7 +236,7 @@ class Law(ContactLaw):
         """The formula as text; parsing it gives the same law."""
         return self.formula.text
 
-    @property
+    @cached_property
     def of_ground(self) -> bool:
         """Whether the law describes a ground, as a function of displacement and time."""
         return any(key in self.formula.names for key in ("u", "t"))
@@ -244,21 +247,26 @@ class Law(ContactLaw):
             change = self.kernel.change(rest, r, constant, self.parameters)
         return np.broadcast_to(change, np.broadcast_shapes(np.shape(rest), np.shape(r)))
 
-    def _integral(self, rest: Array, r: Array, constant: Array) -> Array:
+    def _integral(
+        self, rest: Array, r: Array, constant: Array, kinks: Array | None = None
+    ) -> Array:
         """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
         total = np.zeros(r.shape)
-        for s, weights in self._nodes(rest, r, constant):
+        for s, weights in self._nodes(rest, r, constant, kinks):
             total = total + (weights * self._change(rest, s, constant)).sum(axis=0)
         return np.sign(r) * total
 
-    def _nodes(self, rest: Array, r: Array, constant: Array) -> Iterator[tuple[Array, Array]]:
+    def _nodes(
+        self, rest: Array, r: Array, constant: Array, kinks: Array | None = None
+    ) -> Iterator[tuple[Array, Array]]:
         """Yield quadrature nodes s between 0 and r, and their weights, (n, ...).
 
-        The interval is divided into pieces that end at kinks. Pieces far from a kink are longer.
+        The interval is divided into pieces that end at kinks, by default those for this constant.
+        Pieces far from a kink are longer.
         """
         ends: list[Any] = [0 * r, r]
-        for kink in self.kinks(constant):
+        for kink in self.kinks(constant) if kinks is None else kinks:
             far = np.abs(rest - kink)
             ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
             growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
@@ -610,11 +618,12 @@ class Law(ContactLaw):
         It is infinite if the energy has no upper bound, as in a forced motion.
         """
         energy = np.where(energy < LARGEST, energy, np.inf)
+        kinks = self.kinks(constant)
         with np.errstate(all="ignore"):
             k = np.abs(self.stiffness(rest, constant))
             start = np.sqrt(energy / np.where((k > 0) & np.isfinite(k), k, constant))
             return solve_growing(
-                lambda r: self._integral(rest, side * r, constant),
+                lambda r: self._integral(rest, side * r, constant, kinks),
                 lambda r: side * self._change(rest, side * r, constant),
                 energy,
                 start,
