@@ -44,14 +44,6 @@ def scene(tmp_path: Path) -> Path:
 # --- help
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["compare"], ["deck"], ["doctor"]])
-def test_help(command: list[str], capsys: pytest.CaptureFixture[str]):
-    assert main([*command, "--help"]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("usage: lmpchain")
-    assert said.err == ""
-
-
 def test_without_a_command_the_grouped_help_is_shown(capsys: pytest.CaptureFixture[str]):
     assert main([]) == 2
     shown = capsys.readouterr()
@@ -361,12 +353,6 @@ def test_warnings_are_one_line(
         warnings.simplefilter("always")
         assert main(["run", str(scene)]) == 0
     assert capsys.readouterr().err == "warning: the model is rough\n"
-
-
-def test_sigterm_is_handled_as_before_when_it_is_over(scene: Path):
-    before = signal.getsignal(signal.SIGTERM)
-    main(["run", str(scene)])
-    assert signal.getsignal(signal.SIGTERM) == before
 
 
 # --- compare

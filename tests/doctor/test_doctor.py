@@ -18,7 +18,7 @@ import pytest
 from helpers.child_processes import PATIENCE, until
 
 import lmpchain
-from lmpchain import LmpchainError, doctor
+from lmpchain import doctor
 from lmpchain.cli.command_line import main
 from lmpchain.doctor import Diagnosis, Finding, diagnose
 from lmpchain.theory import modes
@@ -451,8 +451,3 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     # The process has ended, or is a zombie.
     assert not status.exists() or "State:\tZ" in status.read_text()
     assert not (tmp_path / "d.json").exists()
-
-
-def test_the_public_name():
-    assert lmpchain.diagnose is diagnose
-    assert issubclass(lmpchain.EngineUnavailable, LmpchainError)

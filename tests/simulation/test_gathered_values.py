@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from helpers.example_scenes import stirred
 from helpers.thinned import thinned
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
-from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
+from lmpchain import Chain, Displacement, Impulse, Scene, engines, simulate
 from lmpchain.engines import Native
 from lmpchain.simulation.accumulation import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
@@ -163,53 +163,6 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
         if not np.isnan(gathered["arrival_time"][grain]):
             off = abs(gathered["arrival_time"][grain] - fronts[0])
             assert off <= gathered["arrival_time_error"][grain]
-
-
-def test_an_ambiguous_front_has_a_large_error():
-    """The first of two maxima is almost half as high as the second.
-
-    Its time is off by their distance, if values are off.
-    """
-    chain = Chain(
-        grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall"
-    )
-    modes = eigenmodes(chain)
-    slow = modes.shape[:, 0]
-    fast = modes.shape[:, 1]
-
-    def first_over_largest(mix: float) -> float:
-        velocity = (
-            np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
-        )
-        scene = Scene(
-            chain=chain,
-            excitation=Profile(velocity=velocity),
-            duration=12 / chain.band_edge,
-            samples=2,
-        )
-        maxima = [size for when, size in tops(scene, 1, 0) if 0 < when < scene.duration]
-        largest = max(size for _, size in tops(scene, 1, 0))
-        return maxima[0] / largest - 0.5
-
-    grid = np.linspace(0.2, 3.0, 57)
-    values = [first_over_largest(mix) for mix in grid]
-    crossing = next(
-        (i for i in range(56) if values[i] * values[i + 1] < 0 and abs(values[i]) < 0.2), None
-    )
-    assert crossing is not None
-    mix = brentq(first_over_largest, grid[crossing], grid[crossing + 1], xtol=1e-9)
-    velocity = (
-        np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
-    )
-    scene = Scene(
-        chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge,
-        samples=2,
-        quantities=["arrival_time"],
-    )  # fmt: skip
-    t = simulate(scene, Native("verlet", step=2 * np.pi / chain.band_edge / 40))
-    turns = [when for when, _ in tops(scene, 1, 0) if 0 < when < scene.duration]
-    if not np.isnan(t.gathered["arrival_time"][0]):
-        assert t.gathered["arrival_time_error"][0] > 0.5 * (turns[1] - turns[0])
 
 
 def test_grains_that_start_fastest_or_never_move_have_no_arrival():

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from helpers.example_scenes import stirred
 from helpers.independent_integrators import extended_reference
-from helpers.interpolated_peak import find_peak
 from scipy.optimize import brentq
 
 from lmpchain import (
@@ -124,32 +123,6 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     assert off(found, "peak_velocity", sizes.max())[0] < 1
     assert off(found, "arrival_time", tops[np.argmax(sizes >= sizes.max() / 2)] / OMEGA)[0] < 1
     assert found["arrival_time_error"][0] < 1e-4 / OMEGA
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "lammps"])
-def test_a_struck_column_as_in_an_independent_integration(engine: str):
-    """Contacts open behind the front."""
-    found = simulate(STRUCK, engine, 1e-7).gathered
-    fine = STRUCK.replace(samples=601, quantities=None)
-    u, v, own = extended_reference(fine)
-    own *= v.max()
-    for grain in range(3, 9):
-        arrival, top = find_peak(fine.time, v[:, grain - 1])
-        assert (
-            abs(found["peak_velocity"][grain - 1] - top)
-            < found["peak_velocity_error"][grain - 1] + own
-        )
-        assert (
-            abs(found["arrival_time"][grain - 1] - arrival)
-            < found["arrival_time_error"][grain - 1] + 1e-12
-        )
-    contact = COLUMN.contacts.of(np.array([4]))
-    pushed = contact.force_at(contact.overlap + u[:, 3] - u[:, 4])
-    assert (
-        abs(found["peak_force:4"] - find_peak(fine.time, pushed)[1])
-        < found["peak_force:4_error"] + 1e-9
-    )
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")

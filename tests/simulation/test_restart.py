@@ -6,7 +6,6 @@ import math
 import os
 import random
 from contextlib import nullcontext
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -153,37 +152,6 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
                 assert 0 < partial.error_estimate.total < np.inf
     assert len(seen) == stops >= 2, "every stop was at another place"
     assert same(answer, simulate(scene, engine, tolerance))
-
-
-@pytest.mark.slow
-def test_a_run_resumes_in_the_interrupted_attempt(tmp_path: Path):
-    """A later attempt with a shorter step is continued.
-
-    The time is that of all sessions.
-    """
-    at = tmp_path / "run"
-    engine = engines.Native(adaptive=False)
-    scene = SHORT.replace(samples=121)
-    said = []
-    for again in itertools.count():
-        try:
-            if again == 0:
-                simulate(scene, engine, 1e-4, folder=at, max_wall=1e-9)
-            answer = resume(at, max_wall=1e-9)
-            break
-        except Stopped:
-            said.append(status(at))
-    assert {each["attempt"] for each in said} >= {1, 2}
-    for before, after in pairwise(said):
-        assert after["wall_s"] > before["wall_s"]
-        if after["attempt"] == before["attempt"]:
-            assert after["step_s"] == before["step_s"]
-            assert after["samples_done"] > before["samples_done"]
-        else:
-            assert after["step_s"] < before["step_s"]
-            assert before["samples_done"] == scene.samples
-    assert same(answer, simulate(scene, engine, 1e-4))
-    assert 0 < answer.cost.integration_s < status(at)["wall_s"]
 
 
 @pytest.fixture

@@ -131,13 +131,6 @@ def test_error_of_linear_theory_without_any_engine():
     assert linear_error(scene)["package"] == pytest.approx(error, rel=1e-4, abs=0)
 
 
-def test_error_of_linear_theory_grows_with_the_strike():
-    strikes = np.geomspace(1e-4, 1e-2, 4)
-    found = [linear_error(column(v, TAU, 60)) for v in strikes]
-    for norm in linear_theory.LINEAR:
-        assert slope(strikes, [row[norm] for row in found]) == pytest.approx(1, abs=0.05)
-
-
 def test_error_of_linear_theory_over_several_reflections():
     """The law holds to 10 % from tau = 6 to the bottom, and to a factor of 2.1 for ten passages."""
     for tau in (6, 10, 20, 40):
