@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import extended_splitting as extended
+from helpers.example_scenes import scene_of
 from scipy.linalg import expm, expm_frechet
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
@@ -308,11 +309,7 @@ def test_adjoints_of_long_chains_agree_with_tangents(
     rng = np.random.default_rng(1)
     start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
-    scene = Scene(
-        chain=Chain(grains=900, diameter=1e-3, **options),
-        excitation=Profile(velocity=start),
-        duration=2e-4,
-    )
+    scene = scene_of(Chain(grains=900, diameter=1e-3, **options), Profile(velocity=start), 2e-4)
     run = DifferentiableRun(
         scene,
         SPLITTINGS["rkn4"],
@@ -421,12 +418,7 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
     chain = Chain(
         grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
     )
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=5.12645e-3),
-        duration=7.837051229587563e-6,
-        samples=3,
-    )
+    scene = scene_of(chain, Impulse(velocity=5.12645e-3), 7.837051229587563e-6, 3)
     step = 0.4 / scene.highest_frequency
     names = ["masses"]
     method = SPLITTINGS["rkn6"]

@@ -44,6 +44,13 @@ def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **c
     )
 
 
+def scene_of(
+    chain: Chain, excitation: Any, duration: float, samples: int = 101, **more: Any
+) -> Scene:
+    """Return the scene of a chain and an excitation; options are those of `Scene`."""
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
+
+
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:
     """Return a short loaded chain struck so gently (v0* = 1e-3) that no contact nearly opens."""
     chain = Chain(

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import vacuum
+from helpers.example_scenes import scene_of
 from helpers.thinned import thinned
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, engines, simulate
@@ -26,21 +27,14 @@ def record(
     grains: Any = "all",
     tolerance: float = 1e-9,
 ) -> Trajectory:
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
-    )
+    scene = scene_of(chain, excitation, duration, samples, grains=grains)
     return simulate(scene, engine="native", tolerance=tolerance)
 
 
 @pytest.fixture(scope="module")
 def pulse() -> Trajectory:
     """Simulate a strike on 60 grains in a vacuum until the pulse returns from an equal wall."""
-    scene = Scene(
-        chain=vacuum(60, bottom="wall"),
-        excitation=Impulse(velocity=1.0),
-        duration=84.0,
-        samples=2101,
-    )
+    scene = scene_of(vacuum(60, bottom="wall"), Impulse(velocity=1.0), 84.0, 2101)
     return simulate(scene, engine=engines.Native(step=0.02))
 
 
@@ -246,11 +240,11 @@ def test_grains_that_just_touch_have_not_opened() -> None:
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
         assert len(events) == 4
-    struck = Scene(
-        chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"),
-        excitation=Impulse(velocity=0.1),
-        duration=4e-5,
-        samples=161,
+    struck = scene_of(
+        Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"),
+        Impulse(velocity=0.1),
+        4e-5,
+        161,
     )
     native, lammps = (
         contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps")

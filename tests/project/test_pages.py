@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from helpers.browser import Browser, browser, installed
 from helpers.child_processes import PATIENCE
+from helpers.example_scenes import scene_of
 from matplotlib.figure import Figure
 
 import lmpchain
@@ -34,12 +35,7 @@ PAGES = sorted(DOCS.glob("*.md"))
 SPEEDS = ROOT / "analysis" / "speed.md"
 GALLERY = sorted((DOCS / "gallery").glob("plot_*.py"))
 NAMES = [page.stem for page in PAGES]
-SHORT = Scene(
-    chain=Chain(grains=20, diameter=1e-3),
-    excitation=Impulse(velocity=1e-5),
-    duration=4e-5,
-    samples=61,
-)
+SHORT = scene_of(Chain(grains=20, diameter=1e-3), Impulse(velocity=1e-5), 4e-5, 61)
 
 
 def blocks(page: str, language: str) -> list[str]:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import (
     GLASS,
@@ -560,9 +561,7 @@ PAIRS = {
 def test_a_written_scene_file_is_read_as_an_equal_scene(
     chain: Chain, excitation: Impulse, grains: str, file: Path
 ):
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains
-    )
+    scene = scene_of(chain, excitation, 1e-5 / 3, np.int64(7), grains=grains)
     scene.to_toml(file)
     again = Scene.from_toml(file)
     assert again == scene
@@ -771,12 +770,7 @@ def test_python_finds_the_same_faults_as_a_file():
 def test_python_finds_the_same_faults_in_a_drive_as_a_file():
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
     with pytest.raises(InputError) as caught:
-        Scene(
-            chain=chain,
-            excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]),
-            duration=1e-5,
-            grains=[4],
-        )
+        scene_of(chain, Drive(times=[0, 1e-6], displacement=[0, 1e-9]), 1e-5, grains=[4])
     assert [key for key, _ in caught.value.faults] == ["kind", "grains"]
     with pytest.raises(InputError) as caught:
         Drive(times=[1e-6, 0], displacement=[1e-9, 0])
@@ -784,9 +778,7 @@ def test_python_finds_the_same_faults_in_a_drive_as_a_file():
 
 
 def test_a_checked_scene_cannot_be_changed():
-    scene = Scene(
-        chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6
-    )
+    scene = scene_of(Chain(grains=3, diameter=[1e-3] * 3), Impulse(velocity=1e-3), 1e-6)
     with pytest.raises(
         InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"
     ):
@@ -797,9 +789,7 @@ def test_a_checked_scene_cannot_be_changed():
 
 def test_samples_and_their_times_and_grains():
     chain = Chain(grains=5, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=11, grains="2:4"
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-6), 1e-5, 11, grains="2:4")
     assert scene.time[0] == 0
     assert scene.time[-1] == 1e-5
     assert scene.time.size == 11
@@ -873,12 +863,7 @@ def test_values_of_any_length_are_rejected_in_one_line(key: str, value: object):
 @pytest.mark.parametrize("duration", [5e-324, 1e-310])
 def test_samples_have_distinct_times(duration: float):
     with pytest.raises(InputError, match=r"^duration: 5 samples .* too close"):
-        Scene(
-            chain=Chain(grains=12, diameter=1e-3),
-            excitation=Impulse(velocity=1e-5),
-            duration=duration,
-            samples=5,
-        )
+        scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=1e-5), duration, 5)
 
 
 def test_the_text_of_a_scene_refers_to_no_file(tmp_path: Path):

@@ -9,7 +9,7 @@ import platform
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 
 import lmpchain
 from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, engines, simulate
@@ -110,12 +110,7 @@ def test_reasons_for_the_cheapest_engine():
 def swinging(grains: int, radians: float, samples: int, strain: float = 1e-9) -> Scene:
     """Return a loaded chain with a strike on its top."""
     chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-12),
-        duration=radians / chain.band_edge,
-        samples=samples,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-12), radians / chain.band_edge, samples)
     return scene.replace(excitation=scene.excitation.scaled(strain / scene.linear_strain))
 
 
@@ -303,9 +298,7 @@ def test_a_clock_that_stands_still_gives_plausible_speeds(monkeypatch):
 
 
 def test_a_plan_uses_the_speed_of_this_machine():
-    scene = Scene(
-        chain=Chain(grains=30, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-4
-    )
+    scene = scene_of(Chain(grains=30, diameter=1e-3), Impulse(velocity=1e-4), 1e-4)
     shipped_s = lmpchain.plan(scene).expected_cost_s
     path = cost_model.cache_file()
     path.parent.mkdir(parents=True)

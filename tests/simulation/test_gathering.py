@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import scene_of, stirred
 from helpers.independent_integrators import extended_reference
 from scipy.optimize import brentq
 
@@ -42,9 +42,7 @@ ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
 PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 COLUMN = Chain(grains=30, diameter=1e-3)
-STRUCK = Scene(
-    chain=COLUMN, excitation=Impulse(velocity=8.57e-3), duration=6e-5, samples=2, quantities=ALL
-)
+STRUCK = scene_of(COLUMN, Impulse(velocity=8.57e-3), 6e-5, 2, quantities=ALL)
 WEAK = STRUCK.replace(excitation=Impulse(velocity=1e-8))
 
 
@@ -57,11 +55,7 @@ def off(gathered: dict, name: str, truth: np.ndarray | float) -> np.ndarray:
 def test_an_oscillator_whose_samples_are_nodes(engine: str):
     """All quantities are known exactly, and no sample shows them."""
     length = 1e-9
-    scene = Scene(
-        chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA,
-        samples=2,
-        quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
-    )  # fmt: skip
+    scene = scene_of(PAIR, Displacement(displacement=length), 7.25 * 2 * np.pi / OMEGA, 2, quantities=[*OF_GRAINS, "peak_force:1", "force:1"])  # fmt: skip
     found = simulate(scene, engine, 1e-6).gathered
     rest = 10.0
     stiffness = float(PAIR.linear_stiffness[0])
@@ -89,10 +83,7 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
     constant = chain.wall_constants[1]
     speed = 0.1
     deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=5 * deepest / speed, samples=2,
-        quantities=["peak_force:1", "peak_velocity"],
-    )  # fmt: skip
+    scene = scene_of(chain, Impulse(velocity=speed), 5 * deepest / speed, 2, quantities=["peak_force:1", "peak_velocity"])  # fmt: skip
     found = simulate(scene, "native", 1e-9).gathered
     assert off(found, "peak_force:1", constant * deepest**exponent) < 1
     assert found["peak_force:1_error"] < 2e-3 * constant * deepest**exponent
@@ -107,11 +98,7 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     """
     force = 1e-6
     end = 100.3 * np.pi
-    scene = Scene(
-        chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
-        duration=end / OMEGA,
-        samples=2, quantities=["peak_velocity", "arrival_time"],
-    )  # fmt: skip
+    scene = scene_of(PAIR, Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)), end / OMEGA, 2, quantities=["peak_velocity", "arrival_time"])  # fmt: skip
     tops = np.array(
         [
             brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi)
@@ -299,9 +286,7 @@ def test_a_batch_accumulates_in_the_whole_chain():
 
 def test_invalid_requests_are_rejected_in_one_line():
     chain = Chain(grains=200, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"]
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-8), 3e-5, quantities=["peak_velocity"])
     for name in ("bessel", "continuum"):
         with pytest.raises(
             InputError, match=f"quantities: {name} does not compute accelerations .* use native"
@@ -351,13 +336,7 @@ def test_accumulation_needs_the_memory_of_its_results():
     size = 50_000
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
     start = stirred(chain, 1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=start,
-        duration=1.6e-4,
-        samples=2,
-        quantities=["peak_velocity"],
-    )
+    scene = scene_of(chain, start, 1.6e-4, 2, quantities=["peak_velocity"])
     assert 16 * size * scene.fine.samples > 4e8
     simulate(STRUCK, "native")
     tracemalloc.start()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.thinned import thinned
 from helpers.trial_scenes import trial_scene
@@ -53,12 +53,7 @@ def periodic(
     """Return a few grains with a long oscillation, for which linear theory is cheapest."""
     chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=top_load)
     speed = strike * chain.length_scale / chain.time_scale
-    return Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=duration * chain.time_scale,
-        samples=samples,
-    )
+    return scene_of(chain, Impulse(velocity=speed), duration * chain.time_scale, samples)
 
 
 def with_alternatives(seed: int) -> Scene:
@@ -212,11 +207,7 @@ def test_refusals_name_the_engine():
     for tolerance in (0, 1, -1, "small", np.nan):
         with pytest.raises(InputError, match="tolerance: must be between 0 and 1"):
             lmpchain.plan(paper("weak"), tolerance)
-    vacuum = Scene(
-        chain=Chain(grains=9, diameter=1e-3, gravity=0.0),
-        excitation=Impulse(velocity=1.0),
-        duration=1e-4,
-    )
+    vacuum = scene_of(Chain(grains=9, diameter=1e-3, gravity=0.0), Impulse(velocity=1.0), 1e-4)
     why = {proposal.engine: proposal.why for proposal in lmpchain.plan(vacuum).candidates}
     assert why["modes"].startswith("cannot do it: without gravity and load")
     assert why["lammps"].startswith("used only if requested by name")
@@ -236,22 +227,11 @@ def test_lammps_is_asked_if_no_other_engine_is_possible(monkeypatch: pytest.Monk
 
 def test_linear_engines_omit_grains_outside_the_light_cone():
     chain = Chain(grains=10**5, diameter=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-9, grain=500),
-        duration=3e-5,
-        grains="1:1000",
-        samples=5,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-9, grain=500), 3e-5, grains="1:1000", samples=5)
     plan = lmpchain.plan(scene, 1e-2)
     proposals = {proposal.engine: proposal for proposal in plan.candidates}
     assert proposals["chebyshev"].active_grains == proposals["native"].active_grains < 200
-    some = Scene(
-        chain=Chain(grains=1000, diameter=1e-3),
-        excitation=scene.excitation,
-        duration=3e-5,
-        samples=5,
-    )
+    some = scene_of(Chain(grains=1000, diameter=1e-3), scene.excitation, 3e-5, 5)
     part = simulate(scene, "chebyshev", 0.1)
     whole = simulate(some, "native", 1e-9)
     assert part.displacement.shape == whole.displacement.shape

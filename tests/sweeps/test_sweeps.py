@@ -21,6 +21,7 @@ import pytest
 import tomli_w
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
+from helpers.example_scenes import scene_of
 from helpers.example_sweeps import contents, done, long_sweep
 from helpers.thinned import thinned
 
@@ -190,12 +191,7 @@ def test_realisations_agree_with_the_disordered_chain(tmp_path):
     strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
     found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
     assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
-    ordered = Scene(
-        chain=Chain(grains=12, diameter=1e-3),
-        excitation=Impulse(velocity=0.02),
-        duration=2e-5,
-        samples=11,
-    )
+    ordered = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.02), 2e-5, 11)
     for m in (2, 30):
         for index in (0, 11):
             alone = simulate(realisation(ordered, m, 1, index), "native", 1e-8)
