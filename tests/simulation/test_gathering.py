@@ -55,7 +55,13 @@ def off(gathered: dict, name: str, truth: np.ndarray | float) -> np.ndarray:
 def test_an_oscillator_whose_samples_are_nodes(engine: str):
     """All quantities are known exactly, and no sample shows them."""
     length = 1e-9
-    scene = scene_of(PAIR, Displacement(displacement=length), 7.25 * 2 * np.pi / OMEGA, 2, quantities=[*OF_GRAINS, "peak_force:1", "force:1"])  # fmt: skip
+    scene = scene_of(
+        PAIR,
+        Displacement(displacement=length),
+        7.25 * 2 * np.pi / OMEGA,
+        2,
+        quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
+    )
     found = simulate(scene, engine, 1e-6).gathered
     rest = 10.0
     stiffness = float(PAIR.linear_stiffness[0])
@@ -83,7 +89,13 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
     constant = chain.wall_constants[1]
     speed = 0.1
     deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
-    scene = scene_of(chain, Impulse(velocity=speed), 5 * deepest / speed, 2, quantities=["peak_force:1", "peak_velocity"])  # fmt: skip
+    scene = scene_of(
+        chain,
+        Impulse(velocity=speed),
+        5 * deepest / speed,
+        2,
+        quantities=["peak_force:1", "peak_velocity"],
+    )
     found = simulate(scene, "native", 1e-9).gathered
     assert off(found, "peak_force:1", constant * deepest**exponent) < 1
     assert found["peak_force:1_error"] < 2e-3 * constant * deepest**exponent
@@ -98,7 +110,13 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     """
     force = 1e-6
     end = 100.3 * np.pi
-    scene = scene_of(PAIR, Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)), end / OMEGA, 2, quantities=["peak_velocity", "arrival_time"])  # fmt: skip
+    scene = scene_of(
+        PAIR,
+        Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
+        end / OMEGA,
+        2,
+        quantities=["peak_velocity", "arrival_time"],
+    )
     tops = np.array(
         [
             brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi)
