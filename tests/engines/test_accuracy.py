@@ -4,16 +4,14 @@ from itertools import product
 
 import pytest
 from helpers.example_scenes import PAPER, paper
-from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
+from helpers.independent_integrators import extended_reference, relative_error
 from helpers.reference_scenes import (
-    CLOSED,
     KINDS,
     LONG_AND_WEAK,
     SCENES,
     at_speed,
     reference_motion,
 )
-from helpers.thinned import thinned
 
 from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
@@ -52,15 +50,6 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
 
 
 each_kind = pytest.mark.parametrize("kind", KINDS)
-
-
-@pytest.mark.parametrize("kind", thinned(KINDS, 4))
-def test_the_references_agree(kind):
-    """Taylor series in extended precision agree with SciPy in double precision."""
-    u, v, own = reference_motion(kind)
-    limit = 2e-13 if kind in CLOSED else 1e-10
-    assert own < 1e-2 * limit
-    assert relative_error(*scipy_reference(KINDS[kind])[:2], u, v) < limit
 
 
 @each_kind
