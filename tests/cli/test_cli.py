@@ -156,21 +156,6 @@ def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixtu
     assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
 
 
-def test_a_run_replaces_an_older_file_only_by_force(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-):
-    file = scene.with_suffix(".nc")
-    file.write_text("older")
-    for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
-        assert main(words) == 2
-        assert capsys.readouterr().err.startswith(
-            f"error: {file}: already exists: replace it with --force, "
-        )
-        assert file.read_text() == "older"
-    assert main(["run", str(scene), "--force"]) == 0
-    assert Trajectory.load(file).engine == "native"
-
-
 def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
     folder = scene.parent / "run"
     run = ["run", str(scene), "-o", f"{folder}/", "--engine"]

@@ -96,17 +96,6 @@ def test_two_balls_that_collide() -> None:
     assert peak.time == pytest.approx(lasts / 2, rel=1e-9, abs=0)
 
 
-def test_a_wall_feels_more_than_the_chain(pulse: Trajectory) -> None:
-    """F_wall / F_chain = 1.94390 for a solitary wave and an equal wall.
-
-    The ratio is that of Job et al., PRL 94, 178002 (2005).
-    """
-    incoming = contacts(until(pulse, 60.0), [30])
-    along = arrival(incoming.time, incoming.force[:, 0])
-    at_wall = arrival(pulse.time, wall_force(pulse))
-    assert at_wall.height / along.height == pytest.approx(1.94390, abs=1e-4)
-
-
 def test_the_force_of_a_driver() -> None:
     """Grain 2 of three between springs is a forced oscillator with a known motion."""
     chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)

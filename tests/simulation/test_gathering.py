@@ -331,23 +331,6 @@ def test_auto_accumulates_quantities():
     assert t.gathered["peak_velocity"][0] == pytest.approx(1e-16, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("asked", "says"),
-    [
-        (["peak"], "must be peak_displacement"),
-        (["force"], 'needs the number of a contact, as in "force:40"'),
-        (["force:04"], "needs the number of a contact"),
-        (["peak_force:30"], "the contacts are numbered 1 to 29"),
-        (["peak_velocity"] * 2, "names a quantity twice"),
-        ([], "must be a list of names"),
-        ("peak_velocity", "must be a list of names"),
-    ],
-)
-def test_unsupported_quantities(asked, says: str):
-    with pytest.raises(InputError, match=f"quantities: {says}"):
-        STRUCK.replace(quantities=asked)
-
-
 @pytest.mark.slow
 def test_accumulation_needs_the_memory_of_its_results():
     """All samples together would take a gigabyte."""

@@ -181,25 +181,6 @@ def test_the_variables_of_another_program(tmp_path):
 
 
 @pytest.mark.slow
-def test_ranks_on_the_command_line(tmp_path):
-    MIDDLE.to_toml(tmp_path / "scene.toml")
-    words = [
-        "-m",
-        "lmpchain.cli",
-        "run",
-        str(tmp_path / "scene.toml"),
-        "--engine",
-        "lammps",
-        "--ranks",
-        "2",
-    ]
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "2 ranks" in done.stdout
-    assert Trajectory.load(tmp_path / "scene.nc").cost.ranks == 2
-
-
-@pytest.mark.slow
 def test_scripts_under_mpirun_run_alone(tmp_path):
     """A script that every rank runs separately, such as a sweep, gets one LAMMPS per rank."""
     script = tmp_path / "script.py"
