@@ -277,3 +277,30 @@ def test_extremes_include_all_steps(name: str):
     assert 0.9 * farthest < state["largest_displacement"] <= farthest * (1 + 1e-12)
     assert 0.85 * fastest < state["largest_speed"] < 1.01 * fastest
     assert stepper.largest()[0].tolist() == [state["largest_displacement"], state["largest_speed"]]
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.2])
+@pytest.mark.parametrize("ends", ENDS)
+def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
+    made = chains(**ENDS[ends], exponent=exponent)
+    laid = batch(*made)
+    # A power has one kink a contact.
+    weight, reach = laid.arrays.opening_weight[:, 0], laid.arrays.opening_reach[:, 0]
+    for real, chain in enumerate(made):
+        contacts = chain.contacts
+        omega = laid.arrays.omega[real]
+        lightest = np.append(
+            0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
+        )
+        mobility = np.maximum(lightest[:-1], lightest[1:])
+        pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
+        pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
+        length = np.ones(N + 1) if "vacuum" in ends else contacts.overlap.copy()
+        length[0] = 1.0 if ends == "touching" else length[0]
+        strain = np.divide(laid.arrays.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
+        pull = pull * strain ** (exponent - 1.5)
+        expected = (pull * mobility / (omega**2.5 * laid.arrays.scale[real, 1])) ** 2
+        assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
+        assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
+        slow = np.sqrt(2) * (2 * omega) ** 3
+        assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)
