@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
 from lmpchain.benchmark.chart import FRONT, front, time_to
@@ -227,11 +228,7 @@ def test_title_and_footer_describe_the_measurement():
         "on a box; numpy 2.0, lammps 7.",
     ):
         assert words in footer
-    vacuum = Scene(
-        chain=Chain(grains=8, diameter=1e-3, gravity=0.0),
-        excitation=Impulse(velocity=2e-3),
-        duration=4e-6,
-    )
+    vacuum = scene_of(Chain(grains=8, diameter=1e-3, gravity=0.0), Impulse(velocity=2e-3), 4e-6)
     title = replace(RESULT, scene=vacuum).plot().figure._suptitle.get_text()
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
@@ -368,12 +365,7 @@ def compared(
     return comparison, (motion, over_time, cost)
 
 
-LONG = Scene(
-    chain=Chain(grains=200, diameter=1e-3),
-    excitation=Impulse(velocity=2e-3),
-    duration=5e-6,
-    samples=6,
-)
+LONG = scene_of(Chain(grains=200, diameter=1e-3), Impulse(velocity=2e-3), 5e-6, 6)
 
 
 def test_the_wave_is_drawn_in_units_of_the_strike():

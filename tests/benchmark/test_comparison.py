@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import smooth
+from helpers.example_scenes import scene_of, smooth
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.benchmark.comparison import compare, error, error_over_time, errors
@@ -51,12 +51,7 @@ def test_a_chain_without_excitation_stays_at_rest():
 def test_a_long_scene_is_expected_to_take_longer():
     short = smooth()
     long = replace_scene(smooth(), duration=1e6 * smooth().duration)
-    large = Scene(
-        chain=Chain(grains=10**5, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6),
-        duration=1e-2,
-        samples=2,
-    )
+    large = scene_of(Chain(grains=10**5, diameter=1e-3), Impulse(velocity=1e-6), 1e-2, 2)
     assert 0 < expected_seconds(short) < 1
     assert expected_seconds(long) > 1e3
     assert expected_seconds(large) > 60
@@ -76,9 +71,7 @@ def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
 
     U = 1, 2, -4, 0 and v = 10 u at all times.
     """
-    scene = Scene(
-        chain=CHAIN, excitation=Impulse(velocity=1e-9), duration=1e-9, samples=3, grains=grains
-    )
+    scene = scene_of(CHAIN, Impulse(velocity=1e-9), 1e-9, 3, grains=grains)
     answer = simulate(scene, "native", 1e-3)
     u = np.tile([1.0, 2.0, -4.0, 0.0], (3, 1))
     columns = scene.recorded - 1

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, random_scene, smooth
+from helpers.example_scenes import paper, random_scene, scene_of, smooth
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.reference_scenes import path
 from helpers.taylor_series import reference as independent_reference
@@ -25,9 +25,7 @@ TIGHT = 1e-18
 def between(excitation: Any, **keys: Any) -> Scene:
     """Return a scene of eight glass beads between two walls, unless the options differ."""
     chain = Chain(**{"grains": 8, "diameter": 1e-3, "top": "wall", "bottom": "wall"} | keys)
-    return Scene(
-        chain=chain, excitation=excitation, duration=min(7 * chain.time_scale, 4e-5), samples=4
-    )
+    return scene_of(chain, excitation, min(7 * chain.time_scale, 4e-5), 4)
 
 
 def strong(samples: int, duration: float = 4e-5) -> Scene:
@@ -272,9 +270,7 @@ def on_springs(**chain):
     made = Chain(
         grains=8, diameter=1e-3, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain
     )
-    return Scene(
-        chain=made, excitation=Impulse(velocity=1e-3), duration=15 * made.time_scale, samples=4
-    )
+    return scene_of(made, Impulse(velocity=1e-3), 15 * made.time_scale, 4)
 
 
 def test_scipy_meets_springs_that_open_and_are_viscous():

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
-from helpers.example_scenes import smooth
+from helpers.example_scenes import scene_of, smooth
 from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, simulate
@@ -308,12 +308,7 @@ def test_a_scene_with_too_expensive_a_reference_is_rejected():
 
 
 def test_engines_beyond_the_time_limit_are_left_out():
-    scene = Scene(
-        chain=Chain(grains=3000, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6),
-        duration=1e-5,
-        samples=2,
-    )
+    scene = scene_of(Chain(grains=3000, diameter=1e-3), Impulse(velocity=1e-6), 1e-5, 2)
     found = work_precision(scene, 1e-3)
     assert "modes" not in {curve.engine for curve in found.curves}
     assert any(

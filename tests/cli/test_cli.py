@@ -44,14 +44,6 @@ def scene(tmp_path: Path) -> Path:
 # --- help
 
 
-@pytest.mark.parametrize("command", [[], ["run"], ["compare"], ["deck"], ["doctor"]])
-def test_help(command: list[str], capsys: pytest.CaptureFixture[str]):
-    assert main([*command, "--help"]) == 0
-    said = capsys.readouterr()
-    assert said.out.startswith("usage: lmpchain")
-    assert said.err == ""
-
-
 def test_without_a_command_the_grouped_help_is_shown(capsys: pytest.CaptureFixture[str]):
     assert main([]) == 2
     shown = capsys.readouterr()
@@ -162,21 +154,6 @@ def test_run_with_lammps(diameter: str, scene: Path, capsys: pytest.CaptureFixtu
     assert saved.provenance["diameter"] == diameter
     native = simulate(Scene.from_toml(scene), "native", 1e-10)
     assert np.abs(saved.velocity - native.velocity).max() <= 1e-6 * np.abs(native.velocity).max()
-
-
-def test_a_run_replaces_an_older_file_only_by_force(
-    scene: Path, capsys: pytest.CaptureFixture[str]
-):
-    file = scene.with_suffix(".nc")
-    file.write_text("older")
-    for words in (["run", str(scene)], ["run", str(scene), "-o", str(file)]):
-        assert main(words) == 2
-        assert capsys.readouterr().err.startswith(
-            f"error: {file}: already exists: replace it with --force, "
-        )
-        assert file.read_text() == "older"
-    assert main(["run", str(scene), "--force"]) == 0
-    assert Trajectory.load(file).engine == "native"
 
 
 def test_a_run_replaces_a_run_folder_only_by_force(scene: Path, capsys: pytest.CaptureFixture[str]):
@@ -362,12 +339,6 @@ def test_warnings_are_one_line(
         warnings.simplefilter("always")
         assert main(["run", str(scene)]) == 0
     assert capsys.readouterr().err == "warning: the model is rough\n"
-
-
-def test_sigterm_is_handled_as_before_when_it_is_over(scene: Path):
-    before = signal.getsignal(signal.SIGTERM)
-    main(["run", str(scene)])
-    assert signal.getsignal(signal.SIGTERM) == before
 
 
 # --- compare

@@ -151,17 +151,6 @@ def test_a_run_stopped_by_max_wall_can_be_resumed(scene: Path, monkeypatch: Any,
     assert (asked["max_wall"], Path(asked["folder"])) == (90.0, folder)
 
 
-def test_a_missed_tolerance_without_result(scene: Path, monkeypatch: Any, capsys: Any):
-    def misses(*_: Any, **__: Any) -> None:
-        raise ToleranceNotMet("out of reach", None)
-
-    monkeypatch.setattr("lmpchain.simulation.api.simulate", misses)
-    assert main(["run", str(scene)]) == 1
-    said = capsys.readouterr()
-    assert (said.out, said.err) == ("", "error: out of reach\n")
-    assert names(scene.parent) == ["scene.toml"]
-
-
 def interrupt(*_: Any, **__: Any) -> None:
     raise KeyboardInterrupt
 
@@ -521,18 +510,6 @@ def test_a_calibration_prints_its_results(
     assert capsys.readouterr().err.endswith(": cannot be written: No space left on device\n")
 
 
-def test_a_plan_needs_a_scene_or_a_calibration(scene: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["plan"]) == 2
-    assert keys(capsys.readouterr()) == ["scene"]
-    assert main(["plan", "--calibrate", "--json", "x.json"]) == 2
-    assert keys(capsys.readouterr()) == ["json"]
-    numbers = scene.parent / "plan.json"
-    assert main(["plan", str(scene), "--json", str(numbers)]) == 0
-    printed = capsys.readouterr().out
-    assert printed.endswith(f"numbers: {numbers}\n")
-    assert json.loads(numbers.read_text())["engine"] in printed
-
-
 def test_documentation_is_opened_where_it_was_built(tmp_path: Path, monkeypatch: Any, capsys: Any):
     opened: list[str] = []
     monkeypatch.setattr(new.webbrowser, "open", opened.append)
@@ -598,27 +575,6 @@ def test_an_orbit_is_described_in_numbers():
     assert told[4] == "Floquet multipliers: unstable, largest multiplier 2.5"
     assert told[5] == "period doubling: at 1.5e-14 J, 200000 Hz"
     assert told[6] == "the family does not reach the requested energy: it turns back"
-
-
-@pytest.mark.parametrize(("state", "code"), [("ok", 0), ("warning", 0), ("fault", 1)])
-def test_the_doctor_prints_each_finding_and_the_number_of_faults(
-    state: Any, code: int, tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str]
-):
-    findings = (doctor.Finding("Python", "ok", "3.13"), doctor.Finding("memory", state, "8 GB"))
-
-    def diagnose(tell: Any) -> doctor.Diagnosis:
-        for finding in findings:
-            tell(finding)
-        return doctor.Diagnosis(findings)
-
-    monkeypatch.setattr(doctor, "diagnose", diagnose)
-    file = tmp_path / "findings.json"
-    assert main(["doctor", "--json", str(file)]) == code
-    *lines, summary, written = capsys.readouterr().out.splitlines()
-    assert lines == [str(finding) for finding in findings]
-    assert summary == ("all is well" if state == "ok" else f"1 {state}")
-    assert written == f"findings: {file}"
-    assert json.loads(file.read_text())["summary"] == summary
 
 
 @pytest.mark.parametrize("arguments", [[], ["--compile"]])
@@ -845,10 +801,3 @@ def test_a_slider_is_read_from_its_range_number_and_scale():
     key, values = read_axis("excitation.velocity=1e-6:1e-2:3:log")
     assert key == "excitation.velocity"
     assert values == pytest.approx([1e-6, 1e-4, 1e-2], rel=1e-12)
-
-
-def test_a_dump_has_no_sensitivities(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    dump = tmp_path / "column.lammpstrj"
-    dump.write_text("ITEM: TIMESTEP\n0\n")
-    assert main(["sensitivity", str(dump), "--of", "peak_force:2"]) == 2
-    assert "is a LAMMPS dump: give its scene" in capsys.readouterr().err

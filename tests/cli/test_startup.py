@@ -6,12 +6,10 @@ import sys
 import tomllib
 from pathlib import Path
 
-import numpy as np
 import pytest
 from helpers.command_output import SCENE
 
 import lmpchain
-from lmpchain import Trajectory
 
 SCENES = Path(__file__).parents[2] / "analysis" / "scenes"
 HEAVY = {
@@ -181,27 +179,6 @@ def test_two_simultaneous_starts_with_an_empty_cache(toy: Path):
     both = [start("-c", PLAY, cwd=toy) for _ in range(2)]
     assert [ended(process)[0] for process in both] == ["1.5 1.5 16.0\n"] * 2
     assert play(toy) == ""
-
-
-@pytest.mark.soak
-def test_two_runs_that_start_at_once_on_an_empty_cache(tmp_path: Path):
-    """Both runs compile; a third run finds all compiled code in the cache."""
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    runs = [
-        command("run", str(SCENES / "fig5_1g.toml"), "-o", f"{name}.nc", "--engine", "native")
-        for name in "abc"
-    ]
-    both = [start("-c", run, cwd=tmp_path, **cache) for run in runs[:2]]
-    said = [ended(process)[1] for process in both]
-    assert all("compiling the native engine, once for this machine" in text for text in said)
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
-    assert kept
-    assert ended(start("-c", runs[2], cwd=tmp_path, **cache))[1] == ""
-    assert kept == {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nb?")}
-    first, *others = (Trajectory.load(tmp_path / f"{name}.nc") for name in "abc")
-    for other in others:
-        assert np.array_equal(first.displacement, other.displacement)
-        assert np.array_equal(first.velocity, other.velocity)
 
 
 def test_lammps_finds_its_mpi_after_the_import_of_lmpchain():

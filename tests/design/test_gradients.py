@@ -1,16 +1,13 @@
-"""Gradients against extended-precision differences and independent solutions.
-
-The solutions are those of the linear propagator, and runs at higher accuracy.
-"""
+"""Gradients against the linear propagator, tangents, and runs at higher accuracy."""
 
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import extended_splitting as extended
+from helpers.example_scenes import scene_of
 from scipy.linalg import expm, expm_frechet
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
+from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
 from lmpchain.design import (
     KineticEnergy,
     Momentum,
@@ -21,10 +18,6 @@ from lmpchain.design import (
 from lmpchain.design.gradients import at_step
 from lmpchain.integrators.adjoint import DifferentiableRun, economise
 from lmpchain.integrators.methods import SPLITTINGS
-
-LOOKS = 6
-STEPS = 4
-DIFFERENCE = np.longdouble(1e-7)  # Relative step of central differences in extended precision.
 
 
 def drawn(seed: int) -> Scene:
@@ -86,132 +79,7 @@ def draw(rng: np.random.Generator) -> Scene:
         if still:
             u[-1] = v[-1] = 0
         what = Profile(displacement=u, velocity=v)
-    return Scene(chain=made, excitation=what, duration=duration, samples=LOOKS + 1)
-
-
-def differences(scene: Scene, method: str, weights: np.ndarray, name: str) -> np.ndarray:
-    """Return central differences, by named parameters, of weighted displacements and velocities."""
-    base = extended.parameters(scene)
-    u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
-    forces = scene.chain.contacts.force
-    weight = scene.chain.masses.sum()
-    least = forces[forces > 0].min(initial=np.inf)
-    scales = {
-        "displacement": np.abs(u).max(),
-        "velocity": np.abs(v).max(),
-        "top_load": least,
-        "gravity": least / weight,
-    }
-    held = np.zeros(scene.chain.grains, dtype=bool)
-    held[scene.chain.movable :] = True
-    held[: scene.excitation.driven] = True
-    found = []
-    for place, value in enumerate(base[name]):
-        if (name in ("displacement", "velocity") and held[place]) or (
-            name == "wall_constants" and value == 0
-        ):
-            found.append(np.longdouble(0))
-            continue
-        step = DIFFERENCE * scales.get(name, np.abs(base[name]).max())
-        answers = []
-        for sign in (1, -1):
-            changed = base[name].copy()
-            changed[place] += sign * step
-            u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {name: changed})
-            answers.append((weights * np.array([u, v])).sum())
-        found.append((answers[0] - answers[1]) / (2 * step))
-    return np.array(found)
-
-
-def check_scene(seed: int, scene: Scene, left_out: str = "") -> None:
-    method = ["verlet", "rkn4", "rkn6", "kahan-li6", "kahan-li8"][seed % 5]
-    everyone = np.arange(1, scene.chain.grains + 1)
-    run = DifferentiableRun(
-        scene, SPLITTINGS[method], scene.duration / (LOOKS * STEPS), LOOKS, everyone
-    )
-    assert run.steps == LOOKS * STEPS
-    u, v, _ = extended.run(scene, SPLITTINGS[method], STEPS, LOOKS, {})
-    weights = np.random.default_rng(seed).standard_normal((2, *u.shape))
-    weights /= [[[float(np.abs(u).max())]], [[float(np.abs(v).max())]]]
-    inputs = run.pull(*weights)
-    for name in extended.parameters(scene):
-        if name == left_out:
-            continue
-        try:
-            parameters.check(scene, [name])
-        except InputError:
-            continue
-        true = differences(scene, method, weights, name)
-        scale = float(np.abs(true).max())
-        back = parameters.pull(scene, inputs, name)
-        assert np.abs(back - true).max() <= 1e-8 * scale, (seed, name)
-        change = np.eye(back.size)
-        forth = run.push(parameters.push(scene, name, change))
-        along = (weights[0] * forth[0]).sum((1, 2)) + (weights[1] * forth[1]).sum((1, 2))
-        assert np.abs(along - back).max() <= 1e-11 * scale, (seed, name)
-
-
-@pytest.mark.parametrize(
-    "seed", [pytest.param(n, marks=[pytest.mark.slow] * (n > 1)) for n in range(6)]
-)
-def test_gradients_agree_with_differences_in_extended_precision(seed: int):
-    check_scene(seed, drawn(seed))
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(n, marks=pytest.mark.slow if n < 16 else pytest.mark.soak)
-        for n in range(6, 100)
-    ],
-)
-def test_gradients_agree_with_differences_on_random_scenes(seed: int):
-    check_scene(seed, drawn(seed))
-
-
-PUSHED = Chain(
-    grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall", top_material="brass"
-)
-KNOTS = np.linspace(0, 1e-5, 5)
-ACTING = {
-    "sine force": Force(grain=3, amplitude=0.05, frequency=2e5),
-    "burst of force": Force(grain=2, amplitude=0.1, frequency=4e5, cycles=3),
-    "half-sine force": Force(grain=1, shape="half-sine", amplitude=0.1, duration=7e-6),
-    "sampled force": Force(
-        grain=6, times=KNOTS, force=0.1 * np.sin(np.arange(5.0)) ** 2, interpolation="linear"
-    ),
-    "burst of grain 1": Drive(amplitude=1e-7, frequency=4e5, cycles=3),
-    "sine of the wall": Drive(grain=0, amplitude=2e-7, frequency=2e5),
-    "samples of the wall": Drive(
-        grain=0,
-        times=KNOTS,
-        displacement=2e-7 * np.sin(np.arange(5.0) / 4) ** 2,
-        interpolation="spline",
-    ),
-}
-
-
-def acted(what: str) -> Scene:
-    chain = PUSHED.replace(exponent=1.5 if "force" in what else 1.7)
-    return Scene(chain=chain, excitation=ACTING[what], duration=1e-5, samples=LOOKS + 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ACTING)
-def test_forcing_has_the_derivatives_of_extended_precision(what: str):
-    check_scene(1, acted(what), left_out="wall_constants" if what == "burst of grain 1" else "")
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(
-    reason="derivatives lose digits where hardly a wave has come, or gone back", strict=True
-)
-def test_what_acts_has_derivatives_by_a_distant_wall():
-    """The derivatives of a weak motion at a distant wall are accurate to 5e-8.
-
-    The wave moves grain N by only 2e-5 of an overlap.
-    """
-    check_scene(1, acted("burst of grain 1"))
+    return Scene(chain=made, excitation=what, duration=duration, samples=7)
 
 
 def propagator(
@@ -308,11 +176,7 @@ def test_adjoints_of_long_chains_agree_with_tangents(
     rng = np.random.default_rng(1)
     start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
-    scene = Scene(
-        chain=Chain(grains=900, diameter=1e-3, **options),
-        excitation=Profile(velocity=start),
-        duration=2e-4,
-    )
+    scene = scene_of(Chain(grains=900, diameter=1e-3, **options), Profile(velocity=start), 2e-4)
     run = DifferentiableRun(
         scene,
         SPLITTINGS["rkn4"],
@@ -421,12 +285,7 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
     chain = Chain(
         grains=2, material="steel", diameter=[0.00071311, 0.0009818], gravity=64.1506, bottom="wall"
     )
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=5.12645e-3),
-        duration=7.837051229587563e-6,
-        samples=3,
-    )
+    scene = scene_of(chain, Impulse(velocity=5.12645e-3), 7.837051229587563e-6, 3)
     step = 0.4 / scene.highest_frequency
     names = ["masses"]
     method = SPLITTINGS["rkn6"]

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Profile, Scene
 from lmpchain.design import parameters
@@ -190,20 +191,14 @@ def test_a_mass_of_an_impurity_does_not_follow_its_diameter():
 def test_missing_properties_have_no_derivative(
     name: str, change: dict[str, Any], acting: str, message: str
 ):
-    made = Scene(
-        chain=scene().chain.replace(**change), excitation=ACTING[acting], duration=1e-5, samples=3
-    )
+    made = scene_of(scene().chain.replace(**change), ACTING[acting], 1e-5, 3)
     with pytest.raises(InputError) as error:
         parameters.check(made, [name])
     assert str(error.value).startswith(f"{name}: {message}")
 
 
 def test_names_are_checked_at_once():
-    one = Scene(
-        chain=Chain(grains=1, diameter=1e-3, bottom="wall"),
-        excitation=ACTING["strike"],
-        duration=1e-6,
-    )
+    one = scene_of(Chain(grains=1, diameter=1e-3, bottom="wall"), ACTING["strike"], 1e-6)
     with pytest.raises(InputError, match=r"^contact_constants: there is no contact between grains"):
         parameters.check(one, ["contact_constants"])
     assert parameters.check(one, "wall_constants") == ("wall_constants",)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, simulate
 from lmpchain.design import (
@@ -232,12 +233,7 @@ def test_an_arrival_near_an_end_is_found_from_the_nearest_four_times():
         scene = swinging(turns, 3)
         arrival = scene.duration * np.arccos(share) / (2 * np.pi * turns)
         assert value(scene, ArrivalTime(1, share * WEAK)) == pytest.approx(arrival, rel=reach)
-    driven = Scene(
-        chain=ONE,
-        excitation=Profile(velocity=[-WEAK, 0.0]),
-        duration=swinging(0.9, 2).duration,
-        samples=2,
-    )
+    driven = scene_of(ONE, Profile(velocity=[-WEAK, 0.0]), swinging(0.9, 2).duration, 2)
     time = value(driven, ArrivalTime(1, 0.02 * WEAK))
     assert time == pytest.approx(driven.duration * np.arccos(-0.02) / (2 * np.pi * 0.9), rel=1e-4)
 

@@ -5,19 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, simulate
+from lmpchain import Chain, Impulse, InputError, Profile, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
 from lmpchain.design.gradients import at_step
 from lmpchain.design.parameters import changed, values
 from lmpchain.integrators.methods import SPLITTINGS
 
-VACUUM = Scene(
-    chain=Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"),
-    excitation=Impulse(velocity=0.1),
-    duration=6e-5,
-    samples=31,
+VACUUM = scene_of(
+    Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31
 )
 
 
@@ -143,9 +141,7 @@ def test_given_masses_replace_diameters():
         contact_constants=np.full(3, 1e9),
         top_load=0.1,
     )
-    scene = Scene(
-        chain=chain, excitation=Profile(velocity=[1e-3, 0, 0, 0]), duration=1e-5, samples=3
-    )
+    scene = scene_of(chain, Profile(velocity=[1e-3, 0, 0, 0]), 1e-5, 3)
     found = sensitivity(scene, KineticEnergy([2]), {"masses": 0.01})
     assert set(found.relative) == {"masses", "contact_constants", "top_load", "gravity", "velocity"}
     with pytest.raises(InputError, match="uncertain"):

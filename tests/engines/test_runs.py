@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, smooth
+from helpers.example_scenes import paper, scene_of, smooth
 from helpers.independent_integrators import extended_reference, relative_error
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
@@ -170,12 +170,7 @@ def test_interpolated_samples_are_as_accurate_as_others():
     assert own < error / 10
     assert error / 3 < t.error_estimate.total <= 1e-6
     assert Native("rkn6", adaptive=False).propose(scene, 1e-6).steps.stride == 1
-    vacuum = Scene(
-        chain=CHAIN.replace(gravity=0.0),
-        excitation=Impulse(velocity=1e-2),
-        duration=scene.duration,
-        samples=1001,
-    )
+    vacuum = scene_of(CHAIN.replace(gravity=0.0), Impulse(velocity=1e-2), scene.duration, 1001)
     assert Native("rkn6").propose(vacuum, 1e-6).steps.stride == 1
 
 

@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from helpers.example_scenes import random_scene
+from helpers.example_scenes import random_scene, scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.largest_motion import true_error
 from helpers.whole_runs import blocks_of
@@ -60,9 +60,7 @@ def test_many_short_runs(seed):
 def test_one_step():
     """The auxiliary run must have a different step; 1.6e-5 was once estimated as 1e-15."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-3), duration=1 / chain.band_edge, samples=2
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-3), 1 / chain.band_edge, 2)
     t = simulate(scene, "native", 1e-2)
     true, _ = true_error(t, scene)
     assert t.cost.steps == 1
@@ -74,12 +72,7 @@ def test_one_step():
 def test_auxiliary_runs_differ_from_the_main_run_and_each_other(steps, samples):
     """For any number of steps, the estimate is within a factor of three of the true error."""
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=0.1, exponent=1.0)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-3),
-        duration=2.9 / chain.band_edge,
-        samples=samples,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-3), 2.9 / chain.band_edge, samples)
     for integrator in ("verlet", "rkn4", "dop853"):
         step = scene.duration / (samples - 1) / steps
         if step * chain.band_edge > 0.9 * METHODS[integrator].stability_limit:
@@ -109,12 +102,7 @@ def test_adaptive_steps_end_after_a_breakdown():
         top_load=0.0927680953941959,
         top="wall", bottom="wall",
     )  # fmt: skip
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=2.9797464221365813),
-        duration=0.000458478080663487,
-        samples=11,
-    )
+    scene = scene_of(chain, Impulse(velocity=2.9797464221365813), 0.000458478080663487, 11)
     engine = Native("rkn4")
     true_u, true_v, _ = extended_reference(scene)
     for steps in (1, 2, 4):

@@ -14,7 +14,9 @@ from lmpchain import (
     InputError,
     Profile,
     Scene,
-)  # fmt: skip
+    Trajectory,
+    simulate,
+)
 
 PAPER = {  # Name: strike velocity, m/s, and gravity, m/s2.
     "fig1": (8.57e-3, 9.81),
@@ -42,6 +44,27 @@ def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **c
         duration=duration,
         samples=11,
     )
+
+
+def scene_of(
+    chain: Chain, excitation: Any, duration: float, samples: int = 101, **more: Any
+) -> Scene:
+    """Return the scene of a chain and an excitation; options are those of `Scene`."""
+    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
+
+
+def run(
+    chain: Chain,
+    excitation: Any,
+    duration: float,
+    samples: int = 2,
+    tolerance: float = 1e-9,
+    engine: str = "native",
+    grains: Any = "all",
+) -> Trajectory:
+    """Return the motion of a scene."""
+    scene = scene_of(chain, excitation, duration, samples, grains=grains)
+    return simulate(scene, engine, tolerance)
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:

@@ -16,52 +16,6 @@ def below_load(chain: Any) -> NDArray[np.bool_]:
     return np.arange(chain.grains + 1) >= (chain.load_grain if chain.load_grain > 1 else 0)
 
 
-class Sine:
-    """A sin(2 pi f t), in a Hann window of some cycles, or for its first half period."""
-
-    def __init__(
-        self,
-        amplitude: float,
-        frequency: float,
-        kind: type[np.floating[Any]],
-        cycles: float | None,
-        half: bool,
-    ):
-        self.amplitude = kind(amplitude)
-        self.omega = 8 * np.arctan(kind(1)) * kind(frequency)
-        self.unit = 1 / self.omega
-        self.cycles = cycles
-        self.half = half
-        ends = (
-            [kind(cycles) / kind(frequency)]
-            if cycles
-            else [1 / kind(2 * frequency)]
-            if half
-            else []
-        )
-        self.knots = np.array(ends, dtype=kind)
-
-    def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return the displacement (m) and velocity (m/s), or the force (N) and its rate (N/s)."""
-        if self.knots.size and t >= self.knots[0]:
-            return 0 * self.omega, 0 * self.omega
-        a = self.amplitude
-        w = self.omega
-        value = a * np.sin(w * t)
-        rate = a * w * np.cos(w * t)
-        if not self.cycles:
-            return value, rate
-        # The squared sine preserves the digits that 1 - cos loses at first.
-        half = w * t / (2 * self.cycles)
-        hann = np.sin(half) ** 2
-        slope = np.sin(half) * np.cos(half) * w / self.cycles
-        return value * hann, rate * hann + value * slope
-
-    def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return the approximate largest value and rate."""
-        return abs(self.amplitude), abs(self.amplitude) * self.omega
-
-
 class Curve:
     """The curve through points and its continuation on both sides, in the precision `kind`.
 
@@ -99,7 +53,6 @@ class Curve:
             before = [*([[0, 0, 0, 0]] if begin > 0 else []), *rise]
             self.pieces = np.append(np.array(before, dtype=kind).T, self.pieces, axis=1)
             self.knots = np.append(([kind(0)] if begin > 0 else []) + [begin], self.knots)
-        self.unit = np.diff(self.knots).min()
 
     def __call__(self, t: np.floating[Any]) -> tuple[np.floating[Any], np.floating[Any]]:
         """Return the displacement (m) and velocity (m/s)."""
@@ -109,9 +62,3 @@ class Curve:
         s = t - self.knots[piece]
         y, slope, bend, twist = self.pieces[:, piece]
         return y + s * (slope + s * (bend + s * twist)), slope + s * (2 * bend + 3 * s * twist)
-
-    def largest(self) -> tuple[np.floating[Any], np.floating[Any]]:
-        """Return about the largest displacement and speed."""
-        dense = (self.knots[:-1, None] + np.diff(self.knots)[:, None] * np.arange(8) / 8).ravel()
-        u, v = np.abs([self(t) for t in [*dense, self.knots[-1]]]).max(axis=0)
-        return u, v

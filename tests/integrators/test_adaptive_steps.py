@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
+from helpers.flying_grains import flying, unlike
 from helpers.plain_methods import WIDE, Motion
 from helpers.thinned import thinned
 
-from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Scene, simulate
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.methods import METHODS, RKN4, RKN6, Splitting
 from lmpchain.integrators.observed_run import adaptive_steps
@@ -19,38 +20,30 @@ from lmpchain.integrators.steps import OPENING_STEPS, Steps
 
 GRAINS = 7
 LOOKS = 4
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Masses and diameters in m.
-SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 EPSILON = np.finfo(float).eps
 
 
 def scene_of(acts: str = "", **options: Any) -> Scene:
     """Return a chain of flying grains, or of forced grains."""
-    chain = Chain(
-        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
-    )
-    scale = chain.contacts.overlap.max() or 1e-7
-    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
-    edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
-    u, v = SPEEDS * [[scale / 2], [1.5 * scale * edge]]
-    u = u.copy()
-    v = v.copy()
-    u[chain.movable :] = v[chain.movable :] = 0
-    duration = 10 / edge
+    scene = flying(unlike(GRAINS, **options), 3, (0.5, 1.5), 10, LOOKS + 1)
+    if not acts:
+        return scene
+    duration = scene.duration
+    edge = 10 / duration
+    scale = scene.chain.contacts.overlap.max()
     frequency = 0.4 * edge / (2 * np.pi)
-    held = chain.contacts.force.max()
+    held = scene.chain.contacts.force.max()
     knots = np.array([0.0, 0.21, 0.44, 0.76, 1.1]) * duration
     bump = np.array([0.0, 1.0, -0.5, 0.8, 0.3])
     excitation = {
-        "": lambda: Profile(displacement=u, velocity=v),
         "burst on grain 3": lambda: Force(
             amplitude=5 * held, frequency=frequency, cycles=0.3, grain=3
         ),
         "samples of the wall": lambda: Drive(times=knots, displacement=4 * scale * bump, grain=0),
         "sine of grain 1": lambda: Drive(amplitude=3 * scale, frequency=frequency),
     }[acts]()
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=LOOKS + 1)
+    return scene.replace(excitation=excitation)
 
 
 SCENES = {

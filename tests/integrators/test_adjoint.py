@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
+from helpers.flying_grains import flying as flying_grains
+from helpers.flying_grains import unlike
 from helpers.plain_methods import WIDE, Column, Motion
 
 from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene
@@ -19,30 +21,17 @@ from lmpchain.integrators.methods import SPLITTINGS
 
 GRAINS = 6
 LOOKS = 3
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
-SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 DIFFERENCE = WIDE(1e-7)  # Relative change for differences.
 
 
 def pressed(**options: Any) -> Chain:
-    return Chain(
-        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
-    )
+    return unlike(GRAINS, **options)
 
 
 def flying(strains: float, **options: Any) -> Scene:
     """Return a scene of moving grains whose contacts differ from rest by this many overlaps."""
-    chain = pressed(**options)
-    scale = chain.contacts.overlap.max() or 1e-7
-    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
-    edge = chain.band_edge or np.sqrt(stiff.max() / chain.masses.min())
-    u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
-    u = u.copy()
-    v = v.copy()
-    u[chain.movable :] = v[chain.movable :] = 0
-    profile = Profile(displacement=u, velocity=v)
-    return Scene(chain=chain, excitation=profile, duration=8 / edge, samples=LOOKS + 1)
+    return flying_grains(pressed(**options), 5, (strains / 2, strains), 8, LOOKS + 1)
 
 
 VACUUM: dict[str, Any] = {"gravity": 0.0, "top_load": 0.0}

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
 from helpers.independent_integrators import extended_reference, relative_error
-from helpers.thinned import thinned
-from helpers.whole_runs import blocks_of
 from scipy.integrate import simpson
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, simulate
+from lmpchain import Chain, Drive, Impulse, Profile, Scene, engines, simulate
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.methods import METHODS, SPLITTINGS
 
@@ -52,27 +50,6 @@ def test_order_of_convergence(engine, integrator):
     slope = np.linalg.lstsq(np.stack(laws, axis=1), np.log(errors), rcond=None)[0][1]
     assert min(errors) > 100 * own
     assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
-
-
-@pytest.mark.parametrize("integrator", SPLITTINGS)
-def test_stability_limit(integrator):
-    """Up to the stated limit an oscillator stays bounded; just above it some frequency grows."""
-    splitting = SPLITTINGS[integrator]
-
-    def growth(frequency: float) -> float:
-        """Return the largest eigenvalue of one step of x'' = -frequency^2 x at h = 1."""
-        step = np.eye(2)
-        for b, a in zip(splitting.kicks, (*splitting.drifts, 0.0), strict=True):
-            step = (
-                np.array([[1.0, a], [0.0, 1.0]])
-                @ np.array([[1.0, 0.0], [-b * frequency**2, 1.0]])
-                @ step
-            )
-        return np.abs(np.linalg.eigvals(step)).max()
-
-    limit = splitting.stability_limit
-    assert max(growth(f) for f in np.linspace(0.01, 0.9999, 500) * limit) < 1 + 1e-7
-    assert max(growth(f) for f in np.linspace(1.0, 1.001, 50) * limit) > 1 + 1e-4
 
 
 @pairs
@@ -137,54 +114,6 @@ def test_time_reversal(engine, integrator):
     )
 
 
-EXCITATIONS = {
-    "struck": ({"top": "wall", "bottom": "wall"}, Displacement(displacement=2e-8, grain=3)),
-    "driven": ({"top_load": 0.01}, Drive(amplitude=2e-8, frequency=1e5)),
-    "driven by points": (
-        {},
-        Drive(times=np.linspace(0, 30e-6, 8), displacement=2e-8 * np.sin(np.arange(8.0)) ** 2),
-    ),
-}
-
-
-RESTARTED = [(*pair, excitation) for pair, excitation in product(PAIRS, EXCITATIONS)]
-# LAMMPS is slow.
-RESTARTED = [(e, i, x) for e, i, x in RESTARTED if e == "native" or i == "verlet" or x == "driven"]
-
-
-@pytest.mark.parametrize(("engine", "integrator", "excitation"), thinned(RESTARTED, 2))
-def test_exact_restart(engine, integrator, excitation):
-    """A run that continues from a stored state ends with the same bytes."""
-    ends, struck = EXCITATIONS[excitation]
-    chain = Chain(grains=30, material="glass", diameter=1e-3, **ends)
-    scene = Scene(chain=chain, excitation=struck, duration=30e-6, samples=9)
-    solver = fixed_step(engine, integrator, 1e-7)
-    candidate = solver.propose(scene, 1e-6)
-
-    def run(state=None, stop=None):
-        started = solver.start([scene], candidate, state)
-        blocks = []
-        try:
-            for block in started.blocks():
-                blocks.append(block)
-                if stop and block.samples.stop >= stop:
-                    return blocks, started.state()
-            return blocks, started.errors()[0]
-        finally:
-            started.close()
-
-    whole, error = run()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stepping_run, "BLOCK_BYTES", 1)  # Four samples per block.
-        first, kept = run(stop=4)
-    rest, error_again = run(kept)
-    assert rest[0].samples.start == first[-1].samples.stop < scene.samples
-    for field in ("displacement", "velocity"):
-        pieces = np.concatenate([getattr(b, field) for b in [*first, *rest]], axis=1)
-        assert np.array_equal(pieces, np.concatenate([getattr(b, field) for b in whole], axis=1))
-    assert error_again.total == error.total
-
-
 def test_opportunities_to_stop_do_not_change_the_bits(monkeypatch):
     """The number of steps between two opportunities to stop has no effect in any integrator."""
     struck = paper("fig1", samples=3).replace(duration=4e-5)
@@ -199,37 +128,3 @@ def test_opportunities_to_stop_do_not_change_the_bits(monkeypatch):
             monkeypatch.undo()
             assert np.array_equal(whole.displacement, pieces.displacement)
             assert np.array_equal(whole.velocity, pieces.velocity)
-
-
-@every
-@pytest.mark.parametrize(
-    "velocities", [(1e-6, 1e-5, 2e-5), (1e-4, 1e-3, 3e-3)], ids=["gentle", "strong"]
-)
-def test_batch_equals_single_runs(integrator, velocities):
-    """Realisations of a batch equal single runs."""
-    rng = np.random.default_rng(5)
-    scenes = []
-    for velocity in velocities:
-        chain = Chain(grains=25, material="glass", diameter=1e-3 * rng.uniform(0.9, 1.1, 25))
-        scenes.append(
-            Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=30e-6, samples=5)
-        )
-    solver = engines.Native(integrator=integrator, step=1e-7)
-    run = solver.start(scenes, solver.propose(scenes[0], 1e-6))
-    _, together = blocks_of(run)
-    errors = run.errors()
-    threaded = engines.Native(integrator=integrator, step=1e-7, threads=2).start(
-        scenes, run.proposal
-    )
-    assert np.array_equal(together, blocks_of(threaded)[1])
-    for i, scene in enumerate(scenes):
-        alone = simulate(scene, engine=solver)
-        assert np.array_equal(together[i], alone.velocity)
-        assert errors[i].total == alone.error_estimate.solver
-
-
-def test_a_batch_of_different_scenes_is_rejected():
-    scenes = [smooth(grains=8), smooth(grains=9)]
-    solver = engines.Native(step=1e-6)
-    with pytest.raises(ValueError, match="a batch needs"):
-        solver.start(scenes, solver.propose(scenes[0], 1e-6))

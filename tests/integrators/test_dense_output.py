@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from numba import njit
 
@@ -127,9 +128,7 @@ def test_pieces_and_threads_do_not_change_the_bits():
 
 
 def test_auxiliary_runs_are_compared_in_every_step():
-    scene = Scene(
-        chain=SPRING, excitation=Impulse(velocity=SPEED), duration=20 / OMEGA, samples=1001
-    )
+    scene = scene_of(SPRING, Impulse(velocity=SPEED), 20 / OMEGA, 1001)
     candidate = Native("rkn6").propose(scene, 1e-6)
     for schedule in AuxiliarySteps(METHODS["rkn6"], [scene], candidate.steps).schedules:
         assert schedule.dense <= schedule.stride / schedule.per_landing
@@ -138,12 +137,7 @@ def test_auxiliary_runs_are_compared_in_every_step():
 
 
 def test_steps_land_on_samples_where_this_is_cheaper_or_safer():
-    scene = Scene(
-        chain=Chain(grains=30, diameter=1e-3),
-        excitation=Impulse(velocity=1e-3),
-        duration=6e-5,
-        samples=1201,
-    )
+    scene = scene_of(Chain(grains=30, diameter=1e-3), Impulse(velocity=1e-3), 6e-5, 1201)
     few = scene.replace(samples=21)
     vacuum = scene.replace(chain=scene.chain.replace(gravity=0.0))
     assert Native().propose(scene, 1e-6).steps.stride > 1

@@ -2,19 +2,15 @@
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, Scene
+from lmpchain import Chain, Impulse
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
-SCENE = Scene(
-    chain=Chain(grains=12, diameter=1e-3),
-    excitation=Impulse(velocity=0.05),
-    duration=1.5e-4,
-    samples=13,
-)
+SCENE = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.05), 1.5e-4, 13)
 SCHEDULE = Steps(2, 1, SCENE.duration / 24, False)  # The steps are four times too long.
 
 

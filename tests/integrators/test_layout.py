@@ -9,9 +9,7 @@ from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
 from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
 from lmpchain.integrators.kernels.contact_forces import Form
 from lmpchain.integrators.kernels.layout import (
-    ALONE,
     PAD,
-    team,
 )
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
@@ -52,40 +50,6 @@ ENDS = {
     "vacuum": {"gravity": 0.0, "top_load": 0.0, **BETWEEN},
     "free vacuum": {"gravity": 0.0, "top_load": 0.0, "bottom": "free"},
 }
-
-
-@pytest.mark.parametrize("ends", ENDS)
-def test_tables_contain_lengths_strengths_and_masses(ends: str):
-    made = chains(**ENDS[ends])
-    laid = batch(*made)
-    assert laid.arrays.precompressed == (0.0 if "vacuum" in ends else 1.0)
-    links = laid.arrays
-    table = links.inverse_length, links.strength, laid.arrays.inverse_mass, links.uncompressed
-    for chain, length, strength, mobility, touching in zip(made, *table, strict=True):
-        contacts = chain.contacts
-        pressed = contacts.force > 0
-        vacuum = "vacuum" in ends
-        some = slice(PAD - 1, PAD + N)
-        lengths = np.where(pressed, 1 / np.where(pressed, contacts.overlap, 1), float(vacuum))
-        assert length[some] == pytest.approx(lengths, rel=1e-15)
-        assert strength[some] == pytest.approx(
-            contacts.constant if vacuum else contacts.force, rel=1e-15
-        )
-        moving = np.arange(N) < chain.movable
-        assert mobility[PAD : PAD + N] == pytest.approx(moving / chain.masses, rel=1e-15)
-        assert touching == (contacts.constant[0] if ends == "touching" else 0.0)
-        for row in (length, strength, mobility):
-            assert not row[: PAD - 1].any()
-            assert not row[PAD + N :].any()
-        assert not mobility[PAD - 1]
-
-
-def test_a_driven_grain_has_no_inverse_mass_in_the_table():
-    chain = chains()[0]
-    laid = batch(chain, excitation=Drive(amplitude=1e-9, frequency=1e4))
-    assert laid.arrays.inverse_mass[0, PAD : PAD + N] == pytest.approx(
-        [0, *1 / chain.masses[1:-1], 0], rel=1e-15
-    )
 
 
 @pytest.mark.parametrize("ends", ENDS)
@@ -130,32 +94,6 @@ def test_scales_are_the_largest_speed_and_displacement_of_the_excitation(excitat
     assert laid.arrays.scale[0] == pytest.approx(
         [speed / scene.highest_frequency, speed], rel=1e-14
     )
-
-
-DAMPED = {
-    "contacts": ({"viscoelastic": 2e-8}, None, True),
-    "driven": ({"viscoelastic": 2e-8}, Drive(amplitude=2e-8, frequency=2e4), True),
-    "pushed": ({"viscoelastic": 2e-8}, Force(amplitude=0.1, frequency=2e4, grain=2), False),
-    "drag": ({"viscoelastic": 2e-8, "drag": 50.0}, None, False),
-}
-
-
-@pytest.mark.parametrize("what", DAMPED)
-def test_damping_is_that_of_the_grains_that_move_freely(what: str):
-    """Creep is proportional to the accelerations only for contacts of one viscosity."""
-    damping, excitation, alike = DAMPED[what]
-    made = [chain.replace(damping=damping) for chain in chains()]
-    laid = batch(*made, excitation=excitation)
-    arrays = laid.arrays
-    assert (arrays.damped, arrays.alike) == (True, alike)
-    for real, chain in enumerate(made):
-        contacts = arrays.viscosity[real, PAD - 1 : PAD + N]
-        assert contacts.tolist() == [2e-8] * (N + 1)
-        free = np.arange(N) < N - 1
-        free[0] = what != "driven"
-        for row, values in ((arrays.drag, chain.drag), (arrays.mass, chain.masses)):
-            assert row[real, PAD : PAD + N].tolist() == np.where(free, values, 0.0).tolist()
-    assert batch(*chains()).arrays.viscosity.size == 0
 
 
 def test_rows_begin_at_cache_lines_with_one_body_more_at_either_end():
@@ -208,14 +146,6 @@ def test_moving_grains_set_the_window_without_speeds_of_driven_grains():
     assert not w.any()
 
 
-def test_copies_continue_from_their_own_states():
-    laid = batch(*chains())
-    u, v = np.random.default_rng(1).normal(size=(2, 3, 2, N))
-    x, w, _ = laid.place(u, v, 3)
-    assert np.array_equal(x[:, PAD : PAD + N], u.reshape(6, N))
-    assert np.array_equal(w[:, PAD : PAD + N], v.reshape(6, N))
-
-
 def test_short_chains_are_computed_as_a_whole():
     for grains in (WINDOW_MIN - 2 * PAD, WINDOW_MIN - 2 * PAD + 1):
         laid = batch(Chain(grains=grains, diameter=1e-3))
@@ -229,75 +159,6 @@ def test_contacts_that_are_open_at_rest_are_marked(ends: str):
     laid = batch(*chains(**ENDS[ends]))
     _, _, state = laid.place(*(field[None] for field in laid.initial))
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
-
-
-@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.2])
-@pytest.mark.parametrize("ends", ENDS)
-def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
-    made = chains(**ENDS[ends], exponent=exponent)
-    laid = batch(*made)
-    # A power has one kink a contact.
-    weight, reach = laid.arrays.opening_weight[:, 0], laid.arrays.opening_reach[:, 0]
-    for real, chain in enumerate(made):
-        contacts = chain.contacts
-        omega = laid.arrays.omega[real]
-        lightest = np.append(
-            0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
-        )
-        mobility = np.maximum(lightest[:-1], lightest[1:])
-        pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
-        pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
-        length = np.ones(N + 1) if "vacuum" in ends else contacts.overlap.copy()
-        length[0] = 1.0 if ends == "touching" else length[0]
-        strain = np.divide(laid.arrays.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
-        pull = pull * strain ** (exponent - 1.5)
-        expected = (pull * mobility / (omega**2.5 * laid.arrays.scale[real, 1])) ** 2
-        assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
-        assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
-        slow = np.sqrt(2) * (2 * omega) ** 3
-        assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)
-
-
-ACTS = {
-    "sine of grain 1": (Drive(amplitude=2e-9, frequency=3e4), PAD),
-    "burst of the wall": (Drive(amplitude=2e-9, frequency=3e4, cycles=4, grain=0), PAD - 1),
-    "half-sine on grain 3": (
-        Force(shape="half-sine", amplitude=0.2, duration=2e-5, grain=3),
-        -(PAD + 2),
-    ),
-    "samples on grain 4": (
-        Force(times=[0, 1e-5, 3e-5, 5e-5], force=[0, 1, 3, 2], grain=4),
-        -(PAD + 3),
-    ),
-}
-
-
-@pytest.mark.parametrize("what", ACTS)
-def test_the_forcing_has_a_separate_row(what: str):
-    excitation, body = ACTS[what]
-    laid = batch(*chains(**BETWEEN), excitation=excitation)
-    wave = excitation.waveform
-    imposed = laid.arrays
-    rows = imposed.wave, imposed.knots, imposed.pieces, imposed.reach
-    for course, knots, pieces, reach in zip(*rows, strict=True):
-        count = 0 if wave.spline is None else wave.spline.x.size
-        sine = wave.amplitude, wave.omega, wave.envelope, wave.end
-        assert course.tolist() == (*sine, count, body)
-        assert knots.tolist() == ([] if wave.spline is None else wave.spline.x.tolist())
-        if wave.spline is not None:
-            assert np.array_equal(pieces, wave.spline.c)
-        place = max(abs(body), PAD)
-        assert reach.tolist() == [place, place]
-    assert imposed.acts
-    assert laid.driven == (what == "sine of grain 1")
-
-
-def test_without_a_forcing_the_last_body_precedes_the_first():
-    laid = batch(*chains())
-    imposed = laid.arrays
-    assert not imposed.acts
-    assert (imposed.reach[:, 0] > imposed.reach[:, 1]).all()
-    assert all(not any(wave) for wave in imposed.wave.tolist())
 
 
 def test_batches_of_splines_of_any_length_move_like_single_chains():
@@ -390,17 +251,6 @@ def test_the_plain_form_is_inaccurate_only_for_compressed_contacts():
     assert ChainBatch([pressed]).opening_power == 1.5
 
 
-def test_threads_share_their_gates():
-    three = team(3)
-    assert [member.part for member in three] == [0, 1, 2]
-    assert {member.parts for member in three} == {3}
-    assert all(
-        member.gate is three[0].gate and member.nearness is three[0].nearness for member in three
-    )
-    assert len(three[0].nearness) == 3
-    assert (ALONE.part, ALONE.parts) == (0, 1)
-
-
 @pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
 def test_extremes_include_all_steps(name: str):
     """Smallest overlap, nearest approach and largest motion agree with samples at every step."""
@@ -427,3 +277,30 @@ def test_extremes_include_all_steps(name: str):
     assert 0.9 * farthest < state["largest_displacement"] <= farthest * (1 + 1e-12)
     assert 0.85 * fastest < state["largest_speed"] < 1.01 * fastest
     assert stepper.largest()[0].tolist() == [state["largest_displacement"], state["largest_speed"]]
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5, 2.2])
+@pytest.mark.parametrize("ends", ENDS)
+def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
+    made = chains(**ENDS[ends], exponent=exponent)
+    laid = batch(*made)
+    # A power has one kink a contact.
+    weight, reach = laid.arrays.opening_weight[:, 0], laid.arrays.opening_reach[:, 0]
+    for real, chain in enumerate(made):
+        contacts = chain.contacts
+        omega = laid.arrays.omega[real]
+        lightest = np.append(
+            0, np.append(1 / chain.masses[: chain.movable], np.zeros(N + 1 - chain.movable))
+        )
+        mobility = np.maximum(lightest[:-1], lightest[1:])
+        pull = (contacts.constant if "vacuum" in ends else contacts.force).copy()
+        pull[0] = contacts.constant[0] if ends == "touching" else pull[0]
+        length = np.ones(N + 1) if "vacuum" in ends else contacts.overlap.copy()
+        length[0] = 1.0 if ends == "touching" else length[0]
+        strain = np.divide(laid.arrays.scale[real, 0], length, out=np.ones(N + 1), where=length > 0)
+        pull = pull * strain ** (exponent - 1.5)
+        expected = (pull * mobility / (omega**2.5 * laid.arrays.scale[real, 1])) ** 2
+        assert weight[real, PAD - 1 : PAD + N] == pytest.approx(expected, rel=1e-13)
+        assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
+        slow = np.sqrt(2) * (2 * omega) ** 3
+        assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from helpers import plain_methods as plain
 from helpers.example_scenes import stirred
+from helpers.flying_grains import flying as flying_grains
+from helpers.flying_grains import unlike
 from helpers.plain_methods import WIDE, Motion
 
 from lmpchain import Chain, Drive, Force, Profile, Scene
@@ -20,28 +22,15 @@ from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
 GRAINS = 7
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
-SPEEDS = np.random.default_rng(3).uniform(-1, 1, (2, GRAINS))
 
 
 def pressed(**options: Any) -> Chain:
-    return Chain(
-        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
-    )
+    return unlike(GRAINS, **options)
 
 
 def flying(chain: Chain, strains: float, samples: int = 5) -> Scene:
     """Return a scene of moving grains whose contacts differ from rest by this many overlaps."""
-    scale = chain.contacts.overlap.max() or 1e-7
-    edge = chain.band_edge or np.sqrt(
-        chain.contacts.stiffness_at(np.full(GRAINS + 1, scale)).max() / chain.masses.min()
-    )
-    u, v = SPEEDS * [[strains * scale / 2], [strains * scale * edge]]
-    u = u.copy()
-    v = v.copy()
-    u[chain.movable :] = v[chain.movable :] = 0
-    profile = Profile(displacement=u, velocity=v)
-    return Scene(chain=chain, excitation=profile, duration=6 / edge, samples=samples)
+    return flying_grains(chain, 3, (strains / 2, strains), 6, samples)
 
 
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}

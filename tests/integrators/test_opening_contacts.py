@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
@@ -78,12 +78,7 @@ def test_a_wall_that_only_touches_has_no_effect_after_separation():
     chain = Chain(grains=4, material="steel", diameter=5e-3, gravity=9.81, top="wall")
     ends = []
     for top in ("wall", "free"):
-        scene = Scene(
-            chain=chain.replace(top=top),
-            excitation=Impulse(velocity=0.1),
-            duration=2e-6,
-            samples=11,
-        )
+        scene = scene_of(chain.replace(top=top), Impulse(velocity=0.1), 2e-6, 11)
         ends.append(simulate(scene, engines.Native(integrator="gear4", step=2e-7)))
     assert np.array_equal(*(t.displacement for t in ends))
     assert np.array_equal(*(t.velocity for t in ends))
@@ -123,21 +118,11 @@ SHAKEN = [
     ("scene", "steps"),
     [
         (
-            Scene(
-                chain=VACUUM,
-                excitation=Impulse(velocity=0.0212068595),
-                duration=6.2358512707e-6,
-                samples=11,
-            ),
+            scene_of(VACUUM, Impulse(velocity=0.0212068595), 6.2358512707e-6, 11),
             2,
         ),
         (
-            Scene(
-                chain=LOADED,
-                excitation=Profile(velocity=SHAKEN),
-                duration=1.1311997779e-5,
-                samples=11,
-            ),
+            scene_of(LOADED, Profile(velocity=SHAKEN), 1.1311997779e-5, 11),
             3,
         ),
     ],

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
+from helpers.flying_grains import flying, unlike
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Chain, Drive, Profile, Scene
+from lmpchain import Drive, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels import tangent
 from lmpchain.integrators.kernels.layout import PAD
@@ -15,8 +16,6 @@ from lmpchain.integrators.kernels.tangent import march
 from lmpchain.integrators.methods import RKN4
 
 GRAINS = 5
-UNLIKE = np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3  # Diameters, m.
-SPEEDS = np.random.default_rng(5).uniform(-1, 1, (2, GRAINS))
 BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 FRACTIONS = np.array([0.05, 0.1, 0.07, 0.13, 0.06, 0.11, 0.08, 0.1, 0.12, 0.18])
 CHANGE = WIDE(1e-7)
@@ -37,24 +36,16 @@ def scene_of(law: str) -> Scene:
     """Return a chain of flying grains, or a driven chain."""
     options = LAWS[law] | {}
     place = options.pop("drive", None)
-    chain = Chain(
-        **{"grains": GRAINS, "diameter": UNLIKE, "gravity": 30.0, "top_load": 0.02} | options
-    )
-    scale = chain.contacts.overlap.max() or 1e-7
-    stiff = chain.contacts.stiffness_at(np.full(GRAINS + 1, scale))
-    edge = chain.band_edge or float(np.sqrt(stiff.max() / chain.masses.min()))
-    u, v = SPEEDS * [[scale], [2 * scale * edge]]
-    u = u.copy()
-    v = v.copy()
-    u[chain.movable :] = v[chain.movable :] = 0
-    if place is not None:
-        u[0] = v[0] = 0
-        start = Profile(displacement=u, velocity=v)
-        drive = Drive(amplitude=scale, frequency=0.05 * edge, grain=place, start=start)
-        return Scene(chain=chain, excitation=drive, duration=4 / edge, samples=2)
-    return Scene(
-        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=4 / edge, samples=2
-    )
+    scene = flying(unlike(GRAINS, **options), 5, (1.0, 2.0), 4, 2)
+    if place is None:
+        return scene
+    u, v = scene.initial()
+    u[0] = v[0] = 0
+    start = Profile(displacement=u, velocity=v)
+    edge = 4 / scene.duration
+    amplitude = scene.chain.contacts.overlap.max()
+    drive = Drive(amplitude=amplitude, frequency=0.05 * edge, grain=place, start=start)
+    return scene.replace(excitation=drive)
 
 
 @pytest.mark.parametrize("law", LAWS)

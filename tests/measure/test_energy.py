@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import vacuum
+from helpers.example_scenes import run
 from scipy.special import jv
 
 from lmpchain import (
@@ -35,12 +36,9 @@ def record(
     duration: float,
     samples: int,
     tolerance: float = 1e-10,
-    grains: Any = "all",
+    **grains: Any,
 ) -> Trajectory:
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
-    )
-    return simulate(scene, engine="native", tolerance=tolerance)
+    return run(chain, excitation, duration, samples, tolerance, **grains)
 
 
 def of_unknown_error(t: Trajectory) -> Trajectory:

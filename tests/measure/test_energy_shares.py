@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from helpers.example_chains import WALLED
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, simulate, sweep
 from lmpchain.measure import energy
@@ -18,12 +19,7 @@ ACTED = {
 @pytest.mark.parametrize("name", WALLED)
 def test_shares_add_up(name: str):
     chain = WALLED[name]
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-2, grain=chain.movable),
-        duration=2e-5,
-        samples=21,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-2, grain=chain.movable), 2e-5, 21)
     t = simulate(scene, "native", 1e-9)
     found = energy.shares(t)
     assert min(found.kinetic.min(), found.elastic.min()) >= 0
@@ -105,12 +101,7 @@ def test_energies_in_a_sweep(tmp_path):
 def test_energies_are_within_their_errors(name: str):
     """The errors cover the deviation from the energy input, and from a far more accurate run."""
     chain = WALLED[name]
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-2, grain=chain.movable),
-        duration=2e-5,
-        samples=21,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-2, grain=chain.movable), 2e-5, 21)
     found, better = (
         energy.shares(simulate(scene, "native", tolerance)) for tolerance in (1e-3, 1e-9)
     )
@@ -124,9 +115,7 @@ def test_energies_are_within_their_errors(name: str):
 
 
 def test_the_energy_of_grains_does_not_depend_on_other_recorded_grains(tmp_path):
-    scene = Scene(
-        chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11, grains="3:6"
-    ).to_dict()
+    scene = scene_of(LOADED, ACTED["struck"], 2e-5, 11, grains="3:6").to_dict()
     kept = {}
     for number, keep in enumerate((["energy"], ["energy", "peak_velocity", "grain_energy"])):
         grid = {"excitation.velocity": [1e-3, 2e-3]}

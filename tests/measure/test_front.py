@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -29,11 +30,11 @@ def column(
     chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
     eta = 1 + 1 / delta
     end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=strike * chain.length_scale / chain.time_scale),
-        duration=end * chain.time_scale,
-        samples=round(per_unit * end) + 1,
+    scene = scene_of(
+        chain,
+        Impulse(velocity=strike * chain.length_scale / chain.time_scale),
+        end * chain.time_scale,
+        round(per_unit * end) + 1,
         grains=recorded,
     )
     return simulate(scene, engine="native", tolerance=1e-8)
@@ -58,11 +59,11 @@ def made_up(
     motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
 ) -> Trajectory:
     """Return a trajectory with the velocity motion(t, n) for 0 to 20 us, without an equation."""
-    scene = Scene(
-        chain=Chain(grains=grains + 1, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6),
-        duration=20e-6,
-        samples=samples,
+    scene = scene_of(
+        Chain(grains=grains + 1, diameter=1e-3),
+        Impulse(velocity=1e-6),
+        20e-6,
+        samples,
         grains=f"1:{grains}",
     )
     numbers = np.arange(1.0, grains + 1)
@@ -137,11 +138,11 @@ def test_a_wave_without_a_recorded_decrease_has_no_width():
 
 
 def test_recorded_grains_may_come_in_any_order():
-    scene = Scene(
-        chain=Chain(grains=40, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6, grain=10),
-        duration=6e-5,
-        samples=301,
+    scene = scene_of(
+        Chain(grains=40, diameter=1e-3),
+        Impulse(velocity=1e-6, grain=10),
+        6e-5,
+        301,
         grains=[20, 4, 12, 10, 16, 8],
     )
     front = track(simulate(scene, engine="native", tolerance=1e-8))
@@ -189,9 +190,7 @@ def test_soliton_of_the_sonic_vacuum():
         masses=np.ones(90),
         contact_constants=np.ones(89),
     )
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1.0), duration=110.0, samples=2201, grains="50:80"
-    )
+    scene = scene_of(chain, Impulse(velocity=1.0), 110.0, 2201, grains="50:80")
     t = simulate(scene, engine="native", tolerance=1e-8)
     front = track(t)
     assert front.grain.tolist() == list(range(50, 81))
@@ -426,12 +425,7 @@ def test_grains_at_rest_are_skipped():
 
 def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     """The message gives the number of grains whose arrival times are too uncertain."""
-    scene = Scene(
-        chain=Chain(grains=1000, diameter=1e-3),
-        excitation=Impulse(velocity=1e-5),
-        duration=1.2e-3,
-        samples=241,
-    )
+    scene = scene_of(Chain(grains=1000, diameter=1e-3), Impulse(velocity=1e-5), 1.2e-3, 241)
     coarse = simulate(scene, "native")
     with pytest.raises(
         InputError, match=r"samples: 241 samples do not show .*: record (\d+) samples"

@@ -9,6 +9,7 @@ from types import FrameType
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, engines, simulate
 from lmpchain.measure.front import track
@@ -20,9 +21,7 @@ CALIBRATION = Path(__file__).parents[2] / "analysis" / "calibration"
 def column(samples: int, velocity: float = 8.57e-4) -> Scene:
     """Return the scene of the paper with a given number of samples."""
     chain = Chain(grains=120, diameter=1e-3)
-    return Scene(
-        chain=chain, excitation=Impulse(velocity=velocity), duration=100e-6, samples=samples
-    )
+    return scene_of(chain, Impulse(velocity=velocity), 100e-6, samples)
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +65,7 @@ def test_two_grains_against_the_exact_oscillation(samples: int):
     """
     chain = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=0.0)
     omega = float(np.sqrt(chain.linear_stiffness[0] / chain.masses[0]))
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6), duration=4 * np.pi / omega, samples=samples
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-6), 4 * np.pi / omega, samples)
     between = motion_of(simulate(scene, "native", 1e-12))
     sampled = np.sin(omega * scene.time)
     largest = {"displacement": np.abs(sampled).max(), "velocity": 1.0}
@@ -116,9 +113,7 @@ def test_grains_at_rest_do_not_change_peaks(samples):
     found = []
     for grains in (200, 2000):
         chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=0.1)
-        scene = Scene(
-            chain=chain, excitation=Impulse(velocity=1e-2, grain=9), duration=2e-5, samples=samples
-        )
+        scene = scene_of(chain, Impulse(velocity=1e-2, grain=9), 2e-5, samples)
         between = motion_of(simulate(scene, engines.Native(step=1e-8)))
         known = [between.known_error(field) for field in ("velocity", "displacement")]
         values = [
@@ -145,9 +140,7 @@ def test_recorded_grains_alone():
 
 def test_driven_grain():
     drive = Drive(amplitude=1e-9, frequency=20e3)
-    scene = Scene(
-        chain=Chain(grains=30, diameter=1e-3), excitation=drive, duration=1e-4, samples=201
-    )
+    scene = scene_of(Chain(grains=30, diameter=1e-3), drive, 1e-4, 201)
     found = peaks(simulate(scene, "native", 1e-9))
     assert abs(found.value[0] - 2e4 * 2 * np.pi * 1e-9) <= found.error[0] < 1e-5 * found.value[0]
 
@@ -188,9 +181,7 @@ def test_random_scenes_soak(equation, monkeypatch):
 def test_a_driven_grain_with_few_samples():
     """The drive gives the acceleration of the grain; contacts give all other accelerations."""
     drive = Drive(amplitude=1e-9, frequency=20e3)
-    scene = Scene(
-        chain=Chain(grains=12, diameter=1e-3), excitation=drive, duration=1e-4, samples=11
-    )
+    scene = scene_of(Chain(grains=12, diameter=1e-3), drive, 1e-4, 11)
     samples = int(scene.highest_frequency * scene.duration / 1.5) + 2
     seen = peaks(simulate(scene.replace(samples=samples), "native", 1e-9))
     speed = 2 * np.pi * 20e3 * 1e-9

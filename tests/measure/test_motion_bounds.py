@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
 from lmpchain.measure.motion import Motion, motion_of
@@ -20,13 +21,7 @@ def swing(
     samples: int, angle: float, error: float = 1e-4, equation: int = 1, grains: Any = "all"
 ) -> Motion:
     """Return grain 1 on its spring, v cos(omega t), with the sampling phase `angle`."""
-    scene = Scene(
-        chain=SPRING,
-        excitation=Impulse(velocity=SPEED),
-        duration=angle / OMEGA,
-        samples=samples,
-        grains=grains,
-    )
+    scene = scene_of(SPRING, Impulse(velocity=SPEED), angle / OMEGA, samples, grains=grains)
     phase = OMEGA * scene.time
     u = SPEED / OMEGA * np.sin(phase)
     v = SPEED * np.cos(phase)
@@ -121,13 +116,7 @@ def test_bounds_between_samples_of_one_spring():
 def test_the_energy_within_reach_of_every_grain(linear: bool, recorded: str):
     """For each grain, the bound includes all energy that the wave can carry within an interval."""
     chain = Chain(grains=14, diameter=np.linspace(1e-3, 1.5e-3, 14), top_load=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=2e-2, grain=3),
-        duration=5e-5,
-        samples=6,
-        grains=recorded,
-    )
+    scene = scene_of(chain, Impulse(velocity=2e-2, grain=3), 5e-5, 6, grains=recorded)
     t = simulate(scene, engines.Native(step=2e-8))
     between = Motion(scene, 3 if linear else 1, t.grains, t.displacement, t.velocity, 0.0)
     h = scene.duration / 5
@@ -221,12 +210,8 @@ def test_no_bottom_force_without_support_or_recording():
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=21)
     with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
         motion_of(simulate(scene, engines.Native(step=1e-8))).largest_wall_force()
-    scene = Scene(
-        chain=Chain(grains=5, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4),
-        duration=1e-6,
-        samples=21,
-        grains=[1, 2, 3],
+    scene = scene_of(
+        Chain(grains=5, diameter=1e-3), Impulse(velocity=1e-4), 1e-6, 21, grains=[1, 2, 3]
     )
     between = motion_of(simulate(scene, engines.Native(step=1e-8)))
     with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):

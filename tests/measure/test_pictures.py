@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, Profile, Scene, simulate
+from lmpchain import Chain, Impulse, Profile, simulate
 from lmpchain.measure.contact import ContactHistory, Signal
 from lmpchain.measure.fit.column import ContinuumFit, ExponentFit, FrontLaw
 from lmpchain.measure.fit.inverse import ParameterFit, Trace
@@ -178,13 +179,7 @@ def test_a_spectrum_over_wavenumber_and_frequency():
 @pytest.mark.parametrize("grains", ["all", [2, 9, 7], [4]], ids=["all", "some", "one"])
 def test_the_motion_over_time_and_depth(grains: Any):
     chain = Chain(grains=12, diameter=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-6, grain=3),
-        duration=1e-4,
-        samples=41,
-        grains=grains,
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-6, grain=3), 1e-4, 41, grains=grains)
     t = simulate(scene, "native", 1e-4)
     axes = space_time(t, "displacement", law=True)
     (line,) = axes.lines
@@ -204,11 +199,7 @@ def test_the_motion_over_time_and_depth(grains: Any):
 
 
 def test_pictures_without_motion():
-    scene = Scene(
-        chain=Chain(grains=12, diameter=1e-3),
-        excitation=Profile(velocity=np.zeros(12)),
-        duration=1e-4,
-    )
+    scene = scene_of(Chain(grains=12, diameter=1e-3), Profile(velocity=np.zeros(12)), 1e-4)
     still = simulate(scene, "native", 1e-6)
     spectrum(still).plot().figure.draw_without_rendering()
     space_time(still)

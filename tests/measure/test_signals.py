@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
@@ -28,13 +29,7 @@ RNG = np.random.default_rng(8)
 def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
     """Return displacements as large as overlaps, and random velocities, of an uneven chain."""
     given = {"grains": 9, "diameter": np.linspace(1e-3, 1.5e-3, 9), "top_load": 1e-3} | chain
-    scene = Scene(
-        chain=Chain(**given),
-        excitation=Impulse(velocity=1e-6),
-        duration=2e-5,
-        samples=samples,
-        grains=grains,
-    )
+    scene = scene_of(Chain(**given), Impulse(velocity=1e-6), 2e-5, samples, grains=grains)
     t = simulate(scene, engines.Native(step=1e-7))
     u, v = RNG.normal(size=(2, *t.displacement.shape))
     still = t.grains > scene.chain.movable
@@ -100,12 +95,7 @@ def test_force_of_a_driver(top: str):
         below = constant[1] * np.maximum(overlap[1] + u[:, 0] - u[:, 1], 0) ** 1.5
         force = chain.masses[0] * given[2] + below - 9.81 * chain.masses[0]
     assert drive_force(t) == pytest.approx(force, rel=1e-7, abs=1e-9 * np.abs(force).max())
-    pushed = Scene(
-        chain=chain,
-        excitation=Force(grain=2, amplitude=1e-4, frequency=1e5),
-        duration=1e-6,
-        samples=3,
-    )
+    pushed = scene_of(chain, Force(grain=2, amplitude=1e-4, frequency=1e5), 1e-6, 3)
     with pytest.raises(InputError, match="excitation: nothing is driven"):
         drive_motion(simulate(pushed, engines.Native(step=1e-8)))
 
@@ -293,11 +283,11 @@ def test_columns_of_recorded_bodies():
 
 
 def test_largest_values_are_labelled_by_grain():
-    scene = Scene(
-        chain=Chain(grains=6, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6, grain=2),
-        duration=2e-5,
-        samples=101,
+    scene = scene_of(
+        Chain(grains=6, diameter=1e-3),
+        Impulse(velocity=1e-6, grain=2),
+        2e-5,
+        101,
         grains=[4, 2, 3, 1, 5],
     )
     t = simulate(scene, "native", 1e-9)
@@ -329,11 +319,8 @@ def test_drive_force_on_grain_1_below_a_wall():
 
 def test_the_balance_needs_every_grain_that_can_move():
     """The moving part includes two grains at rest; every unrecorded grain is an error."""
-    scene = Scene(
-        chain=Chain(grains=100, diameter=1e-3, bottom="wall"),
-        excitation=Impulse(velocity=1e-6),
-        duration=5e-7,
-        samples=5,
+    scene = scene_of(
+        Chain(grains=100, diameter=1e-3, bottom="wall"), Impulse(velocity=1e-6), 5e-7, 5
     )
     t = simulate(scene, "native", 1e-9)
     part, u, v = motion_of_all(t)

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, Trajectory, simulate
 from lmpchain.measure import solitary
@@ -87,12 +88,7 @@ def test_hard_strike_under_a_load_sends_one_wave() -> None:
     """The wave is faster than sound; its energy agrees with the exact wave."""
     loaded = chain(140, top_load=0.01, bottom="wall")
     unit = loaded.length_scale / loaded.time_scale
-    scene = Scene(
-        chain=loaded,
-        excitation=Impulse(velocity=5 * unit),
-        duration=60 * loaded.time_scale,
-        samples=1001,
-    )
+    scene = scene_of(loaded, Impulse(velocity=5 * unit), 60 * loaded.time_scale, 1001)
     train = solitary.find(simulate(scene, "native", 1e-7))
     assert train.speed[0] * loaded.time_scale > 1
     assert train.exact_energy[0] == pytest.approx(train.energy[0], rel=1e-2)
@@ -116,12 +112,7 @@ def test_plot_draws_the_waves() -> None:
 )
 def test_scenes_without_solitary_waves_are_rejected(others: dict[str, object], key: str) -> None:
     """A weak strike under a load, damping, springs and gravity are rejected in one line each."""
-    scene = Scene(
-        chain=chain(60).replace(**others),
-        excitation=Impulse(velocity=1e-4),
-        duration=1e-4,
-        samples=301,
-    )
+    scene = scene_of(chain(60).replace(**others), Impulse(velocity=1e-4), 1e-4, 301)
     with pytest.raises(InputError, match=key):
         solitary.find(simulate(scene, "native", 1e-3))
 

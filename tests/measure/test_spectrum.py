@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, get_window
 
-from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Chain, Impulse, InputError, Trajectory, simulate
 from lmpchain.measure.front import track
 from lmpchain.measure.spectrum import cut_off, dispersion, space_time, spectrum, travel_time
 
@@ -26,9 +27,7 @@ def made_up(
 ) -> Trajectory:
     """Return a trajectory with velocity and displacement motion(t, n), t in s."""
     chain = Chain(grains=grains, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-9), duration=duration, samples=samples
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-9), duration, samples)
     values = motion(scene.time[:, None], np.arange(1.0, grains + 1))
     return replace(
         simulate(scene, engine="native", tolerance=1e-3), velocity=values, displacement=values
@@ -96,12 +95,7 @@ def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
     exact = np.sqrt(squares) / (2 * np.pi)
     speed = 1e-5 * chain.length_scale / chain.time_scale
     duration = 100 / np.diff(exact).min()
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=duration,
-        samples=int(4 * exact[-1] * duration),
-    )
+    scene = scene_of(chain, Impulse(velocity=speed), duration, int(4 * exact[-1] * duration))
     found = spectrum(simulate(scene, engine="native", tolerance=1e-6), window="hann")
     together = found.amplitude.sum(1)
     peaks, _ = find_peaks(together, height=1e-3 * together.max())
@@ -111,13 +105,7 @@ def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
 def test_the_top_lets_only_low_frequencies_into_a_column():
     chain = Chain(grains=80, diameter=1e-3)
     speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=60 * chain.time_scale,
-        samples=601,
-        grains=[60, 1, 30],
-    )
+    scene = scene_of(chain, Impulse(velocity=speed), 60 * chain.time_scale, 601, grains=[60, 1, 30])
     found = spectrum(simulate(scene, engine="native", tolerance=1e-8), window="hann")
     assert found.grain.tolist() == [1, 30, 60]
     assert found.cut_off == pytest.approx(cut_off(chain)[[0, 29, 59]], rel=1e-14)
@@ -157,9 +145,7 @@ def test_a_uniform_chain_has_its_dispersion_relation():
     chain = loaded(121)
     omega = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     speed = 1e-4 * chain.length_scale * omega
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed, grain=61), duration=110 / omega, samples=401
-    )
+    scene = scene_of(chain, Impulse(velocity=speed, grain=61), 110 / omega, 401)
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 1, 121)
     assert found.grain.tolist() == [1, 61, 121]
     exact = omega / (2 * np.pi) * np.abs(np.sin(found.wavenumber / 2))
@@ -173,12 +159,7 @@ def test_a_uniform_chain_has_its_dispersion_relation():
 def test_waves_in_a_column_move_downward_on_the_local_relation():
     chain = Chain(grains=200, diameter=1e-3)
     speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=110 * chain.time_scale,
-        samples=1001,
-    )
+    scene = scene_of(chain, Impulse(velocity=speed), 110 * chain.time_scale, 1001)
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 60, 140)
     down, up = (
         found.amplitude[:, side].max() for side in (found.wavenumber > 0.1, found.wavenumber < -0.1)
@@ -201,11 +182,8 @@ def test_a_dimer_has_two_branches():
     chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     stiffness = chain.linear_stiffness[0]
     unit = chain.time_scale
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-5 * chain.length_scale / unit, grain=81),
-        duration=150 * unit,
-        samples=601,
+    scene = scene_of(
+        chain, Impulse(velocity=1e-5 * chain.length_scale / unit, grain=81), 150 * unit, 601
     )
     found = dispersion(simulate(scene, engine="native", tolerance=1e-7), 1, 160)
     both = 1e6 * (1 + 1 / 3)
@@ -244,9 +222,7 @@ def test_cut_off_of_a_dimer():
     chain = Chain(grains=60, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
     k = chain.linear_stiffness[0]
     assert (2 * np.pi * cut_off(chain)) ** 2 == pytest.approx(2 * k * 1e6 * (1 + 1 / 3), rel=1e-12)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-9), duration=20 * chain.time_scale, samples=64
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-9), 20 * chain.time_scale, 64)
     found = spectrum(simulate(scene, "modes"))
     assert (2 * np.pi * found.bands[:, 0, 1]) ** 2 == pytest.approx(2 * k * 1e6 / 3, rel=1e-12)
     assert (2 * np.pi * found.bands[:, 1, 0]) ** 2 == pytest.approx(2 * k * 1e6, rel=1e-12)
@@ -284,13 +260,7 @@ def test_travel_time_in_a_column():
         1.2 * (n - 0.5) ** (5 / 6), abs=0.19
     )
     speed = 1e-4 * chain.length_scale / chain.time_scale
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=106 * chain.time_scale,
-        samples=801,
-        grains="20:200",
-    )
+    scene = scene_of(chain, Impulse(velocity=speed), 106 * chain.time_scale, 801, grains="20:200")
     front = track(simulate(scene, engine="native", tolerance=1e-8))
     assert front.grain[-1] == 200
     late = (front.time - travel_time(chain)[front.grain - 1]) / chain.time_scale
@@ -332,7 +302,5 @@ def test_an_unrecorded_grain_is_named_with_the_remedy():
 
 def ringing(**given: Any) -> Trajectory:
     chain = Chain(grains=12, diameter=1e-3, **given)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6, grain=3), duration=1e-4, samples=201
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-6, grain=3), 1e-4, 201)
     return simulate(scene, engine="native", tolerance=1e-6)

@@ -462,24 +462,6 @@ def read(path: Path, *more: object) -> None:
     call("fit", path, *more, "--json", path.with_suffix(".json"))
 
 
-@fuzzed(10, 1900)
-def test_spoilt_files(answers: Path, count: int):
-    def check(spoil: Callable[[bytes], bytes]) -> None:
-        with Workplace(run__nc=spoil((answers / "run.nc").read_bytes())) as folder:
-            read(folder / "run.nc")
-
-    examine(check, damage(), count)
-
-
-@fuzzed(8, 500)
-def test_spoilt_dumps(answers: Path, count: int):
-    def check(spoil: Callable[[bytes], bytes]) -> None:
-        with Workplace(column__lammpstrj=spoil((answers / "dump").read_bytes())) as folder:
-            read(folder / "column.lammpstrj", "--scene", answers / "scene.toml")
-
-    examine(check, damage(), count)
-
-
 @pytest.mark.filterwarnings("ignore:.*going on from", "ignore:the run began with other")
 @fuzzed(10, 500)
 def test_spoilt_run_folders(answers: Path, count: int):

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.child_processes import PATIENCE, at_work, same, until
-from helpers.example_scenes import stirred
+from helpers.example_scenes import scene_of, stirred
 
 from lmpchain import Chain, Impulse, Scene, Trajectory, load_sweep, simulate
 from lmpchain.simulation.run_folder import status
@@ -34,19 +34,11 @@ LONG = Chain(grains=4000, diameter=1e-3)
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
 # The page stops this run, so the run must be long. Its steps are slow, because ranks synchronise at
 # each step.
-MOVING = Scene(
-    chain=LONG,
-    excitation=stirred(LONG, 1e-5),
-    duration=4e-4 / 3,
-    samples=601,
-    grains=range(1, 101),
-)
+MOVING = scene_of(LONG, stirred(LONG, 1e-5), 4e-4 / 3, 601, grains=range(1, 101))
 LASTING = {
     "-o run/": MOVING,
     "job/": MOVING,
-    "sweep.toml": Scene(
-        chain=Chain(grains=60, diameter=1e-3), excitation=STRIKE, duration=1e-4, samples=3001
-    ),
+    "sweep.toml": scene_of(Chain(grains=60, diameter=1e-3), STRIKE, 1e-4, 3001),
 }
 
 STANDING_IN = {

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.browser import browser, installed
+from helpers.example_scenes import scene_of
 from helpers.live_figure import arrays, numbers_of
 
 import lmpchain
@@ -13,12 +14,7 @@ from lmpchain import Chain, Damping, Impulse, InputError, Scene, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.report import exploration
 
-SCENE = Scene(
-    chain=Chain(grains=20, diameter=1e-3),
-    excitation=Impulse(velocity=1e-4),
-    duration=40e-6,
-    samples=61,
-)
+SCENE = scene_of(Chain(grains=20, diameter=1e-3), Impulse(velocity=1e-4), 40e-6, 61)
 SPEEDS = [1e-6, 1e-3, 0.3]
 LOADS = [1.62, 9.81]
 

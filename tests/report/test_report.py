@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.browser import browser, installed
+from helpers.example_scenes import scene_of
 from helpers.live_figure import arrays, numbers_of
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Packet, Scene, Trajectory, simulate
@@ -149,11 +150,8 @@ def test_the_live_view_contains_the_motion(run: Trajectory, text: str):
 )
 def test_an_unresolved_front_is_not_denied(grains: int, duration: float, samples: int):
     """Samples 5 us apart do not show the order of the peaks."""
-    scene = Scene(
-        chain=Chain(grains=grains, diameter=1e-3),
-        excitation=Impulse(velocity=8.57e-4),
-        duration=duration,
-        samples=samples,
+    scene = scene_of(
+        Chain(grains=grains, diameter=1e-3), Impulse(velocity=8.57e-4), duration, samples
     )
     run = simulate(scene, "native", 1e-6)
     with pytest.raises(InputError, match=r"samples: .* record \d+ samples") as refusal:
@@ -182,9 +180,7 @@ def test_only_a_real_front_is_reported(run: Trajectory):
 
 def test_missing_parts_state_the_reason():
     chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free")
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=40, grains=[2, 5]
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-2), 5e-5, 40, grains=[2, 5])
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert (
         "Not for this run: grains: no two neighbouring grains were recorded"
@@ -200,12 +196,7 @@ def test_missing_parts_state_the_reason():
 
 @pytest.mark.slow
 def test_the_page_of_a_chain_at_rest():
-    scene = Scene(
-        chain=Chain(grains=5, diameter=1e-3),
-        excitation=Impulse(velocity=0.0),
-        duration=1e-5,
-        samples=5,
-    )
+    scene = scene_of(Chain(grains=5, diameter=1e-3), Impulse(velocity=0.0), 1e-5, 5)
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "strongest" not in page.sections["Fits"]
 

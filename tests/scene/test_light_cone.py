@@ -7,7 +7,7 @@ from math import lgamma
 
 import numpy as np
 import pytest
-from helpers.example_scenes import random_scene
+from helpers.example_scenes import random_scene, scene_of
 from scipy.special import ive
 
 from lmpchain import (
@@ -128,9 +128,7 @@ def test_the_cone_is_as_wide_as_springs_require(x: float):
 def test_short_chains_and_wide_cones_are_not_cut():
     """The cone is used from 128 grains on, if at most seven of ten grains are reached."""
     for grains, cut in ((127, False), (128, True)):
-        scene = Scene(
-            chain=Chain(grains=grains, **BEADS), excitation=Impulse(velocity=1e-6), duration=1e-6
-        )
+        scene = scene_of(Chain(grains=grains, **BEADS), Impulse(velocity=1e-6), 1e-6)
         assert (scene.light_cone is not None) is cut
     springs = Chain(
         grains=600, gravity=0.0, top_load=1e-3, exponent=1.0, top="wall", bottom="wall", **BEADS
@@ -138,9 +136,7 @@ def test_short_chains_and_wide_cones_are_not_cut():
     edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
     for away, cut in ((205, True), (212, False)):
         x = next(x for x in np.arange(1.0, 500.0) if farthest(x) >= away)
-        scene = Scene(
-            chain=springs, excitation=Impulse(velocity=1e-6, grain=300), duration=x / edge
-        )
+        scene = scene_of(springs, Impulse(velocity=1e-6, grain=300), x / edge)
         assert (scene.light_cone is not None) is cut
 
 
@@ -166,9 +162,7 @@ def test_recorded_grains_of_a_cone_keep_their_positions():
     """Rows are among the computed grains, columns among the recorded ones."""
     chain = Chain(grains=600, **BEADS)
     for grains in ("all", "20:400", [3, 500, 30, 1], [599, 600]):
-        scene = Scene(
-            chain=chain, excitation=Impulse(velocity=1e-6), duration=60e-6, samples=7, grains=grains
-        )
+        scene = scene_of(chain, Impulse(velocity=1e-6), 60e-6, 7, grains=grains)
         cone = scene.light_cone
         _, last = find_reached(scene)
         assert cone.scene.chain == chain.part(1, last)
@@ -187,12 +181,8 @@ def test_a_drive_is_not_cut():
 
 def test_a_million_grains_take_the_memory_of_few():
     def strike(grains: int) -> tuple[np.ndarray, int]:
-        scene = Scene(
-            chain=Chain(grains=grains, **BEADS),
-            excitation=Impulse(velocity=8.57e-4),
-            duration=100e-6,
-            samples=11,
-            grains="1:50",
+        scene = scene_of(
+            Chain(grains=grains, **BEADS), Impulse(velocity=8.57e-4), 100e-6, 11, grains="1:50"
         )
         tracemalloc.start()
         try:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import (
     GLASS,
@@ -352,25 +353,6 @@ def test_a_fault_is_named_by_its_key(
     assert list(file.parent.iterdir()) == [file]
 
 
-def test_all_faults_are_reported_at_once(file: Path, capsys: pytest.CaptureFixture[str]):
-    text = GOOD
-    chosen = ("unknown key", "NaN", "no grain", "word for a velocity", "no duration", "one sample")
-    for name in chosen:
-        old, new, _ = FAULTS[name]
-        text = text.replace(old, new)
-    file.write_text(text)
-    assert sorted(refused(file, capsys)) == sorted(FAULTS[name][2] for name in chosen)
-
-
-def test_faults_between_sections_are_reported_at_once(
-    file: Path, capsys: pytest.CaptureFixture[str]
-):
-    file.write_text(
-        GOOD.replace("grain = 1\n", "grain = 21\n").replace("samples = 11", 'grains = "1:21"')
-    )
-    assert refused(file, capsys) == ["excitation.grain", "recording.grains"]
-
-
 def test_faults_of_walls_impurities_and_drives_are_reported_at_once(
     file: Path, capsys: pytest.CaptureFixture[str]
 ):
@@ -560,9 +542,7 @@ PAIRS = {
 def test_a_written_scene_file_is_read_as_an_equal_scene(
     chain: Chain, excitation: Impulse, grains: str, file: Path
 ):
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=1e-5 / 3, samples=np.int64(7), grains=grains
-    )
+    scene = scene_of(chain, excitation, 1e-5 / 3, np.int64(7), grains=grains)
     scene.to_toml(file)
     again = Scene.from_toml(file)
     assert again == scene
@@ -768,64 +748,14 @@ def test_python_finds_the_same_faults_as_a_file():
     assert {key for key, _ in caught.value.faults} == {"grain", "grains"}
 
 
-def test_python_finds_the_same_faults_in_a_drive_as_a_file():
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0)
-    with pytest.raises(InputError) as caught:
-        Scene(
-            chain=chain,
-            excitation=Drive(times=[0, 1e-6], displacement=[0, 1e-9]),
-            duration=1e-5,
-            grains=[4],
-        )
-    assert [key for key, _ in caught.value.faults] == ["kind", "grains"]
-    with pytest.raises(InputError) as caught:
-        Drive(times=[1e-6, 0], displacement=[1e-9, 0])
-    assert [key for key, _ in caught.value.faults] == ["times", "displacement"]
-
-
 def test_a_checked_scene_cannot_be_changed():
-    scene = Scene(
-        chain=Chain(grains=3, diameter=[1e-3] * 3), excitation=Impulse(velocity=1e-3), duration=1e-6
-    )
+    scene = scene_of(Chain(grains=3, diameter=[1e-3] * 3), Impulse(velocity=1e-3), 1e-6)
     with pytest.raises(
         InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"
     ):
         scene.duration = -1.0
     with pytest.raises(ValueError, match="read-only"):
         scene.chain.diameter[0] = -1.0
-
-
-def test_samples_and_their_times_and_grains():
-    chain = Chain(grains=5, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5, samples=11, grains="2:4"
-    )
-    assert scene.time[0] == 0
-    assert scene.time[-1] == 1e-5
-    assert scene.time.size == 11
-    assert scene.recorded.tolist() == [2, 3, 4]
-
-
-def test_strike_number():
-    chain = Chain(grains=20, diameter=1e-3)
-    omega = np.sqrt(chain.linear_stiffness / chain.masses[:-1])
-    for grain in (1, 7, 19):
-        v0 = 0.1 * chain.equilibrium_overlap[grain - 1] * omega[grain - 1]
-        scene = Scene(chain=chain, excitation=Impulse(velocity=v0, grain=grain), duration=1e-5)
-        assert scene.strike_number == pytest.approx(0.1, rel=1e-14, abs=0)
-    moved = Displacement(displacement=-chain.length_scale / 2)
-    assert Scene(chain=chain, excitation=moved, duration=1e-5).strike_number == pytest.approx(
-        0.5, rel=1e-14, abs=0
-    )
-    # The paper's unit of velocity, sqrt(delta g) (g / gamma)^(1 / (2 delta)), is 0.101096 mm/s
-    # here.
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1.01096e-4), duration=1e-5)
-    assert scene.strike_number == pytest.approx(1, rel=1e-5, abs=0)
-    vacuum = Chain(grains=20, diameter=1e-3, gravity=0.0)
-    assert (
-        Scene(chain=vacuum, excitation=Impulse(velocity=1e-9), duration=1e-5).strike_number
-        == np.inf
-    )
 
 
 def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
@@ -868,17 +798,6 @@ def test_values_of_any_length_are_rejected_in_one_line(key: str, value: object):
     (fault,) = caught.value.faults
     assert fault[0] == key
     assert len(fault[1]) < 250
-
-
-@pytest.mark.parametrize("duration", [5e-324, 1e-310])
-def test_samples_have_distinct_times(duration: float):
-    with pytest.raises(InputError, match=r"^duration: 5 samples .* too close"):
-        Scene(
-            chain=Chain(grains=12, diameter=1e-3),
-            excitation=Impulse(velocity=1e-5),
-            duration=duration,
-            samples=5,
-        )
 
 
 def test_the_text_of_a_scene_refers_to_no_file(tmp_path: Path):

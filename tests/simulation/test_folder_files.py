@@ -8,13 +8,12 @@ from pathlib import Path
 
 import pytest
 from helpers.child_processes import write
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 
 from lmpchain import (
     Chain,
     Impulse,
     InputError,
-    Scene,
     Stopped,
     Trajectory,
     engines,
@@ -25,12 +24,7 @@ from lmpchain.cli.command_line import main
 from lmpchain.simulation.folder_files import strangers
 from lmpchain.simulation.run_folder import status
 
-SCENE = Scene(
-    chain=Chain(grains=8, diameter=1e-3),
-    excitation=Impulse(velocity=1e-4),
-    duration=2e-5,
-    samples=5,
-)
+SCENE = scene_of(Chain(grains=8, diameter=1e-3), Impulse(velocity=1e-4), 2e-5, 5)
 
 
 @pytest.fixture(scope="module")

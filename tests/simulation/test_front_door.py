@@ -29,7 +29,6 @@ from lmpchain.engines import Native
 from lmpchain.engines.step_control import first_attempt
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation import api, folder_files, many, run_folder
-from lmpchain.simulation.choice import engine_for
 from lmpchain.simulation.folder_files import (
     check_new,
     load_checkpoints,
@@ -228,21 +227,6 @@ def test_both_checkpoints_belong_to_a_new_attempt(tmp_path, small_blocks):
         t = resume(folder)
     assert np.array_equal(t.velocity, simulate(scene, engine, 1e-5).velocity)
     assert t.cost.steps == simulate(scene, engine, 1e-5).cost.steps
-
-
-def test_checkpoints_are_replaced_and_removed(tmp_path):
-    assert list(load_checkpoints(tmp_path)) == []
-    for number in range(3):
-        save_checkpoint(tmp_path, {"number": number}, {"x": np.arange(number)})
-    newest, before = load_checkpoints(tmp_path)
-    assert (newest[0], before[0]) == ({"number": 2}, {"number": 1})
-    assert np.array_equal(newest[1]["x"], [0, 1])
-    whole = (tmp_path / "checkpoint").read_bytes()
-    (tmp_path / "checkpoint").write_bytes(whole[:-1])
-    newest, before = load_checkpoints(tmp_path)
-    assert newest is None
-    assert before[0] == {"number": 1}
-    assert not (tmp_path / "checkpoint").exists()  # A damaged checkpoint is removed.
 
 
 def test_the_interval_of_checkpoints(tmp_path, monkeypatch, small_blocks):
@@ -553,9 +537,3 @@ def test_scenes_with_a_narrow_light_cone_are_solved_alone():
     short = SCENE.replace(chain=CHAIN.replace(grains=2 * reached), duration=1e-5)
     assert set(dict(many.in_batches(Native(), {3: short, 7: short}, 1e-6))) == {3, 7}
     assert dict(many.in_batches(engines.Modes(), {0: SCENE}, 1e-6)) == {}
-
-
-def test_an_engine_is_recreated_from_its_options():
-    for engine in ("native", "modes"):
-        one = engine_for(engine)
-        assert engine_for(one.name, **one.options()).options() == one.options()

@@ -4,11 +4,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import scene_of, stirred
 from helpers.thinned import thinned
-from scipy.optimize import brentq, minimize_scalar
+from scipy.optimize import minimize_scalar
 
-from lmpchain import Chain, Displacement, Impulse, Profile, Scene, engines, simulate
+from lmpchain import Chain, Displacement, Impulse, Scene, engines, simulate
 from lmpchain.engines import Native
 from lmpchain.simulation.accumulation import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
@@ -36,9 +36,7 @@ def springs(seed: int, samples: int = 3) -> Scene:
     )  # fmt: skip
     start = stirred(chain, 1e-3, 1e-3 / chain.band_edge, seed)
     duration = rng.uniform(20, 40) / chain.band_edge
-    return Scene(
-        chain=chain, excitation=start, duration=duration, samples=samples, quantities=ASKED
-    )
+    return scene_of(chain, start, duration, samples, quantities=ASKED)
 
 
 def motion(scene: Scene, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -165,59 +163,11 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
             assert off <= gathered["arrival_time_error"][grain]
 
 
-def test_an_ambiguous_front_has_a_large_error():
-    """The first of two maxima is almost half as high as the second.
-
-    Its time is off by their distance, if values are off.
-    """
-    chain = Chain(
-        grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall", bottom="wall"
-    )
-    modes = eigenmodes(chain)
-    slow = modes.shape[:, 0]
-    fast = modes.shape[:, 1]
-
-    def first_over_largest(mix: float) -> float:
-        velocity = (
-            np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
-        )
-        scene = Scene(
-            chain=chain,
-            excitation=Profile(velocity=velocity),
-            duration=12 / chain.band_edge,
-            samples=2,
-        )
-        maxima = [size for when, size in tops(scene, 1, 0) if 0 < when < scene.duration]
-        largest = max(size for _, size in tops(scene, 1, 0))
-        return maxima[0] / largest - 0.5
-
-    grid = np.linspace(0.2, 3.0, 57)
-    values = [first_over_largest(mix) for mix in grid]
-    crossing = next(
-        (i for i in range(56) if values[i] * values[i + 1] < 0 and abs(values[i]) < 0.2), None
-    )
-    assert crossing is not None
-    mix = brentq(first_over_largest, grid[crossing], grid[crossing + 1], xtol=1e-9)
-    velocity = (
-        np.array(fast * np.sign(fast[0]) * mix - slow * np.sign(slow[0])) * 1e-3 / abs(slow[0])
-    )
-    scene = Scene(
-        chain=chain, excitation=Profile(velocity=velocity), duration=12 / chain.band_edge,
-        samples=2,
-        quantities=["arrival_time"],
-    )  # fmt: skip
-    t = simulate(scene, Native("verlet", step=2 * np.pi / chain.band_edge / 40))
-    turns = [when for when, _ in tops(scene, 1, 0) if 0 < when < scene.duration]
-    if not np.isnan(t.gathered["arrival_time"][0]):
-        assert t.gathered["arrival_time_error"][0] > 0.5 * (turns[1] - turns[0])
-
-
 def test_grains_that_start_fastest_or_never_move_have_no_arrival():
     chain = Chain(grains=30, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-5, samples=2,
-        quantities=["arrival_time", "peak_velocity"],
-    )  # fmt: skip
+    scene = scene_of(
+        chain, Impulse(velocity=1e-4), 3e-5, 2, quantities=["arrival_time", "peak_velocity"]
+    )
     gathered = simulate(scene, "native", 1e-8).gathered
     assert np.isnan(gathered["arrival_time"][0])  # This grain is struck.
     assert np.isnan(gathered["arrival_time"][-1])
@@ -242,13 +192,7 @@ def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
     """
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-2)
     strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
-    scene = Scene(
-        chain=chain,
-        excitation=strike,
-        duration=8 * chain.time_scale,
-        samples=2,
-        quantities=["force:2"],
-    )
+    scene = scene_of(chain, strike, 8 * chain.time_scale, 2, quantities=["force:2"])
     native, modes = (
         simulate(scene, engine, 1e-9 if engine == "native" else 0.9).gathered
         for engine in ("native", "modes")
@@ -302,11 +246,13 @@ def test_a_released_grain_is_nearest_at_the_start():
     Of a grain that is pushed into its contact and let go.
     """
     chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
-    scene = Scene(
-        chain=chain, excitation=Displacement(displacement=1e-2 * chain.length_scale),
-        duration=1 / chain.band_edge,
-        samples=2, quantities=["peak_force:1", "peak_displacement"],
-    )  # fmt: skip
+    scene = scene_of(
+        chain,
+        Displacement(displacement=1e-2 * chain.length_scale),
+        1 / chain.band_edge,
+        2,
+        quantities=["peak_force:1", "peak_displacement"],
+    )
     gathered = simulate(scene, "native", 1e-9).gathered
     assert gathered["peak_force:1"] == pytest.approx(10.0 * 1.01**1.5, rel=1e-9)
     assert gathered["peak_displacement"][0] == pytest.approx(1e-2 * chain.length_scale, rel=1e-9)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import scene_of, stirred
 from helpers.independent_integrators import extended_reference
-from helpers.interpolated_peak import find_peak
 from scipy.optimize import brentq
 
 from lmpchain import (
@@ -43,9 +42,7 @@ ALL = [*OF_GRAINS, "peak_force:4", "force:4"]
 PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 COLUMN = Chain(grains=30, diameter=1e-3)
-STRUCK = Scene(
-    chain=COLUMN, excitation=Impulse(velocity=8.57e-3), duration=6e-5, samples=2, quantities=ALL
-)
+STRUCK = scene_of(COLUMN, Impulse(velocity=8.57e-3), 6e-5, 2, quantities=ALL)
 WEAK = STRUCK.replace(excitation=Impulse(velocity=1e-8))
 
 
@@ -58,11 +55,13 @@ def off(gathered: dict, name: str, truth: np.ndarray | float) -> np.ndarray:
 def test_an_oscillator_whose_samples_are_nodes(engine: str):
     """All quantities are known exactly, and no sample shows them."""
     length = 1e-9
-    scene = Scene(
-        chain=PAIR, excitation=Displacement(displacement=length), duration=7.25 * 2 * np.pi / OMEGA,
-        samples=2,
+    scene = scene_of(
+        PAIR,
+        Displacement(displacement=length),
+        7.25 * 2 * np.pi / OMEGA,
+        2,
         quantities=[*OF_GRAINS, "peak_force:1", "force:1"],
-    )  # fmt: skip
+    )
     found = simulate(scene, engine, 1e-6).gathered
     rest = 10.0
     stiffness = float(PAIR.linear_stiffness[0])
@@ -90,10 +89,13 @@ def test_a_grain_that_bounces_off_a_wall(exponent: float):
     constant = chain.wall_constants[1]
     speed = 0.1
     deepest = ((exponent + 1) * mass * speed**2 / 2 / constant) ** (1 / (exponent + 1))
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=5 * deepest / speed, samples=2,
+    scene = scene_of(
+        chain,
+        Impulse(velocity=speed),
+        5 * deepest / speed,
+        2,
         quantities=["peak_force:1", "peak_velocity"],
-    )  # fmt: skip
+    )
     found = simulate(scene, "native", 1e-9).gathered
     assert off(found, "peak_force:1", constant * deepest**exponent) < 1
     assert found["peak_force:1_error"] < 2e-3 * constant * deepest**exponent
@@ -108,11 +110,13 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     """
     force = 1e-6
     end = 100.3 * np.pi
-    scene = Scene(
-        chain=PAIR, excitation=Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
-        duration=end / OMEGA,
-        samples=2, quantities=["peak_velocity", "arrival_time"],
-    )  # fmt: skip
+    scene = scene_of(
+        PAIR,
+        Force(grain=1, amplitude=force, frequency=OMEGA / (2 * np.pi)),
+        end / OMEGA,
+        2,
+        quantities=["peak_velocity", "arrival_time"],
+    )
     tops = np.array(
         [
             brentq(lambda x: np.sin(x) + x * np.cos(x), k * np.pi + 1.5, (k + 1) * np.pi)
@@ -124,32 +128,6 @@ def test_a_resonance_has_many_fronts_until_the_last_is_known(engine: str):
     assert off(found, "peak_velocity", sizes.max())[0] < 1
     assert off(found, "arrival_time", tops[np.argmax(sizes >= sizes.max() / 2)] / OMEGA)[0] < 1
     assert found["arrival_time_error"][0] < 1e-4 / OMEGA
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("engine", ["native", "lammps"])
-def test_a_struck_column_as_in_an_independent_integration(engine: str):
-    """Contacts open behind the front."""
-    found = simulate(STRUCK, engine, 1e-7).gathered
-    fine = STRUCK.replace(samples=601, quantities=None)
-    u, v, own = extended_reference(fine)
-    own *= v.max()
-    for grain in range(3, 9):
-        arrival, top = find_peak(fine.time, v[:, grain - 1])
-        assert (
-            abs(found["peak_velocity"][grain - 1] - top)
-            < found["peak_velocity_error"][grain - 1] + own
-        )
-        assert (
-            abs(found["arrival_time"][grain - 1] - arrival)
-            < found["arrival_time_error"][grain - 1] + 1e-12
-        )
-    contact = COLUMN.contacts.of(np.array([4]))
-    pushed = contact.force_at(contact.overlap + u[:, 3] - u[:, 4])
-    assert (
-        abs(found["peak_force:4"] - find_peak(fine.time, pushed)[1])
-        < found["peak_force:4_error"] + 1e-9
-    )
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
@@ -326,9 +304,7 @@ def test_a_batch_accumulates_in_the_whole_chain():
 
 def test_invalid_requests_are_rejected_in_one_line():
     chain = Chain(grains=200, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-8), duration=3e-5, quantities=["peak_velocity"]
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-8), 3e-5, quantities=["peak_velocity"])
     for name in ("bessel", "continuum"):
         with pytest.raises(
             InputError, match=f"quantities: {name} does not compute accelerations .* use native"
@@ -355,36 +331,13 @@ def test_auto_accumulates_quantities():
     assert t.gathered["peak_velocity"][0] == pytest.approx(1e-16, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("asked", "says"),
-    [
-        (["peak"], "must be peak_displacement"),
-        (["force"], 'needs the number of a contact, as in "force:40"'),
-        (["force:04"], "needs the number of a contact"),
-        (["peak_force:30"], "the contacts are numbered 1 to 29"),
-        (["peak_velocity"] * 2, "names a quantity twice"),
-        ([], "must be a list of names"),
-        ("peak_velocity", "must be a list of names"),
-    ],
-)
-def test_unsupported_quantities(asked, says: str):
-    with pytest.raises(InputError, match=f"quantities: {says}"):
-        STRUCK.replace(quantities=asked)
-
-
 @pytest.mark.slow
 def test_accumulation_needs_the_memory_of_its_results():
     """All samples together would take a gigabyte."""
     size = 50_000
     chain = Chain(grains=size, diameter=1e-3, gravity=0.0, top_load=1.0)
     start = stirred(chain, 1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=start,
-        duration=1.6e-4,
-        samples=2,
-        quantities=["peak_velocity"],
-    )
+    scene = scene_of(chain, start, 1.6e-4, 2, quantities=["peak_velocity"])
     assert 16 * size * scene.fine.samples > 4e8
     simulate(STRUCK, "native")
     tracemalloc.start()

@@ -27,7 +27,7 @@ from helpers.child_processes import (
     until,
     write,
 )
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 from helpers.kill_moments import kill_moments
 
 from lmpchain import (
@@ -55,12 +55,7 @@ from lmpchain.util import files, mpi
 CHAIN = Chain(grains=200, diameter=1e-3)
 STRIKE = Impulse(velocity=8.57e-3)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-4, samples=13)
-SMALL = Scene(
-    chain=Chain(grains=12, diameter=1e-3),
-    excitation=Impulse(velocity=0.05),
-    duration=2e-5,
-    samples=9,
-)
+SMALL = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.05), 2e-5, 9)
 
 # --- kills at every change of the disk
 
@@ -280,12 +275,7 @@ def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.Mo
 
 LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
 # The middle grain moves up, across the border between two ranks.
-FEW = Scene(
-    chain=Chain(grains=31, diameter=1e-3),
-    excitation=Impulse(velocity=-0.05, grain=16),
-    duration=5e-5,
-    samples=61,
-)
+FEW = scene_of(Chain(grains=31, diameter=1e-3), Impulse(velocity=-0.05, grain=16), 5e-5, 61)
 VERLET = ["--engine", "lammps", "--integrator", "verlet"]
 FIXED = [*VERLET, "--step", "1e-7", "--diameter", "physical"]
 FREE = [*VERLET, "--tolerance", "3e-3"]

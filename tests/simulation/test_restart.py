@@ -6,13 +6,12 @@ import math
 import os
 import random
 from contextlib import nullcontext
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers.child_processes import same
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 
 from lmpchain import (
     Chain,
@@ -36,9 +35,7 @@ STRIKE = Impulse(velocity=8.57e-3)
 SCENE = Scene(chain=CHAIN, excitation=STRIKE, duration=4e-3, samples=3001)
 SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-4, samples=601)
 BRIEF = Scene(chain=CHAIN, excitation=STRIKE, duration=3e-5, samples=301)
-DRIVEN = Scene(
-    chain=CHAIN, excitation=Drive(amplitude=1e-8, frequency=2e4), duration=3e-4, samples=301
-)
+DRIVEN = scene_of(CHAIN, Drive(amplitude=1e-8, frequency=2e4), 3e-4, 301)
 PUSHED = DRIVEN.replace(
     excitation=Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1.03e-4)
 )
@@ -47,19 +44,14 @@ MOVED = DRIVEN.replace(
     excitation=Drive(amplitude=1e-9, frequency=2e4, cycles=2.3, grain=0),
 )
 # Grain 1 rises above the others, by many gauge diameters or by less than one, and falls back.
-AWAY = Scene(
-    chain=Chain(grains=3, diameter=1e-3),
-    excitation=Impulse(velocity=-5e-3),
-    duration=1.5e-3,
-    samples=121,
-)
+AWAY = scene_of(Chain(grains=3, diameter=1e-3), Impulse(velocity=-5e-3), 1.5e-3, 121)
 APART = AWAY.replace(excitation=Impulse(velocity=-5e-4), duration=1.5e-4)
 # The middle grain moves up, across the border between two ranks.
-CROSSING = Scene(
-    chain=Chain(grains=41, material="steel", diameter=5e-3, top_load=10.0),
-    excitation=Impulse(velocity=-0.1, grain=21),
-    duration=1e-4,
-    samples=21,
+CROSSING = scene_of(
+    Chain(grains=41, material="steel", diameter=5e-3, top_load=10.0),
+    Impulse(velocity=-0.1, grain=21),
+    1e-4,
+    21,
 )
 STOPPED = {
     "native": (SCENE, engines.Native(step=2e-8), 1e-6),
@@ -154,37 +146,6 @@ def test_stopped_after_every_block(case: str, tmp_path: Path):
                 assert 0 < partial.error_estimate.total < np.inf
     assert len(seen) == stops >= 2, "every stop was at another place"
     assert same(answer, simulate(scene, engine, tolerance))
-
-
-@pytest.mark.slow
-def test_a_run_resumes_in_the_interrupted_attempt(tmp_path: Path):
-    """A later attempt with a shorter step is continued.
-
-    The time is that of all sessions.
-    """
-    at = tmp_path / "run"
-    engine = engines.Native(adaptive=False)
-    scene = SHORT.replace(samples=121)
-    said = []
-    for again in itertools.count():
-        try:
-            if again == 0:
-                simulate(scene, engine, 1e-4, folder=at, max_wall=1e-9)
-            answer = resume(at, max_wall=1e-9)
-            break
-        except Stopped:
-            said.append(status(at))
-    assert {each["attempt"] for each in said} >= {1, 2}
-    for before, after in pairwise(said):
-        assert after["wall_s"] > before["wall_s"]
-        if after["attempt"] == before["attempt"]:
-            assert after["step_s"] == before["step_s"]
-            assert after["samples_done"] > before["samples_done"]
-        else:
-            assert after["step_s"] < before["step_s"]
-            assert before["samples_done"] == scene.samples
-    assert same(answer, simulate(scene, engine, 1e-4))
-    assert 0 < answer.cost.integration_s < status(at)["wall_s"]
 
 
 @pytest.fixture
@@ -319,11 +280,11 @@ def test_ten_stops_at_random_on_random_ranks(
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(sample_s=math.inf))
     grains = rng.randint(30, 61)
     strike = Impulse(velocity=rng.choice([-0.1, 0.1]), grain=rng.randint(1, grains - 1))
-    scene = Scene(
-        chain=CROSSING.chain.replace(grains=grains),
-        excitation=rng.choice([strike, strike, Drive(amplitude=1e-5, frequency=2e3)]),
-        duration=1e-3,
-        samples=401,
+    scene = scene_of(
+        CROSSING.chain.replace(grains=grains),
+        rng.choice([strike, strike, Drive(amplitude=1e-5, frequency=2e3)]),
+        1e-3,
+        401,
     )
     engine = engines.Lammps(
         rng.choice(engines.Lammps.integrators),

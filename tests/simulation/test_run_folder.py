@@ -15,7 +15,7 @@ import pytest
 import xarray
 from filelock import FileLock
 from helpers.child_processes import COMMAND, at_work, finish, same, start, write
-from helpers.example_scenes import paper
+from helpers.example_scenes import paper, scene_of
 from helpers.thinned import thinned
 
 import lmpchain
@@ -36,19 +36,10 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation.run_folder import status
 
-SCENE = Scene(
-    chain=Chain(grains=30, diameter=1e-3),
-    excitation=Impulse(velocity=1e-4),
-    duration=2e-4,
-    samples=301,
-    grains=[1, 30, 7],
+SCENE = scene_of(
+    Chain(grains=30, diameter=1e-3), Impulse(velocity=1e-4), 2e-4, 301, grains=[1, 30, 7]
 )
-LONG = Scene(
-    chain=Chain(grains=2000, diameter=1e-3),
-    excitation=Impulse(velocity=8.57e-3),
-    duration=1.0,
-    samples=10001,
-)
+LONG = scene_of(Chain(grains=2000, diameter=1e-3), Impulse(velocity=8.57e-3), 1.0, 10001)
 
 
 @pytest.fixture(scope="module")
@@ -275,9 +266,7 @@ def test_reading_during_a_run_and_after_a_kill(tmp_path: Path):
     noted = json.loads((folder / "status.json").read_text())
     # The error of samples after the last checkpoint is unknown.
     assert partial.error_estimate.total in (np.inf, noted["error_estimate"])
-    first = Scene(
-        chain=LONG.chain, excitation=LONG.excitation, duration=LONG.duration / 1000, samples=11
-    )
+    first = scene_of(LONG.chain, LONG.excitation, LONG.duration / 1000, 11)
     there = simulate(first, lmpchain.engines.Native(step=1e-6))
     assert np.allclose(partial.velocity[:11], there.velocity, rtol=0, atol=1e-12)
     assert noted["state"] == "running", "a kill leaves no time to say more"
@@ -473,12 +462,7 @@ def test_a_stopped_run_loads_with_its_current_estimate(
     Later samples make it unknown.
     """
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
-    scene = Scene(
-        chain=Chain(grains=12, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4),
-        duration=6e-5,
-        samples=61,
-    )
+    scene = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=1e-4), 6e-5, 61)
     truth = simulate(scene, "native", 1e-12)
     with pytest.raises(Stopped):
         simulate(scene, engines.Native(step=1e-6), folder=tmp_path / "run", max_wall=1e-9)

@@ -17,17 +17,13 @@ from helpers.child_processes import (
     until,
     write,
 )
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, Scene, Stopped, Trajectory, simulate
+from lmpchain import Chain, Impulse, Stopped, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.simulation.run_folder import status
 
-ENDLESS = Scene(
-    chain=Chain(grains=500, diameter=1e-3),
-    excitation=Impulse(velocity=8.57e-3),
-    duration=1.0,
-    samples=20001,
-)
+ENDLESS = scene_of(Chain(grains=500, diameter=1e-3), Impulse(velocity=8.57e-3), 1.0, 20001)
 # Many samples, so that a stop is quick on a busy machine.
 OFTEN = ENDLESS.replace(samples=200_001)
 VERLET = [

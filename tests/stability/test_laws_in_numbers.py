@@ -11,6 +11,7 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -130,9 +131,7 @@ def test_the_most_suspect_step_is_that_of_the_fastest_growth() -> None:
 def test_energies_are_followed_for_a_number_of_periods_of_the_band_edge() -> None:
     """The relative energy error of Verlet is below (w h)^2 / 4, and 0 at the start."""
     chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=1e-2)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-7), duration=1.0, samples=3, grains=[2]
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-7), 1.0, 3, grains=[2])
     step = 0.1 / chain.band_edge
     run = energy_error(scene, "verlet", step, 10, samples=41)
     assert run.time.size == 41
@@ -256,9 +255,7 @@ def test_strike_numbers_at_the_limit_of_linear_theory() -> None:
     assert strike_number_at(0.69, "package") == np.inf
     assert strike_number_at(0.689, "package") < np.inf
     chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-3)
-    loaded = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6, grain=4), duration=1e-4, samples=21
-    )
+    loaded = scene_of(chain, Impulse(velocity=1e-6, grain=4), 1e-4, 21)
     for error in (1e-3, 0.01):
         number = strike_number_where(error, loaded)
         stronger = loaded.excitation.scaled(number / loaded.strike_number)
@@ -506,17 +503,11 @@ def test_long_measurements_are_replaced_by_predictions(monkeypatch: pytest.Monke
 
 def test_missing_predictions_state_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(find, "LONGEST_S", 0.0)
-    vacuum = Scene(
-        chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
-        excitation=Impulse(velocity=0.1),
-        duration=1e-4,
-    )
+    vacuum = scene_of(Chain(grains=5, diameter=1e-3, gravity=0.0), Impulse(velocity=0.1), 1e-4)
     texts = find.stability(vacuum).left_out
     assert "energy, verlet: a chain without gravity and load has no band edge" in texts
     assert any(line.startswith("linear theory: without gravity and load") for line in texts)
-    driven = Scene(
-        chain=STEEL, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11
-    )
+    driven = scene_of(STEEL, Drive(amplitude=1e-9, frequency=1e4), 2e-4, 11)
     result = find.stability(driven)
     assert (
         "energy, verlet: the energy is not conserved, because the excitation does work"

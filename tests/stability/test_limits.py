@@ -14,7 +14,7 @@ from laws import limits
 from lmpchain import Chain, Impulse, InputError, Profile, RunFailed, Scene, simulate
 from lmpchain.chain.bounds import LIMITS
 from lmpchain.stability.linear_theory import linear_law
-from lmpchain.stability.pre_run import deepest, hertz_excess
+from lmpchain.stability.pre_run import deepest
 from lmpchain.theory import bessel, dyson
 
 
@@ -127,17 +127,6 @@ def test_a_tenth_of_the_diameter_is_rejected_at_first_but_not_later():
         :, contacts.exists
     ].max()
     assert LIMITS.compression < found < deepest(scene)
-
-
-def test_spheres_are_softer_than_hertz():
-    """The strain is a tenth; the stiffness of any smooth contact is 2 E* times its radius."""
-    strain = np.array([1e-6, 1e-4, 1e-2])
-    assert hertz_excess(strain) == pytest.approx(strain / 10, rel=0.02, abs=1e-15)
-    # With x = a / R: o / 2R = x artanh x, and F / 2 E* R^2 = 4/3 (o / 2R)^1.5 (1 - excess).
-    for x in (0.3, 0.8):
-        overlap = x * np.arctanh(x) * np.array([1 - 1e-4, 1 + 1e-4])
-        force = 4 / 3 * overlap**1.5 * (1 - hertz_excess(overlap))
-        assert np.diff(force)[0] / np.diff(overlap)[0] == pytest.approx(2 * x, rel=1e-6, abs=0)
 
 
 def test_bends_grow_in_lammps_because_the_column_is_unstable():

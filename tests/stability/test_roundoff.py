@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import random_scene
+from helpers.example_scenes import random_scene, scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
@@ -43,13 +43,7 @@ def column(grains, strike, tau, samples=11, gravity=9.81):
     """Return a column struck with this strike number, for `tau` units of time."""
     chain = Chain(grains=grains, material="glass", diameter=1e-3, gravity=gravity)
     speed = strike * chain.length_scale / chain.time_scale
-    return Scene(
-        chain=chain,
-        excitation=Impulse(velocity=speed),
-        duration=tau * chain.time_scale,
-        samples=samples,
-        grains="all",
-    )
+    return scene_of(chain, Impulse(velocity=speed), tau * chain.time_scale, samples, grains="all")
 
 
 def agitated(grains, strike, reflections, samples=201, gravity=9.81):
@@ -125,11 +119,11 @@ def test_the_automatic_force_uses_the_plain_one_where_it_is_accurate():
 
 def test_the_floor_of_a_displaced_chain():
     chain = Chain(grains=10, diameter=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Displacement(displacement=1e-3 * chain.length_scale, grain=3),
-        duration=10 * chain.time_scale,
-        samples=11,
+    scene = scene_of(
+        chain,
+        Displacement(displacement=1e-3 * chain.length_scale, grain=3),
+        10 * chain.time_scale,
+        11,
     )
     for options in (*HEIGHTS, {}):
         assert 1 / 6 < measured_floor(scene, **options) / floor(scene, **options) < 6
@@ -147,12 +141,7 @@ def test_scenes_without_a_rounding_floor_are_rejected():
             function(scene, engine="chebyshev")
         with pytest.raises(InputError, match=r"physical \| gauge"):
             function(scene, engine="lammps", diameter="tiny")
-    driven = Scene(
-        chain=scene.chain,
-        excitation=Drive(amplitude=1e-12, frequency=1e3),
-        duration=1e-5,
-        samples=3,
-    )
+    driven = scene_of(scene.chain, Drive(amplitude=1e-12, frequency=1e3), 1e-5, 3)
     with pytest.raises(InputError, match="forced"):
         measured_floor(driven)
 

@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import math
 import re
 import warnings
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from helpers.example_scenes import paper
 
-from lmpchain import Chain, Drive, Impulse, Scene
+from lmpchain import Chain, Impulse, Scene
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Lammps, Modes, Native
 from lmpchain.stability import find
@@ -23,7 +22,6 @@ from lmpchain.stability.step_limit import limit
 
 FEW = Chain(grains=12, material="steel", diameter=3e-3)
 STRUCK = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=1e-3, samples=101)
-BOUNCING = Scene(chain=FEW, excitation=Impulse(velocity=0.05), duration=0.02, samples=2001)
 
 
 @pytest.fixture(scope="module")
@@ -109,52 +107,9 @@ def test_command(
     assert {"what", "method", "unit", "predicted", "measured", "here", "beyond"} == set(rows[0])
 
 
-@pytest.mark.slow
-def test_missing_measurements_are_reported(tmp_path: Path):
-    vacuum = Scene(
-        chain=Chain(grains=5, diameter=1e-3, gravity=0.0),
-        excitation=Impulse(velocity=0.1),
-        duration=1e-4,
-    )
-    said = stability(vacuum).left_out
-    assert any(line.startswith("linear theory: without gravity and load") for line in said)
-    driven = Scene(
-        chain=FEW, excitation=Drive(amplitude=1e-9, frequency=1e4), duration=2e-4, samples=11
-    )
-    found = stability(driven)
-    assert any("the excitation does work" in line for line in found.left_out)
-    assert all(math.isnan(row.measured) for row in by_method(found, "smallest error").values())
-    for name in ("vacuum.png", "driven.png"):
-        found.plot().figure.savefig(tmp_path / name)
-
-
 def test_a_weak_scene_causes_no_warning():
     for engine in (Native(), Lammps(), Modes(), Native(integrator="verlet", step=1e-7)):
         assert not list(pre_run_warnings(paper("weak"), engine, 1e-6))
-
-
-def test_a_step_that_is_stable_only_at_rest():
-    at_rest = 1.9 / FEW.band_edge
-    struck = limit(STRUCK, "verlet")
-    assert struck < 0.65 * at_rest
-    (said,) = pre_run_warnings(STRUCK, Native(integrator="verlet", step=at_rest), 0.5)
-    assert said.startswith(f"step: {at_rest:.3g} s is stable at rest")
-    assert not list(pre_run_warnings(STRUCK, Native(integrator="verlet", step=struck / 2), 0.5))
-
-
-def test_a_scene_beyond_its_predictability_horizon():
-    (said,) = pre_run_warnings(BOUNCING, Native(), 1e-6)
-    assert "amplify rounding errors beyond 1e-06 at about" in said
-    assert not list(pre_run_warnings(STRUCK, Native(), 1e-6))
-
-
-def test_deep_overlaps():
-    """Contact 1 is compressed by less than a tenth, as `Scene` requires, a lower one by more."""
-    sizes = 5e-3 * 0.7 ** np.arange(8)
-    chain = Chain(grains=8, material="ptfe", diameter=sizes, gravity=0.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=3.0), duration=1e-4, samples=11)
-    (said,) = pre_run_warnings(scene, Native(), 1e-6)
-    assert said.startswith("contacts may be compressed by")
 
 
 def test_the_warning_of_a_run_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):

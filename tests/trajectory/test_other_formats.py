@@ -8,18 +8,14 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Chain, Impulse, InputError, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.trajectory.other_formats import OTHER_FORMATS, describe_other_format
 
-SCENE = Scene(
-    chain=Chain(grains=6, diameter=1e-3),
-    excitation=Impulse(velocity=1e-5),
-    duration=2e-6,
-    samples=3,
-)
+SCENE = scene_of(Chain(grains=6, diameter=1e-3), Impulse(velocity=1e-5), 2e-6, 3)
 ATOMS = ase.Atoms("X3", positions=[[0, 0, 0], [0, 0, 1e-3], [0, 0, 2.5]], cell=[3, 3, 3])
 
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Impulse, Scene, Trajectory
 from lmpchain.trajectory import gathered, trajectory
@@ -11,13 +12,7 @@ from lmpchain.trajectory.record import Cost, ErrorEstimate
 from lmpchain.trajectory.trajectory import scale
 from lmpchain.util.plotting import figure
 
-SCENE = Scene(
-    chain=Chain(grains=6, diameter=1e-3),
-    excitation=Impulse(velocity=1e-3),
-    duration=4e-6,
-    samples=5,
-    grains=[4, 1, 2],
-)
+SCENE = scene_of(Chain(grains=6, diameter=1e-3), Impulse(velocity=1e-3), 4e-6, 5, grains=[4, 1, 2])
 COST = Cost(1.0, 0.25, 0.5, 80, 240, 6, "rkn4", 5e-8, 1, 3.0)
 
 

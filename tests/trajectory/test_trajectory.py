@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
+from helpers.example_scenes import scene_of
 from helpers.seals import seal_anew
 
 from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
@@ -18,13 +19,7 @@ from lmpchain.util.provenance import command
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=8, material=["glass", "steel"] * 4, diameter=np.linspace(1e-3, 2e-3, 8))
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=1e-4, grain=2),
-        duration=2e-5,
-        samples=31,
-        grains=[5, 1, 2],
-    )
+    scene = scene_of(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 31, grains=[5, 1, 2])
     return simulate(scene, "native", 1e-9)
 
 

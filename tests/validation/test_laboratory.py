@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import random_scene
+from helpers.example_scenes import random_scene, run
 from helpers.interpolated_peak import find_peak
 from helpers.thinned import thinned
 from numpy.typing import NDArray
@@ -37,21 +37,6 @@ def _chain(grains: int, **keys: Any) -> lmpchain.Chain:
     """Return a chain without gravity, of contacts with K = 1 and, by default, masses of 1."""
     plain = {"diameter": 1e5, "gravity": 0.0, "bottom": "free", "masses": np.ones(grains)}
     return lmpchain.Chain(grains=grains, contact_constants=np.ones(grains - 1), **plain | keys)
-
-
-def _run(
-    chain: lmpchain.Chain,
-    excitation: lmpchain.Excitation,
-    duration: float,
-    samples: int,
-    tolerance: float,
-    engine: str = "native",
-    grains: str | list[int] = "all",
-) -> lmpchain.Trajectory:
-    scene = lmpchain.Scene(
-        chain=chain, excitation=excitation, duration=duration, samples=samples, grains=grains
-    )
-    return lmpchain.simulate(scene, engine=engine, tolerance=tolerance)
 
 
 def _steel_beads() -> lmpchain.Chain:
@@ -83,7 +68,7 @@ def test_the_trajectory_of_another_code(engine: str) -> None:
     assert chain.masses == pytest.approx(0.00705727, rel=1e-6)
     assert chain.contact_constants == pytest.approx(1.244735e10, rel=1e-6)
     assert chain.wall_constants / chain.contact_constants[0] == pytest.approx(np.sqrt(2), rel=1e-14)
-    t = _run(chain, lmpchain.Impulse(velocity=strike), 2e-3, 3, 1e-6, engine)
+    t = run(chain, lmpchain.Impulse(velocity=strike), 2e-3, 3, 1e-6, engine)
     # Grains 40 to 45.
     early = [
         1.34237e-4,
@@ -102,7 +87,7 @@ def test_the_trajectory_of_another_code(engine: str) -> None:
 def test_engines_agree_on_steel_beads_after_a_reflection() -> None:
     """Both engines agree within 2e-5 of the strike at 4 ms, when the pulse has been reflected."""
     one, other = (
-        _run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name)
+        run(_steel_beads(), lmpchain.Impulse(velocity=0.099188), 4e-3, 81, 1e-5, name)
         for name in ("native", "lammps")
     )
     assert np.abs(one.velocity - other.velocity).max() < 2e-5 * 0.099188
@@ -119,7 +104,7 @@ def test_force_on_a_wall(engine: str, wall: str, ratio: float) -> None:
     """
     hard = lmpchain.Material(density=1.0, youngs_modulus=1e30, poissons_ratio=0.0)
     chain = _chain(40, bottom="wall", **({"bottom_material": hard} if wall == "rigid" else {}))
-    t = _run(chain, lmpchain.Impulse(velocity=1.0), 53.0, 1061, 1e-6, engine)
+    t = run(chain, lmpchain.Impulse(velocity=1.0), 53.0, 1061, 1e-6, engine)
     gap = t.displacement[:, 21] - t.displacement[:, 22]
     when, within = find_peak(t.time, np.maximum(gap, 0.0) ** 1.5)
     assert when < 35, "the pulse on its way there"
@@ -135,7 +120,7 @@ def _release(
     """Release a chain whose contacts are compressed by 1, until the wave nearly reaches its end."""
     compressed = lmpchain.Profile(displacement=np.arange(grains - 1, -1, -1.0))
     end = 0.95 * grains / np.sqrt(exponent)
-    return _run(
+    return run(
         _chain(grains, exponent=exponent, bottom="fixed"), compressed, end, 3, tolerance, engine
     )
 
@@ -202,7 +187,7 @@ def test_a_shock_ahead_of_a_piston(exponent: float, grain: int, ratio: float) ->
     end = (grain + 8) / SOLITON_SPEED[exponent] / ratio ** ((exponent - 1) / (exponent + 1))
     piston = lmpchain.Drive(times=[0, end], displacement=[0, end])
     chain = _chain(grain + 20, exponent=exponent)
-    t = _run(chain, piston, end, round(end / 0.15), 1e-4, grains=[grain - 20, grain])
+    t = run(chain, piston, end, round(end / 0.15), 1e-4, grains=[grain - 20, grain])
     peaks = []
     for v in t.velocity.T:
         first = np.flatnonzero((v[1:-1] > 1) & (v[1:-1] > v[2:]))[0] + 1
@@ -224,7 +209,7 @@ def test_a_piston_on_springs(engine: str, tolerance: float) -> None:
     Tolerance 1e-9 for the native engine and 1e-7 for LAMMPS.
     """
     piston = lmpchain.Drive(times=[0.0, 25.0], displacement=[0.0, 25.0])
-    t = _run(_chain(60, exponent=1.0), piston, 25.0, 51, tolerance, engine)
+    t = run(_chain(60, exponent=1.0), piston, 25.0, 51, tolerance, engine)
     even = jv(np.arange(0, 320, 2), 2 * t.time[:, None])
     above = np.cumsum(even[:, ::-1], axis=1)[:, ::-1]  # Column j contains J_2j + J_(2j+2) + ...
     assert np.abs(t.velocity - above[:, :60] - above[:, 1:61]).max() < max(tolerance, 1e-9)
@@ -240,7 +225,7 @@ def test_the_overshoot_ahead_of_a_piston_on_springs() -> None:
     as n^(-2/3).
     """
     piston = lmpchain.Drive(times=[0.0, 620.0], displacement=[0.0, 620.0])
-    t = _run(_chain(660, exponent=1.0), piston, 620.0, 6201, 1e-7, grains=[300, 600])
+    t = run(_chain(660, exponent=1.0), piston, 620.0, 6201, 1e-7, grains=[300, 600])
     half, whole = (find_peak(t.time, v)[1] for v in t.velocity.T)
     assert whole == pytest.approx(1.2714, abs=5e-5)
     limit, _ = quad(lambda x: airy(x)[0], ai_zeros(1)[0][0], 20.0)
@@ -268,7 +253,7 @@ def test_growth_in_a_tapered_chain(taper: float, mean: float, limit: float) -> N
     chain = tapered(36, 1e-2, taper, material="steel", gravity=0.0, bottom="free")
     local = (chain.masses[:-1] ** 2 / chain.contact_constants**2 / mean ** np.arange(35)) ** 0.2
     end = 1.33 * local[:-4].sum()
-    t = _run(chain, lmpchain.Impulse(velocity=1.0), end, round(10 * end / local[:32].min()), 1e-5)
+    t = run(chain, lmpchain.Impulse(velocity=1.0), end, round(10 * end / local[:32].min()), 1e-5)
     peaks = {n: find_peak(t.time, t.velocity[:, n - 1])[1] for n in (11, 27, 28, 29, 30, 31)}
     assert (peaks[31] / peaks[11]) ** (1 / 20) == pytest.approx(mean, rel=1e-4)
     before, growth, after = (peaks[n + 2] / peaks[n] for n in (27, 28, 29))
@@ -404,7 +389,7 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
     times = np.linspace(0.0, end, 2101)
     envelope = np.sin(np.pi / 2 * np.minimum(times / ramp, 1.0)) ** 4
     shaker = lmpchain.Drive(times=times, displacement=height * envelope * np.sin(omega * times))
-    t = _run(chain, shaker, end, 841, 1e-5, engine, [1, 3, 5, 41])
+    t = run(chain, shaker, end, 841, 1e-5, engine, [1, 3, 5, 41])
     late = t.time > end - 6 * np.pi / omega
     waves = np.exp(1j * omega * t.time[late])
     fit, *_ = np.linalg.lstsq(
@@ -477,7 +462,7 @@ def test_soliton_of_a_precompressed_chain(
     end = (30 + 3 * width) / (speed * sound)
     samples = round(40 * (30 + 3 * width) / width)
     chain = _chain(grains, top_load=1.0, bottom="fixed")
-    t = _run(
+    t = run(
         chain,
         lmpchain.Profile(displacement=u, velocity=v),
         end,

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.example_chains import vacuum
+from helpers.example_scenes import run
 from helpers.interpolated_peak import find_peak
 from numpy.typing import NDArray
 from scipy.special import jv
@@ -15,38 +17,6 @@ from scipy.special import jv
 import lmpchain
 
 Array = NDArray[np.float64]
-
-
-def _vacuum(grains: int, exponent: float) -> lmpchain.Chain:
-    """Return a free chain of touching grains with m = K = 1."""
-    return lmpchain.Chain(
-        grains=grains,
-        diameter=100.0,
-        gravity=0.0,
-        exponent=exponent,
-        bottom="free",
-        masses=np.ones(grains),
-        contact_constants=np.ones(grains - 1),
-    )
-
-
-def _run(
-    chain: lmpchain.Chain,
-    strike: float,
-    duration: float,
-    samples: int,
-    tolerance: float,
-    grains: str | list[int] = "all",
-    engine: str = "native",
-) -> lmpchain.Trajectory:
-    scene = lmpchain.Scene(
-        chain=chain,
-        excitation=lmpchain.Impulse(velocity=strike),
-        duration=duration,
-        samples=samples,
-        grains=grains,
-    )
-    return lmpchain.simulate(scene, engine, tolerance)
 
 
 @pytest.mark.parametrize(
@@ -72,7 +42,14 @@ def test_peak_velocity_in_a_column(
     chain = lmpchain.Chain(grains=160, material=lmpchain.GLASS, diameter=1e-3)
     strike = strike_number * chain.length_scale / chain.time_scale
     end = 1.2 * grain ** (5 / 6) + 6
-    t = _run(chain, strike, end * chain.time_scale, round(25 * end) + 1, 1e-9, [grain])
+    t = run(
+        chain,
+        lmpchain.Impulse(velocity=strike),
+        end * chain.time_scale,
+        round(25 * end) + 1,
+        1e-9,
+        grains=[grain],
+    )
     assert t.scene.strike_number == pytest.approx(strike_number, rel=1e-12)
     when, peak = find_peak(t.time / chain.time_scale, t.velocity[:, 0])
     assert peak / strike == pytest.approx(ratio, rel=1e-6)
@@ -105,7 +82,15 @@ def test_speed_of_a_soliton(
     """
     first = 60
     second = 80
-    t = _run(_vacuum(90, exponent), 1.0, 110.0, 2751, tolerance, [first, second], engine)
+    t = run(
+        vacuum(90, exponent=exponent),
+        lmpchain.Impulse(velocity=1.0),
+        110.0,
+        2751,
+        tolerance,
+        engine,
+        [first, second],
+    )
     (early, low), (late, high) = (find_peak(t.time, v) for v in t.velocity.T)
     assert low == pytest.approx(high, rel=off), "the pulse must travel without change"
     speed = (second - first) / (late - early)
@@ -135,7 +120,14 @@ def test_the_share_of_a_strike_in_its_first_soliton(
     direct impact runs. The fractions depend on the exponent alone (Deng et al., arXiv:2002.08499).
     Tolerance 1e-6, in LAMMPS 1e-4.
     """
-    t = _run(_vacuum(110, exponent), 1.0, 110.0, 2751, tolerance, engine=engine)
+    t = run(
+        vacuum(110, exponent=exponent),
+        lmpchain.Impulse(velocity=1.0),
+        110.0,
+        2751,
+        tolerance,
+        engine=engine,
+    )
     when = int(t.velocity[:, 79].argmax())
     u, v = (x[when, 70:90] for x in (t.displacement, t.velocity))
     stored = (np.maximum(u[:-1] - u[1:], 0) ** (exponent + 1)).sum() / (exponent + 1)
@@ -166,7 +158,14 @@ def test_newtons_cradle(
     Source: the problem of Hinch and Saint-Jean, Proc. R. Soc. A 455, 3201 (1999); digits by DOP853
     at 1e-12. Tolerance 1e-7, in LAMMPS 1e-5.
     """
-    t = _run(_vacuum(len(velocities), exponent), 1.0, 30.0, 31, tolerance, engine=engine)
+    t = run(
+        vacuum(len(velocities), exponent=exponent),
+        lmpchain.Impulse(velocity=1.0),
+        30.0,
+        31,
+        tolerance,
+        engine=engine,
+    )
     assert (np.diff(t.displacement[-1]) > 0).all(), "the balls must have parted"
     assert (np.diff(t.velocity[-1]) > 0).all(), "the balls must not meet again"
     assert t.velocity[-1] == pytest.approx(np.array(velocities), abs=off)
@@ -180,7 +179,7 @@ def test_column_of_linear_springs() -> None:
     """
     chain = lmpchain.Chain(grains=60, material=lmpchain.GLASS, diameter=1e-3, exponent=1.0)
     strike = 0.1 * chain.length_scale / chain.time_scale
-    t = _run(chain, strike, 25 * chain.time_scale, 126, 1e-10)
+    t = run(chain, lmpchain.Impulse(velocity=strike), 25 * chain.time_scale, 126, 1e-10)
     tau = t.time[1:, None] / chain.time_scale
     n = np.arange(1, 61)
     velocity = (2 * n - 1) * jv(2 * n - 1, 2 * tau) / tau
@@ -215,7 +214,13 @@ def test_contact_time_of_two_balls(exponent: float, contact_time: float) -> None
     strike = 1.0
     pair_mass = 0.5
     deepest = ((exponent + 1) / 2 * pair_mass * strike**2) ** (1 / (exponent + 1))
-    t = _run(_vacuum(2, exponent), strike, 1.3 * contact_time * deepest / strike, 261, 1e-9)
+    t = run(
+        vacuum(2, exponent=exponent),
+        lmpchain.Impulse(velocity=strike),
+        1.3 * contact_time * deepest / strike,
+        261,
+        1e-9,
+    )
     overlap = t.displacement @ [1.0, -1.0]
     closing = t.velocity @ [1.0, -1.0]
     parted = np.flatnonzero(overlap < 0)
@@ -236,7 +241,7 @@ def test_a_sonic_vacuum_is_scale_invariant(exponent: float) -> None:
     scale alike.
     """
     scale = 1e-3
-    chain = _vacuum(20, exponent)
+    chain = vacuum(20, exponent=exponent)
     clock = scale ** (-(exponent - 1) / (exponent + 1))
     length = scale ** (2 / (exponent + 1))
 

@@ -26,13 +26,12 @@ from lmpchain import (
 )
 from lmpchain.engines import Lammps
 from lmpchain.engines.base import ErrorBudget
-from lmpchain.engines.lammps import column as columns
-from lmpchain.engines.lammps import communicators, deck, library, subprocess_ranks
+from lmpchain.engines.lammps import communicators, library, subprocess_ranks
 from lmpchain.engines.lammps.column import Contact, LammpsColumn
 from lmpchain.engines.lammps.engine import gauge_diameter
 from lmpchain.engines.lammps.stepper import _join, word
 from lmpchain.engines.lammps.subprocess_ranks import SubprocessRanks
-from lmpchain.engines.lammps.worker import LocalState, StepPlan, deck_steps
+from lmpchain.engines.lammps.worker import LocalState
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.util import mpi
 
@@ -54,62 +53,6 @@ def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain
     )
 
 
-def test_grains_stand_on_each_other():
-    """Distances from the centre of grain 1 downward are sums of radii minus overlaps.
-
-    With every grain its mass, however it is drawn.
-    """
-    for gauge in (0.0, 1e-5):
-        made = column(gauge=gauge)
-        d = np.full(5, gauge) if gauge else UNLIKE.diameters
-        apart = (d[:-1] + d[1:]) / 2 - UNLIKE.equilibrium_overlap
-        np.testing.assert_allclose(
-            made.heights, -np.append(0.0, np.cumsum(apart)), rtol=1e-15, atol=0
-        )
-        np.testing.assert_allclose(
-            made.densities * np.pi / 6 * d**3, UNLIKE.masses, rtol=1e-14, atol=0
-        )
-    heights, speeds = column(Displacement(displacement=1e-8, grain=3)).start
-    assert heights[2] == pytest.approx(column().heights[2] - 1e-8, rel=1e-15)
-    assert not speeds.any()
-    assert column().start[1][1] == -1e-3
-
-
-def test_planes_of_the_walls_press_the_outer_grains_as_at_rest():
-    """A wall of constant K exerts the force K overlap^1.5.
-
-    LAMMPS multiplies by the root of the radius itself.
-    """
-    made = column()
-    top, bottom = made.walls
-    overlaps = UNLIKE.contacts.overlap[[0, -1]]
-    radii = UNLIKE.diameters[[0, -1]] / 2
-    assert (top.name, top.grain, bottom.name, bottom.grain) == ("top", 1, "bottom", 5)
-    assert float(top.hi) == pytest.approx(radii[0] - overlaps[0], rel=1e-14)
-    assert float(bottom.lo) == pytest.approx(made.heights[-1] - radii[1] + overlaps[1], rel=1e-14)
-    assert (top.lo, bottom.hi) == ("NULL", "NULL")
-    for wall, radius, constant in zip(made.walls, radii, UNLIKE.wall_constants, strict=True):
-        stiffness = float(wall.contact.split()[0])
-        assert stiffness * math.sqrt(radius) == pytest.approx(constant, rel=1e-14)
-    springs = column(exponent=1.0)
-    constants = [float(wall.contact.split()[0]) for wall in springs.walls]
-    assert constants == springs.chain.wall_constants.tolist()
-    assert [wall.name for wall in column(top="free").walls] == ["bottom"]
-    assert column(top="free", bottom="fixed").walls == []
-
-
-def test_moving_grains_and_the_load_on_grain_1():
-    assert column().mobile == (1, 5)
-    assert column(bottom="fixed").mobile == (1, 4)
-    assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").mobile == (2, 5)
-    assert column().load == 0.0  # The wall exerts the load.
-    assert column(top="free").load == 0.3
-    assert column(Drive(amplitude=1e-9, frequency=1e4), top="free").load == 0.0
-    assert column().strike.velocity == 1e-3
-    assert column(Displacement(displacement=1e-9)).strike is None
-    assert (column().model, column(exponent=1.0).model) == ("hertz", "hooke")
-
-
 def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
     for excitation in (None, Displacement(displacement=-1e-3), Displacement(displacement=2e-6)):
         made = column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
@@ -122,38 +65,6 @@ def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
         assert right == pytest.approx(made.diameters.max() + made.skin, rel=1e-12)
         assert z.min() - low == pytest.approx(right, rel=1e-9)
         assert high - z.max() == pytest.approx(right, rel=1e-9)
-
-
-@pytest.mark.parametrize("gauge", [0.0, 1e-5])
-def test_constants_of_type_pairs_are_those_of_contacts(gauge):
-    made = column(gauge=gauge)
-    constants = {}
-    first = float(made.coefficients[0].split()[3])
-    for line in made.coefficients[1:]:
-        i, j, model, value, *rest = line.split()
-        assert model == "hertz"
-        assert rest[0] == "0.0"
-        constants[int(i), int(j)] = float(value)
-    d = made.diameters
-    for n, constant in enumerate(UNLIKE.contact_constants):
-        pair = tuple(sorted(made.types[n : n + 2]))
-        radius = d[n] * d[n + 1] / (d[n] + d[n + 1]) / 2
-        assert constants.get(pair, first) * math.sqrt(radius) == pytest.approx(constant, rel=1e-13)
-    assert made.style == "granular"
-
-
-def test_a_uniform_chain_has_one_type():
-    alike = LammpsColumn(paper("weak", 3), 0.0, "gran/hertz/history")
-    assert set(alike.types) == {1}
-    assert alike.coefficients == ["* *"]
-    word_, constant, *rest = alike.style.split()
-    assert word_ == "gran/hertz/history"
-    assert rest == ["0.0", "0.0", "0.0", "0.0", "0"]
-    chain = alike.chain
-    assert float(constant) * math.sqrt(chain.diameters[0] / 4) == pytest.approx(
-        chain.contact_constants[0], rel=1e-14
-    )
-    assert len(LammpsColumn(paper("weak", 3), 0.0).coefficients) == 1
 
 
 def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
@@ -183,112 +94,6 @@ ACTS = {
     "half-sine": Force(grain=2, shape="half-sine", amplitude=1e-3, duration=7e-6),
     "force": Force(grain=2, amplitude=1e-3, frequency=3e4),
 }
-
-
-@pytest.mark.parametrize("name", ACTS)
-def test_formulas_of_lammps_give_the_motion_and_the_force(name):
-    """The formulas are evaluated in Python with the deck's variables, and are positive upward."""
-    act = ACTS[name]
-    wave = act.waveform
-    said = columns.placeholders(act, 2e-5)
-    for t in np.linspace(0.1e-6, 1.99e-5, 41):
-        values = {"v_now": float(t), "sin": math.sin, "cos": math.cos}
-        if wave.spline is None:
-            amplitude = act.amplitude
-            omega = wave.omega
-            values |= {
-                "v_amplitude": amplitude,
-                "v_omega": omega,
-                "v_envelope": wave.envelope,
-                "v_end": wave.end,
-            }
-        else:
-            lines = next(lines for end, lines in said["pieces"] if t <= end)
-            values |= {line.split()[0 + 1]: float(line.split()[3]) for line in lines}
-            values = {
-                key if key.startswith("v_") or key in ("sin", "cos") else f"v_{key}": x
-                for key, x in values.items()
-            }
-        value, slope = (
-            eval(said[key].replace("^", "**"), {}, values) for key in ("value", "slope")
-        )
-        scale = np.abs(wave.at(np.linspace(0, 2e-5, 99))).max()
-        assert value == pytest.approx(-float(wave.at(t)), rel=1e-12, abs=1e-13 * scale)
-        if name != "half-sine":
-            rate = np.abs(wave.at(np.linspace(0, 2e-5, 99), 1)).max()
-            assert slope == pytest.approx(-float(wave.at(t, 1)), rel=1e-12, abs=1e-12 * rate)
-    assert said["wave_unit"] == ("N" if isinstance(act, Force) else "m")
-    assert said["pushed"] == (2 if isinstance(act, Force) else 0)
-    assert said["driven"] == (0 if isinstance(act, Force) else 1)
-    if name == "burst":
-        assert said["cycles"] == pytest.approx(1.3, rel=1e-12)
-        assert said["frequency"] == pytest.approx(1e5, rel=1e-12)
-
-
-def test_only_pieces_that_begin_during_the_run_are_written():
-    points = ACTS["points"]
-    assert [end for end, _ in columns.pieces(points, 2e-5)] == pytest.approx(
-        points.times[1:], rel=1e-11
-    )
-    assert len(columns.pieces(points, 1e-5)) == 3
-    assert columns.pieces(ACTS["sine"], 1e-5) == []
-    nothing = columns.placeholders(Impulse(velocity=1.0), 1e-5)
-    assert (nothing["value"], nothing["slope"], nothing["frequency"], nothing["pushed"]) == (
-        "",
-        "",
-        0.0,
-        0,
-    )
-
-
-def plan(wave, **more) -> StepPlan:
-    given = {
-        "grains": 5, "first": 0, "last": 5, "splitting": SPLITTINGS["kahan-li6"], "step": 1e-6,
-        "done": 0, "pieces": (),
-        "rest": 0.0, "wave": wave, "driven": False, "pushed": None, "timed": False,
-    }  # fmt: skip
-    return StepPlan(**given | more)
-
-
-def test_a_step_is_cut_where_what_acts_ends():
-    """The forcing ends at 7 us, inside a step of 1 us and a half; a step is not cut at its ends."""
-    wave = ACTS["half-sine"].waveform
-    reach = np.array([0.0, *SPLITTINGS["kahan-li6"].reach])
-    made = plan(wave, step=1.5e-6, pushed=1)
-    ((h, times),) = made.intervals(3)
-    assert h == 1.5e-6
-    np.testing.assert_allclose(times, (3 + reach) * 1.5e-6, rtol=1e-12, atol=0)
-    (first, early), (second, late) = made.intervals(4)
-    assert first == pytest.approx(1e-6, rel=1e-9)
-    assert second == pytest.approx(0.5e-6, rel=1e-9)
-    np.testing.assert_allclose(early, 6e-6 + reach * 1e-6, rtol=1e-9, atol=0)
-    np.testing.assert_allclose(late, 7e-6 + reach * 0.5e-6, rtol=1e-9, atol=0)
-    assert (
-        len(plan(wave, step=1e-6, pushed=1).intervals(6))
-        == len(plan(wave, step=1e-6, pushed=1).intervals(7))
-        == 1
-    )
-    assert len(plan(None).intervals(3)) == 1
-    assert len(plan(ACTS["points"].waveform, driven=True).intervals(3)) == 1
-    assert plan(ACTS["burst"].waveform).walled
-    assert not plan(ACTS["burst"].waveform, driven=True).walled
-    assert not plan(ACTS["burst"].waveform, pushed=2).walled
-    assert not plan(ACTS["burst"].waveform, splitting=SPLITTINGS["verlet"]).walled
-    assert not plan(None).walled
-
-
-def test_splittings_that_a_deck_can_express():
-    kahan, rkn, verlet = (SPLITTINGS[name] for name in ("kahan-li6", "rkn6", "verlet"))
-    assert (deck_steps(verlet), deck_steps(kahan)) == (1, len(kahan.drifts))
-    assert deck.carries(verlet)
-    assert deck.carries(kahan)
-    assert not deck.carries(rkn)
-    force = small(ACTS["force"])
-    moved = small(ACTS["sine"])
-    assert deck.kicks_by_force(force, kahan)
-    assert not deck.kicks_by_force(force, verlet)
-    assert not deck.kicks_by_force(moved, kahan)
-    assert not deck.kicks_by_force(small(), kahan)
 
 
 def test_parts_of_ranks_are_joined_from_the_top():

