@@ -106,6 +106,7 @@ def test_a_comparison_says_what_it_leaves_out(driven: bool, monkeypatch: pytest.
     assert truth.thin_trace(thinner, 1e-8) == (thinner, "")
 
 
+@pytest.mark.slow
 def test_compare_ends_soon_for_a_hammer_trace_of_25_megasamples(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):

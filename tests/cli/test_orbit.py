@@ -46,6 +46,7 @@ def test_an_unknown_mode_is_rejected(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "mode: must be a whole number from 1 to 5" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_answer_to_a_drive_is_followed(tmp_path: Path, capsys: pytest.CaptureFixture):
     """The scene file has damping, and the response curve passes two folds."""
     level = {"diameter": 1e-2, "gravity": 0.0, "top_load": 20.0, "bottom": "wall"}

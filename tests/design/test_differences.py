@@ -351,6 +351,7 @@ def test_an_exact_trace_returns_the_stiffness_of_each_contact() -> None:
     np.testing.assert_allclose(found.scene.chain.contact_constants, stiffness, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_a_fit_begins_at_0() -> None:
     case = CASES["hertz at 0"]
     motion = motion_of(case, {"c": -2e4}, 41).real

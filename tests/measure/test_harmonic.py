@@ -238,6 +238,7 @@ def test_drive_point_of_linear_chains() -> None:
         assert bounds[0] <= found.loss_factor_error <= bounds[1]
 
 
+@pytest.mark.slow
 def test_drive_point_of_a_strongly_shaken_chain() -> None:
     """Apparent mass and loss factor of a bouncing chain agree with an independent SciPy run."""
     chain = Chain(grains=3, top="wall", bottom="wall", damping={"viscoelastic": 8e-6}, **LOADED)

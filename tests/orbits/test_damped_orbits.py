@@ -279,6 +279,7 @@ def test_a_resonance_has_two_folds_with_an_unstable_stretch_between():
         assert product == pytest.approx(-2000.0 * orbit.period, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
     """The event is at det(A + 1) = 0, and the doubled orbit closes, both by SciPy."""
     chain = ONE.replace(damping={"drag": 300.0, "viscoelastic": 2e-9})

@@ -116,6 +116,7 @@ def test_codes_are_timed_alternately_with_lammps(peer, monkeypatch):
     assert kept["added"]["other"]["lammps_now_over_then"] == pytest.approx(2, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_chain_cut_by_hand_agrees_with_the_whole(peer):
     problem = peer("problem").Problem(short(8.57e-4, grains=60))
     code = peer("with_scipy").codes(problem)[1]

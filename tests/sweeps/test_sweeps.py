@@ -638,6 +638,7 @@ def test_any_executor_with_the_interface_of_concurrent_futures(tmp_path):
     assert contents(tmp_path / "threads") == contents(tmp_path / "serial")
 
 
+@pytest.mark.slow
 def test_a_dying_process_loses_only_its_own_task():
     with Processes(2) as processes:
         futures = [

@@ -30,6 +30,7 @@ def dimer(grains: int = 40, heavy_first: bool = True, ratio: float | None = None
     return Chain(**{"grains": grains, "diameter": 1e-2, "gravity": 0.0} | constants | keys)
 
 
+@pytest.mark.slow
 def test_mass_ratio_published():
     """The ratio is 0.3428 (Jayaprakash et al. 2011), to ten digits by another solver."""
     assert wave_of().mass_ratio == pytest.approx(0.3428457812, abs=1e-10)

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -106,7 +107,7 @@ def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) ->
     return max(np.abs(a - b).max() / np.abs(b).max() for a, b in zip(found, true, strict=True))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", thinned(CASES, 2))
 def test_the_estimate_covers_the_error_for_any_law(case: str) -> None:
     scene = scene_of(case)
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
