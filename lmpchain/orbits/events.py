@@ -35,7 +35,7 @@ class Location:
     """
 
     split: float = 1e-6
-    tries: int = 24
+    tries: int = 64
     near: float = 1e-6
     circle: float = 1e-3
 
@@ -145,7 +145,7 @@ def _propose(bounds: list[float], values: list[float], halve: bool) -> float:
     """Return the zero of the line through two values, at some distance from the bounds."""
     # The values are unsigned; they have opposite signs at the two bounds.
     total = sum(values)
-    share = 0.5 if halve or not total else values[0] / total
+    share = 0.5 if halve or not 0 < total < np.inf else values[0] / total
     return bounds[0] + (bounds[1] - bounds[0]) * min(max(share, 0.02), 0.98)
 
 
@@ -177,7 +177,7 @@ def _centre(member: Member) -> float:
 
 
 def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
-    """Return the size of a quantity that is zero at an event of this kind.
+    """Return the size of a quantity that is zero at an event of this kind; infinite if unknown.
 
     For a Neimark-Sacker bifurcation it is the discriminant of the two pairs of multipliers that
     meet at the mean `centre`; `met` is true after they have met. In a damped chain it is the
@@ -188,15 +188,16 @@ def _distance(kind: str, member: Member, centre: float, met: bool) -> float:
     mean = _values(member)
     real = np.sort(_real(mean))
     if kind == "Neimark-Sacker" and member.multipliers is not None:
-        return float(np.abs(np.abs(_complex(mean)) - 1).min(initial=1.0))
+        return float(np.abs(np.abs(_complex(mean)) - 1).min(initial=np.inf))
     if kind == "Neimark-Sacker":
         if met:
             pairs = _complex(mean)
-            return float((4 * pairs.imag**2).min()) if pairs.size else 0.0
+            return float((4 * pairs.imag**2).min(initial=np.inf))
         # The two neighbouring real means nearest to the meeting point.
         nearest = np.abs(real[1:] + real[:-1] - 2 * centre).argmin() if real.size > 1 else 0
-        return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else 0.0
-    return float(np.abs(real - (1 if kind == "branch point" else -1)).min()) if real.size else 0.0
+        return float((np.diff(real) ** 2)[nearest]) if real.size > 1 else np.inf
+    # Complex multipliers do not tell how far they are from becoming real.
+    return float(np.abs(real - (1 if kind == "branch point" else -1)).min(initial=np.inf))
 
 
 def _complex(mean: Complex) -> Complex:

@@ -279,6 +279,16 @@ def test_a_resonance_has_two_folds_with_an_unstable_stretch_between():
         assert product == pytest.approx(-2000.0 * orbit.period, rel=1e-9)
 
 
+def test_a_period_doubling_is_located_between_distant_orbits():
+    """The multipliers are complex at first, so that their distance from -1 is unknown there."""
+    chain = ONE.replace(damping={"drag": 300.0, "viscoelastic": 2e-9})
+    drive = Drive(amplitude=0.3 * OVERLAP, frequency=1.95 * OMEGA / (2 * np.pi))
+    family = orbits.follow(orbits.find(chain, drive=drive), "drive.amplitude", 0.6 * OVERLAP)
+    (event,) = family.events
+    assert event.kind == "period doubling"
+    assert np.abs(event.orbit.multipliers + 1).min() < 1e-7
+
+
 @pytest.mark.slow
 def test_a_period_doubling_is_located_and_its_branch_has_twice_the_period():
     """The event is at det(A + 1) = 0, and the doubled orbit closes, both by SciPy."""

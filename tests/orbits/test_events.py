@@ -124,12 +124,12 @@ def test_without_further_orbits_the_last_known_one_is_returned():
 
 
 def test_an_event_by_a_jump_is_located_by_bisection():
-    """A mean that jumps has no root in between; at most 24 orbits are computed."""
+    """A mean that jumps has no root in between; at most 30 orbits are computed."""
 
     def at(way: float) -> SimpleNamespace:
         return place([0.2 if way < 0.7183 else 1.3, way])
 
-    event = located("branch point", at, 24)
+    event = located("branch point", at, 30)
     assert event is not None
     assert event.orbit.means[1].real - 0.7183 == pytest.approx(0, abs=2e-6)
     assert event.orbit.means[0] == 1.3
