@@ -188,11 +188,14 @@ DAMPINGS = (None, {"drag": 1e4}, {"viscoelastic": 1e-8})
 # Every pair of a ground, an excitation and a damping is among the cases.
 @pytest.mark.parametrize(
     ("name", "acting", "damping"),
-    [
-        (name, acting, DAMPINGS[(i + j) % 3])
-        for i, name in enumerate(CONSERVATIVE)
-        for j, acting in enumerate(ENERGIES)
-    ],
+    thinned(
+        [
+            (name, acting, DAMPINGS[(i + j) % 3])
+            for i, name in enumerate(CONSERVATIVE)
+            for j, acting in enumerate(ENERGIES)
+        ],
+        3,
+    ),
 )
 def test_the_balance_of_energy_and_momentum(name, acting, damping):
     top = "wall" if acting == "moved wall" else "free"

@@ -249,6 +249,7 @@ def test_parameters_of_formulas_have_the_derivatives_of_complex_steps(name: str,
         assert off <= 1e-5 * np.abs(true).max(), parameter
 
 
+@pytest.mark.slow
 def test_opening_contacts_keep_the_stated_error() -> None:
     """The reference ends its steps where a contact opens; its differences are of order 4."""
     c = 2e4
@@ -360,6 +361,7 @@ def test_a_fit_begins_at_0() -> None:
     assert found.values["chain.law.c"] == pytest.approx(-2e4, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_optima_and_sensitivities_take_parameters_of_formulas() -> None:
     chain = PRESSED.replace(grains=3, law=HERTZ)
     scene = CASES["hertz"].scene.replace(chain=chain)

@@ -28,7 +28,7 @@ def shock_of(exponent: float, strength: float, grains: int = 300) -> Trajectory:
 
 @pytest.mark.parametrize(
     ("exponent", "strength"),
-    thinned([(1.5, 0.1), (1.3, 0.6), (3.0, 0.3), (1.5, 0.6), (2.0, 0.3)], 2),
+    thinned([(1.5, 0.1), (1.3, 0.6), (3.0, 0.3), (1.5, 0.6), (2.0, 0.3)], 4),
 )
 def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength: float) -> None:
     waves = planar.orbits(shock_of(exponent, strength))

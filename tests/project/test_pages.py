@@ -549,7 +549,7 @@ QUANTITIES = {
     "error of linear theory in Fig. 5 at g": (
         r"and 28, (\d+), 144 % at|28 %, (\d+) % and 144|at 10 g, (\d+) % at g|28, (\d+), 144 % off"
     ),
-    "time of a column of a sweep": r"(0\.\d+ to 0\.\d+) ms of a core",
+    "time of a column of a sweep": r"(\d\.\d+ to \d\.\d+) ms of a core",
     "error of Eq. (7)": r"off by (\d+ to \d+) %, for the top|Eq\. \(7\) is (\d+ to \d+) % off",
     "shift at 1.05 times sound beside Toda's law": (
         r"from Toda's by (\d+) % at 1\.05|differ by [-−](\d+) % at 1\.05"
