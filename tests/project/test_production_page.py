@@ -34,7 +34,7 @@ LONG = Chain(grains=4000, diameter=1e-3)
 SHORT = Scene(chain=Chain(grains=30, diameter=1e-3), excitation=STRIKE, duration=4e-5, samples=101)
 # The page stops this run, so the run must be long. Its steps are slow, because ranks synchronise at
 # each step.
-MOVING = scene_of(LONG, stirred(LONG, 1e-5), 4e-4 / 3, 601, grains=range(1, 101))
+MOVING = scene_of(LONG, stirred(LONG, 1e-5), 4e-4, 1801, grains=range(1, 101))
 LASTING = {
     "-o run/": MOVING,
     "job/": MOVING,
