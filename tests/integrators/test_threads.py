@@ -89,7 +89,13 @@ def test_contacts_that_open_and_close(adaptive: bool):
     "force",
     [pytest.param("exact", marks=pytest.mark.slow), pytest.param("plain", marks=pytest.mark.soak)],
 )
-@pytest.mark.parametrize("method", SPLITTINGS)
+@pytest.mark.parametrize(
+    "method",
+    [
+        pytest.param(name, marks=() if name in ("verlet", "rkn6") else pytest.mark.soak)
+        for name in SPLITTINGS
+    ],
+)
 def test_every_splitting(method: str, force: str):
     for adaptive in {False, METHODS[method].adaptive}:
         check_alike(noisy(seed=2), method, adaptive, force=force)
@@ -152,7 +158,7 @@ def test_a_growing_window_uses_more_threads(method: str):
                 "grain": PUSHED,
                 "pushed": True,
             },
-            marks=pytest.mark.slow,
+            marks=pytest.mark.soak,
         ),
     ],
 )

@@ -861,7 +861,7 @@ def test_dask_with_a_killed_worker(tmp_path, serial):
     assert contents(tmp_path / "out") == expected
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_a_scheduler_that_dies_ends_the_sweep(tmp_path):
     path = long_sweep(tmp_path, SCENES_OF_A_SWEEP)
     folder = tmp_path / "out"

@@ -113,7 +113,7 @@ def test_the_reference_closes_a_contact_whose_force_is_below_one_ulp_of_its_load
 @slow
 @pytest.mark.parametrize("family", FAMILIES)
 def test_a_few_trials(family):
-    rows = [trial(family, seed) for seed in range(3, 6)]
+    rows = [trial(family, seed) for seed in range(3, 5)]
     assert {row["ending"] for row in rows} <= {"right", "missed", "refused", "unresolved"}, table(
         rows
     )
@@ -179,7 +179,10 @@ FOUND = [
 @pytest.mark.parametrize(
     ("family", "seed"),
     [
-        *(pytest.param(*each, marks=slow) for each in FOUND),
+        *(
+            pytest.param(*each, marks=pytest.mark.soak if number % 2 else slow)
+            for number, each in enumerate(FOUND)
+        ),
         # Twenty million steps of verlet have a rounding bias, which adds up to 1e-6.
         pytest.param("native", 3000080, marks=pytest.mark.soak),
     ],
