@@ -1,14 +1,14 @@
 """Time of whole calls: making a scene, `simulate`, `simulate_many`, and another code's call.
 
-The paper's column is struck with 1e-6 (weak) and 8.57e-4 m/s (strong). `adds` is what the native
-engine takes besides the integration and its estimate, `auto` the same where it is chosen by the
-call. Calls are interleaved, each with a scene of its own, but those of `auto`, and the least of
-many counts; kernels are compiled beforehand. The peer is numbalsoda's DOP853 if it is installed,
-else SciPy's: its whole call makes the arrays of the chain, the right-hand side and the solution at
-the samples, without an estimate of its error, in microseconds and in the speed of the strike, so
-that one absolute tolerance fits both displacements and velocities; its tolerance is the loosest
-whose true error is within ours. Its force is the plain one, or, where that loses too many digits,
-one that keeps them.
+The paper's column is struck with 1e-6 and 8.57e-4 m/s. The rows are those of `speed.md`, whose
+header names the columns, and those of the README. Calls are made alternately, each with a scene of
+its own; those with "auto" and `simulate_many` are timed afterwards. The least time of many calls
+counts, and kernels are compiled beforehand. The other code is numbalsoda's DOP853 if it is
+installed, else SciPy's. Its whole call makes the arrays of the chain, the right-hand side and the
+solution at the samples, without an estimate of its error. It computes in microseconds and in the
+speed of the strike, so that one absolute tolerance fits both displacements and velocities. Its
+tolerance is the loosest whose true error is within ours. Its force is the plain one, or, where that
+loses too many digits, one that keeps them.
 """
 
 import argparse

@@ -23,7 +23,6 @@ from lmpchain.design import Momentum, gradient
 from lmpchain.integrators.halving import SAFETY
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.orbits import normal_mode, shooting
-from lmpchain.orbits import shooting as meshes
 from lmpchain.orbits.shooting import NEWTON
 
 REACHES = (0.8, 0.4, 0.2, 0.1)  # Values of omega h.
@@ -122,7 +121,7 @@ def of_orbits(count: int) -> list[float]:
             continue
         for reach in COARSE:
             with (
-                mock.patch.object(meshes, "MESH", replace(meshes.MESH, reach=reach)),
+                mock.patch.object(shooting, "MESH", replace(shooting.MESH, reach=reach)),
                 mock.patch.object(shooting, "NEWTON", replace(NEWTON, closed=1.0)),
             ):
                 try:

@@ -20,7 +20,7 @@ from lmpchain.benchmark.reference import Reference
 from lmpchain.chain.chain import Chain
 from lmpchain.engines.lammps import deck
 from lmpchain.engines.lammps.column import LammpsColumn
-from lmpchain.engines.lammps.worker import open_lammps
+from lmpchain.engines.lammps.library import open_lammps
 from lmpchain.integrators.methods import SPLITTINGS
 from lmpchain.scene.excitation import Impulse, Profile
 from lmpchain.scene.scene import Scene

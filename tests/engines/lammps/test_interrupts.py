@@ -9,7 +9,7 @@ import pytest
 from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Impulse, simulate
-from lmpchain.engines.lammps import worker
+from lmpchain.engines.lammps import library
 
 SCENE = scene_of(Chain(grains=4, diameter=1e-3), Impulse(velocity=1e-4), 2e-6, 3)
 
@@ -56,6 +56,6 @@ def test_ctrl_c_during_the_creation_of_an_instance_is_raised(monkeypatch: pytest
 
     monkeypatch.setattr(lammps, "lammps", Slow)
     with pytest.raises(KeyboardInterrupt):
-        worker.open_lammps()
+        library.open_lammps()
     assert len(made) == 1
-    worker.close_lammps(made.pop())
+    library.close_lammps(made.pop())
