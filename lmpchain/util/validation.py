@@ -72,7 +72,11 @@ class Checked(Shown, BaseModel):
             if len(values) > len(names):
                 fault = f"accepts {', '.join(names)}: {len(values)} values are too many"
                 raise InputError.at("", fault)
-            data = dict(zip(names, values, strict=False)) | data
+            placed = dict(zip(names, values, strict=False))
+            if twice := [name for name in placed if name in data]:
+                fault = "is given twice, by position and by name: give every argument by name"
+                raise InputError((name, fault) for name in twice)
+            data |= placed
         faults = []
         if not data.keys() <= set(names):
             faults = [(key, self._unknown(key)) for key in data if key not in names]

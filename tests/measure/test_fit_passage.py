@@ -14,6 +14,8 @@ EXCITATIONS = {
     "push": Force(grain=1, times=[0.0, 2e-5, 4e-5], force=[0.0, 150.0, 0.0]),
     "drive": Drive(amplitude=1e-8, frequency=5e3, cycles=2),
     "strike": Impulse(velocity=0.1),
+    "strike in the middle": Impulse(grain=15, velocity=0.1),
+    "strike from below": Impulse(grain=39, velocity=-0.1),
 }
 
 

@@ -49,15 +49,16 @@ class FrontPassage(Fitted):
     def rows(self) -> Iterator[FittedNumber]:
         """Yield the arrival and mean speed of the front, the largest velocity and force."""
         front = self.front
-        last = front.grain[-1]
-        yield FittedNumber(
-            "front", f"arrival at grain {last}", front.time[-1], front.time_error[-1], unit="s"
-        )
-        duration = abs(front.time[-1] - front.time[0])
+        # A wave from the middle or the bottom also goes up: its longest way counts.
+        first = int(np.argmin(front.time))
+        last = 0 if 2 * first >= front.grain.size else front.grain.size - 1
+        name = f"arrival at grain {front.grain[last]}"
+        yield FittedNumber("front", name, front.time[last], front.time_error[last], unit="s")
+        duration = front.time[last] - front.time[first]
         if duration > 0:
-            speed = (front.depth[-1] - front.depth[0]) / duration
-            error = speed * (front.time_error[-1] + front.time_error[0]) / duration
-            name = f"mean speed, grains {front.grain[0]} to {last}"
+            speed = abs(front.depth[last] - front.depth[first]) / duration
+            error = speed * (front.time_error[last] + front.time_error[first]) / duration
+            name = f"mean speed, grains {front.grain[first]} to {front.grain[last]}"
             yield FittedNumber("front", name, speed, error, unit="m/s")
         fastest = int(np.argmax(self.peaks.value))
         yield FittedNumber(
