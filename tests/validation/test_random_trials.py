@@ -7,6 +7,7 @@ from math import gamma, pi, sqrt
 
 import numpy as np
 import pytest
+from helpers import extrapolated_midpoint
 from helpers.taylor_series import FINEST, reference, solve
 from helpers.thinned import thinned
 from scipy.optimize import brentq
@@ -67,6 +68,17 @@ def test_the_reference_solves_a_collision(delta):
         found, _ = reference(ends.replace(duration=lasts * (1 - change)), 1e-19)
         force = found.velocity[-1, 0] / speed
         assert (force > 1e-12) if change > 0 and delta < 3 else abs(force) < 1e-7
+
+
+@slow
+def test_the_reference_by_formula_finds_short_contacts():
+    """Contacts of this scene shut for a sixth of a step, in which other contacts open."""
+    scene, *_ = draw("law", 41093)
+    exact = extrapolated_midpoint.solve(scene, 1e-17)
+    for tolerance in (1e-6, 1e-9, 1e-12):
+        found = extrapolated_midpoint.solve(scene, tolerance)
+        assert found.events == exact.events
+        assert exact.error(found.displacement, found.velocity) < 10 * tolerance
 
 
 @slow
