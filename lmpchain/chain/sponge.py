@@ -63,9 +63,10 @@ class Layer(NamedTuple):
 
     Attributes
     ----------
-    masses, stiffness, viscosity : (S,) arrays
+    masses, stiffness, viscosity, ground : (S,) arrays
         Mass of each grain, kg; stiffness of the contact beyond it, N/m; viscosity of this contact,
-        s. Stiffness and viscosity are 0 if there is no contact.
+        s; stiffness of the ground under the grain, N/m. Stiffness and viscosity are 0 if there is
+        no contact.
     cell : int
         Period P: the first P grains and contacts are the cell that repeats before the layer.
     """
@@ -73,6 +74,7 @@ class Layer(NamedTuple):
     masses: Array
     stiffness: Array
     viscosity: Array
+    ground: Array
     cell: int
 
     @property
@@ -82,7 +84,7 @@ class Layer(NamedTuple):
         k = self.stiffness[: self.cell]
         edges = []
         for turn in (1.0, -1.0):
-            matrix = np.diag(k + np.roll(k, 1))
+            matrix = np.diag(k + np.roll(k, 1) + self.ground[: self.cell])
             for n in range(self.cell):
                 below = (n + 1) % self.cell
                 # The last grain of the cell touches the first grain of the next cell.
@@ -103,6 +105,10 @@ class Layer(NamedTuple):
 
 def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
     """Return the layer of `grains` grains at the "top" or "bottom" of a chain."""
+    chain.refuse_moving_ground("reflection")
+    ground = chain.ground_stiffness[: chain.movable]
+    if (ground < 0).any():
+        raise InputError.at("chain.ground", "pushes grains away from rest: no wave is linear")
     masses = chain.masses[: chain.movable]
     contacts = slice(0, chain.movable + 1)
     stiffness = chain.contacts.stiffness[contacts]
@@ -113,7 +119,8 @@ def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
         masses = masses[::-1]
         stiffness = stiffness[::-1]
         viscosity = viscosity[::-1]
-    return Layer(masses[-size:], stiffness[-size:], viscosity[-size:], cell)
+        ground = ground[::-1]
+    return Layer(masses[-size:], stiffness[-size:], viscosity[-size:], ground[-size:], cell)
 
 
 def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
@@ -128,7 +135,10 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
         Angular frequencies within the bands of the cell, rad/s.
     """
     square = frequency**2
-    inertia = [m * (square + 1j * g * frequency) for m, g in zip(sponge.masses, drag, strict=True)]
+    inertia = [
+        m * (square + 1j * g * frequency) - k
+        for m, g, k in zip(sponge.masses, drag, sponge.ground, strict=True)
+    ]
     springs = [
         k * (1 - 1j * a * frequency)
         for k, a in zip(sponge.stiffness, sponge.viscosity, strict=True)
@@ -152,8 +162,9 @@ def reflection(sponge: Layer, drag: Array, frequency: Array) -> Complex:
     c = np.zeros(frequency.shape)
     d = np.ones(frequency.shape)
     for n in range(last, -1, -1):
-        c = c - sponge.masses[n] * square * a
-        d = d - sponge.masses[n] * square * b
+        inert = sponge.masses[n] * square - sponge.ground[n]
+        c = c - inert * a
+        d = d - inert * b
         a = a + c / sponge.stiffness[n - 1 if n else last]
         b = b + d / sponge.stiffness[n - 1 if n else last]
     turn = np.sqrt(np.maximum(1 - ((a + d) / 2) ** 2, 0.0))
@@ -194,7 +205,7 @@ def match_drag(sponge: Layer) -> Array:
 def period(chain: Chain, end: str) -> int:
     """Return the period of the grains at an end; 1 if they are not periodic."""
     # The drag of an existing absorbing layer is not periodic, so it is ignored.
-    fields = _values_of_all(chain) | {"drag": 0.0}
+    fields = _values_of_all(chain) | {"drag": 0.0, "ground": chain.ground_stiffness}
     rows = [row for row in fields.values() if isinstance(row, tuple | np.ndarray)]
     window = 2 * GRADING.longest_cell
     tails = [list(row[::-1] if end == "top" else row)[-window:] for row in rows]

@@ -11,6 +11,7 @@ from lmpchain.theory import scattering
 
 PRESSED = {"gravity": 0.0, "top_load": 20.0, "bottom": "wall"}
 UNIFORM = Chain(grains=30, diameter=1e-2, material="steel", **PRESSED)
+GROUND = lmpchain.Law("k*u", k=1e6)
 DIMER = patterns.periodic(41, 1e-2, ["steel", "ptfe"], **PRESSED)
 
 
@@ -37,7 +38,11 @@ def given_back(chain: Chain, before: int, cell: int, omega: float) -> float:
     return float(smaller / larger)
 
 
-@pytest.mark.parametrize(("chain", "cell"), [(UNIFORM, 1), (DIMER, 2)], ids=["uniform", "dimer"])
+@pytest.mark.parametrize(
+    ("chain", "cell"),
+    [(UNIFORM, 1), (DIMER, 2), (DIMER.replace(ground=GROUND), 2)],
+    ids=["uniform", "dimer", "dimer on a ground"],
+)
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
 def test_reflection_equals_that_of_the_whole_linear_system(chain, cell, bottom):
     absorbs = patterns.absorbing(chain.replace(bottom=bottom), bottom=60)
