@@ -324,6 +324,23 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
 
+def averaged_periods(recorded: float, periods: int | None, least: int) -> int:
+    """Return the number of periods, `least` or more, over which a measure averages.
+
+    It is the given number or half of the recorded one, so that the motion becomes steady before.
+    """
+    most = int(recorded * (1 + 1e-9))
+    if periods is None and most // 2 < least:
+        need = f"must be {2 * least} periods of the drive or more (got {most})"
+        raise InputError.at("duration", f"{need}: record longer, or give periods")
+    count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
+    if not least <= count <= most:
+        raise InputError.at(
+            "periods", f"must be {least} to {most}, the periods of the run (got {count})"
+        )
+    return count
+
+
 def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force, int]:
     """Return the drive, and the number of samples over which the motion is averaged."""
     drive = trajectory.scene.excitation
@@ -337,12 +354,7 @@ def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force,
         raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
     period = 1 / drive.frequency
     end = float(trajectory.time[-1])
-    most = int(end / period * (1 + 1e-9))
-    count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
-    if not LEAST_PERIODS <= count <= most:
-        raise InputError.at(
-            "periods", f"must be {LEAST_PERIODS} to {most}, the periods of the run (got {count})"
-        )
+    count = averaged_periods(end / period, periods, LEAST_PERIODS)
     step = trajectory.scene.sampling_interval
     if period < LEAST_SAMPLES * step * (1 - 1e-9):
         least = 1 + int(np.ceil(LEAST_SAMPLES * end / period))

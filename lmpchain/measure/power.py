@@ -21,6 +21,7 @@ from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts, force_above_rest
+from .harmonic import averaged_periods
 from .motion import motion_of
 
 __dir__ = listed(__name__)
@@ -165,10 +166,7 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     if not (0 <= number <= chain.movable and chain.contacts.exists[number]):
         raise InputError.at("contact", f"must be the number of a contact (got {contact})")
     time = trajectory.time
-    most = int(time[-1] / period * (1 + 1e-9))
-    count = most // 2 if periods is None else int(whole_numbers(periods, "periods"))
-    if not 6 <= count <= most:
-        raise InputError.at("periods", f"must be 6 to {most}, the periods of the run (got {count})")
+    count = averaged_periods(time[-1] / period, periods, 6)
     if period < SAMPLES * scene.sampling_interval * (1 - 1e-9):
         least = 1 + int(np.ceil(SAMPLES * time[-1] / period))
         raise InputError.at(

@@ -313,7 +313,6 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     >>> shock.kind, bool(abs(shock.behind.velocity / 0.1 - 1) < 1e-3)
     ('dispersive shock', True)
     """
-    trajectory.scene.chain.refuse_ground("a shock")
     if direction not in ("down", "up"):
         raise InputError.at("direction", 'must be "down" or "up"')
     chain = trajectory.scene.chain
@@ -377,9 +376,10 @@ def medium_of(trajectory: Trajectory) -> Medium:
     Raises
     ------
     InputError
-        If the chain is not uniform, has gravity, or was not fully recorded.
+        If the chain is not uniform, has gravity or a ground, or was not fully recorded.
     """
     chain = trajectory.scene.chain
+    chain.refuse_ground("a shock")
     exponent = chain.law.power_of("a shock")
     if chain.gravity or chain.loose_grains or exponent == 1:
         rule = "no gravity, an exponent above 1 and a load, if any, on grain 1"
