@@ -38,6 +38,7 @@ TANGENTIAL = {
     "mindlin_rescale/force": 3,
 }
 TURNING = {"none": 0, "marshall": 0, "sds": 3}
+OF_RESTITUTION = ("coeff_restitution", "tsuji")
 KEYWORDS = ("tangential", "rolling", "twisting", "damping", "heat", "cutoff", "limit_damping")
 PLANES = ("xplane", "yplane", "zplane")
 COHESIVE = ("dmt", "jkr", "mdr")
@@ -81,9 +82,14 @@ class GrainForce(NamedTuple):
 
     @property
     def damped(self) -> bool:
-        """Whether the contact dissipates energy."""
-        lossless = 1.0 if self.damped_by == "coeff_restitution" else 0.0
-        return self.damping != lossless
+        """Whether the contact dissipates energy.
+
+        The coefficient of coeff_restitution and tsuji is that of restitution. The polynomial of
+        tsuji dissipates 3e-4 of the critical damping even at 1.
+        """
+        if self.damped_by in OF_RESTITUTION:
+            return self.damping != 1.0 or self.damped_by == "tsuji"
+        return self.damping != 0.0
 
     @property
     def normal(self) -> float:
@@ -127,7 +133,9 @@ class GrainForce(NamedTuple):
             return self.damping * mass / units.mass / k * units.time
         if self.model == "hooke" and self.damped_by == "velocity":
             return self.damping / k * units.time
-        cure = "viscoelastic for hertz, velocity or mass_velocity for hooke, or a coefficient of 0"
+        cure = "viscoelastic for hertz, velocity or mass_velocity for hooke"
+        if self.damped_by not in OF_RESTITUTION:
+            cure += ", or a coefficient of 0"
         raise self.line.refuse(f"has an unsupported damping {self.damped_by}: use {cure}")
 
 

@@ -81,11 +81,19 @@ REFUSED = {
         "pair_coeff * * hertz 1e10 2 tangential linear_nohistory 0 0 damping velocity",
         "has an unsupported damping velocity",
     ),
-    "tsuji": (
-        "pair_coeff",
-        "pair_coeff * * hertz 1e10 0.9 tangential linear_nohistory 0 0 damping tsuji",
-        "has an unsupported damping tsuji",
-    ),
+    # The coefficient is that of restitution; at 1, the polynomial of tsuji still dissipates.
+    **{
+        f"{damping} {restitution}": (
+            "pair_coeff",
+            f"pair_coeff * * hertz 1e10 {restitution} tangential linear_nohistory 0 0 "
+            f"damping {damping}",
+            f"has an unsupported damping {damping}",
+        )
+        for damping, restitution in (
+            *(("tsuji", 0.9), ("tsuji", 0), ("tsuji", 1)),
+            *(("coeff_restitution", 0), ("coeff_restitution", 0.9)),
+        )
+    },
     "another pair style": ("pair_style", "pair_style lj/cut 2.5", "is not a supported pair style"),
     "a misspelt style": ("pair_style", "pair_style gran/hertz 1 0 0 0 0 0", "use granular, gran/"),
     "pair_modify": ("", "pair_modify shift yes", "is not understood, and could change the motion"),
