@@ -117,8 +117,9 @@ def solve_growing(
                 break
             x = new
         # A force that saturates never reaches some values, and overflows on the way there.
-        near = np.abs(function(new) - target) <= CLOSE * target
-        reached = near | (function(np.where(np.isfinite(high), high, new)) >= target)
+        reached = np.abs(function(new) - target) <= CLOSE * target
+        if not reached[known].all():
+            reached |= function(np.where(np.isfinite(high), high, new)) >= target
         return np.where(known, np.where(reached, new, np.inf), target)
 
 
@@ -276,6 +277,9 @@ class Law(ContactLaw):
         rule = np.stack((NODES, WEIGHTS)).reshape(2, -1, *[1] * r.ndim)
         groups = np.array_split(rule, min(count, NODES.size), axis=1)
         for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
+            # Most kinks are outside the interval.
+            if not width.any():
+                continue
             for nodes, weights in groups:
                 yield begin + nodes * width, weights * width
 
@@ -494,8 +498,6 @@ class Law(ContactLaw):
 
     def with_walls(self, grains: int) -> Law:
         """Return the law with parameters of all contacts, walls included, (N+1,) arrays."""
-        if not any(isinstance(value, np.ndarray) for value in self.parameters):
-            return self
         # A wall contact has the parameters of the contact next to it; a single grain has only
         # walls.
         index = np.clip(np.arange(grains + 1) - 1, 0, max(grains - 2, 0))
@@ -503,6 +505,8 @@ class Law(ContactLaw):
 
     def of(self, numbers: Any) -> Law:
         """Return the law of a selection of contacts, with their parameters."""
+        if not any(isinstance(value, np.ndarray) for value in self.parameters):
+            return self
         return self.with_parameters(
             value[numbers] if isinstance(value, np.ndarray) else value for value in self.parameters
         )
@@ -569,15 +573,13 @@ class Law(ContactLaw):
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
         """Return the largest stiffness at any overlap up to this size, N/m."""
-        sides = (-1.0, 1.0) if self.pulls else (1.0,)
-        values = [
-            self.stiffness(side * part * overlap, constant) for side in sides for part in PARTS
-        ]
-        values += [
+        parts = np.append(-PARTS, PARTS) if self.pulls else PARTS
+        values = self.stiffness(np.multiply.outer(parts, overlap), constant)
+        bends = [
             np.where((np.abs(kink) < overlap) & (kink != 0), self.stiffness(kink, constant), 0.0)
             for kink in self.kinks(constant)
         ]
-        return np.nanmax(values, axis=0)
+        return np.nanmax([*values, *bends], axis=0)
 
     def approach(self, energy: Any, constant: Any) -> Any:
         """Return the largest change of overlap at which a contact stores this energy, m.
