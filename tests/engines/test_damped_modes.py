@@ -42,7 +42,7 @@ ACTS = {
 }
 
 
-def column(**fields) -> Chain:
+def between_walls(**fields) -> Chain:
     return Chain(**ROWS | {"top": "wall"} | fields)
 
 
@@ -81,7 +81,7 @@ def drawn(seed: int) -> Scene:
 @pytest.mark.parametrize("damping", DAMPINGS, ids=str)
 def test_weak_motion_is_exact(damping, act):
     top = "free" if act in ("drive", "burst") else "wall"
-    chain = column(top=top, damping=damping)
+    chain = between_walls(top=top, damping=damping)
     scene = Scene(chain=chain, excitation=ACTS[act], duration=6e-5, samples=21)
     t = simulate(scene, engine="modes")
     true, _ = reference(scene, 1e-18)
@@ -105,8 +105,8 @@ def test_a_packet_is_exact():
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 1e-7, 1e-6, 2.5e-6])
 @pytest.mark.parametrize("drag", [0.0, 1e2, 1e5])
 def test_a_mode_decays_like_an_oscillator(viscoelastic, drag):
-    lossless = modes.eigenmodes(column())
-    damped = modes.eigenmodes(column(damping={"viscoelastic": viscoelastic, "drag": drag}))
+    lossless = modes.eigenmodes(between_walls())
+    damped = modes.eigenmodes(between_walls(damping={"viscoelastic": viscoelastic, "drag": drag}))
     assert damped.shape.tolist() == lossless.shape.tolist()
     time = np.linspace(0.0, 3e-5, 7)
     for number, w in enumerate(lossless.frequency):
@@ -122,7 +122,7 @@ def test_a_mode_decays_like_an_oscillator(viscoelastic, drag):
 
 
 def test_a_critical_mode_causes_no_division_by_zero():
-    chain = column()
+    chain = between_walls()
     lowest = float(modes.eigenmodes(chain).frequency[0])
     damped = chain.replace(damping={"drag": 2 * lowest})
     shape = modes.eigenmodes(chain).shape[:, 0]
@@ -149,7 +149,7 @@ def test_the_error_of_linearisation_is_within_its_estimate():
 
 
 def test_modes_are_chosen_where_they_are_cheapest():
-    chain = column(damping={"viscoelastic": 1e-9})
+    chain = between_walls(damping={"viscoelastic": 1e-9})
     long = Scene(chain=chain, excitation=Impulse(velocity=1e-13), duration=0.1, samples=11)
     assert plan(long).engine == "modes"
     strong = long.replace(excitation=Impulse(velocity=1e-2), duration=1e-4)
@@ -157,7 +157,7 @@ def test_modes_are_chosen_where_they_are_cheapest():
 
 
 def test_the_dissipated_energy():
-    chain = column(damping={"viscoelastic": 3e-8, "drag": 1e3})
+    chain = between_walls(damping={"viscoelastic": 3e-8, "drag": 1e3})
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-8), duration=6e-5, samples=801)
     linear = energy.ledger(simulate(scene, engine="modes"))
     exact = energy.ledger(simulate(scene, engine="native", tolerance=1e-10))
@@ -174,7 +174,7 @@ def test_the_dissipated_energy():
     ],
 )
 def test_damping_that_couples_modes_is_rejected(key, damping):
-    chain = column(damping=damping)
+    chain = between_walls(damping=damping)
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-5)
     words = f"damping.{key}: differs from .* one number"
     with pytest.raises(InputError, match=f"{words}, or use the native engine"):
@@ -182,4 +182,4 @@ def test_damping_that_couples_modes_is_rejected(key, damping):
     with pytest.raises(InputError, match=f"{words}$"):
         modes.eigenmodes(chain)
     alike = {key: np.full(11 if key == "viscoelastic" else 12, 1e-8) for key in damping}
-    simulate(scene.replace(chain=column(damping=alike)), engine="modes")
+    simulate(scene.replace(chain=between_walls(damping=alike)), engine="modes")

@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, stirred
+from helpers.example_chains import column
+from helpers.example_scenes import paper, stirred, struck
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.taylor_series import reference as taylor
 
@@ -34,13 +35,6 @@ VACUUM = Scene(
 RKN6 = METHODS["rkn6"]
 
 
-def column(velocity: float, **changes) -> Scene:
-    """Return a column with a strike on its top."""
-    excitation = Impulse(velocity=velocity)
-    chain = Chain(grains=120, diameter=1e-3)
-    return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=21).replace(**changes)
-
-
 @pytest.mark.parametrize("name", ["rkn4", "rkn6", "kahan-li8"])
 def test_the_step_follows_from_error_constant_order_and_tolerance(name):
     """C (omega h)^p for 60 radians is half of the tolerance.
@@ -67,7 +61,7 @@ def test_openings_increase_errors_and_shorten_steps():
         assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
     assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
     assert FIRST_STEP.opening_factor(0.3, adaptive=False) == 1.0
-    strong = column(1e-2)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     ratio = expected_reach(strong, RKN6, 1e-12, True) / expected_reach(strong, RKN6, 1e-12, False)
     assert ratio == pytest.approx(
         (30 / FIRST_STEP.opening_factor(strong.largest_strain, True)) ** (1 / 6), rel=1e-9
@@ -83,8 +77,8 @@ def test_cost_never_falls_as_the_tolerance_falls():
         paper("weak"),
         paper("fig1"),
         VACUUM,
-        column(8.57e-4),
-        column(8.57e-4, samples=301),
+        struck(column(120), 8.57e-4, 1e-4, 21),
+        struck(column(120), 8.57e-4, 1e-4, 301),
     ):
         work = []
         for tolerance in 10.0 ** -np.arange(1, 12.6, 0.25):
@@ -103,7 +97,10 @@ def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
     engine = Native("rkn6")
     first = engine.propose(VACUUM, 1e-6)
     assert engine.propose(VACUUM, 1e-9).step == first.step
-    assert engine.propose(column(1e-2), 1e-9).step < engine.propose(column(1e-2), 1e-6).step
+    assert (
+        engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-9).step
+        < engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-6).step
+    )
     u, v, _ = extended_reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
@@ -127,8 +124,8 @@ def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
 
 def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
     """The steps must be stable; openings with reflections need one more run."""
-    weak = column(1e-6)
-    strong = column(1e-2)
+    weak = struck(column(120), 1e-6, 1e-4, 21)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     assert ratios(weak, 1e-10) == [2, 4]
     assert ratios(weak, 1e-2) == [2]
     assert ratios(strong, 1e-10) == [2, 4]
@@ -149,7 +146,7 @@ def test_the_trusted_order():
 
     Six, four if coarse, and two at equal steps.
     """
-    strong = column(1e-2)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     candidate = Native("kahan-li8").propose(strong, 1e-10)
     method = METHODS["kahan-li8"]
 
@@ -215,7 +212,7 @@ def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
 
 def test_landings_are_at_least_eight_steps_apart():
     """Landings are at multiples of four samples, where blocks end, or at the last sample."""
-    many = column(1e-6, samples=2001)
+    many = struck(column(120), 1e-6, 1e-4, 2001)
     for rate in (0.03, 0.1, 0.34, 0.7, 1.9):
         steps, stride = land(many, rate)
         assert stride % 4 == 0

@@ -5,6 +5,7 @@ Forced motion, waves in resonance, bounds before a run, costs, what closed forms
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import stirred, struck
 from helpers.independent_integrators import relative_error
 
@@ -221,7 +222,7 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
 
 def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
     """The error is proportional to both, and to the root of time, or to time with a forcing."""
-    scene = struck(1e-7, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-7, 5e-5, 11)
     expected = model_error.expected_error(scene)
     assert 0 < expected < 1
     twice = model_error.expected_error(scene.replace(excitation=Impulse(velocity=2e-7)))
@@ -238,7 +239,7 @@ def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
     radians = driven.linear_frequency * driven.duration
     walk = excess * driven.linear_strain * (1 + radians)
     assert model_error.expected_error(driven) == pytest.approx(0.6 * walk, rel=1e-9)
-    springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
+    springs = struck(column(40, gravity=0.0, top_load=1e-2, exponent=1.0), 1e-7, 5e-5, 11)
     assert model_error.expected_error(springs) == 0.0
     assert model_error.expected_error(scene.replace(excitation=Impulse(velocity=10.0))) == 1.0
     for part, opens in ((1.001, True), (0.999, False)):
@@ -269,11 +270,11 @@ def test_travel_time_of_a_wave_train_at_its_largest_strain():
     assert model_error.travel(
         Scene(chain=chain, excitation=packet, duration=1e-4)
     ) == pytest.approx(29 * hop, rel=1e-9)
-    column = Chain(grains=30, diameter=1e-3)
-    scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
-    times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
+    chain = Chain(grains=30, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
+    times = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
     # The energy flux is constant along the column.
-    strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))
+    strain = 1 / (chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / times))
     assert np.all(np.diff(strain) < 0)
     assert model_error.travel(scene) == pytest.approx(
         float((times * strain).sum() / strain[0]), rel=1e-9
@@ -292,8 +293,8 @@ def test_evaluation_times_between_samples():
 
     Every half radian where contacts may open.
     """
-    calm = struck(1e-8, gravity=0.0, top_load=1e-2).replace(
-        duration=1e3 / struck(gravity=0.0, top_load=1e-2).chain.band_edge
+    calm = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11).replace(
+        duration=1e3 / column(40, gravity=0.0, top_load=1e-2).band_edge
     )
     times = model_error.evaluation_times(calm)
     fastest = calm.linear_frequency
@@ -319,7 +320,7 @@ def test_close_samples_need_no_other_evaluation_times():
 
     Two where something may, and then every opening is seen.
     """
-    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11)
     scene = scene.replace(duration=200.5 / scene.chain.band_edge)
     wild = scene.replace(excitation=Impulse(velocity=1e-8 / scene.linear_strain * 1.5))
     for samples, enough in ((202, True), (201, False)):
@@ -357,14 +358,14 @@ def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made
 
 def test_expected_errors_of_closed_forms():
     """The error is unknown unless contacts are equal and the end is out of reach."""
-    column = struck(1e-7)
+    scene = struck(column(40), 1e-7, 5e-5, 11)
     for made in (Bessel(), Continuum()):
-        candidate = made.propose(column, 0.9)
+        candidate = made.propose(scene, 0.9)
         assert np.isnan(candidate.model_error)
         assert candidate.active_grains == 40
-        assert made.part(column) is column.fine  # The whole scene, not the light cone.
+        assert made.part(scene) is scene.fine  # The whole scene, not the light cone.
         assert not made.batches
-    loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
+    loaded = struck(column(400, gravity=0.0, top_load=1e-2), 1e-9, 2e-5, 11)
     series = Chebyshev().propose(loaded.reached, 0.9)
     candidate = Bessel().propose(loaded, 0.9)
     assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
@@ -373,7 +374,7 @@ def test_expected_errors_of_closed_forms():
 
 
 def test_a_measured_model_error_is_below_the_expected_one():
-    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11)
     for made in (Modes(), Chebyshev()):
         candidate = made.propose(scene, 1e-6)
         assert candidate.model_error == model_error.expected_error(scene)

@@ -86,7 +86,7 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
     u, v = (np.abs(states[:, order]).max() for order in (0, 1))
     moving = np.arange(chain.grains) < chain.movable
     moving[: scene.excitation.driven] = False
-    drive = plain.column(scene).drive.astype(float)
+    drive = plain.column_of(scene).drive.astype(float)
     return Inputs(
         chain.masses,
         contacts.constant,
@@ -107,7 +107,7 @@ def differences(
     Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a
     change.
     """
-    base = plain.column(scene)
+    base = plain.column_of(scene)
     true = plain.by_splitting(Motion(base), SPLITTINGS[method], steps)[looks]
     size = sizes(scene, true)
     lengths = [field.size for field in size]

@@ -26,7 +26,7 @@ def damped_chain(**options) -> Chain:
     return Chain(**fields | {"damping": {"viscoelastic": 1e-7, "drag": 2e4}} | options)
 
 
-def struck(chain: Chain, samples: int = 2, duration: float = 2e-5) -> Scene:
+def displaced(chain: Chain, samples: int = 2, duration: float = 2e-5) -> Scene:
     strike = Displacement(displacement=0.05 * chain.equilibrium_overlap[0], grain=3)
     return Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
 
@@ -48,7 +48,7 @@ def slope(scene: Scene, integrator: str, counts: list[int]) -> float:
 @pytest.mark.parametrize("damping", [{"viscoelastic": 1e-7}, {"drag": 2e5}])
 def test_the_dissipated_energy_closes_the_balance(damping):
     """DOP853 sums the dissipation with its own weights, so two samples suffice."""
-    t = simulate(struck(damped_chain(damping=damping)), "native", 1e-10, integrator="dop853")
+    t = simulate(displaced(damped_chain(damping=damping)), "native", 1e-10, integrator="dop853")
     ledger = energy.ledger(t)
     initial = ledger.total[0]
     assert "dissipated" not in ledger.balanced
@@ -66,7 +66,7 @@ def test_the_dissipated_energy_closes_the_balance(damping):
     ],
 )
 def test_order_of_convergence(damping):
-    scene = struck(damped_chain(damping=damping))
+    scene = displaced(damped_chain(damping=damping))
     assert slope(scene, "dop853", [40, 50, 64, 80]) == pytest.approx(8, abs=0.05)
     counts = [4000, 8000, 16000, 32000]
     assert slope(scene, "verlet", counts) == pytest.approx(2, abs=0.05)
@@ -162,7 +162,7 @@ def test_a_mode_decays_at_the_exact_rate(viscoelastic, drag):
 def test_a_motion_that_dies_at_once_has_an_estimate():
     """The error is in the first samples, on which auxiliary runs must also land."""
     chain = damped_chain(damping={"drag": 2e6})
-    scene = struck(chain, samples=60, duration=1e-4)
+    scene = displaced(chain, samples=60, duration=1e-4)
     true, _ = reference(scene, 1e-18)
     for tolerance in (1e-2, 1e-6, 1e-9):
         t = simulate(scene, engine="native", tolerance=tolerance)
@@ -197,7 +197,7 @@ def test_a_reference_is_finite_for_overlaps_below_rounding():
 
 @pytest.mark.parametrize("name", ["verlet", "dop853", "lagged-verlet"])
 def test_an_answer_states_the_name_that_was_requested(name: str, tmp_path):
-    scene = struck(damped_chain(), 4)
+    scene = displaced(damped_chain(), 4)
     engine = Native(name, step=0.05 / scene.highest_frequency)
     assert simulate(scene, engine, folder=tmp_path).cost.integrator == name
     assert Trajectory.load(tmp_path).cost.integrator == name

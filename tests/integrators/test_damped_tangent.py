@@ -33,7 +33,7 @@ FORCING = {
 }
 
 
-def scene_of(kind: str) -> Scene:
+def moving(kind: str) -> Scene:
     """Return a damped chain in motion; a force starts from rest."""
     rng = np.random.default_rng(5)
     u = 0.1 * LENGTH * rng.uniform(-1, 1, GRAINS)
@@ -101,7 +101,7 @@ def wall_at(scene: Scene, time: float) -> float:
 
 @pytest.mark.parametrize("kind", FORCING)
 def test_the_map_follows_the_damped_motion(kind: str):
-    scene = scene_of(kind)
+    scene = moving(kind)
     u, v = (np.array(field) for field in scene.initial())
     free = np.flatnonzero(ChainBatch([scene]).arrays.inverse_mass[0][PAD : PAD + GRAINS])
     (x, w), _ = advance(scene, u, v - creep(scene, u, 0.0))
@@ -119,7 +119,7 @@ def test_the_map_follows_the_damped_motion(kind: str):
 
 @pytest.mark.parametrize("kind", FORCING)
 def test_the_tangent_is_the_derivative_of_the_map(kind: str):
-    scene = scene_of(kind)
+    scene = moving(kind)
     u, v = (np.array(field) for field in scene.initial())
     w = v - creep(scene, u, 0.0)
     free = np.flatnonzero(ChainBatch([scene]).arrays.inverse_mass[0][PAD : PAD + GRAINS])

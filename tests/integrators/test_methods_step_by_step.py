@@ -159,7 +159,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
     """Return the displacement and velocity from plain NumPy, (2, T, N)."""
-    motion = Motion(plain.column(scene))
+    motion = Motion(plain.column_of(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":
         states = plain.by_dormand_prince(motion, lengths)
@@ -212,7 +212,7 @@ def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
     fields, stepper = answer(scene, method, schedule, force)
     interval = WIDE(scene.duration) / 8
     lengths = [3 * interval / 10] * 20 + [2 * interval / 7] * 7
-    motion = Motion(plain.column(scene))
+    motion = Motion(plain.column_of(scene))
     run = {"dop853": plain.by_dormand_prince, "gear4": plain.by_gear}.get(method)
     states = (
         run(motion, lengths) if run else plain.by_splitting(motion, SPLITTINGS[method], lengths)

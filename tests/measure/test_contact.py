@@ -34,7 +34,7 @@ def until(t: Trajectory, end: float) -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def column() -> Trajectory:
+def opening() -> Trajectory:
     """Return a column with a strike that opens and closes contacts."""
     return run(Chain(grains=12, diameter=1e-3), Impulse(velocity=2e-2), 1.2e-4, 601)
 
@@ -169,12 +169,12 @@ def test_events_at_the_edge_of_touching() -> None:
     ]
 
 
-def test_events_of_a_dense_recording(column: Trajectory) -> None:
+def test_events_of_a_dense_recording(opening: Trajectory) -> None:
     """The events agree with linear interpolation in a recording with 20 times as many samples."""
     sparse, dense = (
         simulate(
-            Scene(**column.scene.given() | {"samples": samples}),
-            engine=engines.Native(step=column.scene.duration / 12000),
+            Scene(**opening.scene.given() | {"samples": samples}),
+            engine=engines.Native(step=opening.scene.duration / 12000),
         )
         for samples in (601, 12001)
     )
@@ -350,9 +350,9 @@ def test_sound_between_sensors_of_unlike_grains() -> None:
     assert time_of_flight(t, 2, 4).distance == pytest.approx(3.5e-3, rel=1e-12, abs=0)
 
 
-def test_a_sensor_is_the_mean_of_two_contacts(column: Trajectory) -> None:
-    signal = sensor(column, 5)
-    above, below = contacts(column, [4, 5]).force.T
+def test_a_sensor_is_the_mean_of_two_contacts(opening: Trajectory) -> None:
+    signal = sensor(opening, 5)
+    above, below = contacts(opening, [4, 5]).force.T
     assert np.array_equal(signal.force, (above + below) / 2)
     assert signal.force - signal.force[0] == pytest.approx(
         signal.change, abs=1e-12 * signal.force.max()
@@ -371,20 +371,20 @@ def test_weak_signals_keep_their_digits() -> None:
 # --- what was recorded
 
 
-def test_some_recorded_grains_are_enough(column: Trajectory) -> None:
-    everything = contacts(column)
-    some = run(column.scene.chain, column.scene.excitation, 1.2e-4, 601, grains=[7, 11, 5, 6])
+def test_some_recorded_grains_are_enough(opening: Trajectory) -> None:
+    everything = contacts(opening)
+    some = run(opening.scene.chain, opening.scene.excitation, 1.2e-4, 601, grains=[7, 11, 5, 6])
     history = contacts(some)
     assert history.contact.tolist() == [5, 6, 11]  # Grain 12 is fixed.
     assert np.array_equal(history.overlap, everything.overlap[:, [4, 5, 10]])
-    assert np.array_equal(history.force, contacts(column, [5, 6, 11]).force)
+    assert np.array_equal(history.force, contacts(opening, [5, 6, 11]).force)
     assert np.array_equal(contacts(some, [11, 5]).closing, everything.closing[:, [10, 4]])
-    assert np.array_equal(wall_force(some), wall_force(column))
-    assert np.array_equal(sensor(some, 6).force, sensor(column, 6).force)
+    assert np.array_equal(wall_force(some), wall_force(opening))
+    assert np.array_equal(sensor(some, 6).force, sensor(opening, 6).force)
 
 
-def test_what_is_not_there_is_named(column: Trajectory) -> None:
-    some = run(column.scene.chain, column.scene.excitation, 1e-6, 5, grains=[3, 5])
+def test_what_is_not_there_is_named(opening: Trajectory) -> None:
+    some = run(opening.scene.chain, opening.scene.excitation, 1e-6, 5, grains=[3, 5])
     driven = run(
         Chain(grains=4, diameter=1e-3), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, grains=[1]
     )
@@ -398,25 +398,25 @@ def test_what_is_not_there_is_named(column: Trajectory) -> None:
         ("record these too: 4, 6", lambda: sensor(some, 5)),
         ("record these too: 11", lambda: wall_force(some)),
         ("record these too: 2", lambda: drive_force(driven)),
-        ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(column, [0])),
+        ("numbers: the contacts are numbered 1 to 11 (got [0])", lambda: contacts(opening, [0])),
         (
             "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
-            lambda: contacts(column, [12, 13]),
+            lambda: contacts(opening, [12, 13]),
         ),
-        ("grain: grain 1 does not exist or lacks a contact", lambda: sensor(column, 1)),
-        ("grain: grain 12 does not exist or lacks a contact", lambda: sensor(column, 12)),
-        ("grain: grain 40 does not exist or lacks a contact", lambda: sensor(column, 40)),
-        ("end: there is no wall at the end 'top'", lambda: wall_force(column, "top")),
+        ("grain: grain 1 does not exist or lacks a contact", lambda: sensor(opening, 1)),
+        ("grain: grain 12 does not exist or lacks a contact", lambda: sensor(opening, 12)),
+        ("grain: grain 40 does not exist or lacks a contact", lambda: sensor(opening, 40)),
+        ("end: there is no wall at the end 'top'", lambda: wall_force(opening, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         (
             "end: there is no wall at the end 'left'",
-            lambda: wall_force(column, "left"),  # type: ignore[arg-type]
+            lambda: wall_force(opening, "left"),  # type: ignore[arg-type]
         ),
-        ("excitation: nothing is driven", lambda: drive_force(column)),
-        ("second: choose two different grains", lambda: time_of_flight(column, 5, 5)),
+        ("excitation: nothing is driven", lambda: drive_force(opening)),
+        ("second: choose two different grains", lambda: time_of_flight(opening, 5, 5)),
         (
             "second: choose two different grains",
-            lambda: time_of_flight(column, 5, 6, "guess"),  # type: ignore[arg-type]
+            lambda: time_of_flight(opening, 5, 6, "guess"),  # type: ignore[arg-type]
         ),
     ]:
         with pytest.raises(InputError) as error:

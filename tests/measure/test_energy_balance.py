@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -70,10 +71,8 @@ CASES = {
 }
 
 
-def scene_of(name: str, samples: int) -> Scene:
-    chain, excitation = CASES[name]
-    duration = 3e-4 if name == "springs" else 4e-5
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
+def case(name: str, samples: int) -> Scene:
+    return scene_of(*CASES[name], 3e-4 if name == "springs" else 4e-5, samples)
 
 
 def integrate(scene: Scene) -> tuple[Array, Array]:
@@ -170,7 +169,7 @@ def exact_linear(damping: str, act: str) -> tuple[Scene, Array, Array]:
 
 @cache
 def exact(name: str) -> tuple[Array, Array]:
-    return integrate(scene_of(name, 41))
+    return integrate(case(name, 41))
 
 
 def largest(values: Array) -> float:
@@ -180,7 +179,7 @@ def largest(values: Array) -> float:
 @pytest.mark.parametrize("samples", [3, 41])
 @pytest.mark.parametrize("name", thinned(CASES, 2))
 def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, samples: int):
-    t = simulate(scene_of(name, samples), "native", 1e-10)
+    t = simulate(case(name, samples), "native", 1e-10)
     balance = energy.ledger(t)
     put_in = largest(balance.total)
     assert largest(balance.drift) < 1e-9 * put_in
@@ -271,7 +270,7 @@ def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int)
 
 
 def test_a_foreign_trajectory_uses_only_its_samples():
-    t = simulate(scene_of("strike", 401), "native", 1e-10)
+    t = simulate(case("strike", 401), "native", 1e-10)
     foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
     found = energy.ledger(foreign)
     assert found.balanced == ()
@@ -283,7 +282,7 @@ def test_a_foreign_trajectory_uses_only_its_samples():
 
 def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):
     """Files, a resumed run, a batch, threads, and recorded grains: the bits stay."""
-    scene = scene_of("tone", 41)
+    scene = case("tone", 41)
     t = simulate(scene, "native", 1e-8)
     names = {"dissipated", "dissipated_error", "drive", "drive_error"}
     assert t.gathered.keys() == names

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run, scene_of
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
@@ -49,10 +49,8 @@ GIVEN = {
 }
 
 
-def run(name: str, samples: int = 401) -> Trajectory:
-    chain, excitation = GIVEN[name]
-    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=samples)
-    return simulate(scene, engines.Native(step=1e-8))
+def simulated(name: str, samples: int = 401) -> Trajectory:
+    return run(*GIVEN[name], 4e-5, samples, engine=engines.Native(step=1e-8))
 
 
 def overlaps(t: Trajectory) -> Array:
@@ -69,7 +67,7 @@ def overlaps(t: Trajectory) -> Array:
 @pytest.mark.parametrize("name", GIVEN)
 def test_every_term_and_the_energy_input(name: str):
     """The terms follow from the motion, and sum up to the input of force, driver and walls."""
-    t = run(name)
+    t = simulated(name)
     chain = t.scene.chain
     seen = energy.ledger(t)
     u = t.displacement
@@ -143,7 +141,7 @@ def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
 
 def test_the_errors_are_the_shift_when_every_second_sample_is_used():
     """A force acts on grain 3; its work and the impulses are computed from 41 and 21 samples."""
-    t = run("a sine on grain 3", 41)
+    t = simulated("a sine on grain 3", 41)
     # The sample error is unknown, as in a foreign dump, so that no balance replaces the integral.
     t = replace(t, error_estimate=ErrorEstimate(0.0, np.inf))
     chain = t.scene.chain

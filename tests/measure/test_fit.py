@@ -70,7 +70,7 @@ def answered(
 
 
 @pytest.fixture(scope="module")
-def column() -> Trajectory:
+def weak() -> Trajectory:
     """Simulate a weak strike on 300 grains until the front returns halfway from the bottom."""
     return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
 
@@ -90,19 +90,19 @@ def keys(error: Any) -> list[str]:
 # --- modes
 
 
-def test_shares_of_the_modes_and_their_energy(column: Trajectory):
+def test_shares_of_the_modes_and_their_energy(weak: Trajectory):
     """The energy shares of an impulse are m_1 X_1p^2, by a dense eigenvalue solver.
 
     The energies of the modes sum to the energy of the scene.
     """
-    fit = fit_modes(column)
+    fit = fit_modes(weak)
     assert fit.share.sum() == pytest.approx(1, abs=1e-12)
-    assert fit.energy.sum() == pytest.approx(column.scene.energy, rel=1e-9)
+    assert fit.energy.sum() == pytest.approx(weak.scene.energy, rel=1e-9)
     assert fit.residual.max() < 1e-9
     assert fit.residual.shape == (1601,)
     assert fit.amplitude.shape == fit.rate.shape == (1601, 299)
     assert fit.share_error.max() < 1e-12
-    diagonal, coupling = column.scene.chain.dynamical_matrix()
+    diagonal, coupling = weak.scene.chain.dynamical_matrix()
     squares, shape = np.linalg.eigh(
         np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
     )
@@ -194,9 +194,9 @@ def test_the_local_speed_in_a_column():
     assert fit.residual < 0.1
 
 
-def test_a_given_window(column: Trajectory):
-    unit = column.scene.chain.time_scale
-    fit = fit_bessel(column, grains=(1, 2), until=unit)
+def test_a_given_window(weak: Trajectory):
+    unit = weak.scene.chain.time_scale
+    fit = fit_bessel(weak, grains=(1, 2), until=unit)
     assert fit.time.max() <= unit
     assert np.unique(fit.grain).tolist() == [1, 2]
     assert fit.kappa == pytest.approx(1, abs=0.2)
@@ -205,8 +205,8 @@ def test_a_given_window(column: Trajectory):
 # --- the continuum
 
 
-def test_amplitude_of_the_impulse_response(column: Trajectory):
-    fit = fit_continuum(column)
+def test_amplitude_of_the_impulse_response(weak: Trajectory):
+    fit = fit_continuum(weak)
     assert fit.amplitude == pytest.approx(C, rel=5e-6)
     assert fit.expected == pytest.approx(C, rel=1e-14)
     assert abs(fit.amplitude - C) < fit.error < 1e-4
@@ -225,9 +225,9 @@ def test_amplitude_at_the_surface():
     assert fit.cone.min() > 50**2 - 1
 
 
-def test_law_of_the_front(column: Trajectory):
+def test_law_of_the_front(weak: Trajectory):
     """Without the lag 0.908 h^(1/6) / 4^(1/3), the exponent of (6/5) h^(5/6) would be 0.825."""
-    law = fit_continuum(column).front
+    law = fit_continuum(weak).front
     assert law is not None
     assert law.exponent == pytest.approx(5 / 6, abs=1e-3)
     assert law.factor == pytest.approx(6 / 5, rel=5e-3)
@@ -239,11 +239,11 @@ def test_law_of_the_front(column: Trajectory):
     assert abs(raw - 5 / 6) > 5e-3
 
 
-def test_the_front_is_found_for_any_error(column: Trajectory):
+def test_the_front_is_found_for_any_error(weak: Trajectory):
     """The error of a dump is unknown, and its estimate infinite."""
     law, same = (
         fit_continuum(
-            replace(column, error_estimate=replace(column.error_estimate, solver=error))
+            replace(weak, error_estimate=replace(weak.error_estimate, solver=error))
         ).front
         for error in (1e-12, math.inf)
     )
@@ -262,13 +262,12 @@ def test_other_exponents_of_the_contacts(delta: float):
     assert abs(fit.front.exponent - (1 + 1 / delta) / 2) < fit.front.error[0] < 6e-3
 
 
-def test_noise_widens_the_error_of_the_amplitude(column: Trajectory):
+def test_noise_widens_the_error_of_the_amplitude(weak: Trajectory):
     rng = np.random.default_rng(3)
-    scale = 1e-9 * column.scene.chain.time_scale
+    scale = 1e-9 * weak.scene.chain.time_scale
     noisy = replace(
-        column,
-        displacement=column.displacement
-        + 0.01 * scale * rng.normal(size=column.displacement.shape),
+        weak,
+        displacement=weak.displacement + 0.01 * scale * rng.normal(size=weak.displacement.shape),
     )
     fit = fit_continuum(noisy)
     assert 1e-5 < fit.error < 1e-3
@@ -277,8 +276,8 @@ def test_noise_widens_the_error_of_the_amplitude(column: Trajectory):
 
 
 @pytest.fixture(scope="module")
-def fit(column: Trajectory) -> ExponentFit:
-    return fit_exponents(column)
+def fit(weak: Trajectory) -> ExponentFit:
+    return fit_exponents(weak)
 
 
 def test_exponents_of_the_front(fit: ExponentFit):
@@ -300,7 +299,7 @@ def test_exponents_of_the_front(fit: ExponentFit):
 # --- the inverse
 
 
-def struck(parameter: str, value: float) -> Scene:
+def struck_with(parameter: str, value: float) -> Scene:
     stuff = {"density": 2426.0, "youngs_modulus": 62e9, "poissons_ratio": 0.2}
     chain = {"grains": 16, "diameter": 1e-3, "top_load": 0.05}
     strike = 8e-4
@@ -322,8 +321,8 @@ NATIVE = partial(simulate, engine="native", tolerance=1e-9)
 @pytest.mark.parametrize("parameter", PARAMETERS)
 def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: Any):
     true, guess = PARAMETERS[parameter]
-    trace = Trace.of(simulate(struck(parameter, true), "lammps", 1e-8), [4, 9], field)
-    fit = fit_parameter(trace, struck(parameter, guess), parameter, NATIVE)
+    trace = Trace.of(simulate(struck_with(parameter, true), "lammps", 1e-8), [4, 9], field)
+    fit = fit_parameter(trace, struck_with(parameter, guess), parameter, NATIVE)
     assert fit.value == pytest.approx(true, rel=1e-6)
     assert fit.residual < 1e-6
     assert fit.error < 1e-6 * true
@@ -334,13 +333,13 @@ def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: An
 @pytest.mark.parametrize("parameter", thinned(PARAMETERS, 3))
 def test_noise_in_a_trace_increases_the_error(parameter: Any):
     true, guess = PARAMETERS[parameter]
-    clean = Trace.of(simulate(struck(parameter, true), "native", 1e-9), [6])
+    clean = Trace.of(simulate(struck_with(parameter, true), "native", 1e-9), [6])
     rng = np.random.default_rng(7)
     away = []
     for _ in range(12):
         noise = 0.05 * np.abs(clean.values).max() * rng.normal(size=clean.values.shape)
         trace = Trace(clean.time, 6, (clean.values + noise)[:, 0])
-        fit = fit_parameter(trace, struck(parameter, guess), parameter, NATIVE)
+        fit = fit_parameter(trace, struck_with(parameter, guess), parameter, NATIVE)
         away.append((fit.value - true) / fit.error)
     assert np.abs(away).max() < 3
     assert 0.4 < np.std(away) < 1.6
@@ -348,17 +347,17 @@ def test_noise_in_a_trace_increases_the_error(parameter: Any):
 
 def test_times_of_an_oscilloscope():
     """Unevenly spaced times that begin after 0 are interpolated between the engine's samples."""
-    scene = struck("velocity", 8e-4)
+    scene = struck_with("velocity", 8e-4)
     dense = simulate(Scene(**scene.given() | {"samples": 2001}), "lammps", 1e-8)
     chosen = np.unique(np.random.default_rng(1).integers(200, 2001, 80))
     trace = Trace(dense.time[chosen], 5, dense.velocity[chosen, 4])
-    fit = fit_parameter(trace, struck("velocity", 1e-3), "velocity", NATIVE)
+    fit = fit_parameter(trace, struck_with("velocity", 1e-3), "velocity", NATIVE)
     assert fit.value == pytest.approx(8e-4, rel=1e-6)
 
 
 def test_the_trace_of_a_trajectory_and_the_engine_by_default():
     fit = fit_parameter(
-        simulate(struck("velocity", 8e-4)), struck("velocity", 7e-4), "velocity", simulate
+        simulate(struck_with("velocity", 8e-4)), struck_with("velocity", 7e-4), "velocity", simulate
     )
     assert fit.value == pytest.approx(8e-4, rel=1e-5)
     assert fit.trace.grain.tolist() == list(range(1, 16))
@@ -382,19 +381,23 @@ def clean_trace(grain: int = 5) -> Trace:
         (lambda: Trace([0, 1e-6, 2e-6], 3.5, [1, 2, 3]), "grain"),
         (lambda: Trace([0, 1e-6, 2e-6], 3, [1, 2, 3], "colour"), "field"),
         (
-            lambda: fit_parameter(clean_trace(), struck("velocity", 0.0), "velocity", NATIVE),
+            lambda: fit_parameter(clean_trace(), struck_with("velocity", 0.0), "velocity", NATIVE),
             "velocity",
         ),
         (
-            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "colour", NATIVE),
+            lambda: fit_parameter(clean_trace(), struck_with("velocity", 1e-3), "colour", NATIVE),
             "parameter",
         ),
         (
-            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-3), "velocity", NATIVE, 0.5),
+            lambda: fit_parameter(
+                clean_trace(), struck_with("velocity", 1e-3), "velocity", NATIVE, 0.5
+            ),
             "span",
         ),
         (
-            lambda: fit_parameter(clean_trace(16), struck("velocity", 1e-3), "velocity", NATIVE),
+            lambda: fit_parameter(
+                clean_trace(16), struck_with("velocity", 1e-3), "velocity", NATIVE
+            ),
             "grain",
         ),
         (lambda: fit_parameter(clean_trace(), paper("weak"), "top_load", NATIVE), "top_load"),
@@ -405,11 +408,13 @@ def clean_trace(grain: int = 5) -> Trace:
         ),
         (lambda: fit_parameter(clean_trace(), mixed(), "youngs_modulus", NATIVE), "material"),
         (
-            lambda: fit_parameter(clean_trace(), struck("velocity", 1e-6), "velocity", NATIVE),
+            lambda: fit_parameter(clean_trace(), struck_with("velocity", 1e-6), "velocity", NATIVE),
             "velocity",
         ),
         (
-            lambda: fit_parameter(late(), struck("youngs_modulus", 62e9), "youngs_modulus", NATIVE),
+            lambda: fit_parameter(
+                late(), struck_with("youngs_modulus", 62e9), "youngs_modulus", NATIVE
+            ),
             "youngs_modulus",
         ),
     ],
@@ -484,8 +489,8 @@ def test_scenes_to_which_a_fit_does_not_apply(fit: Any, changes: dict[str, Any],
     assert keys(error) == [key]
 
 
-def test_the_summary_names_suitable_and_unsuitable_fits(column: Trajectory, uniform: Trajectory):
-    found = summary(column)
+def test_the_summary_names_suitable_and_unsuitable_fits(weak: Trajectory, uniform: Trajectory):
+    found = summary(weak)
     assert list(dict.fromkeys(row.fit for row in found.rows)) == [
         "front",
         "modes",
@@ -510,11 +515,9 @@ def test_the_summary_names_suitable_and_unsuitable_fits(column: Trajectory, unif
     assert str(found) == found.table()
 
 
-def test_local_exponents_are_compared_with_those_of_great_depth(
-    column: Trajectory, fit: ExponentFit
-):
+def test_local_exponents_are_compared_with_those_of_great_depth(weak: Trajectory, fit: ExponentFit):
     """After a weak strike, the local exponents tend to the exponents of the front."""
-    front = track(column).between(20, 10**6)
+    front = track(weak).between(20, 10**6)
     local = fit.local["velocity"]
     last = fit.grain[-1]
     inside = (front.grain > last - 11) & (front.grain <= last)
@@ -530,8 +533,8 @@ def test_local_exponents_are_compared_with_those_of_great_depth(
     assert {fit.approach(name) for name in fit.local} == {"towards the law of weak waves"}
 
 
-def test_grains_near_the_bottom_are_left_out(column: Trajectory, fit: ExponentFit):
-    grains = column.scene.chain.grains
+def test_grains_near_the_bottom_are_left_out(weak: Trajectory, fit: ExponentFit):
+    grains = weak.scene.chain.grains
     assert fit.grain[-1] == int(grains - 3 - 2.5 * np.cbrt(grains))
     assert f"grains 20 to {fit.grain[-1]}" in " ".join(str(fit).split())
 
@@ -592,7 +595,7 @@ def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
     for line in dump.read_text().splitlines():
         words = line.split()
         if words[:2] == ["ITEM:", "ATOMS"]:
-            place = words.index(column) if column in words else None
+            place = words.index(weak) if column in words else None
             lines.append(" ".join(word for word in words if word != column))
         elif words[0] == "ITEM:" or place is None or len(words) < 8:
             lines.append(line)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck_in_units
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
@@ -18,31 +20,20 @@ from lmpchain.report import panels
 Array = NDArray[np.float64]
 
 
-def column(
-    strike: float,
-    last: int,
-    grains: int,
-    per_unit: int = 8,
-    recorded: str = "all",
-    delta: float = 1.5,
+def past(
+    last: int, strike: float, grains: int, per_unit: int = 8, recorded: str = "all", **chain: Any
 ) -> Trajectory:
     """Simulate a column struck at the top until the weak front has passed the `last` grain."""
-    chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
-    eta = 1 + 1 / delta
+    beads = column(grains, **chain)
+    eta = 1 + 1 / beads.exponent
     end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
-    scene = scene_of(
-        chain,
-        Impulse(velocity=strike * chain.length_scale / chain.time_scale),
-        end * chain.time_scale,
-        round(per_unit * end) + 1,
-        grains=recorded,
-    )
+    scene = struck_in_units(beads, strike, end, round(per_unit * end) + 1, grains=recorded)
     return simulate(scene, engine="native", tolerance=1e-8)
 
 
 @pytest.fixture(scope="module")
 def weak() -> Trajectory:
-    return column(1e-4, 505, 540)
+    return past(505, 1e-4, 540)
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +146,7 @@ def test_recorded_grains_may_come_in_any_order():
 
 def test_against_the_exact_motion_of_a_weak_strike():
     """The maxima of the exact sum over all modes are found as roots, without sampling."""
-    t = column(1e-7, 60, 80)
+    t = past(60, 1e-7, 80)
     chain = t.scene.chain
     strike = t.scene.excitation.velocity
     diagonal, coupling = chain.dynamical_matrix()
@@ -256,7 +247,7 @@ def test_local_exponents(velocity: Front, window: int, grain: int, slope: float)
 @pytest.mark.parametrize(("strike", "slope"), [(10, -0.2374), (100, -0.1700), (1000, -0.0512)])
 def test_local_exponents_of_stronger_waves(strike: float, slope: float):
     """The exponents at n = 100 go from a weak wave to a soliton without gravity."""
-    front = track(column(strike, 112, 130, per_unit=15, recorded="88:112"))
+    front = track(past(112, strike, 130, per_unit=15, recorded="88:112"))
     found = exponent(front, window=None)
     assert found.exponent[0] == pytest.approx(slope, abs=2e-3)
 
@@ -313,7 +304,7 @@ def test_asymptotic_laws(
 )
 def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: float | None):
     """1.071313 n^(-1/3) for springs, the front of a Bessel function; n^(-2/9) for delta = 2."""
-    t = column(1e-3, 300, 340, delta=delta)
+    t = past(300, 1e-3, 340, exponent=delta)
     front = track(t).between(30, 295)
     free = asymptotic(front, "amplitude", delta)
     assert free.exponent == pytest.approx(power, abs=2e-3)

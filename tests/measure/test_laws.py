@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import run
 from numpy.typing import NDArray
 from scipy import optimize, stats
 from scipy.integrate import solve_ivp
@@ -131,24 +133,21 @@ def test_local_intervals_hold_the_truth_in_95_of_100_draws():
     assert np.mean(np.array(inside) < 0.5) == pytest.approx(0.683, abs=0.13)
 
 
-# --- a column struck at its top
+# --- a column wave at its top
 
 
-def column(grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any) -> Trajectory:
-    chain = Chain(grains=grains, diameter=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=-1e-9),
-        duration=units * chain.time_scale,
-        samples=samples,
-        **more,
-    )
-    return simulate(scene, "chebyshev", 1e-8)
+def weakly_struck(
+    grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any
+) -> Trajectory:
+    chain = column(grains)
+    excitation = Impulse(velocity=-1e-9)
+    duration = units * chain.time_scale
+    return run(chain, excitation, duration, samples, 1e-8, "chebyshev", **more)
 
 
 @pytest.fixture(scope="module")
-def struck() -> Trajectory:
-    return column()
+def wave() -> Trajectory:
+    return weakly_struck()
 
 
 def chi(h: Any, delta: float = 1.5) -> Any:
@@ -157,15 +156,15 @@ def chi(h: Any, delta: float = 1.5) -> Any:
 
 
 @pytest.mark.parametrize("inside", [0.5, 0.3])
-def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
+def test_the_amplitude_of_eq_35(wave: Trajectory, inside: float):
     """Synthetic data with C = 1.3 and scatter test the selection of samples and the regression."""
-    unit = struck.scene.chain.time_scale
-    chain = struck.scene.chain
-    tau = struck.time[:, None] / unit
-    travel = chi(struck.grains - 0.5)
+    unit = wave.scene.chain.time_scale
+    chain = wave.scene.chain
+    tau = wave.time[:, None] / unit
+    travel = chi(wave.grains - 0.5)
     cone = np.maximum(tau**2 - travel**2, 1e-9)
     scatter = 1 + 1e-3 * np.random.default_rng(3).normal(size=cone.shape)
-    made = replace(struck, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
+    made = replace(wave, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
     fit = fit_continuum(made, inside=inside)
     width = np.cbrt((chain.grains - 0.5) ** 0.5 / 4)
     known = tau <= 2 * chi(chain.grains - 0.5) - travel - 10 * width
@@ -173,7 +172,7 @@ def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
     since = min(50.0, tau[behind.any(1)].max() / 2)
     behind &= tau >= since
     rows, columns = np.nonzero(behind)
-    assert fit.grain.tolist() == struck.grains[columns].tolist()
+    assert fit.grain.tolist() == wave.grains[columns].tolist()
     values = made.displacement[rows, columns] / (-1e-9 * unit)
     shape = cone[rows, columns] ** -0.1
     assert fit.values == pytest.approx(values, rel=1e-12)
@@ -192,11 +191,11 @@ def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
     assert abs(fit.amplitude - 1.3) < fit.error
 
 
-def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
-    law = fit_continuum(struck).front
+def test_the_law_of_the_front_and_its_errors(wave: Trajectory):
+    law = fit_continuum(wave).front
     assert law is not None
-    front = front_before_echo(struck, "velocity", 10)
-    unit = struck.scene.chain.time_scale
+    front = front_before_echo(wave, "velocity", 10)
+    unit = wave.scene.chain.time_scale
     assert front.grain[[0, -1]].tolist() == [10, int(120 - 3 - 2.5 * 120 ** (1 / 3))]
     assert law.depth.tolist() == (front.grain - 0.5).tolist()
     assert law.time == pytest.approx(front.time / unit, rel=1e-13)
@@ -212,10 +211,10 @@ def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
     assert law.expected == pytest.approx([5 / 6, 6 / 5], rel=1e-14)
 
 
-def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
-    seen = fit_exponents(struck, 15, 70)
+def test_the_fitted_laws_depend_on_the_front(wave: Trajectory):
+    seen = fit_exponents(wave, 15, 70)
     velocity, displacement = (
-        track(struck, field).between(15, 70) for field in ("velocity", "displacement")
+        track(wave, field).between(15, 70) for field in ("velocity", "displacement")
     )
     fronts = {
         "velocity": (velocity, "amplitude"),
@@ -231,8 +230,8 @@ def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
     with pytest.raises(
         InputError, match=r"needs 6 or more grains from grain 60 on \(got 5\): record longer"
     ):
-        fit_exponents(struck, 60, 64)
-    assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
+        fit_exponents(wave, 60, 64)
+    assert set(fit_exponents(wave, 60, 65).laws) >= {"time"}
 
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 2.0])

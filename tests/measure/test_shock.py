@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 
 from lmpchain import (
     Chain,
@@ -139,15 +140,14 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
         assert edge.speed == pytest.approx(speed, rel=0.03)
 
 
-def run(chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float) -> Trajectory:
+def long_run(
+    chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float
+) -> Trajectory:
     """Simulate a scene for a number of sound times from grain to grain, with 4 samples each.
 
     In a sonic vacuum the times are those of the loaded chain.
     """
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=duration / SOUND, samples=4 * int(duration) + 1
-    )
-    return simulate(scene, engine="native", tolerance=1e-4)
+    return run(chain, excitation, duration / SOUND, 4 * int(duration) + 1, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +165,10 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
     escape = 0.8 * SOUND * OVERLAP
     if step is None:
         pull = Drive(shape="piston", velocity=-0.1, rise=10 / SOUND, grain=0)
-        trajectory = run(CHAIN, pull, 300)
+        trajectory = long_run(CHAIN, pull, 300)
     else:
         pull = Riemann(velocity=(step, 0), strain=(0, 0), grain=200)
-        trajectory = run(CHAIN.replace(grains=400, top="free"), pull, 150)
+        trajectory = long_run(CHAIN.replace(grains=400, top="free"), pull, 150)
     found = shock.find(trajectory, direction)
     assert found.kind == "rarefaction"
     assert abs(found.trailing.speed) < 2 * found.trailing.error < 0.015 * SOUND
@@ -187,7 +187,7 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
 def test_only_the_first_transit_is_used(grains: int, duration: float) -> None:
     """Only the first transit of a run of several transits counts."""
     piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
-    found = shock.find(run(CHAIN.replace(grains=grains), piston, duration))
+    found = shock.find(long_run(CHAIN.replace(grains=grains), piston, duration))
     theory = found.predictions["whitham"]
     assert found.time < (grains + 5) / SOUND
     assert found.behind.overlap == pytest.approx(found.simple.overlap, rel=3e-4)
@@ -207,7 +207,7 @@ def test_a_long_recording_gives_the_same_result(case: str) -> None:
     elif case == "step":
         chain = chain.replace(top="free")
         push = Riemann(velocity=(0.07, 0), strain=(0, 0), grain=60)
-    long = run(chain, push, 600 if case != "vacuum" else 320)
+    long = long_run(chain, push, 600 if case != "vacuum" else 320)
     found = shock.find(long)
     kept = long.time <= found.time * (1 + 1e-9)
     short = SimpleNamespace(
@@ -243,7 +243,7 @@ def test_a_long_recording_gives_the_same_result(case: str) -> None:
 def test_a_transient_push_is_rejected_with_its_reason(excitation: Drive, message: str) -> None:
     """A pulse, or a rise as long as the run, is rejected with its reason."""
     with pytest.raises(InputError, match=message) as caught:
-        shock.find(run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
+        shock.find(long_run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
     assert not str(caught.value).endswith(": record longer")
 
 
@@ -259,7 +259,7 @@ def test_a_constant_force_acts_like_a_piston() -> None:
     Its overlap is (1 + F / load)^(2/3) of that at rest, and the wave is of both theories' speed.
     """
     force = Force(times=[0, 10 / SOUND, 1.0], force=[0, 10.0, 10.0], interpolation="linear")
-    found = shock.find(run(CHAIN.replace(top="free"), force, 290))
+    found = shock.find(long_run(CHAIN.replace(top="free"), force, 290))
     assert found.behind.overlap == pytest.approx(2 ** (2 / 3) * OVERLAP, rel=1e-3)
     assert abs(found.leading.speed - found.predictions["whitham"].leading) < found.leading.error
     assert abs(found.trailing.speed - found.predictions["whitham"].trailing) < found.trailing.error

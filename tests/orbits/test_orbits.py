@@ -5,11 +5,12 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.extended_precision import tangent_map
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, Scene, orbits, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, orbits, simulate
 from lmpchain.engines import Native
 from lmpchain.errors import RunFailed
 from lmpchain.integrators.methods import KAHAN_LI8
@@ -70,17 +71,11 @@ def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(load: f
     assert np.abs(passage.displacement[-1] - x).max() < 1e-13 * np.abs(u).max()
     assert np.abs(matrix - weight[:, None] * exact / weight).max() < 1e-12 * np.abs(matrix).max()
     even = flow.run(flow.canonical(u, v), period, np.full(40, 1 / 40))
-    scene = scene_of(chain, u, v, period)
+    scene = scene_of(chain, Profile(displacement=u, velocity=v), period, 2)
     run = simulate(scene, engine=Native(integrator="kahan-li8", step=period / 40))
     assert (
         np.abs(run.displacement[-1] - even.displacement[-1]).max()
         < 1e-13 * np.abs(run.displacement).max()
-    )
-
-
-def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
-    return Scene(
-        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=duration, samples=2
     )
 
 

@@ -25,7 +25,7 @@ def listed_names() -> dict[str, list[str]]:
     return names
 
 
-def run(program: str) -> str:
+def output_of(program: str) -> str:
     """Return the output of a new Python process."""
     return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
@@ -50,19 +50,19 @@ for package, names in {names}.items():
         if name not in dir(value) or not hasattr(value, name):
             print(package, name)
 """
-    assert run(program) == ""
+    assert output_of(program) == ""
 
 
 def test_the_import_loads_no_other_module():
     program = "import sys, lmpchain; print(*[m for m in sys.modules if 'lmpchain' in m])"
-    names = run(program).split()
+    names = output_of(program).split()
     assert set(names) == {
         "lmpchain",
         "lmpchain.util",
         "lmpchain.util.lammps_import",
         "lmpchain.util.lazy",
     }
-    assert "numpy" not in run("import sys, lmpchain; print(*sys.modules)").split()
+    assert "numpy" not in output_of("import sys, lmpchain; print(*sys.modules)").split()
 
 
 @pytest.mark.parametrize("name", ["stability", "benchmark", "report", "trajectory", "doctor"])

@@ -321,7 +321,7 @@ def deck(scene: bytes) -> None:
         nothing_injected(folder)
 
 
-def run(scene: bytes, *options: str) -> None:
+def run_file(scene: bytes, *options: str) -> None:
     with Workplace(scene__toml=scene) as folder:
         before = files(folder)
         code, _ = call("run", folder / "scene.toml", *options)
@@ -341,7 +341,7 @@ def test_decks_of_hostile_scenes(count: int):
 def test_runs_of_hostile_scenes(count: int):
     def check(case: tuple[Tables, str]) -> None:
         tables, engine = case
-        run(toml(tables), "--engine", engine, "--tolerance", "1e-3")
+        run_file(toml(tables), "--engine", engine, "--tolerance", "1e-3")
 
     examine(
         check,

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.forcing import Curve
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump
@@ -19,7 +21,6 @@ from lmpchain import (
     Chain,
     Drive,
     Force,
-    Impulse,
     InputError,
     Packet,
     Scene,
@@ -40,6 +41,7 @@ LOADED = Chain(grains=8, diameter=1e-3, gravity=0.0, top_load=1e-3)
 WALLED = Chain(**LOADED.given() | {"top": "wall"})
 UNIT = LOADED.time_scale
 LENGTH = LOADED.length_scale
+LASTS = 8 * UNIT
 LOAD = LOADED.top_load
 POINTS = np.append(0.0, np.random.default_rng(3).normal(size=11))
 TIMES = np.append(0.0, np.cumsum(np.random.default_rng(4).uniform(0.4, 1, 11)))
@@ -67,10 +69,6 @@ def drives(size: float, grain: int = 0, period: float = 2 * np.pi) -> dict[str, 
         "burst": Drive(grain=grain, **wave, cycles=0.9),
         "points": Drive(grain=grain, times=TIMES, displacement=POINTS * size * LENGTH),
     }
-
-
-def scene_of(chain: Chain, excitation: Any, samples: int = 2, units: float = 8.0) -> Scene:
-    return Scene(chain=chain, excitation=excitation, duration=units * UNIT, samples=samples)
 
 
 # --- exact solutions
@@ -181,7 +179,7 @@ def test_one_grain_on_a_spring(kind: str, where: str):
 def test_a_moving_wall_in_linear_engines(name: str):
     springs = Chain(**WALLED.given() | {"exponent": 1.0})
     for kind, given in drives(1e-2).items():
-        scene = scene_of(springs, given, samples=5)
+        scene = scene_of(springs, given, LASTS, 5)
         if kind == "points" or (name == "chebyshev" and kind == "burst"):
             with pytest.raises(InputError, match=r"excitation: .* (native|modes)"):
                 simulate(scene, name)
@@ -195,7 +193,7 @@ def test_a_moving_wall_in_linear_engines(name: str):
 def test_forces_in_modes():
     springs = Chain(**LOADED.given() | {"exponent": 1.0, "bottom": "wall"})
     for kind, given in forces(1e-2, grain=3).items():
-        scene = scene_of(springs, given, samples=5, units=30 if kind != "points" else 8)
+        scene = scene_of(springs, given, (30 if kind != "points" else 8) * UNIT, 5)
         if kind == "points":
             with pytest.raises(InputError, match="by points"):
                 simulate(scene, "modes")
@@ -235,14 +233,14 @@ ACTING = {
 @cache
 def gentle(kind: str) -> tuple[Array, Array, float]:
     """Return the motion in extended precision, and its error."""
-    return extended_reference(scene_of(*ACTING[kind]))
+    return extended_reference(scene_of(*ACTING[kind], LASTS, 2))
 
 
 @every
 @pytest.mark.parametrize("kind", ACTING)
 def test_order_of_convergence(integrator: str, kind: str):
     """Half-sines and bursts end within a step, which is divided to preserve the order."""
-    scene = scene_of(*ACTING[kind])
+    scene = scene_of(*ACTING[kind], LASTS, 2)
     u, v, own = gentle(kind)
     errors = []
     counts = COUNTS[integrator]
@@ -306,13 +304,13 @@ STRONG = {
 @cache
 def strong(kind: str) -> Any:
     """Return the reference solution, computed once for all its tests."""
-    return reference(scene_of(*STRONG[kind], samples=5))
+    return reference(scene_of(*STRONG[kind], LASTS, 5))
 
 
 @pytest.mark.parametrize("kind", thinned(STRONG, 5))
 def test_accuracy_is_as_requested_and_estimated(kind: str):
     """Contacts open and close as well; the two references agree."""
-    scene = scene_of(*STRONG[kind], samples=5)
+    scene = scene_of(*STRONG[kind], LASTS, 5)
     truth = strong(kind)
     u, v, own = extended_reference(scene)
     assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * own + 1e-13
@@ -338,7 +336,7 @@ IN_LAMMPS = "force, burst", "force, half-sine", "force, points", "wall, burst", 
 )
 def test_lammps(kind: str, integrator: str):
     """LAMMPS applies forces and wall motions at the method's times, to the rounding of heights."""
-    scene = scene_of(*STRONG[kind], samples=5)
+    scene = scene_of(*STRONG[kind], LASTS, 5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
     assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
@@ -364,7 +362,7 @@ BATCHES = {
 @every
 @pytest.mark.parametrize("given", BATCHES.values(), ids=BATCHES)
 def test_batch_equals_single_runs(integrator: str, given: list[Any]):
-    scenes = [scene_of(WALLED, each, samples=5) for each in given]
+    scenes = [scene_of(WALLED, each, LASTS, 5) for each in given]
     solver = engines.Native(integrator=integrator, step=scenes[0].duration / 200)
     run = solver.start(scenes, solver.propose(scenes[0], 1e-6))
     u, v = blocks_of(run)
@@ -387,7 +385,7 @@ PLACES = [("native", integrator) for integrator in sorted(METHODS)] + [
 )
 def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pytest.MonkeyPatch):
     """A run that continues from a stored state ends with the same bytes, including the clock."""
-    scene = scene_of(*STRONG[kind], samples=9)
+    scene = scene_of(*STRONG[kind], LASTS, 9)
     options = {"diameter": "gauge"} if engine == "lammps" else {}
     solver = engines.get(engine, integrator=integrator, step=scene.duration / 203, **options)
     candidate = solver.propose(scene, 1e-6)
@@ -411,7 +409,7 @@ def test_exact_restart(engine: str, integrator: str, kind: str, monkeypatch: pyt
 
 def test_adaptive_steps_restart_exactly(monkeypatch: pytest.MonkeyPatch):
     for kind in ("force, burst", "force, points", "wall, burst", "wall, points"):
-        scene = scene_of(*STRONG[kind], samples=9)
+        scene = scene_of(*STRONG[kind], LASTS, 9)
         whole = simulate(scene, "native", 1e-8)
         monkeypatch.setattr(stepping_run, "BLOCK_BYTES", 1)
         monkeypatch.setattr(stepping_run, "PIECE_S", 1e-5)
@@ -445,7 +443,7 @@ def test_the_integral_of_a_forcing(wave: Waveform):
 @pytest.mark.parametrize("kind", STRONG)
 def test_work_and_impulse_are_balanced(kind: str):
     """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
-    scene = scene_of(*STRONG[kind], samples=4001)
+    scene = scene_of(*STRONG[kind], LASTS, 4001)
     t = simulate(scene, "native", 1e-9)
     ledger = energy.ledger(t)
     assert np.ptp(ledger.total) > 0
@@ -459,7 +457,7 @@ def test_work_and_impulse_are_balanced(kind: str):
 
 
 def test_the_force_of_a_driver():
-    scene = scene_of(WALLED, drives(0.5)["burst"], samples=401)
+    scene = scene_of(WALLED, drives(0.5)["burst"], LASTS, 401)
     t = simulate(scene, "native", 1e-9)
     wall = scene.excitation.motion(t.time)[0]
     u = t.displacement[:, 0]
@@ -468,8 +466,8 @@ def test_the_force_of_a_driver():
         WALLED.wall_constants[0] * overlap**1.5, rel=1e-9
     )
     assert contact.wall_force(t, "top") == pytest.approx(contact.drive_force(t), rel=1e-12)
-    below = scene_of(WALLED, drives(0.5, 1)["burst"], samples=401)
-    alone = scene_of(LOADED, drives(0.5, 1)["burst"], samples=401)
+    below = scene_of(WALLED, drives(0.5, 1)["burst"], LASTS, 401)
+    alone = scene_of(LOADED, drives(0.5, 1)["burst"], LASTS, 401)
     t = simulate(below, "native", 1e-9)
     free = simulate(alone, "native", 1e-9)
     # A wall above a driven grain has no effect.
@@ -500,11 +498,11 @@ FAULTS = {
         times=[0, 1.0], displacement=[1, 2.0], grain=0
     ),
     "grain: must be": lambda: Drive(amplitude=1.0, frequency=1.0, grain=2),
-    "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"]),
+    "grain: 0 moves the top wall": lambda: scene_of(LOADED, drives(1.0)["sine"], LASTS),
     "cycles: must be above 0": lambda: Drive(amplitude=1.0, frequency=1.0, cycles=0.0),
-    "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"]),
-    "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"]),
-    "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"]),
+    "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"], LASTS),
+    "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"], LASTS),
+    "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"], LASTS),
     "wall_constants: must be two": lambda: Chain(
         grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]
     ),
@@ -512,13 +510,13 @@ FAULTS = {
         grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
     ),
     "grains: a single grain": lambda: Chain(grains=1, diameter=1e-3),
-    "width: the packet extends 6 widths": lambda: scene_of(LOADED, Packet(1e4, 2.0, 4, 1e-12)),
+    "width: the packet extends 6 widths": lambda: scene_of(
+        LOADED, Packet(1e4, 2.0, 4, 1e-12), LASTS
+    ),
     "kind: there are no linear waves": lambda: scene_of(
-        Chain(grains=30, diameter=1e-3, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12)
+        column(30, gravity=0.0), Packet(1e4, 1.0, 15, 1e-12), LASTS
     ),
-    "frequency: must be below": lambda: scene_of(
-        Chain(grains=90, diameter=1e-3), Packet(1e8, 2.0, 15, 1e-12)
-    ),
+    "frequency: must be below": lambda: scene_of(column(90), Packet(1e8, 2.0, 15, 1e-12), LASTS),
 }
 
 
@@ -545,7 +543,7 @@ def test_scene_files(kind: str):
         wall_constants=[0.0, 3e9],
     )
     chain, given = (chain, Packet(2e4, 5.0, 40, 1e-12)) if kind == "packet" else STRONG[kind]
-    scene = scene_of(chain, given)
+    scene = scene_of(chain, given, LASTS, 2)
     assert Scene.from_text(scene.to_text()) == scene
     assert Scene.from_dict(scene.to_dict()) == scene
     assert given.kind in EXCITATIONS
@@ -556,7 +554,7 @@ def test_scene_files(kind: str):
 
 def test_a_force_in_a_file(tmp_path: Path):
     (tmp_path / "hammer.csv").write_text("time,force\n0,0\n1e-6,0.5\n3e-5,0\n")
-    tables = scene_of(LOADED, Impulse(velocity=1e-6)).to_dict()
+    tables = struck(LOADED, 1e-6, LASTS).to_dict()
     tables["excitation"] = {"kind": "force", "grain": 2, "file": "hammer.csv"}
     assert Scene.from_dict(tables, tmp_path).excitation == Force(
         grain=2, times=[0, 1e-6, 3e-5], force=[0, 0.5, 0]
@@ -569,7 +567,7 @@ def test_a_force_in_a_file(tmp_path: Path):
 )
 def test_decks(kind: str, tmp_path: Path):
     """A complete deck has forces and a moving wall: equal steps give the same motion."""
-    scene = scene_of(*STRONG[kind], samples=5)
+    scene = scene_of(*STRONG[kind], LASTS, 5)
     step = scene.duration / 400
     write_deck(scene, tmp_path, step=step, diameter="gauge")
     lmp(tmp_path)

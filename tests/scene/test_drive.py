@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
@@ -22,10 +23,6 @@ every = pytest.mark.parametrize("integrator", sorted(METHODS))
 
 def loaded(**keys: Any) -> Chain:
     return Chain(**{"grains": 8, "diameter": 1e-3, "gravity": 0.0, "top_load": 1e-3} | keys)
-
-
-def scene_of(chain: Chain, drive: Drive, samples: int = 2, units: float = 8.0) -> Scene:
-    return Scene(chain=chain, excitation=drive, duration=units * chain.time_scale, samples=samples)
 
 
 def sine(chain: Chain, strength: float = 1e-3, slower: float = 1.0) -> Drive:
@@ -62,7 +59,7 @@ def cubic(chain: Chain) -> tuple[Drive, Array]:
 @every
 def test_grain_1_follows_a_sine(integrator: str):
     chain = loaded(bottom="wall")
-    scene = scene_of(chain, sine(chain, 0.3, slower=0.5), samples=41)
+    scene = scene_of(chain, sine(chain, 0.3, slower=0.5), 8 * chain.time_scale, 41)
     t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / 320))
     a = 0.3 * chain.length_scale
     omega = 2 / chain.time_scale
@@ -86,7 +83,7 @@ def test_grain_1_follows_a_path(integrator: str):
         (drive, lambda t: np.polyval(coefficients, t), lambda t: np.polyval(slope, t)),
         (crooked, curve, curve.derivative()),
     ):
-        scene = scene_of(chain, given, samples=41)
+        scene = scene_of(chain, given, 8 * chain.time_scale, 41)
         t = simulate(scene, engine=engines.Native(integrator=integrator, step=scene.duration / 320))
         for found, true in ((t.displacement, u(scene.time)), (t.velocity, v(scene.time))):
             assert found[:, 0] == pytest.approx(true, rel=0, abs=1e-13 * np.abs(true).max())
@@ -94,7 +91,7 @@ def test_grain_1_follows_a_path(integrator: str):
 
 def test_two_points_make_a_piston():
     chain = loaded()
-    scene = scene_of(chain, Drive(times=[0, 1e-3], displacement=[0, 1e-9]), samples=9)
+    scene = scene_of(chain, Drive(times=[0, 1e-3], displacement=[0, 1e-9]), 8 * chain.time_scale, 9)
     t = simulate(scene)
     assert t.velocity[:, 0] == pytest.approx(1e-6, rel=1e-14)
     assert t.displacement[:, 0] == pytest.approx(1e-6 * scene.time, rel=1e-14)
@@ -177,7 +174,9 @@ def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path:
     u[-1] = v[-1] = 0.0
     u[:grain] = v[:grain] = 0.0
     start = Profile(displacement=u, velocity=v)
-    scene = scene_of(chain, sine(chain, 0.05).replace(start=start, grain=grain), samples=9)
+    scene = scene_of(
+        chain, sine(chain, 0.05).replace(start=start, grain=grain), 8 * chain.time_scale, 9
+    )
     t = simulate(scene, "native", 1e-10)
     x, y, _ = extended_reference(scene)
     assert relative_error(t.displacement, t.velocity, x, y) < 1e-9
@@ -207,7 +206,7 @@ def test_a_start_of_another_length_is_rejected():
             "excitation.start.displacement: must be 0 for grain 8, which is held",
         ),
     ):
-        tables = scene_of(chain, sine(chain)).to_dict()
+        tables = scene_of(chain, sine(chain), 8 * chain.time_scale).to_dict()
         tables["excitation"]["start"] = {
             key: value.tolist() for key, value in start.given().items()
         }

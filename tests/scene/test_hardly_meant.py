@@ -3,6 +3,8 @@
 import warnings
 
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
 from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate, sweep
 from lmpchain.cli import main
@@ -20,10 +22,6 @@ def said(make) -> list[str]:
     return [str(warning.message) for warning in caught]
 
 
-def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
-
-
 @pytest.mark.parametrize(
     ("make", "begin", "number"),
     [
@@ -35,9 +33,9 @@ def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
             "by 0.012 of the diameter",
         ),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
-        (lambda: struck(CHAIN, 20.0), "velocity: ", "by 0.012 of the diameter"),
+        (lambda: struck(CHAIN, 20.0, 1e-5), "velocity: ", "by 0.012 of the diameter"),
         (
-            lambda: struck(SPRINGS, 6e3),
+            lambda: struck(SPRINGS, 6e3, 1e-5),
             "velocity: ",
             "6e+03 m/s, faster than sound in its material, 5.06e+03 m/s",
         ),
@@ -73,15 +71,13 @@ def test_the_sound_speed_is_that_of_the_grain_material():
 
 
 def test_usual_values_cause_no_warning():
-    assert not said(lambda: struck(Chain(grains=120, diameter=1e-3), 8.57e-3, 1.0))
-    assert not said(
-        lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3)
-    )
+    assert not said(lambda: struck(column(120), 8.57e-3, 1.0))
+    assert not said(lambda: struck(column(120, exponent=1.0, top_load=1e-2), 1e-3, 1e-5))
 
 
 def test_the_warning_is_given_once():
     def work():
-        scene = struck(CHAIN, 20.0)
+        scene = struck(CHAIN, 20.0, 1e-5)
         plan(scene)
         simulate(scene, "native")
 
@@ -101,7 +97,7 @@ def test_the_command_line_warns_once(tmp_path, capsys):
 
 
 def test_a_sweep_warns_once(tmp_path):
-    swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
+    swept = {"scene": struck(CHAIN, 1e-3, 1e-5), "keep": ["peak_velocity"], "tolerance": 1e-2}
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
     assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
@@ -109,8 +105,8 @@ def test_a_sweep_warns_once(tmp_path):
 
 @pytest.mark.parametrize(("turn", "number"), [(9.9, 0), (10.1, 1)])
 def test_contacts_that_are_rigid_dashpots_cause_a_warning(turn: float, number: int):
-    frequency = struck(CHAIN, 1e-3).fastest_motion
+    frequency = struck(CHAIN, 1e-3, 1e-5).fastest_motion
     damped = CHAIN.replace(damping={"viscoelastic": turn / frequency})
-    texts = said(lambda: struck(damped, 1e-3))
+    texts = said(lambda: struck(damped, 1e-3, 1e-5))
     rigid = f"A omega is {turn:.2g}, so that contacts act as rigid dashpots"
     assert sum(rigid in text for text in texts) == number

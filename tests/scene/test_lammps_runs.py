@@ -10,7 +10,7 @@ from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input
 from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
-from lmpchain.scene.lammps_column import RunOptions, Understood
+from lmpchain.scene.lammps_column import RunOptions
 from lmpchain.trajectory.lammps_dump import scene_of_run
 
 UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
@@ -24,10 +24,6 @@ SOFT = 1.365  # Factor on k.
 
 def glass() -> RunOptions:
     return RunOptions(young=6.2e9, poisson=0.2, timestep=1e-7)
-
-
-def scene_of(understood: Understood) -> Scene:
-    return Scene(**understood.fields)
 
 
 def difference(dump: Path, scene: Scene, step: float, units: str | None = None) -> float:
@@ -45,11 +41,11 @@ def test_a_scene_moves_as_the_input_and_its_dump(name: str, tmp_path: Path):
     """Native steps differ from LAMMPS steps by the rounding of its positions."""
     dump = run_input(tmp_path, INPUTS[name])
     step = STEPS.get(name, 1e-7)
-    both = scene_of(scene_of_run([dump, tmp_path / "in.own"]))
+    both = Scene(**scene_of_run([dump, tmp_path / "in.own"]).fields)
     assert difference(dump, both, step, UNITS.get(name)) < 2e-8
     if name in SETTLED:
         return
-    alone = scene_of(scene_of_run([tmp_path / "in.own"]))
+    alone = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     assert difference(dump, alone, step, UNITS.get(name)) < 2e-8
     assert (alone.samples, alone.chain.grains) == (both.samples, both.chain.grains)
 
@@ -96,7 +92,7 @@ CASES: dict[str, tuple[str, RunOptions, str | None]] = {
 def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
     text, options, units = CASES[name]
     dump = run_input(tmp_path, text)
-    scene = scene_of(scene_of_run([dump], options, units))
+    scene = Scene(**scene_of_run([dump], options, units).fields)
     assert difference(dump, scene, 1e-7, units) < 2e-8
     # The force at rest below the first grain, by hand.
     load = {"column": 0.0, "level": 5e8 * 1e-5**1.5, "tapered": 0.0, "cgs": 10.0}[name]
@@ -109,7 +105,7 @@ def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
 def test_any_axis_and_either_direction(tmp_path: Path):
     """Axes are exchanged and reversed, but the scene is the same."""
     run_input(tmp_path, LEVEL)
-    first = scene_of(scene_of_run([tmp_path / "in.own"]))
+    first = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     turned = LEVEL
     for n in range(12):
         x = 0.00999 * n
@@ -117,7 +113,7 @@ def test_any_axis_and_either_direction(tmp_path: Path):
     turned = turned.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
     turned = turned.replace("hit set 0.1 0 0", "hit set 0 0 -0.1")
     dump = run_input(tmp_path, turned)
-    second = scene_of(scene_of_run([tmp_path / "in.own"]))
+    second = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     assert second.chain.grains == first.chain.grains
     assert second.excitation.initial(second.chain)[1] == pytest.approx(
         first.excitation.initial(first.chain)[1]
@@ -140,7 +136,7 @@ def test_a_dump_that_begins_during_a_wave(tmp_path: Path):
     dump = run_input(tmp_path, text)
     part = frames_from(dump, 6)
     understood = scene_of_run([part], options, units)
-    scene = scene_of(understood)
+    scene = Scene(**understood.fields)
     assert dict(understood.facts)["load"].startswith("10 N (from 6 overlaps")
     assert scene.chain.top_load == pytest.approx(10.0, rel=1e-7)
     # Grains count as at rest up to 1e-6 of the wave.
@@ -192,9 +188,9 @@ velocity all set 0 0 0
     options = RunOptions(young=6.2e9, poisson=0.2, timestep=1e-8)
     understood = scene_of_run([dump], options)
     assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
-    assert scene_of(understood).chain.gravity == 9.81
+    assert Scene(**understood.fields).chain.gravity == 9.81
     # The position of the wall is not in the dump: grain N is assumed at rest on it.
-    assert difference(dump, scene_of(understood), 1e-8) < 2e-6
+    assert difference(dump, Scene(**understood.fields), 1e-8) < 2e-6
 
 
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
@@ -237,7 +233,7 @@ def test_missing_information_is_requested(tmp_path: Path):
         with pytest.raises(InputError, match=f"{min(given)}: is in .*leave it out"):
             scene_of_run([tmp_path / "in.own"], RunOptions(**given))
     known = RunOptions(young=SOFT * 1e10, poisson=0.3, density=7800.0, diameter=1e-2, timestep=1e-7)
-    assert difference(dump, scene_of(scene_of_run([bare], known)), 1e-7) < 2e-8
+    assert difference(dump, Scene(**scene_of_run([bare], known).fields), 1e-7) < 2e-8
 
 
 def instance(text: str) -> Any:
@@ -270,7 +266,7 @@ def before_the_run(text: str) -> str:
 def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
     text = INPUTS[name]
     (tmp_path / "in.own").write_text(text, encoding="utf-8")
-    expected = scene_of(scene_of_run([tmp_path / "in.own"]))
+    expected = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     lmp = instance(before_the_run(text))
     try:
         recording = {"duration": expected.duration, "samples": expected.samples}

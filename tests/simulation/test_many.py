@@ -1,9 +1,10 @@
 """A list of scenes in one call: results, order, errors and refusals."""
 
-from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import smooth, struck
 from helpers.independent_integrators import extended_reference, relative_error
 
@@ -19,7 +20,9 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 
-short = partial(struck, grains=12, duration=2e-5)
+
+def short(velocity: float, **chain: Any) -> Scene:
+    return struck(column(**{"grains": 12} | chain), velocity, 2e-5, 11)
 
 
 def test_results_are_in_order_with_the_bits_of_single_runs():

@@ -177,25 +177,29 @@ def test_the_package_predicts_the_error_of_linear_theory():
 
 
 def test_recognition_of_a_struck_column():
-    scene = struck()
-    chain = scene.chain
+    chain = column(40)
+    scene = struck(chain, 1e-6, 5e-5)
     lasts = float(passage(scene).sum())
     hops = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
     assert lasts == pytest.approx(hops.sum(), rel=1e-12)
     assert linear_theory.struck_column(scene)
-    assert linear_theory.struck_column(struck(duration=9.99 * lasts))
-    assert linear_theory.struck_column(struck(exponent=2.2))
+    assert linear_theory.struck_column(struck(chain, 1e-6, 9.99 * lasts))
+    assert linear_theory.struck_column(struck(column(40, exponent=2.2), 1e-6, 5e-5))
     for other in (
-        struck(duration=10.01 * lasts),
+        struck(chain, 1e-6, 10.01 * lasts),
         scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
         scene.replace(excitation=Displacement(displacement=1e-12)),
-        struck(exponent=2.21),
-        struck(gravity=0.0, top_load=1e-3),
-        struck(top_load=1e-6),
-        struck(top="wall", top_load=1e-6),
-        struck(masses=chain.masses * np.linspace(1, 1.1, 40)),
-        struck(contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
-        struck(grains=1, bottom="wall"),
+        struck(column(40, exponent=2.21), 1e-6, 5e-5),
+        struck(column(40, gravity=0.0, top_load=1e-3), 1e-6, 5e-5),
+        struck(column(40, top_load=1e-6), 1e-6, 5e-5),
+        struck(column(40, top="wall", top_load=1e-6), 1e-6, 5e-5),
+        struck(column(40, masses=chain.masses * np.linspace(1, 1.1, 40)), 1e-6, 5e-5),
+        struck(
+            column(40, contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
+            1e-6,
+            5e-5,
+        ),
+        struck(column(1, bottom="wall"), 1e-6, 5e-5),
     ):
         assert not linear_theory.struck_column(other)
 

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_scenes import struck
 from helpers.independent_integrators import extended_reference
 from laws.openings import drift, errors_through_openings, order_through_openings
 from scipy.linalg import eigvalsh_tridiagonal
@@ -26,9 +27,8 @@ def speed(chain: Chain) -> float:
     return chain.length_scale / chain.time_scale
 
 
-def struck(chain: Chain, number: float, periods: float = 100) -> Scene:
-    impulse = Impulse(velocity=number * speed(chain))
-    return Scene(chain=chain, excitation=impulse, duration=periods * 2 * np.pi / chain.band_edge)
+def struck_for_periods(chain: Chain, number: float, periods: float = 100) -> Scene:
+    return struck(chain, number * speed(chain), periods * 2 * np.pi / chain.band_edge)
 
 
 # --- the longest step
@@ -67,8 +67,8 @@ def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
     method = METHODS[integrator]
     assert method.growth(suspect(integrator)) > 1.0004
     assert method.growth(1.02 * method.stability_limit) == 1
-    found = blow_up(struck(LOADED, 1.0), integrator)
-    assert found > 1.25 * limit(struck(LOADED, 1.0), integrator)
+    found = blow_up(struck_for_periods(LOADED, 1.0), integrator)
+    assert found > 1.25 * limit(struck_for_periods(LOADED, 1.0), integrator)
 
 
 def stiffest(scene: Scene) -> float:
@@ -114,7 +114,7 @@ def test_the_frequency_of_a_struck_chain(case: tuple[Chain, float, float]) -> No
     quick = Scene(
         chain=chain,
         excitation=Impulse(velocity=number * speed(chain)),
-        duration=periods * 2 * np.pi / struck_frequency(struck(chain, number)),
+        duration=periods * 2 * np.pi / struck_frequency(struck_for_periods(chain, number)),
         samples=30 * periods + 1,
     )
     assert struck_frequency(quick) == pytest.approx(stiffest(quick), rel=off, abs=0)
@@ -153,7 +153,7 @@ def test_the_step_is_unlimited_if_nothing_moves() -> None:
 def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
     integrator: str, least: float, number: float
 ) -> None:
-    scene = struck(LOADED, number)
+    scene = struck_for_periods(LOADED, number)
     assert least < blow_up(scene, integrator) / limit(scene, integrator) < 1.03
 
 
@@ -161,7 +161,7 @@ def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
 @pytest.mark.parametrize("integrator", engines.Lammps.integrators)
 @pytest.mark.parametrize("number", [1e-2, 10])
 def test_both_engines_break_down_at_the_same_step(integrator: str, number: float) -> None:
-    scene = struck(LOADED, number)
+    scene = struck_for_periods(LOADED, number)
     assert blow_up(scene, integrator, "lammps") == pytest.approx(
         blow_up(scene, integrator), rel=0.02, abs=0
     )

@@ -47,7 +47,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(originals: Path, tmp_path: Path) -> Path:
+def run_folder(originals: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(originals / "run", tmp_path / "run"))
 
 
@@ -100,11 +100,11 @@ numcodecs.register_codec(Unpickling)
 @pytest.mark.parametrize("codec", ["pickle", Unpickling.codec_id])
 @pytest.mark.parametrize("kind", ["filters", "compressor"])
 def test_no_pickle_of_a_store_is_opened(
-    run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
     """The store of Zarr version 2 has a filter that executes the content of its chunks."""
-    mark = run.parent / "mark"
-    store = run / "trajectory.zarr"
+    mark = run_folder.parent / "mark"
+    store = run_folder / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
     shutil.rmtree(store)
     fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
@@ -128,13 +128,16 @@ def test_no_pickle_of_a_store_is_opened(
         dimensions = ["time", "grain"] if len(shape) == 2 else [name]
         (store / name / ".zattrs").write_text(json.dumps({"_ARRAY_DIMENSIONS": dimensions}))
         (store / name / ".".join("0" * len(shape))).write_bytes(pickle.dumps(Trap(mark)))
-    assert "Zarr format 3" in refused(run, capsys)
+    assert "Zarr format 3" in refused(run_folder, capsys)
     assert not mark.exists()
 
 
-def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
+def changed(run_folder: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
     """Change the metadata of an array in its own file, or also in the consolidated metadata."""
-    for path, where in ((run / "trajectory.zarr" / name, None), (run / "trajectory.zarr", name)):
+    for path, where in (
+        (run_folder / "trajectory.zarr" / name, None),
+        (run_folder / "trajectory.zarr", name),
+    ):
         about = json.loads((path / "zarr.json").read_text())
         change(about["consolidated_metadata"]["metadata"][name] if where else about)
         (path / "zarr.json").write_text(json.dumps(about))
@@ -182,25 +185,28 @@ CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_store_with_another_layout_is_rejected_unopened(
-    run: Path, change: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    run_folder: Path,
+    change: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     import xarray
     import zarr
 
-    changed(run, *CHANGES[change])
+    changed(run_folder, *CHANGES[change])
     for library, opening in ((xarray, "open_dataset"), (zarr, "open_group"), (zarr, "open_array")):
         monkeypatch.setattr(library, opening, lambda *_, **__: pytest.fail("it was opened"))
-    refused(run, capsys)
+    refused(run_folder, capsys)
 
 
 def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
-    run: Path, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, capsys: pytest.CaptureFixture[str]
 ):
-    path = run / "trajectory.zarr" / "time" / "c" / "0"
+    path = run_folder / "trajectory.zarr" / "time" / "c" / "0"
     content = bytearray(path.read_bytes())
     content[4:8] = (2**31 - 17).to_bytes(4, "little")  # Number of bytes that Blosc should allocate.
     path.write_bytes(content)
-    assert "more numbers than it" in refused(run, capsys)
+    assert "more numbers than it" in refused(run_folder, capsys)
 
 
 @pytest.mark.parametrize(
@@ -208,19 +214,19 @@ def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
 )
 @pytest.mark.parametrize("kind", ["link", "pipe"])
 def test_nothing_outside_a_run_folder_is_read_or_written(
-    run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    path = run / where
-    outside = run.parent / "outside"
+    path = run_folder / where
+    outside = run_folder.parent / "outside"
     os.rename(path, outside)
     before = {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
     if kind == "link":
         path.symlink_to(outside)
     else:
         os.mkfifo(path)
-    refused(run, capsys)
-    assert main(["resume", str(run)]) == 2
-    assert capsys.readouterr().err.startswith(f"error: {run}: ")
+    refused(run_folder, capsys)
+    assert main(["resume", str(run_folder)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {run_folder}: ")
     assert before == {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
 
 

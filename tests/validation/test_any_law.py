@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -42,11 +43,6 @@ SCENES = {
         Impulse(velocity=0.1),
     ),
 }
-
-
-def scene_of(name: str) -> Scene:
-    chain, excitation = SCENES[name]
-    return Scene(chain=chain, excitation=excitation, duration=3e-5, samples=11)
 
 
 def at_rest(constant: float, carried: float) -> float:
@@ -128,7 +124,7 @@ def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) ->
 
 @pytest.fixture(scope="module")
 def truths() -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    return {name: reference(scene_of(name)) for name in SCENES}
+    return {name: reference(scene_of(*SCENES[name], 3e-5, 11)) for name in SCENES}
 
 
 CASES = [(name, "auto", 1e-8) for name in SCENES]
@@ -140,18 +136,20 @@ CASES += [(name, kind, 1e-4) for name in ("weak", "strong") for kind in ("verlet
 def test_a_new_law_meets_its_tolerance(
     name: str, integrator: str, tolerance: float, truths: dict[str, Any]
 ) -> None:
-    run = lmpchain.simulate(scene_of(name), Native(integrator=integrator), tolerance=tolerance)
+    run = lmpchain.simulate(
+        scene_of(*SCENES[name], 3e-5, 11), Native(integrator=integrator), tolerance=tolerance
+    )
     off = true_error(run, truths[name])
     assert off < 3 * run.error_estimate.total + 3e-12
     assert run.error_estimate.total < tolerance
 
 
 def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None:
-    scene = scene_of("strong")
+    scene = scene_of(*SCENES["strong"], 3e-5, 11)
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     ledger = energy.ledger(run)
     assert ledger.total == pytest.approx(scene.energy, rel=1e-7)
-    weak = scene_of("weak")
+    weak = scene_of(*SCENES["weak"], 3e-5, 11)
     run = lmpchain.simulate(weak, "modes", tolerance=0.9)
     assert true_error(run, truths["weak"]) < run.error_estimate.total
 

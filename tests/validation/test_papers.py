@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 from helpers.thinned import thinned
 
 import lmpchain
@@ -48,13 +49,6 @@ def opening() -> Trajectory:
     return simulate(
         Scene(chain=chain, excitation=step, duration=4e-3, samples=1601), "native", 1e-5
     )
-
-
-def struck(chain: Chain, velocity: float = 1e-3, duration: float = 2e-4) -> Trajectory:
-    """Simulate a chain whose first grain is struck."""
-    excitation = Impulse(velocity=velocity)
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=401)
-    return simulate(scene, "native", 1e-8)
 
 
 def shares() -> Row:
@@ -153,7 +147,7 @@ def gradient() -> Row:
 def impact() -> Row:
     """Compare the speed of a hard impact under gravity with that of its solitary wave."""
     chain = Chain(grains=40, material="steel", diameter=5e-3)
-    found = flight.time_of_flight(struck(chain, 1.0, 2.5e-4), 5, 12).speed
+    found = flight.time_of_flight(run(chain, Impulse(velocity=1.0), 2.5e-4, 401, 1e-8), 5, 12).speed
     wave = lmpchain.theory.soliton.solve(1.5, velocity=0.68163).speed
     scale = (chain.contact_constants[0] / chain.masses[0]) ** 0.4
     return float(found), float(wave * scale * 5e-3), 1.0
@@ -169,8 +163,8 @@ def reflected() -> Row:
 def balance(law: lmpchain.Law, **keys: float) -> Row:
     """Compare the energy of a chain with a law by formula with that at the start."""
     chain = Chain(grains=12, diameter=5e-3, material="steel", gravity=0.0, law=law, **keys)
-    run = struck(chain, 1e-2, 1e-4)
-    total = energy.ledger(run).total
+    beads = run(chain, Impulse(velocity=1e-2), 1e-4, 401, 1e-8)
+    total = energy.ledger(beads).total
     return float(total[-1] / total[0]), 1.0, 1e-6
 
 

@@ -45,7 +45,9 @@ UNLIKE = Chain(
 )
 
 
-def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain) -> LammpsColumn:
+def lammps_column(
+    excitation=None, gauge: float = 0.0, style: str = "granular", **chain
+) -> LammpsColumn:
     made = UNLIKE.replace(**chain)
     excitation = excitation or Impulse(velocity=1e-3, grain=2)
     return LammpsColumn(
@@ -55,7 +57,7 @@ def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain
 
 def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
     for excitation in (None, Displacement(displacement=-1e-3), Displacement(displacement=2e-6)):
-        made = column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
+        made = lammps_column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
         z, _ = made.start
         gaps = z[:-1] - z[1:] - (made.diameters[:-1] + made.diameters[1:]) / 2
         assert made.skin >= max(gaps.max(), 0) + 0.2 * made.diameters.max()

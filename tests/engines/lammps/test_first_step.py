@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 from helpers import taylor_series
+from helpers.example_scenes import struck
 
 from lmpchain import Chain, Impulse, Scene, simulate
 from lmpchain.engines import Lammps, Native
@@ -25,15 +26,11 @@ STRIKER = Chain(
 VACUUM = Chain(grains=10, diameter=1e-3, gravity=0.0, bottom="wall")
 
 
-def struck(chain: Chain) -> Scene:
-    return Scene(chain=chain, excitation=Impulse(velocity=0.44), duration=1e-4, samples=6)
-
-
 @pytest.mark.parametrize("chain", [STRIKER, VACUUM], ids=["striker", "vacuum"])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-5])
 def test_steps_are_as_long_as_the_tolerance_allows(chain, tolerance):
     """Steps were once 40 times too short, with errors 2000 times below the tolerance."""
-    scene = struck(chain)
+    scene = struck(chain, 0.44, 1e-4, 6)
     lammps = Lammps("verlet")
     step = lammps.propose(lammps.part(scene), tolerance).step
     truth, doubt = taylor_series.reference(scene, 1e-16)
@@ -50,7 +47,7 @@ def test_steps_are_as_long_as_the_tolerance_allows(chain, tolerance):
 
 def test_steps_stay_where_companions_are_stable():
     """Steps are limited to a quarter of the largest stable omega h, at any tolerance."""
-    scene = struck(VACUUM)
+    scene = struck(VACUUM, 0.44, 1e-4, 6)
     for integrator in Lammps.integrators:
         lammps = Lammps(integrator)
         step = lammps.propose(lammps.part(scene), 0.5).step
@@ -59,7 +56,7 @@ def test_steps_stay_where_companions_are_stable():
 
 
 def test_a_given_step_is_kept():
-    scene = struck(STRIKER)
+    scene = struck(STRIKER, 0.44, 1e-4, 6)
     lammps = Lammps("verlet", step=1e-8)
     assert lammps.propose(lammps.part(scene), 1e-3).step == pytest.approx(1e-8, rel=1e-12)
 
