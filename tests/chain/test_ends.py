@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.thinned import thinned
 from scipy.integrate import quad
 
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, design, engines, simulate
+from lmpchain import Chain, InputError, Profile, Scene, design, engines, simulate
 from lmpchain.measure import fit
 from lmpchain.report.document import write
 from lmpchain.theory import scattering
@@ -48,7 +50,7 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
 
     def run(chain: Chain, velocity: Any) -> Any:
         return simulate(
-            Scene(chain=chain, excitation=Profile(velocity=velocity), duration=duration, samples=7),
+            scene_of(chain, Profile(velocity=velocity), duration, 7),
             solver,
         )
 
@@ -89,14 +91,12 @@ LONE = {
 @pytest.mark.parametrize("name", LONE)
 @pytest.mark.parametrize("strike", [1e-7, 3e-3])
 def test_one_grain(name: str, strike: float):
-    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
+    chain = column(1, **LONE[name])
     assert chain.movable == 1
     assert chain.band_edge == pytest.approx(
         np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]), rel=1e-14
     )
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=strike), duration=7 * chain.time_scale, samples=9
-    )
+    scene = struck(chain, strike, 7 * chain.time_scale, 9)
     u, v, own = extended_reference(scene)
     for engine in ("native", "auto", "lammps"):
         t = simulate(scene, engine, 1e-6)
@@ -109,16 +109,14 @@ def test_one_grain(name: str, strike: float):
 @pytest.mark.parametrize("end", [{"bottom": "fixed"}, {"bottom": "free", "top": "free"}])
 def test_one_grain_that_is_fixed_or_has_no_contact(end: dict[str, str]):
     with pytest.raises(InputError, match="grains: a single grain must move and touch a wall"):
-        Chain(grains=1, diameter=1e-3, gravity=0.0, **{"top": "wall"} | end)
+        column(1, gravity=0.0, **{"top": "wall"} | end)
 
 
 @pytest.mark.parametrize("name", thinned(["between walls", "under gravity on a wall"], 2))
 def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
     """The report of one grain works; measures that need a wave or two grains are rejected."""
-    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101
-    )
+    chain = column(1, **LONE[name])
+    scene = struck(chain, 1e-5, 20 * chain.time_scale, 101)
     run = simulate(scene, "native", 1e-8)
     write(run, tmp_path / "report.html")
     assert isinstance(fit.summary(run).rows, tuple | list)
@@ -147,14 +145,14 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
 
 def test_the_bounce_of_one_grain():
     """The contact time of a grain on a wall without gravity equals Hertz's quadrature."""
-    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
+    chain = column(1, gravity=0.0, bottom="wall")
     m = float(chain.masses[0])
     k = float(chain.wall_constants[1])
     v = 1e-2
     deepest = (5 * m * v**2 / (4 * k)) ** 0.4
     share, _ = quad(lambda s: 2 * s / np.sqrt(1 - (1 - s**2) ** 2.5), 0, 1, epsabs=0, epsrel=1e-13)
     contact_time = 2 * deepest / v * share
-    scene = Scene(chain=chain, excitation=Impulse(velocity=v), duration=contact_time, samples=3)
+    scene = struck(chain, v, contact_time, 3)
     t = simulate(scene, "native", 1e-9)
     assert t.displacement[1, 0] == pytest.approx(deepest, rel=1e-8)
     assert t.velocity[:, 0] == pytest.approx([v, 0.0, -v], rel=1e-8, abs=1e-8 * v)

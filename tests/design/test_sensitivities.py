@@ -5,18 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, InputError, Profile, simulate
+from lmpchain import Impulse, InputError, Profile, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
 from lmpchain.design.gradients import at_step
 from lmpchain.design.parameters import changed, values
 from lmpchain.integrators.methods import SPLITTINGS
 
-VACUUM = scene_of(
-    Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31
-)
+VACUUM = scene_of(column(12, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31)
 
 
 DAMPED = VACUUM.replace(chain=VACUUM.chain.replace(damping={"viscoelastic": 3e-7, "drag": 5e3}))
@@ -134,13 +133,7 @@ def test_an_unknown_objective_is_named(of: str, text: str):
 
 
 def test_given_masses_replace_diameters():
-    chain = Chain(
-        grains=4,
-        diameter=1e-3,
-        masses=np.full(4, 1e-6),
-        contact_constants=np.full(3, 1e9),
-        top_load=0.1,
-    )
+    chain = column(4, masses=np.full(4, 1e-6), contact_constants=np.full(3, 1e9), top_load=0.1)
     scene = scene_of(chain, Profile(velocity=[1e-3, 0, 0, 0]), 1e-5, 3)
     found = sensitivity(scene, KineticEnergy([2]), {"masses": 0.01})
     assert set(found.relative) == {"masses", "contact_constants", "top_load", "gravity", "velocity"}

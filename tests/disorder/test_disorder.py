@@ -10,7 +10,7 @@ import pytest
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import keys
 from helpers.example_chains import column
-from helpers.example_scenes import struck
+from helpers.example_scenes import scene_of, struck
 from helpers.independent_integrators import relative_error
 
 from lmpchain import (
@@ -83,24 +83,9 @@ def chains(exponent: float) -> list[Chain]:
         {"grain": 9, "mass": 2e-6},
     )
     return [
-        Chain(grains=40, diameter=1e-3, exponent=exponent),
-        Chain(
-            grains=12,
-            diameter=1e-3,
-            exponent=exponent,
-            gravity=0,
-            top_load=1e-3,
-            top="wall",
-            bottom="wall",
-        ),
-        Chain(
-            grains=12,
-            diameter=1e-3,
-            exponent=exponent,
-            bottom="wall",
-            bottom_material="steel",
-            impurity=odd,
-        ),
+        column(40, exponent=exponent),
+        column(12, exponent=exponent, gravity=0, top_load=1e-3, top="wall", bottom="wall"),
+        column(12, exponent=exponent, bottom="wall", bottom_material="steel", impurity=odd),
         Chain(
             grains=9,
             diameter=np.linspace(1, 2, 9) * 1e-3,
@@ -145,7 +130,7 @@ def test_masses_and_diameters_are_unchanged_by_random_stiffness(of):
 
 
 def test_a_vacuum_has_constants_but_no_stiffness():
-    vacuum = Chain(grains=6, diameter=1e-3, gravity=0)
+    vacuum = column(6, gravity=0)
     with pytest.raises(InputError, match=r'^gravity: .* use of="constant"$'):
         disordered(vacuum, 2, generator())
     drawn = disordered(vacuum, 2, generator(), of="constant")
@@ -363,7 +348,7 @@ def test_failing_ensembles_state_the_reason():
     with pytest.raises(ToleranceNotMet):
         ensemble(weakly_struck(), 5, 2, seed=1, tolerance=1e-17)
     drawn = Displacement(displacement=1e-12)
-    loose = Scene(chain=Chain(grains=5, diameter=1e-3, top="wall"), excitation=drawn, duration=1e-5)
+    loose = scene_of(column(5, top="wall"), drawn, 1e-5)
     with pytest.raises(InputError, match=r"^top: a wall that only touches"):
         ensemble(loose, 5, 2, seed=1)
 
@@ -447,7 +432,7 @@ def test_metadata_of_averages():
 
 def test_materials_of_grains_whose_modulus_is_drawn():
     """Density and Poisson's ratio are unchanged; Young's modulus is multiplied by the factors."""
-    chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
+    chain = column(6, material=["steel", "glass", "ptfe"] * 2)
     zeta = factors(9, 6, generator())
     drawn = disordered(chain, 9, generator(), of="youngs_modulus")
     for before, after, factor in zip(chain.material, drawn.material, zeta, strict=True):
@@ -458,7 +443,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
         match=r"^contact_constants: contact constants are given .* from diameter: use",
     ):
         disordered(
-            Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]),
+            column(3, contact_constants=[1e9, 1e9]),
             9,
             generator(),
             of="diameter",
@@ -478,7 +463,7 @@ SUMS = {
 
 
 def test_relative_stiffness():
-    paper = relative_stiffness(Chain(grains=60, diameter=1e-3))
+    paper = relative_stiffness(column(60))
     assert paper == pytest.approx(np.arange(1, 61) ** (1 / 3), rel=1e-13)
     load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
     assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
@@ -526,11 +511,9 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
 
 
 def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixture[str]):
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     pulled = Displacement(displacement=-1e-16, grain=3)
-    everything_that_moves = Scene(
-        chain=chain, excitation=pulled, duration=1e-5, samples=3, grains="1:11"
-    )
+    everything_that_moves = scene_of(chain, pulled, 1e-5, 3, grains="1:11")
     simulate(everything_that_moves, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "2", "--realisations", "3", "--seed", "0"]) == 0
     assert "velocities in m/s" in capsys.readouterr().out
@@ -566,15 +549,13 @@ def test_dyson_with_invalid_options(options, key, saved: Path, capsys: pytest.Ca
 
 
 def test_unsuitable_runs_for_dyson_are_rejected(saved: Path, capsys: pytest.CaptureFixture[str]):
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     strike = Impulse(velocity=1e-9)
-    some = Scene(chain=chain, excitation=strike, duration=1e-5, samples=3, grains=[1, 5])
+    some = scene_of(chain, strike, 1e-5, 3, grains=[1, 5])
     simulate(some, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["grains"]
-    vacuum = Scene(
-        chain=Chain(grains=5, diameter=1e-3, gravity=0), excitation=strike, duration=1e-5, samples=3
-    )
+    vacuum = scene_of(column(5, gravity=0), strike, 1e-5, 3)
     simulate(vacuum, "native").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["gravity"]

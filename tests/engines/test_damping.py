@@ -11,7 +11,6 @@ from helpers.taylor_series import reference, solve
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import (
-    Chain,
     Drive,
     Force,
     Impulse,
@@ -195,12 +194,11 @@ def test_a_comparison_includes_the_lossless_chain(tmp_path, capsys):
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 3e-8, 1e-6])
 def test_the_wave_is_negligible_beyond_the_light_cone(viscoelastic):
     """The front of a damped wave is not sharp: it spreads as in a parabolic equation."""
-    chain = Chain(
-        grains=900, diameter=1e-3, gravity=0.0, top_load=1.0,
-        damping={"viscoelastic": viscoelastic, "drag": 1e3},
-    )  # fmt: skip
+    chain = column(
+        900, gravity=0.0, top_load=1.0, damping={"viscoelastic": viscoelastic, "drag": 1e3}
+    )
     strike = Impulse(velocity=1e-4, grain=450)
-    scene = Scene(chain=chain, excitation=strike, duration=2e-5, samples=2)
+    scene = scene_of(chain, strike, 2e-5, 2)
     cone = scene.light_cone
     assert cone is not None
     true, _ = reference(scene, 1e-18)

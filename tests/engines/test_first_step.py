@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import paper, stirred, struck
+from helpers.example_scenes import paper, scene_of, stirred, struck
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.taylor_series import reference as taylor
 
@@ -27,11 +27,7 @@ from lmpchain.engines.stepping.auxiliary_runs import OPENINGS, AuxiliarySteps, r
 from lmpchain.engines.stepping.step_choice import FIRST_STEP, choose_step, expected_reach, land
 from lmpchain.integrators.methods import METHODS
 
-VACUUM = Scene(
-    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"),
-    excitation=Impulse(velocity=0.1),
-    duration=1e-4, samples=6,
-)  # fmt: skip
+VACUUM = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 6)
 RKN6 = METHODS["rkn6"]
 
 
@@ -129,11 +125,11 @@ def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
     assert ratios(weak, 1e-10) == [2, 4]
     assert ratios(weak, 1e-2) == [2]
     assert ratios(strong, 1e-10) == [2, 4]
-    returning = strong.replace(chain=Chain(grains=20, diameter=1e-3), duration=2e-3)
+    returning = strong.replace(chain=column(20), duration=2e-3)
     assert returning.highest_frequency * returning.duration > OPENINGS.returning * 20
     assert ratios(returning, 1e-10) == [2, 4, 1.5]
     assert ratios(returning, 1e-10, adaptive=False) == [2, 4]
-    springs = strong.replace(chain=Chain(grains=20, diameter=1e-3, exponent=1.0))
+    springs = strong.replace(chain=column(20, exponent=1.0))
     assert ratios(springs, 1e-10) == [2, 4, 1.75]
     # Contacts that only touch open and close from the beginning.
     assert ratios(VACUUM, 1e-10) == [2, 4, 1.5]
@@ -158,7 +154,7 @@ def test_the_trusted_order():
     assert order(opens=False) == 8
     assert order(coarse_openings=False) == 6
     assert order(coarse_openings=True) == 4
-    springs = strong.replace(chain=Chain(grains=120, diameter=1e-3, exponent=1.2))
+    springs = strong.replace(chain=column(120, exponent=1.2))
     assert order(springs) == 6
     assert order(adaptive=False) == 2
     assert order(adaptive=False, opens=False) == 8
@@ -168,12 +164,7 @@ def test_the_trusted_order():
 
 
 def test_estimates_of_smooth_runs_are_close_upper_bounds():
-    scene = Scene(
-        chain=Chain(grains=20, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6),
-        duration=1e-4,
-        samples=11,
-    )
+    scene = struck(column(20), 1e-6, 1e-4, 11)
     u, v, _ = extended_reference(scene)
     for tolerance in (1e-6, 1e-8, 1e-10):
         answer = simulate(scene, Native("rkn6"), tolerance)
@@ -187,7 +178,7 @@ def test_the_longest_steps_of_auxiliary_runs_fit_between_two_kinks():
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)
     for excitation, spacing in ((push, 5e-6), (half_sine, 5e-6)):
-        scene = Scene(chain=VACUUM.chain, excitation=excitation, duration=6e-5, samples=2)
+        scene = scene_of(VACUUM.chain, excitation, 6e-5, 2)
         candidate = Native("rkn6").propose(scene, 1e-3)
         assert candidate.steps.adaptive
         assert 4 * candidate.step <= spacing * (1 + 1e-9)
@@ -199,7 +190,7 @@ def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
     """The scene can be solved if it is recorded up to this time."""
     rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)
+    scene = struck(chain, 0.3, 2e-3, 101)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
         simulate(scene, "native", 1e-7)
     assert refusal.value.trajectory.cost.step_s > Native().propose(scene, 1e-7).step / 20
@@ -224,9 +215,9 @@ def test_landings_are_at_least_eight_steps_apart():
 
 def test_motion_of_many_grains_opens_contacts_without_a_reflection():
     """An error of 2.1e-11 was once estimated as 7.1e-12, as for a wave from one grain."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=9.81)
+    chain = column(60, gravity=9.81)
     start = stirred(chain, 0.1, seed=8, last=20)
-    scene = Scene(chain=chain, excitation=start, duration=1e-4, samples=4)
+    scene = scene_of(chain, start, 1e-4, 4)
     assert scene.highest_frequency * scene.duration < OPENINGS.returning * 60
     assert recurs(scene)
     assert not recurs(scene.replace(excitation=Impulse(velocity=0.1)))
@@ -243,7 +234,7 @@ def test_a_wave_returns_from_the_nearer_end():
         grains=40, diameter=diameters, material="tungsten_carbide", bottom="wall", gravity=19.0
     )
     strike = Impulse(grain=26, velocity=-4.3)
-    scene = Scene(chain=chain, excitation=strike, duration=2e-3, samples=400)
+    scene = scene_of(chain, strike, 2e-3, 400)
     angle = scene.highest_frequency * scene.duration
     assert 14 < angle / OPENINGS.returning < 40
     assert recurs(scene)
@@ -264,11 +255,11 @@ def test_a_wave_returns_from_the_nearer_end():
 )
 def test_a_tighter_tolerance_rarely_costs_less(masses, grain, radians, samples, pressed):
     """With springs of unequal masses that open, attempts after the first one once overshot."""
-    chain = Chain(grains=3, exponent=1.0, masses=masses, diameter=1e-3, bottom="wall", **pressed)
+    chain = column(3, exponent=1.0, masses=masses, bottom="wall", **pressed)
     lifted = Displacement(
         displacement=-10 * chain.equilibrium_overlap[min(grain, 2) - 1], grain=grain
     )
-    scene = Scene(chain=chain, excitation=lifted, duration=1e-6, samples=samples)
+    scene = scene_of(chain, lifted, 1e-6, samples)
     scene = scene.replace(duration=radians / scene.highest_frequency)
     work = [
         simulate(scene, "native", tolerance).cost.force_evaluations

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_chains import vacuum
+from helpers.example_chains import column, vacuum
 from helpers.example_scenes import run, scene_of
 from helpers.thinned import thinned
 
@@ -36,7 +36,7 @@ def until(t: Trajectory, end: float) -> Trajectory:
 @pytest.fixture(scope="module")
 def opening() -> Trajectory:
     """Return a column with a strike that opens and closes contacts."""
-    return run(Chain(grains=12, diameter=1e-3), Impulse(velocity=2e-2), 1.2e-4, 601)
+    return run(column(12), Impulse(velocity=2e-2), 1.2e-4, 601)
 
 
 # --- forces
@@ -53,7 +53,7 @@ def opening() -> Trajectory:
 @pytest.mark.parametrize("exponent", [1.0, 1.5, 3.0])
 def test_at_rest_contacts_carry_the_weight_above(ends: dict[str, Any], exponent: float) -> None:
     masses = np.linspace(1e-6, 3e-6, 7)
-    chain = Chain(grains=7, diameter=1e-3, masses=masses, exponent=exponent, **ends)
+    chain = column(7, masses=masses, exponent=exponent, **ends)
     t = run(chain, REST, 1e-6)
     history = contacts(t)
     above = ends.get("top_load", 0.0) + 9.81 * np.concatenate(([0.0], np.cumsum(masses)))
@@ -85,7 +85,7 @@ def test_two_balls_that_collide() -> None:
 
 def test_the_force_of_a_driver() -> None:
     """Grain 2 of three between springs is a forced oscillator with a known motion."""
-    chain = Chain(grains=3, diameter=1e-3, exponent=1.0, gravity=2.0, top_load=1e-3)
+    chain = column(3, exponent=1.0, gravity=2.0, top_load=1e-3)
     k = chain.contact_constants[0]
     m = chain.masses[0]
     load = 1e-3
@@ -198,7 +198,7 @@ def test_events_of_a_dense_recording(opening: Trajectory) -> None:
 
 
 def test_a_gentle_wave_opens_nothing() -> None:
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     assert contacts(run(chain, Impulse(velocity=1e-6), 2e-5, 41)).events() == []
 
 
@@ -217,7 +217,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
         assert len(events) == 4
     struck = scene_of(
-        Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free"),
+        column(12, gravity=0.0, bottom="free"),
         Impulse(velocity=0.1),
         4e-5,
         161,
@@ -334,7 +334,7 @@ def test_speed_of_a_solitary_wave_between_sensors(pulse: Trajectory, method: Any
 
 def test_sound_between_sensors_of_unlike_grains() -> None:
     """Long waves travel at d sqrt(k/m); distances are sums of diameters less overlaps."""
-    chain = Chain(grains=150, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    chain = column(150, gravity=0.0, top_load=1.0, exponent=1.0)
     unit = chain.time_scale
     bump = np.exp(-(np.linspace(-4, 16, 401) ** 2))
     pulse = Drive(times=np.arange(401) * unit, displacement=1e-9 * (bump - bump[0]))
@@ -360,7 +360,7 @@ def test_a_sensor_is_the_mean_of_two_contacts(opening: Trajectory) -> None:
 
 
 def test_weak_signals_keep_their_digits() -> None:
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     signals = [
         sensor(run(chain, Impulse(velocity=v), 2e-5, 41, tolerance=1e-11), 5).change / v
         for v in (1e-16, 2e-16)
@@ -385,9 +385,7 @@ def test_some_recorded_grains_are_enough(opening: Trajectory) -> None:
 
 def test_what_is_not_there_is_named(opening: Trajectory) -> None:
     some = run(opening.scene.chain, opening.scene.excitation, 1e-6, 5, grains=[3, 5])
-    driven = run(
-        Chain(grains=4, diameter=1e-3), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, grains=[1]
-    )
+    driven = run(column(4), Drive(amplitude=1e-9, frequency=1e4), 1e-6, 5, grains=[1])
     free = run(vacuum(4), Impulse(velocity=1.0), 1.0, 5)
     for fault, wrong in [
         (

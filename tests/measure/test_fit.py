@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
 from helpers.thinned import thinned
 from scipy.special import jv
 
@@ -57,13 +58,7 @@ def answered(
     **rest: Any,
 ):
     """Return a run of a given length in units of tau, regardless of its model error."""
-    scene = Scene(
-        chain=chain,
-        excitation=excitation,
-        duration=units * chain.time_scale,
-        samples=samples,
-        **rest,
-    )
+    scene = scene_of(chain, excitation, units * chain.time_scale, samples, **rest)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("warnings.warn", lambda *_, **__: None)
         return simulate(scene, engine, 1e-9)
@@ -72,10 +67,10 @@ def answered(
 @pytest.fixture(scope="module")
 def weak() -> Trajectory:
     """Simulate a weak strike on 300 grains until the front returns halfway from the bottom."""
-    return answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9), 200.0, 1601)
+    return answered(column(300), Impulse(velocity=1e-9), 200.0, 1601)
 
 
-UNIFORM = Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=0.1)
+UNIFORM = column(40, gravity=0.0, top_load=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +106,7 @@ def test_shares_of_the_modes_and_their_energy(weak: Trajectory):
 
 
 def test_a_single_mode_has_all_of_the_energy():
-    chain = Chain(grains=12, diameter=1e-3, top_load=0.02, bottom="wall")
+    chain = column(12, top_load=0.02, bottom="wall")
     diagonal, coupling = chain.dynamical_matrix()
     _, shape = np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
     start = Profile(displacement=1e-15 * shape[:, 3] / np.sqrt(chain.masses / chain.masses[0]))
@@ -163,7 +158,7 @@ def test_the_parameters_of_a_uniform_chain_are_recovered(excitation: Any, engine
 
 
 def test_an_infinite_chain_between_walls():
-    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
+    chain = column(60, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
     fit = fit_bessel(answered(chain, Impulse(velocity=1e-9, grain=30), 30.0, 121))
     assert fit.kappa == pytest.approx(1, abs=1e-6)
     assert fit.residual < 1e-6
@@ -185,9 +180,7 @@ def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
 
 def test_the_local_speed_in_a_column():
     """The fit near grain 150 gives kappa_n = n^(1/3), within the neglected terms."""
-    fit = fit_bessel(
-        answered(Chain(grains=300, diameter=1e-3), Impulse(velocity=1e-9, grain=150), 40.0, 401)
-    )
+    fit = fit_bessel(answered(column(300), Impulse(velocity=1e-9, grain=150), 40.0, 401))
     assert fit.kappa == pytest.approx(150 ** (1 / 3), rel=5e-3)
     assert fit.amplitude == pytest.approx(1e-9, rel=5e-3)
     assert np.unique(fit.grain)[[0, -1]].tolist() == [129, 174]
@@ -215,9 +208,7 @@ def test_amplitude_of_the_impulse_response(weak: Trajectory):
 
 def test_amplitude_at_the_surface():
     """The top grain alone has v0 C tau^(-1/5), to 5e-5 from tau = 50 on."""
-    top = answered(
-        Chain(grains=200, diameter=1e-3), Impulse(velocity=-2e-9), 150.0, 301, grains=[1]
-    )
+    top = answered(column(200), Impulse(velocity=-2e-9), 150.0, 301, grains=[1])
     fit = fit_continuum(top)
     assert fit.front is None
     assert np.unique(fit.grain).tolist() == [1]
@@ -254,7 +245,7 @@ def test_the_front_is_found_for_any_error(weak: Trajectory):
 
 @pytest.mark.parametrize("delta", [1.2, 2.0])
 def test_other_exponents_of_the_contacts(delta: float):
-    chain = Chain(grains=150, diameter=1e-3, exponent=delta)
+    chain = column(150, exponent=delta)
     end = 2 / (1 + 1 / delta) * 150 ** ((1 + 1 / delta) / 2)
     fit = fit_continuum(answered(chain, Impulse(velocity=1e-9), 1.3 * end, 1001))
     assert fit.amplitude == pytest.approx(fit.expected, rel=1e-3)
@@ -310,7 +301,7 @@ def struck_with(parameter: str, value: float) -> Scene:
     else:
         stuff["youngs_modulus"] = value
     made = Chain(**chain, material=Material(**stuff))
-    return Scene(chain=made, excitation=Impulse(velocity=strike), duration=2e-5, samples=61)
+    return struck(made, strike, 2e-5, 61)
 
 
 PARAMETERS = {"velocity": (8e-4, 1.3e-3), "top_load": (0.05, 0.08), "youngs_modulus": (62e9, 45e9)}
@@ -426,13 +417,13 @@ def test_invalid_traces_and_parameters(call: Callable[[], Any], key: str):
 
 
 def dropped() -> Scene:
-    chain = Chain(grains=8, diameter=1e-3, contact_constants=np.full(7, 1e9))
-    return Scene(chain=chain, excitation=Displacement(displacement=1e-9), duration=1e-5)
+    chain = column(8, contact_constants=np.full(7, 1e9))
+    return scene_of(chain, Displacement(displacement=1e-9), 1e-5)
 
 
 def mixed() -> Scene:
-    chain = Chain(grains=8, diameter=1e-3, material=["glass", "steel"] * 4)
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5)
+    chain = column(8, material=["glass", "steel"] * 4)
+    return struck(chain, 1e-4, 1e-5)
 
 
 def late() -> Trace:
@@ -540,8 +531,8 @@ def test_grains_near_the_bottom_are_left_out(weak: Trajectory, fit: ExponentFit)
 
 
 def test_a_summary_without_suitable_fits():
-    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-5, samples=5)
+    chain = column(5, gravity=0.0, bottom="free")
+    scene = struck(chain, 0.1, 1e-5, 5)
     found = summary(simulate(scene, "native", 1e-6))
     assert (found.rows, len(found.left_out)) == ((), 6)
     assert "linear theory is not expected to hold" in found.table()
@@ -549,7 +540,7 @@ def test_a_summary_without_suitable_fits():
 
 
 def test_summary_of_a_chain_at_rest():
-    scene = Scene(chain=UNIFORM, excitation=Impulse(velocity=0.0), duration=1e-6, samples=21)
+    scene = struck(UNIFORM, 0.0, 1e-6, 21)
     found = summary(simulate(scene, "native", 1e-6))
     assert isinstance(found, Summary)
     assert not found.rows
@@ -800,6 +791,6 @@ def test_bessel_functions_need_a_passing_wave():
         top="wall",
         bottom="wall",
     )
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-4, samples=301)
+    scene = struck(chain, 1e-4, 3e-4, 301)
     with pytest.raises(InputError, match="too few or do not show the wave"):
         fit_bessel(simulate(scene, engine="native"))

@@ -5,11 +5,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
-from lmpchain import Chain, Drive, Force, InputError, Scene, Trajectory, patterns, simulate
+from lmpchain import Chain, Drive, Force, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import harmonic
 
 LOADED = {"material": "steel", "diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
@@ -19,9 +20,7 @@ def driven(chain: Chain, drive: Drive | Force, periods: float, samples: int = 24
     """Simulate a chain for a number of periods of its drive."""
     assert drive.frequency
     duration = periods / drive.frequency
-    scene = Scene(
-        chain=chain, excitation=drive, duration=duration, samples=1 + round(samples * periods)
-    )
+    scene = scene_of(chain, drive, duration, 1 + round(samples * periods))
     return simulate(scene, "native", tolerance=1e-8)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import run
+from helpers.example_scenes import run, scene_of, struck
 from numpy.typing import NDArray
 from scipy import optimize, stats
 from scipy.integrate import solve_ivp
@@ -246,7 +246,7 @@ def test_recognition_of_columns_struck_at_their_top():
 
     def keys(excitation: Any = strike, **more: Any) -> list[str]:
         chain = Chain(**{"grains": 8, "diameter": 1e-3} | more)
-        scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
+        scene = scene_of(chain, excitation, 1e-6, 2)
         trajectory: Any = SimpleNamespace(scene=scene)
         try:
             assert strike_at_top(trajectory) == -2e-9
@@ -272,8 +272,8 @@ def test_recognition_of_columns_struck_at_their_top():
 
 
 def guessed(velocity: float) -> Scene:
-    chain = Chain(grains=8, diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-5, samples=3)
+    chain = column(8)
+    return struck(chain, velocity, 1e-5, 3)
 
 
 def waving(asked: list[Scene]) -> Any:
@@ -389,12 +389,8 @@ def test_the_table_of_a_summary():
 
 
 def test_the_rows_of_a_summary():
-    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=0.1)
-    scene = Scene(
-        chain=chain,
-        excitation=Displacement(displacement=1e-14, grain=9),
-        duration=12 * chain.time_scale,
-    )
+    chain = column(20, gravity=0.0, top_load=0.1)
+    scene = scene_of(chain, Displacement(displacement=1e-14, grain=9), 12 * chain.time_scale)
     t = simulate(scene, "chebyshev", 1e-7)
     seen = summary(t)
     rows = {(row.fit, row.quantity): row for row in seen.rows}
@@ -455,8 +451,8 @@ def test_local_exponents_after_a_strong_strike(strike: float):
 
 
 def struck_column(grains: int, strike: float) -> Scene:
-    chain = Chain(grains=grains, diameter=1e-3)
+    chain = column(grains)
     velocity = strike * chain.length_scale / chain.time_scale
     duration = 26 * chain.time_scale
     impulse = Impulse(velocity=velocity)
-    return Scene(chain=chain, excitation=impulse, duration=duration, samples=1301)
+    return scene_of(chain, impulse, duration, 1301)

@@ -4,20 +4,16 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.example_scenes import run
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, patterns, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import energy, power
 from lmpchain.theory import scattering
 from lmpchain.theory.steady import displacements
 
-CHAIN = Chain(
-    grains=60,
-    diameter=1e-3,
-    gravity=0.0,
-    top_load=1.0,
-    bottom="wall",
-    impurity=[{"grain": 30, "diameter": 1.6e-3}],
+CHAIN = column(
+    60, gravity=0.0, top_load=1.0, bottom="wall", impurity=[{"grain": 30, "diameter": 1.6e-3}]
 )
 FREQUENCY = 0.15 / CHAIN.time_scale
 
@@ -60,7 +56,7 @@ def test_input_equals_the_work_in_the_ledger() -> None:
         Drive(grain=0, amplitude=1e-10, frequency=FREQUENCY),
         Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY),
     ):
-        scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
+        scene = scene_of(chain, drive, 80 / FREQUENCY, 1601)
         t = simulate(scene, "native", 1e-7)
         work = energy.ledger(t).drive
         mean = (work[-1] - work[800]) / (t.time[-1] - t.time[800])
@@ -117,7 +113,7 @@ def test_viscous_contacts_absorb_their_part_of_the_power() -> None:
     level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
     chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)
     drive = Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY)
-    scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
+    scene = scene_of(chain, drive, 80 / FREQUENCY, 1601)
     t = simulate(scene, "native", 1e-7)
     ledger = energy.ledger(t)
     elapsed = t.time[-1] - t.time[800]

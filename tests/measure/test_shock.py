@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.example_scenes import run
+from helpers.example_scenes import run, scene_of, struck
 
 from lmpchain import (
     Chain,
@@ -15,7 +15,6 @@ from lmpchain import (
     Impulse,
     InputError,
     Riemann,
-    Scene,
     Trajectory,
     simulate,
 )
@@ -48,7 +47,7 @@ def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajec
     speed = velocity * OVERLAP * SOUND
     drive = Drive(shape="piston", velocity=speed, rise=10 / SOUND, grain=0)
     front = GAS.rankine_hugoniot(REST, speed)[1]
-    scene = Scene(chain=chain, excitation=drive, duration=grains / front, samples=4 * grains + 1)
+    scene = scene_of(chain, drive, grains / front, 4 * grains + 1)
     return simulate(scene, engine="native", tolerance=1e-6)
 
 
@@ -65,7 +64,7 @@ def test_rankine_hugoniot_relations_hold_on_average() -> None:
     strain = (behind.overlap - OVERLAP) / 9.5e-3
     step = Riemann(velocity=(behind.velocity, 0), strain=(strain, 0), grain=150)
     chain = CHAIN.replace(top="free")
-    scene = Scene(chain=chain, excitation=step, duration=50 / SOUND, samples=101)
+    scene = scene_of(chain, step, 50 / SOUND, 101)
     run = simulate(scene, engine="native", tolerance=1e-9)
     # These contacts are beyond the wave from the top.
     closer = (run.displacement[:, 79:-1] - run.displacement[:, 80:]) / (behind.overlap - OVERLAP)
@@ -101,7 +100,7 @@ def test_piston_in_a_sonic_vacuum() -> None:
     """The leading wave is the exact solitary wave, with twice the velocity of the piston."""
     chain = CHAIN.replace(grains=200, top_load=0.0)
     drive = Drive(shape="piston", velocity=0.05, rise=1e-4, grain=0)
-    scene = Scene(chain=chain, excitation=drive, duration=3e-3, samples=901)
+    scene = scene_of(chain, drive, 3e-3, 901)
     found = shock.find(simulate(scene, engine="native", tolerance=1e-5))
     assert found.leading.velocity == pytest.approx(2 * 0.05, rel=0.01)
     assert found.leading.speed == pytest.approx(found.solitary, rel=1e-3)
@@ -128,7 +127,7 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
     grain = 250 if down else 150
     chain = CHAIN.replace(grains=400, top="free")
     step = Riemann(velocity=(0, 0), strain=strain, grain=grain)
-    scene = Scene(chain=chain, excitation=step, duration=150 / SOUND, samples=601)
+    scene = scene_of(chain, step, 150 / SOUND, 601)
     found = shock.find(simulate(scene, engine="native", tolerance=1e-5), direction)
     assert found.kind == "rarefaction"
     sides = State(0, OVERLAP), State(0, OVERLAP / 2)
@@ -281,7 +280,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
         velocity=(0, 0), strain=(2e-5, 0) if direction == "down" else (0, 2e-5), grain=150
     )
     chain = CHAIN.replace(top="free")
-    scene = Scene(chain=chain, excitation=step, duration=110 / SOUND, samples=441)
+    scene = scene_of(chain, step, 110 / SOUND, 441)
     found = shock.find(simulate(scene, "native", 1e-5), direction)
     ax = found.plot_map()
     line = ax.get_lines()[0]
@@ -308,7 +307,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
 def test_runs_without_a_shock_are_rejected_with_the_reason(changes: dict, message: str) -> None:
     """A strike, a column and a taper are rejected in one line."""
     chain = CHAIN.replace(grains=30, **changes)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-4)
+    scene = struck(chain, 1e-3, 1e-4)
     run = simulate(scene, engine="native")
     with pytest.raises(InputError, match=message):
         shock.find(run)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 from numpy.typing import NDArray
 from scipy.signal import find_peaks, get_window
@@ -26,7 +27,7 @@ def made_up(
     grains: int = 16,
 ) -> Trajectory:
     """Return a trajectory with velocity and displacement motion(t, n), t in s."""
-    chain = Chain(grains=grains, diameter=1e-3)
+    chain = column(grains)
     scene = scene_of(chain, Impulse(velocity=1e-9), duration, samples)
     values = motion(scene.time[:, None], np.arange(1.0, grains + 1))
     return replace(
@@ -39,7 +40,7 @@ def noise(t: Array, n: Array) -> Array:
 
 
 def loaded(grains: int, **given: Any) -> Chain:
-    return Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, **given)
+    return column(grains, gravity=0.0, top_load=1e-3, **given)
 
 
 # --- in time
@@ -86,9 +87,7 @@ def test_the_spectrum_of_a_pulse_is_independent_of_the_recording():
         assert found.amplitude[:, 3] == pytest.approx(exact, abs=1e-9 * exact[0])
 
 
-@pytest.mark.parametrize(
-    "chain", [loaded(7, exponent=1.0), Chain(grains=9, diameter=1e-3)], ids=["springs", "column"]
-)
+@pytest.mark.parametrize("chain", [loaded(7, exponent=1.0), column(9)], ids=["springs", "column"])
 def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
     diagonal, coupling = chain.dynamical_matrix()
     squares = np.linalg.eigvalsh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
@@ -103,7 +102,7 @@ def test_a_chain_rings_at_its_eigenfrequencies(chain: Chain):
 
 
 def test_the_top_lets_only_low_frequencies_into_a_column():
-    chain = Chain(grains=80, diameter=1e-3)
+    chain = column(80)
     speed = 1e-4 * chain.length_scale / chain.time_scale
     scene = scene_of(chain, Impulse(velocity=speed), 60 * chain.time_scale, 601, grains=[60, 1, 30])
     found = spectrum(simulate(scene, engine="native", tolerance=1e-8), window="hann")
@@ -157,7 +156,7 @@ def test_a_uniform_chain_has_its_dispersion_relation():
 
 
 def test_waves_in_a_column_move_downward_on_the_local_relation():
-    chain = Chain(grains=200, diameter=1e-3)
+    chain = column(200)
     speed = 1e-4 * chain.length_scale / chain.time_scale
     scene = scene_of(chain, Impulse(velocity=speed), 110 * chain.time_scale, 1001)
     found = dispersion(simulate(scene, engine="native", tolerance=1e-8), 60, 140)
@@ -179,7 +178,7 @@ def test_a_dimer_has_two_branches():
     w^2 = K (1/m + 1/M) -+ K [(1/m + 1/M)^2 - 4 sin^2(k) / (m M)]^(1/2)
     """
     masses = np.resize([1e-6, 3e-6], 160)
-    chain = Chain(grains=160, diameter=1e-3, masses=masses, gravity=0.0, top_load=1e-3)
+    chain = column(160, masses=masses, gravity=0.0, top_load=1e-3)
     stiffness = chain.linear_stiffness[0]
     unit = chain.time_scale
     scene = scene_of(
@@ -254,7 +253,7 @@ def test_travel_time_in_a_uniform_chain():
 
 def test_travel_time_in_a_column():
     """The time is (6/5) (n - 1/2)^(5/6); the velocity peaks some 0.9 h^(1/6) / 4^(1/3) later."""
-    chain = Chain(grains=240, diameter=1e-3)
+    chain = column(240)
     n = np.arange(1, 241)
     assert travel_time(chain) / chain.time_scale == pytest.approx(
         1.2 * (n - 0.5) ** (5 / 6), abs=0.19
@@ -301,6 +300,6 @@ def test_an_unrecorded_grain_is_named_with_the_remedy():
 
 
 def ringing(**given: Any) -> Trajectory:
-    chain = Chain(grains=12, diameter=1e-3, **given)
+    chain = column(12, **given)
     scene = scene_of(chain, Impulse(velocity=1e-6, grain=3), 1e-4, 201)
     return simulate(scene, engine="native", tolerance=1e-6)

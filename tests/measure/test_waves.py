@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import run
 from numpy.typing import NDArray
 from scipy.special import jv
@@ -132,7 +133,7 @@ def test_grains_that_are_equal_within_five_per_cent():
     masses = np.full(30, 1e-6)
     masses[[3, 21]] = 1.049e-6, 0.951e-6
     masses[[1, 25]] = 0.949e-6, 1.051e-6
-    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1, masses=masses)
+    chain = column(30, gravity=0.0, top_load=0.1, masses=masses)
     t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     end = t.time[-1]
     assert np.unique(fit_bessel(t, until=end).grain)[[0, -1]].tolist() == [3, 25]
@@ -141,14 +142,7 @@ def test_grains_that_are_equal_within_five_per_cent():
     constants[[2, 24]] = 1e9 * 0.92, 1e9 * 1.085
     held = np.full(30, 1e-6)
     held[-1] = 1e-3
-    chain = Chain(
-        grains=30,
-        diameter=1e-3,
-        gravity=0.0,
-        top_load=0.1,
-        masses=held,
-        contact_constants=constants,
-    )
+    chain = column(30, gravity=0.0, top_load=0.1, masses=held, contact_constants=constants)
     t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [4, 25]
 
@@ -168,7 +162,7 @@ def test_a_given_window_is_used():
             InputError, match=r"grains: must be .first, last. with 1 <= first <= 5 <= last"
         ):
             fit_bessel(t, grains=grains)
-    alone = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
+    alone = column(1, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
     with pytest.raises(InputError, match="grains: must be two or more"):
         fit_bessel(linear_run(alone, Impulse(velocity=1e-9)))
 
@@ -178,7 +172,7 @@ def test_a_subset_of_too_many_values_is_fitted(
 ):
     """With a limit of 300 values, every fifth of the 49 reached grains is used."""
     monkeypatch.setattr(waves, "REGION", waves.REGION._replace(most=300))
-    chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=0.1)
+    chain = column(120, gravity=0.0, top_load=0.1)
     t = linear_run(chain, Impulse(velocity=1e-9), 5.0, 21)
     fit = fit_bessel(t)
     reach = 2 * 5.0

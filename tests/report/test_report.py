@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.browser import browser, installed
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 from helpers.live_figure import arrays, numbers_of
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Packet, Trajectory, simulate
+from lmpchain import Drive, Force, Impulse, InputError, Packet, Trajectory, simulate
 from lmpchain import report as htmlreport
 from lmpchain.cli.command_line import main
 from lmpchain.measure.spectrum import travel_time
@@ -145,9 +146,7 @@ def test_the_live_view_contains_the_motion(wave: Trajectory, text: str):
 )
 def test_an_unresolved_front_is_not_denied(grains: int, duration: float, samples: int):
     """Samples 5 us apart do not show the order of the peaks."""
-    scene = scene_of(
-        Chain(grains=grains, diameter=1e-3), Impulse(velocity=8.57e-4), duration, samples
-    )
+    scene = scene_of(column(grains), Impulse(velocity=8.57e-4), duration, samples)
     run = simulate(scene, "native", 1e-6)
     with pytest.raises(InputError, match=r"samples: .* record \d+ samples") as refusal:
         front_below(run)
@@ -174,7 +173,7 @@ def test_only_a_real_front_is_reported(wave: Trajectory):
 
 
 def test_missing_parts_state_the_reason():
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free")
+    chain = column(12, gravity=0.0, bottom="free")
     scene = scene_of(chain, Impulse(velocity=1e-2), 5e-5, 40, grains=[2, 5])
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert (
@@ -191,7 +190,7 @@ def test_missing_parts_state_the_reason():
 
 @pytest.mark.slow
 def test_the_page_of_a_chain_at_rest():
-    scene = scene_of(Chain(grains=5, diameter=1e-3), Impulse(velocity=0.0), 1e-5, 5)
+    scene = scene_of(column(5), Impulse(velocity=0.0), 1e-5, 5)
     page = Page(htmlreport.page(simulate(scene, "native", 1e-6)))
     assert "strongest" not in page.sections["Fits"]
 

@@ -37,7 +37,7 @@ from lmpchain.scene.waveform import Waveform
 
 Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
-LOADED = Chain(grains=8, diameter=1e-3, gravity=0.0, top_load=1e-3)
+LOADED = column(8, gravity=0.0, top_load=1e-3)
 WALLED = Chain(**LOADED.given() | {"top": "wall"})
 UNIT = LOADED.time_scale
 LENGTH = LOADED.length_scale
@@ -73,9 +73,7 @@ def drives(size: float, grain: int = 0, period: float = 2 * np.pi) -> dict[str, 
 
 # --- exact solutions
 
-SPRING = Chain(
-    grains=1, diameter=1e-3, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0]
-)
+SPRING = column(1, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
 OWN = 5000.0  # Natural frequency sqrt(50 / 2e-6), rad/s.
 
 
@@ -153,7 +151,7 @@ def test_one_grain_on_a_spring(kind: str, where: str):
             **SPRING.given() | {"top": "wall", "top_load": 1e-3, "wall_constants": [20.0, 30.0]}
         )
         strength = 20.0 / 2e-6
-    scene = Scene(chain=chain, excitation=given, duration=5e-3, samples=9)
+    scene = scene_of(chain, given, 5e-3, 9)
     kinks = [*given.waveform.kinks]
     # At resonance the samples miss most of the motion.
     between = np.linspace(0.0, scene.duration, 8 * 8 + 1)[1:]
@@ -287,15 +285,15 @@ STRONG = {
         for kind, g in drives(2.0, 1).items()
     },
     "grain 1 on a sonic vacuum": (
-        Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="wall"),
+        column(5, gravity=0.0, bottom="wall"),
         Drive(amplitude=1e-8, frequency=0.1 / UNIT),
     ),
     "a hammer on a sonic vacuum": (
-        Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="wall"),
+        column(5, gravity=0.0, bottom="wall"),
         Force(shape="half-sine", amplitude=1e-2, duration=2 * UNIT),
     ),
     "a wall on a sonic vacuum": (
-        Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
+        column(5, gravity=0.0, top="wall", bottom="free"),
         Drive(amplitude=1e-8, frequency=0.1 / UNIT, grain=0),
     ),
 }
@@ -503,13 +501,11 @@ FAULTS = {
     "grain: there is no grain 9": lambda: scene_of(LOADED, forces(1.0, 9)["sine"], LASTS),
     "grain: grain 8 is held": lambda: scene_of(LOADED, forces(1.0, 8)["sine"], LASTS),
     "kind: squeezes contact": lambda: scene_of(LOADED, forces(1e9)["sine"], LASTS),
-    "wall_constants: must be two": lambda: Chain(
-        grains=3, diameter=1e-3, bottom="wall", wall_constants=[1.0, 2.0]
+    "wall_constants: must be two": lambda: column(3, bottom="wall", wall_constants=[1.0, 2.0]),
+    "wall_constants: replace": lambda: column(
+        3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
     ),
-    "wall_constants: replace": lambda: Chain(
-        grains=3, diameter=1e-3, bottom="wall", bottom_material="steel", wall_constants=[0.0, 2.0]
-    ),
-    "grains: a single grain": lambda: Chain(grains=1, diameter=1e-3),
+    "grains: a single grain": lambda: column(1),
     "width: the packet extends 6 widths": lambda: scene_of(
         LOADED, Packet(1e4, 2.0, 4, 1e-12), LASTS
     ),
@@ -534,14 +530,7 @@ def test_faults_are_explained(said: str):
 @pytest.mark.parametrize("kind", [*STRONG, "packet"])
 def test_scene_files(kind: str):
     """A scene file contains everything, and a scaled excitation is stronger by the factor."""
-    chain = Chain(
-        grains=90,
-        diameter=1e-3,
-        gravity=0.0,
-        top_load=1.0,
-        bottom="wall",
-        wall_constants=[0.0, 3e9],
-    )
+    chain = column(90, gravity=0.0, top_load=1.0, bottom="wall", wall_constants=[0.0, 3e9])
     chain, given = (chain, Packet(2e4, 5.0, 40, 1e-12)) if kind == "packet" else STRONG[kind]
     scene = scene_of(chain, given, LASTS, 2)
     assert Scene.from_text(scene.to_text()) == scene
@@ -582,7 +571,7 @@ def test_decks(kind: str, tmp_path: Path):
 )
 def test_knots_that_cut_the_steps_of_all_runs_hide_no_error(integrator: str, uneven: bool):
     """The error estimate holds even if the knots are closer than the steps at 1e-2."""
-    chain = Chain(grains=5, diameter=1e-3, top_load=0.1)
+    chain = column(5, top_load=0.1)
     times = np.linspace(0, 1, 101)
     times += uneven * 0.3 * np.sin(np.arange(101)) * times[1] * (np.arange(101) % 100 > 0)
     shape = (
@@ -593,7 +582,7 @@ def test_knots_that_cut_the_steps_of_all_runs_hide_no_error(integrator: str, une
     )
     duration = 20 / chain.band_edge
     drive = Drive(times=1.05 * duration * times, displacement=shape)
-    scene = Scene(chain=chain, excitation=drive, duration=duration, samples=2)
+    scene = scene_of(chain, drive, duration, 2)
     found = simulate(scene, engines.Native(integrator), 1e-2)
     truth = reference(scene)
     pairs = (found.displacement, truth.displacement), (found.velocity, truth.velocity)

@@ -102,9 +102,7 @@ def test_grain_1_follows_its_drive_for_any_mass():
     runs = []
     for mass in (1e-9, 1.0):
         heavy = loaded(impurity=[{"grain": 1, "mass": mass}])
-        scene = Scene(
-            chain=heavy, excitation=sine(chain, 0.5), duration=8 * chain.time_scale, samples=5
-        )
+        scene = scene_of(heavy, sine(chain, 0.5), 8 * chain.time_scale, 5)
         runs.append(
             simulate(scene, engine=engines.Native(step=scene.duration / 400, force="exact"))
         )
@@ -131,7 +129,7 @@ def test_grain_1_follows_its_drive_for_any_mass():
 def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: Drive) -> None:
     """Displacement and velocity are the prescribed ones, within an ulp of a height in LAMMPS."""
     chain = Chain(grains=12, material="steel", diameter=5e-3, gravity=0.0, top_load=1.0)
-    scene = Scene(chain=chain, excitation=drive, duration=1e-4, samples=11)
+    scene = scene_of(chain, drive, 1e-4, 11)
     t = simulate(scene, engine, 0.9, integrator=integrator, step=2e-7)
     u, v = drive.motion(t.time)
     assert t.displacement[:, 0] == pytest.approx(
@@ -152,7 +150,7 @@ def test_knots_and_touching_walls_are_not_smooth() -> None:
         (loose, Impulse(velocity=-1e-7, grain=4), False),
         (pressed, Impulse(velocity=-1e-7, grain=4), True),
     ):
-        scene = Scene(chain=chain, excitation=excitation, duration=1e-4, samples=3)
+        scene = scene_of(chain, excitation, 1e-4, 3)
         solver = engines.Native("rkn4", step=1e-6)
         run = solver.start([scene], solver.propose(scene, 1e-6))
         for _ in run.blocks():

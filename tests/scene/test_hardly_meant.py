@@ -4,15 +4,13 @@ import warnings
 
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import struck
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate, sweep
+from lmpchain import GLASS, Chain, Impurity, Profile, plan, simulate, sweep
 from lmpchain.cli import main
 
-CHAIN = Chain(grains=5, diameter=1e-3)
-SPRINGS = Chain(
-    grains=3, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3
-)
+CHAIN = column(5)
+SPRINGS = column(3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3)
 
 
 def said(make) -> list[str]:
@@ -28,7 +26,7 @@ def said(make) -> list[str]:
         (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
         (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
         (
-            lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0),
+            lambda: column(5, gravity=0.0, top_load=30.0),
             "diameter: ",
             "by 0.012 of the diameter",
         ),
@@ -52,21 +50,13 @@ def test_the_sound_speed_is_that_of_the_grain_material():
     slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s.
     assert GLASS.sound_speed == pytest.approx(5055, abs=1)
     odd = SPRINGS.replace(impurity=[Impurity(grain=2, mass=1e-20)])
-    soft = Chain(
-        grains=4,
-        diameter=1e-3,
-        gravity=0.0,
-        material=["glass", "glass", slow, "glass"],
-        bottom="free",
-    )
+    soft = column(4, gravity=0.0, material=["glass", "glass", slow, "glass"], bottom="free")
     for chain, speeds, grains in (
         (odd, [0, 2.0, 0], 0),
         (soft, [2.0] * 4, 1),
         (soft, [0.5] * 4, 0),
     ):
-        texts = said(
-            lambda c=chain, v=speeds: Scene(chain=c, excitation=Profile(velocity=v), duration=1e-6)
-        )
+        texts = said(lambda c=chain, v=speeds: scene_of(c, Profile(velocity=v), 1e-6))
         assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
 
 
@@ -85,9 +75,7 @@ def test_the_warning_is_given_once():
 
 
 def test_the_command_line_warns_once(tmp_path, capsys):
-    Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(
-        tmp_path / "s.toml"
-    )
+    struck(CHAIN, 1e-3, 1e-5).to_toml(tmp_path / "s.toml")
     text = (tmp_path / "s.toml").read_text().replace("0.001", "0.5", 1)
     (tmp_path / "s.toml").write_text(text)
     assert main(["run", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.nc")]) == 0

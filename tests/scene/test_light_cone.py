@@ -59,7 +59,7 @@ class Whole(engines.Native):
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-12])
 def test_omitted_grains_make_no_difference(name: str, tolerance: float):
     chain, strike, duration = SCENES[name]
-    scene = Scene(chain=chain, excitation=strike, duration=duration, samples=5)
+    scene = scene_of(chain, strike, duration, 5)
     first, last = find_reached(scene)
     assert last - first < 400, "most grains are left out"
     native = engines.Native()
@@ -111,7 +111,7 @@ def test_the_cone_is_as_wide_as_springs_require(x: float):
     edge = 2 * np.sqrt(springs.contact_constants[0] / springs.masses[0])
     few = springs.part(1, 2000)
     for long, grain in ((springs, 10_000), (few, 1000)):
-        scene = Scene(chain=long, excitation=Impulse(velocity=1e-6, grain=grain), duration=x / edge)
+        scene = scene_of(long, Impulse(velocity=1e-6, grain=grain), x / edge)
         first, last = find_reached(scene)
         away = farthest(x)
         assert grain - first == last - grain
@@ -119,9 +119,7 @@ def test_the_cone_is_as_wide_as_springs_require(x: float):
         assert ive(2 * (last - grain), x) * np.exp(x) < 1e-22
     wide = np.zeros(2000)
     wide[[899, 1099]] = 1e-6
-    first, last = find_reached(
-        Scene(chain=few, excitation=Profile(velocity=wide), duration=x / edge)
-    )
+    first, last = find_reached(scene_of(few, Profile(velocity=wide), x / edge))
     assert away <= 900 - first == last - 1100 <= away + 1
 
 
@@ -150,10 +148,10 @@ def test_a_stiff_wall_widens_the_cone(end: str):
     chain = Chain(**beads.given() | {"wall_constants": walls})
     edge = 2 * np.sqrt(stiff / chain.masses[0])
     grain = 1 if end == "top" else 600
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=grain), duration=60 / edge)
+    scene = scene_of(chain, Impulse(velocity=1e-6, grain=grain), 60 / edge)
     first, last = find_reached(scene)
     assert farthest(60.0) <= last - first <= farthest(60.0) + 1
-    inner = Scene(chain=chain, excitation=Impulse(velocity=1e-6, grain=300), duration=60 / edge)
+    inner = scene_of(chain, Impulse(velocity=1e-6, grain=300), 60 / edge)
     first, last = find_reached(inner)
     assert farthest(20.0) <= last - 300 <= farthest(20.0) + 1
 
@@ -175,7 +173,7 @@ def test_recorded_grains_of_a_cone_keep_their_positions():
 
 def test_a_drive_is_not_cut():
     drive = Drive(amplitude=1e-9, frequency=1e4)
-    scene = Scene(chain=Chain(grains=600, **BEADS), excitation=drive, duration=1e-5)
+    scene = scene_of(Chain(grains=600, **BEADS), drive, 1e-5)
     assert find_reached(scene) == (1, 600)
 
 

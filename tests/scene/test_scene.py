@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
 from lmpchain import (
@@ -454,7 +455,7 @@ def test_a_file_that_is_not_a_trajectory(tmp_path: Path):
 
 WATER = Material(density=1000.0, youngs_modulus=2.2e9, poissons_ratio=0.5)
 CHAINS = {
-    "plain": Chain(grains=4, diameter=1e-3),
+    "plain": column(4),
     "every key": Chain(
         grains=4,
         material=STEEL,
@@ -468,18 +469,15 @@ CHAINS = {
         contact_constants=[1e9, 2e9, 1e10 / 3],
     ),
     "arrays": Chain(grains=4, diameter=np.array([1e-3, 2e-3, 1e-3, 1e-3 / 3])),
-    "materials": Chain(grains=4, material=[GLASS, "steel", WATER, STEEL], diameter=1e-3),
-    "own material": Chain(grains=4, material=WATER, diameter=1e-3),
-    "a name that another material has": Chain(
-        grains=4,
-        material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass"),
-        diameter=1e-3,
+    "materials": column(4, material=[GLASS, "steel", WATER, STEEL]),
+    "own material": column(4, material=WATER),
+    "a name that another material has": column(
+        4, material=Material(density=1.0, youngs_modulus=1e9, poissons_ratio=0.0, name="glass")
     ),
-    "free": Chain(grains=4, diameter=1e-3, gravity=0.0, bottom="free"),
-    "on a wall": Chain(grains=4, diameter=1e-3, bottom="wall", bottom_material=WATER),
-    "impurities": Chain(
-        grains=4,
-        diameter=1e-3,
+    "free": column(4, gravity=0.0, bottom="free"),
+    "on a wall": column(4, bottom="wall", bottom_material=WATER),
+    "impurities": column(
+        4,
         top="free",
         bottom="wall",
         bottom_material="brass",
@@ -489,22 +487,14 @@ CHAINS = {
             {"grain": 2, "material": "ptfe"},
         ],
     ),
-    "impurities beside own constants": Chain(
-        grains=4,
-        diameter=1e-3,
-        masses=[1e-6] * 4,
-        contact_constants=[1e9] * 3,
-        impurity=[Impurity(grain=2, mass=2e-6)],
+    "impurities beside own constants": column(
+        4, masses=[1e-6] * 4, contact_constants=[1e9] * 3, impurity=[Impurity(grain=2, mass=2e-6)]
     ),
 }
 BETWEEN = {
-    "walls": Chain(
-        grains=4, diameter=1e-3, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL
-    ),
-    "a wall that just touches": Chain(
-        grains=4, diameter=1e-3, top="wall", bottom="wall", top_material=WATER
-    ),
-    "wall and nothing": Chain(grains=4, diameter=1e-3, gravity=0.0, top="wall", bottom="free"),
+    "walls": column(4, top="wall", bottom="wall", top_load=1e-3 / 3, top_material=STEEL),
+    "a wall that just touches": column(4, top="wall", bottom="wall", top_material=WATER),
+    "wall and nothing": column(4, gravity=0.0, top="wall", bottom="free"),
 }
 EXCITATIONS = {
     "impulse": Impulse(velocity=np.float64(1 / 3) * 1e-3, grain=2),
@@ -742,9 +732,9 @@ def test_python_finds_the_same_faults_as_a_file():
     with pytest.raises(InputError) as caught:
         Chain(grains=0, diameter=-1.0, gravity=np.nan, colour="red")
     assert {key for key, _ in caught.value.faults} == {"grains", "diameter", "gravity", "colour"}
-    chain = Chain(grains=3, diameter=1e-3)
+    chain = column(3)
     with pytest.raises(InputError) as caught:
-        Scene(chain=chain, excitation=Impulse(velocity=1e-3, grain=3), duration=1e-6, grains=[4])
+        scene_of(chain, Impulse(velocity=1e-3, grain=3), 1e-6, grains=[4])
     assert {key for key, _ in caught.value.faults} == {"grain", "grains"}
 
 
@@ -778,7 +768,7 @@ def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
 def test_invalid_excitations_are_named(given: object):
     with pytest.raises(InputError, match="must be of the type Excitation") as caught:
         Scene(
-            chain=Chain(grains=12, diameter=1e-3),
+            chain=column(12),
             excitation=given,  # type: ignore[arg-type]
             duration=1e-5,
         )
@@ -789,7 +779,7 @@ def test_invalid_excitations_are_named(given: object):
 @pytest.mark.parametrize("key", ["duration", "samples", "grains"])
 def test_values_of_any_length_are_rejected_in_one_line(key: str, value: object):
     fields = {
-        "chain": Chain(grains=12, diameter=1e-3),
+        "chain": column(12),
         "excitation": Impulse(velocity=1e-5),
         "duration": 1e-5,
     }

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import GLASS, Chain, Impulse, Impurity, InputError, Material, Profile, Scene
+from lmpchain import GLASS, Chain, Impurity, InputError, Material, Profile, Scene
 
 CHAIN = {"grains": 3, "diameter": 1e-3}
 IMPULSE = {"kind": "impulse", "velocity": 1e-6}
@@ -161,9 +162,7 @@ def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None
         bottom="wall",
         impurity=[Impurity(grain=2, mass=1e-5)],
     )
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=np.float64(1e-6)), duration=1e-5, grains=[1, 3]
-    )
+    scene = struck(chain, np.float64(1e-6), 1e-5, grains=[1, 3])
     tables = scene.to_dict()
     plain = {"density": 1000.0, "youngs_modulus": 1e9, "poissons_ratio": 0.3}
     assert tables["chain"]["material"][:2] == ["glass", plain]
@@ -174,7 +173,7 @@ def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None
     assert tables["excitation"] == {"kind": "impulse", "velocity": 1e-6}
     assert tables["recording"] == {"duration": 1e-5, "grains": [1, 3]}
     start = Profile(velocity=[0.0, 1e-6, 0.0])
-    assert Scene(chain=chain, excitation=start, duration=1e-5).to_dict()["excitation"] == {
+    assert scene_of(chain, start, 1e-5).to_dict()["excitation"] == {
         "kind": "profile",
         "velocity": [0.0, 1e-6, 0.0],
     }

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from matplotlib.figure import Figure
 from scipy.linalg import eigh
 
@@ -34,8 +35,8 @@ from lmpchain.scene.excitation import EXCITATIONS
 from lmpchain.stability import stability
 from lmpchain.util.validation import make_unchecked
 
-COLUMN = Chain(grains=9, diameter=1e-3)
-LOADED = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall", bottom="wall")
+COLUMN = column(9)
+LOADED = column(9, gravity=0.0, top_load=1e-3, top="wall", bottom="wall")
 WAVE = {"amplitude": 1e-12, "frequency": 3e4}
 
 
@@ -143,7 +144,7 @@ def test_samples_and_durations_have_limits() -> None:
         InputError, match=r"11 samples in .* s are too close together for double precision"
     ):
         acted_on(Impulse(velocity=1e-6), duration=9.99 * least)
-    assert Scene(chain=COLUMN, excitation=Impulse(velocity=1e-6), duration=1e-5).samples == 101
+    assert struck(COLUMN, 1e-6, 1e-5).samples == 101
 
 
 def test_a_long_duration_causes_a_remark() -> None:
@@ -232,8 +233,8 @@ def test_a_run_of_minutes_is_announced(monkeypatch: pytest.MonkeyPatch) -> None:
     def begin(*_: object) -> None:
         raise Begun
 
-    chain = Chain(grains=10_000, diameter=1e-3, gravity=0, top_load=1)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1.0)
+    chain = column(10_000, gravity=0, top_load=1)
+    scene = struck(chain, 1e-3, 1.0)
     monkeypatch.setattr("lmpchain.engines.native.Native.start", begin)
     said = (
         r"by native with \d+ steps of rkn6 for a tolerance of 1e-06 takes about [0-9.]+ minutes: "
@@ -462,7 +463,7 @@ def test_forcings_at_the_limits_are_valid() -> None:
 
 
 def test_forcings_that_do_not_fit_chain_or_duration_are_rejected() -> None:
-    one = Chain(grains=2, diameter=1e-3)
+    one = column(2)
     for excitation, chain, fault in (
         (
             Drive(**WAVE, grain=0),
@@ -589,7 +590,7 @@ def test_the_picture_of_a_forcing_shows_its_course_over_time() -> None:
 
 
 def test_the_picture_of_an_initial_state_shows_the_grains_around_it() -> None:
-    chain = Chain(grains=60, diameter=1e-3)
+    chain = column(60)
     axes = picture(acted_on(Impulse(velocity=1e-4, grain=30), chain))
     (line,) = axes.get_lines()
     assert line.get_xdata().tolist() == list(range(20, 41))
@@ -621,15 +622,11 @@ def test_a_notebook_shows_a_scene() -> None:
     words = {1e-6: "weak enough for linear theory", 1e-5: "almost linear"}
     for velocity, verdict in words.items():
         assert verdict in acted_on(Impulse(velocity=velocity))._repr_html_()
-    loose = Chain(grains=5, diameter=1e-3, gravity=0.0)
+    loose = column(5, gravity=0.0)
     assert "linear theory does not apply" in acted_on(Impulse(velocity=1e-4), loose)._repr_html_()
     assert rows["excitation"][0].startswith("Impulse(")
     assert rows["chain"][0].startswith("Chain(")
     assert "data:image/png" in html
-    long = Scene(
-        chain=Chain(grains=10**6 + 1, diameter=1e-3, gravity=0.01),
-        excitation=Impulse(velocity=1e-9),
-        duration=1e-6,
-    )
+    long = struck(column(10**6 + 1, gravity=0.01), 1e-9, 1e-6)
     assert "data:image/png" not in long._repr_html_()
     assert "strike number" not in long._repr_html_()

@@ -8,16 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import random_scene, scene_of, struck_in_units
+from helpers.example_scenes import random_scene, scene_of, struck, struck_in_units
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 
 from lmpchain import (
-    Chain,
     Displacement,
     Drive,
-    Impulse,
     InputError,
     Scene,
     ToleranceNotMet,
@@ -44,7 +42,7 @@ def agitated(grains, strike, reflections, samples=201, gravity=9.81):
     """Return such a column for this number of reflections of the pulse."""
     scene = struck_in_units(column(grains, gravity=gravity), strike, 1.0, 2)
     duration = reflections * reflection_time(scene)
-    return Scene(chain=scene.chain, excitation=scene.excitation, duration=duration, samples=samples)
+    return scene_of(scene.chain, scene.excitation, duration, samples)
 
 
 def slope(x, y):
@@ -117,7 +115,7 @@ def test_the_automatic_force_uses_the_plain_one_where_it_is_accurate():
 
 
 def test_the_floor_of_a_displaced_chain():
-    chain = Chain(grains=10, diameter=1e-3)
+    chain = column(10)
     scene = scene_of(
         chain,
         Displacement(displacement=1e-3 * chain.length_scale, grain=3),
@@ -250,9 +248,9 @@ def test_double_precision_runs_are_wrong_beyond_the_predictability_horizon():
 
 
 def test_a_reflection_time_requires_a_strike():
-    chain = Chain(grains=5, diameter=1e-3, exponent=2.0)
+    chain = column(5, exponent=2.0)
     with pytest.raises(InputError, match=r"exponent 1\.5"):
-        reflection_time(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5))
+        reflection_time(struck(chain, 1e-3, 1e-5))
 
 
 # Early refusal.

@@ -16,22 +16,19 @@ import numcodecs
 import numpy as np
 import pytest
 from helpers.child_processes import finish
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 from helpers.seals import seal_anew
 from numcodecs.abc import Codec
 
-from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
+from lmpchain import InputError, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.report.document import origin
 from lmpchain.simulation import folder_files
 from lmpchain.util.files import seal
 
-SCENE = Scene(
-    chain=Chain(grains=12, material="glass", diameter=1e-3),
-    excitation=Impulse(velocity=1e-5),
-    duration=2e-5,
-    samples=41,
-)
+SCENE = struck(column(12, material="glass"), 1e-5, 2e-5, 41)
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import lmpchain
-from lmpchain import Chain, Damping, Drive, Impulse, InputError, Law, Scene
+from lmpchain import Damping, Drive, Impulse, InputError, Law, Scene
 from lmpchain.engines import Native
 from lmpchain.measure import energy
 
@@ -29,7 +30,7 @@ def stiffness(o: Any, k: Any, p: Any) -> Any:
 
 C = 2e6  # The second term is as large as the first at an overlap of 0.5 um.
 LAW = Law("k*max(o, 0)**1.5*(1 + c*o)", c=C)
-COLUMN = Chain(grains=8, diameter=1e-3, law=LAW, bottom="wall", top_load=0.02)
+COLUMN = column(8, law=LAW, bottom="wall", top_load=0.02)
 SCENES = {
     # Contacts stay closed, are opened by a strong strike, or only touch at rest.
     "weak": (COLUMN, Impulse(velocity=2e-5)),
@@ -162,11 +163,6 @@ def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None
     ],
 )
 def test_functions_for_powers_only_reject_the_law_by_name(refused: Any, message: str) -> None:
-    scene = Scene(
-        chain=Chain(grains=8, diameter=1e-3, law=LAW),
-        excitation=Impulse(velocity=1e-4),
-        duration=1e-5,
-        samples=11,
-    )
+    scene = struck(column(8, law=LAW), 1e-4, 1e-5, 11)
     with pytest.raises(InputError, match=message):
         refused(scene)

@@ -5,7 +5,8 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump, small
 from helpers.thinned import thinned
@@ -220,9 +221,7 @@ def test_unlike_contacts_share_few_types():
         contact_constants=rng.uniform(1, 3, 199) * 1e9,
         exponent=1.5,
     )
-    column = LammpsColumn(
-        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6
-    )
+    column = LammpsColumn(struck(chain, 1e-4, 1e-5), gauge=1e-6)
     assert max(column.types) < 40
     given = [
         column._types_and_contacts[1][tuple(sorted(pair))].stiffness
@@ -258,8 +257,8 @@ def test_refusals_contain_the_remedy():
 
 def test_blow_up_is_noticed():
     """A strong strike stiffens its contact, so that a step that is stable at rest is unstable."""
-    chain = Chain(grains=10, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=1e-3, samples=11)
+    chain = column(10, material="glass")
+    scene = struck(chain, 1.0, 1e-3, 11)
     step = 1.9 / chain.band_edge
     for diameter in ("physical", "gauge"):
         with pytest.raises(RunFailed, match="shorter step"):
@@ -275,9 +274,7 @@ def test_rounding_forces_in_a_vacuum_are_no_breakdown(exponent):
     chain = Chain(
         grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free"
     )
-    scene = Scene(
-        chain=chain, excitation=Displacement(displacement=-1e-9), duration=1e-5, samples=5
-    )
+    scene = scene_of(chain, Displacement(displacement=-1e-9), 1e-5, 5)
     answer = simulate(scene, "lammps", 1e-6)
     np.testing.assert_allclose(answer.displacement[:, 0], -1e-9, rtol=1e-14)
     assert 0 < np.abs(answer.velocity).max() < 1e-6 * scene.highest_frequency * 1e-9
