@@ -233,8 +233,7 @@ def test_title_and_footer_describe_the_measurement():
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
 
-def test_the_pareto_front_equals_a_brute_force_search():
-    rng = np.random.default_rng(2)
+def test_the_pareto_front_equals_a_brute_force_search(rng):
     for _ in range(20):
         points = [tuple(row) for row in rng.integers(1, 7, (12, 2)).astype(float).tolist()]
         lead = {

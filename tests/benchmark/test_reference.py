@@ -101,8 +101,7 @@ def test_random_scenes(seed: int):
 
 # Strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings.
 @pytest.mark.parametrize("seed", thinned([0, 1, 2, 4, 5, 8, 13, 16, 17, 19, 23], 2))
-def test_scenes_with_damping(seed: int):
-    rng = np.random.default_rng(seed)
+def test_scenes_with_damping(rng: np.random.Generator, seed: int):
     draw = trial_scene if seed % 2 else acted_trial_scene
     scene = damped(rng, draw(rng, work=1500))
     truth = reference(scene.replace(samples=min(scene.samples, 11)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import BETWEEN, CHAINS, DISORDERED, RIGID, WALLED, column
 from helpers.example_scenes import random_scene, scene_of, struck
+from helpers.faults import fault_keys
 from scipy.integrate import quad
 
 import lmpchain
@@ -306,8 +307,7 @@ def test_excess_energy_of_one_contact(exponent: float, stretch: float):
     assert chain.excess_energy(u, v) == pytest.approx(contact_energy(chain, 1, r), rel=2e-11, abs=0)
 
 
-def test_excess_energy_of_a_chain():
-    rng = np.random.default_rng(3)
+def test_excess_energy_of_a_chain(rng):
     v = rng.normal(size=30) * 1e-4
     for size in (1e-6, 0.1, 3.0):
         u = rng.normal(size=30) * size * DISORDERED.length_scale
@@ -321,8 +321,7 @@ def test_excess_energy_of_a_chain():
 @pytest.mark.parametrize(
     "chain", [WALLED["disordered"], WALLED["just touched above"]], ids=["pressed", "loose"]
 )
-def test_excess_energy_between_walls(chain: Chain):
-    rng = np.random.default_rng(4)
+def test_excess_energy_between_walls(rng: np.random.Generator, chain: Chain):
     for size in (1e-6, 0.1, 3.0):
         for sign in (1, -1):
             u = rng.normal(size=30) * size * chain.length_scale
@@ -354,10 +353,9 @@ def test_excess_energy_in_the_vacuum():
     assert energies == pytest.approx([0.4 * k * 1e-20, 0.0, 0.4 * k * 1e-20], rel=1e-12, abs=1e-40)
 
 
-def test_minus_its_slope_is_the_force():
+def test_minus_its_slope_is_the_force(rng):
     """The forces of the integrators equal -dU/dx from differences."""
     chain = DISORDERED
-    rng = np.random.default_rng(5)
     u = rng.normal(size=30) * chain.length_scale
     overlap = np.maximum(chain.equilibrium_overlap + u[:-1] - u[1:], 0.0)
     contact = chain.contact_constants * overlap**chain.exponent
@@ -370,9 +368,8 @@ def test_minus_its_slope_is_the_force():
         assert -slope == pytest.approx(push[n], rel=1e-6, abs=1e-9 * contact.max())
 
 
-def test_no_contact_exceeds_the_bound_on_its_overlap():
+def test_no_contact_exceeds_the_bound_on_its_overlap(rng):
     # Equal steps, because adaptive steps compile a second loop.
-    rng = np.random.default_rng(11)
     closest = 0.0
     for _ in range(40):
         scene = random_scene(rng).replace(samples=101)
@@ -606,9 +603,7 @@ def test_materials():
         assert material.source
         assert getattr(lmpchain, material.name.upper()) is material
         assert column(2, material=material.name).material == material
-    with pytest.raises(InputError) as caught:
-        Material(density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51)
-    assert [key for key, _ in caught.value.faults] == [
+    assert fault_keys(Material, density=0.0, youngs_modulus=np.inf, poissons_ratio=0.51) == [
         "density",
         "youngs_modulus",
         "poissons_ratio",

@@ -150,9 +150,8 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
     assert runs[1].cost.active_grains < 200
 
 
-def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
+def test_alike_grains_are_held_to_the_same_limits_as_those_written_out(rng):
     """Bounds avoid arrays of valid chains, and never accept a faulty or reject a valid chain."""
-    rng = np.random.default_rng(11)
     refused = 0
     for _ in range(300):
         grains = int(rng.integers(2, 9))

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.command_output import SCENE, keys, names
+from helpers.faults import faults
 
 from lmpchain import (
     Chain,
@@ -617,9 +618,7 @@ def test_invalid_outputs(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
 
     def fault(name: str, suffixes: tuple[str, ...] = ()) -> str:
-        with pytest.raises(InputError) as caught:
-            common.output(name, str(scene), suffixes)
-        ((key, message),) = caught.value.faults
+        ((key, message),) = faults(common.output, name, str(scene), suffixes)
         assert key == name
         return message
 
@@ -699,9 +698,10 @@ def test_faults_of_all_checks_are_reported_at_once():
         raise InputError([(key, "wrong")])
 
     assert common.collect(lambda: 1, lambda: None) == [1, None]
-    with pytest.raises(InputError) as caught:
-        common.collect(lambda: fails("a"), lambda: 1, lambda: fails("b"))
-    assert caught.value.faults == [("a", "wrong"), ("b", "wrong")]
+    assert faults(common.collect, lambda: fails("a"), lambda: 1, lambda: fails("b")) == [
+        ("a", "wrong"),
+        ("b", "wrong"),
+    ]
     assert issubclass(InputError, LmpchainError)
 
 

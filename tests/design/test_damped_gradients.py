@@ -148,9 +148,8 @@ def test_adjoints_agree_with_tangents(name: str):
         assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), key
 
 
-def test_adjoints_of_long_chains_agree_with_tangents():
+def test_adjoints_of_long_chains_agree_with_tangents(rng):
     """Long runs with growing windows and several pieces."""
-    rng = np.random.default_rng(1)
     start = np.zeros(600)
     start[:5] = 1e-2 * rng.uniform(0.5, 1, 5)
     chain = Chain(grains=600, diameter=1e-3, damping=DAMPING)

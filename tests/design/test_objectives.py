@@ -62,14 +62,13 @@ OBJECTIVES = {
 
 
 @pytest.mark.parametrize("case", OBJECTIVES)
-def test_objectives_have_the_derivatives_that_differences_show(case: str):
+def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Generator, case: str):
     scene, objective = OBJECTIVES[case]
     names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
     method = SPLITTINGS["rkn4"]
     chain = scene.chain
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
     step = 1e-5
-    rng = np.random.default_rng(5)
     for name in names:
         base = parameters.values(scene, name)
         along = rng.uniform(-1, 1, base.size) * np.abs(base).max()

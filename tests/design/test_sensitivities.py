@@ -52,9 +52,8 @@ def test_uncertain_damping_scatters_a_result():
 
 
 @pytest.mark.slow
-def test_an_uncertainty_is_the_scatter_of_random_chains():
+def test_an_uncertainty_is_the_scatter_of_random_chains(rng):
     share = 1e-4
-    rng = np.random.default_rng(3)
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_modulus": share})
     answers = []
     for _ in range(100):
@@ -67,10 +66,9 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 
 
 @pytest.mark.slow
-def test_drawn_chains_show_the_error_of_first_order():
+def test_drawn_chains_show_the_error_of_first_order(rng):
     share = 3e-3
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
-    rng = np.random.default_rng(4)
     diameters = values(VACUUM, "diameters")
     answers = []
     for _ in range(600):

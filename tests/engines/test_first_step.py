@@ -186,9 +186,8 @@ def test_the_longest_steps_of_auxiliary_runs_fit_between_two_kinks():
         assert {2, 4} <= {schedule.ratio for schedule in schedules}
 
 
-def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
+def test_chaotic_scenes_are_rejected_with_the_predictability_horizon(rng):
     """The scene can be solved if it is recorded up to this time."""
-    rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
     scene = struck(chain, 0.3, 2e-3, 101)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:

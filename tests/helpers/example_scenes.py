@@ -37,21 +37,23 @@ def paper(name: str, samples: int = 26) -> Scene:
 
 
 def scene_of(
-    chain: Chain, excitation: Any, duration: float, samples: int = 101, **more: Any
+    chain: Chain, excitation: Any, duration: float, samples: int | None = None, **more: Any
 ) -> Scene:
     """Return the scene of a chain and an excitation; options are those of `Scene`."""
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
+    if samples is not None:
+        more["samples"] = samples
+    return Scene(chain=chain, excitation=excitation, duration=duration, **more)
 
 
 def struck(
-    chain: Chain, velocity: float, duration: float, samples: int = 101, **more: Any
+    chain: Chain, velocity: float, duration: float, samples: int | None = None, **more: Any
 ) -> Scene:
     """Return the scene of a strike on the top grain; options are those of `Scene`."""
     return scene_of(chain, Impulse(velocity=velocity), duration, samples, **more)
 
 
 def struck_in_units(
-    chain: Chain, number: float, units: float, samples: int = 101, **more: Any
+    chain: Chain, number: float, units: float, samples: int | None = None, **more: Any
 ) -> Scene:
     """Return the scene of a strike with this strike number for a number of units of time."""
     velocity = number * chain.length_scale / chain.time_scale

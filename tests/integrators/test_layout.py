@@ -161,10 +161,9 @@ def test_contacts_that_are_open_at_rest_are_marked(ends: str):
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
 
 
-def test_batches_of_splines_of_any_length_move_like_single_chains():
+def test_batches_of_splines_of_any_length_move_like_single_chains(rng):
     """The longest spline sets the number of knots; forces act on different grains."""
     chain = chains(**BETWEEN)[0]
-    rng = np.random.default_rng(6)
     scenes = []
     for grain, count in ((2, 4), (5, 9), (1, 6)):
         force = Force(

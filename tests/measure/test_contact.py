@@ -146,9 +146,8 @@ def test_events_of_a_sine(offset: float, samples: int) -> None:
     )
 
 
-def test_events_at_the_edge_of_touching() -> None:
+def test_events_at_the_edge_of_touching(rng: np.random.Generator) -> None:
     """A contact that touches at a sample is closed there; one that nearly opens does not open."""
-    rng = np.random.default_rng(1)
     for _ in range(100):
         start = rng.uniform()
         step = rng.uniform()

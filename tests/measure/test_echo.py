@@ -96,9 +96,8 @@ def test_time_of_flight_agrees_with_an_independent_integration(
     assert found.distance / 5e-3 == pytest.approx(2 * (place - 8), abs=1.01)
 
 
-def test_errors_cover_coarse_sampling() -> None:
+def test_errors_cover_coarse_sampling(rng: np.random.Generator) -> None:
     """Times and shares of random strikes at random sampling rates are right within their errors."""
-    rng = np.random.default_rng(3)
     covered = []
     for _ in range(8):
         load = float(rng.choice([0.0, 10.0]))

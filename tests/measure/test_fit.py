@@ -253,8 +253,7 @@ def test_other_exponents_of_the_contacts(delta: float):
     assert abs(fit.front.exponent - (1 + 1 / delta) / 2) < fit.front.error[0] < 6e-3
 
 
-def test_noise_widens_the_error_of_the_amplitude(weak: Trajectory):
-    rng = np.random.default_rng(3)
+def test_noise_widens_the_error_of_the_amplitude(rng: np.random.Generator, weak: Trajectory):
     scale = 1e-9 * weak.scene.chain.time_scale
     noisy = replace(
         weak,
@@ -324,8 +323,8 @@ def test_a_parameter_is_recovered_from_a_run_of_lammps(parameter: Any, field: An
 @pytest.mark.parametrize("parameter", thinned(PARAMETERS, 3))
 def test_noise_in_a_trace_increases_the_error(parameter: Any):
     true, guess = PARAMETERS[parameter]
-    clean = Trace.of(simulate(struck_with(parameter, true), "native", 1e-9), [6])
     rng = np.random.default_rng(7)
+    clean = Trace.of(simulate(struck_with(parameter, true), "native", 1e-9), [6])
     away = []
     for _ in range(12):
         noise = 0.05 * np.abs(clean.values).max() * rng.normal(size=clean.values.shape)
@@ -586,7 +585,7 @@ def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
     for line in dump.read_text().splitlines():
         words = line.split()
         if words[:2] == ["ITEM:", "ATOMS"]:
-            place = words.index(weak) if column in words else None
+            place = words.index(column) if column in words else None
             lines.append(" ".join(word for word in words if word != column))
         elif words[0] == "ITEM:" or place is None or len(words) < 8:
             lines.append(line)

@@ -71,9 +71,8 @@ def travelling_wave(
     return float(found.x[0])
 
 
-def test_errors_cover_the_exact_linear_dispersion() -> None:
+def test_errors_cover_the_exact_linear_dispersion(rng: np.random.Generator) -> None:
     """Phase and decay of random damped chains are right within their errors."""
-    rng = np.random.default_rng(5)
     for number in range(4):
         exponent = float(rng.choice([1.3, 1.5, 2.0]))
         plain = Chain(grains=60, bottom="wall", exponent=exponent, **LOADED)
@@ -173,9 +172,10 @@ def test_a_gap_is_measured_as_a_decay() -> None:
 
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
 @pytest.mark.parametrize("seed", range(3))
-def test_drive_point_of_a_base_under_gravity(bottom: str, seed: int) -> None:
+def test_drive_point_of_a_base_under_gravity(
+    rng: np.random.Generator, bottom: str, seed: int
+) -> None:
     """A column on a shaker, against a dense linear system of all bodies."""
-    rng = np.random.default_rng(seed)
     grains = int(rng.integers(1 if bottom == "wall" else 2, 20))
     chain = Chain(
         grains=grains,
@@ -284,9 +284,8 @@ def test_drive_point_of_a_strongly_shaken_chain() -> None:
     assert abs(found.linear - fundamental) > max(100 * found.error, 5e-3 * abs(fundamental))
 
 
-def test_errors_cover_the_rest_of_a_transient() -> None:
+def test_errors_cover_the_rest_of_a_transient(rng: np.random.Generator) -> None:
     """After short runs of weakly damped, strongly driven chains, a four times longer one agrees."""
-    rng = np.random.default_rng(6)
     for number in range(2):
         chain = Chain(
             grains=int(rng.integers(4, 10)),

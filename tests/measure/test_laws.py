@@ -133,7 +133,7 @@ def test_local_intervals_hold_the_truth_in_95_of_100_draws():
     assert np.mean(np.array(inside) < 0.5) == pytest.approx(0.683, abs=0.13)
 
 
-# --- a column wave at its top
+# --- a column struck at its top
 
 
 def weakly_struck(

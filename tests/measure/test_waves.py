@@ -72,9 +72,8 @@ def test_the_covariance_of_fitted_parameters(late: Trajectory):
 
 
 @pytest.mark.slow
-def test_noise_scatters_as_the_covariance_says(late: Trajectory):
+def test_noise_scatters_as_the_covariance_says(rng: np.random.Generator, late: Trajectory):
     """One standard error covers 68 %, two cover 95 %; the parameters have the stated covariance."""
-    rng = np.random.default_rng(20)
     few = replace(
         late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
     )

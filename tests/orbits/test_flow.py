@@ -196,11 +196,11 @@ def test_equations_have_the_derivatives_of_differences(
             "value": (value - target) / 700.0,
         }[what]
         assert left == pytest.approx(expected, rel=1e-8)
-        for column in range(unknown.size):
-            change = 1e-5 * (np.arange(unknown.size) == column)
+        for place in range(unknown.size):
+            change = 1e-5 * (np.arange(unknown.size) == place)
             sides = [unknown + side * change for side in (1, -1)]
             ends = [constraint.of(side, equations.unpack(side))[0] for side in sides]
-            assert row[column] == pytest.approx(
+            assert row[place] == pytest.approx(
                 (ends[0] - ends[1]) / 2e-5, abs=1e-8 * np.abs(row).max()
             )
 

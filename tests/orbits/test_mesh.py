@@ -12,9 +12,8 @@ FLOW = Flow(CHAIN, 1e6)
 EPS = CHAIN.contacts.overlap
 
 
-def test_the_highest_frequency_bounds_the_stiffest_chain():
+def test_the_highest_frequency_bounds_the_stiffest_chain(rng):
     """The bound is twice the summed stiffness at a grain over its mass (Gershgorin)."""
-    rng = np.random.default_rng(1)
     masses = rng.uniform(1, 3, 5) * 1e-6
     chain = CHAIN.replace(masses=masses)
     u = rng.normal(size=(7, 5)) * EPS[1]

@@ -52,8 +52,9 @@ def gap_breather() -> Orbit:
 
 
 @pytest.mark.parametrize("load", [1.0, 0.0])
-def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(load: float):
-    rng = np.random.default_rng(1)
+def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(
+    rng: np.random.Generator, load: float
+):
     chain = column(12, gravity=0.0, top_load=load, top="wall", bottom="wall")
     scale = chain.length_scale or 1e-7
     u, v = rng.normal(size=(2, 12)) * [[scale], [scale * 1e6]]

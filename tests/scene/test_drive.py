@@ -159,10 +159,11 @@ def test_knots_and_touching_walls_are_not_smooth() -> None:
 
 
 @pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 0)])
-def test_a_drive_may_begin_with_grains_in_motion(top: str, grain: int, tmp_path: Path):
+def test_a_drive_may_begin_with_grains_in_motion(
+    rng: np.random.Generator, top: str, grain: int, tmp_path: Path
+):
     """Runs from a scene file and its CSV table agree with an independent integration."""
     chain = loaded(top=top)
-    rng = np.random.default_rng(3)
     u, v = (
         rng.normal(size=(2, 8))
         * 0.05

@@ -73,8 +73,7 @@ def test_omitted_grains_make_no_difference(name: str, tolerance: float):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_random_scenes(seed: int):
-    rng = np.random.default_rng(seed)
+def test_random_scenes(rng: np.random.Generator, seed: int):
     scene = random_scene(rng)
     while scene.drive or scene.chain.grains < 20:
         scene = random_scene(rng)

@@ -1,11 +1,11 @@
 """Messages about faulty scene files and tables, word for word, and the content of valid ones."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.example_scenes import scene_of, struck
+from helpers.faults import faults
 
 from lmpchain import GLASS, Chain, Impurity, InputError, Material, Profile, Scene
 
@@ -15,29 +15,27 @@ RECORDING = {"duration": 1e-5, "samples": 3}
 GOOD = {"chain": CHAIN, "excitation": IMPULSE, "recording": RECORDING}
 
 
-def faults(tables: dict[str, Any], folder: Path | None = None) -> list[tuple[str, str]]:
-    with pytest.raises(InputError) as caught:
-        Scene.from_dict(tables, folder)
-    return caught.value.faults
-
-
 def test_missing_or_wrong_sections() -> None:
-    assert faults({}) == [
+    assert faults(Scene.from_dict, {}) == [
         (key, f"is missing; add a [{key}] table") for key in ("chain", "excitation", "recording")
     ]
-    assert faults(GOOD | {"recording": 3}) == [("recording", "must be a table, [recording]")]
-    ((key, text),) = faults(GOOD | {"chains": {}})
+    assert faults(Scene.from_dict, GOOD | {"recording": 3}) == [
+        ("recording", "must be a table, [recording]")
+    ]
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chains": {}})
     assert key == "chains"
     assert text.startswith("unknown section")
     assert "chain" in text.partition(";")[0]
     assert text.endswith("; the sections are chain, excitation, recording")
     kinds = "impulse | displacement | profile | packet | riemann | drive | force"
-    assert faults(GOOD | {"excitation": {"velocity": 1e-6}}) == [
+    assert faults(Scene.from_dict, GOOD | {"excitation": {"velocity": 1e-6}}) == [
         ("excitation.kind", f"is missing; {kinds}")
     ]
-    ((key, text),) = faults(GOOD | {"excitation": {"knid": "impulse", "velocity": 1e-6}})
+    ((key, text),) = faults(
+        Scene.from_dict, GOOD | {"excitation": {"knid": "impulse", "velocity": 1e-6}}
+    )
     assert (key, "is unknown" in text) == ("excitation.kind", True)
-    ((key, text),) = faults(GOOD | {"excitation": IMPULSE | {"kind": "implse"}})
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"excitation": IMPULSE | {"kind": "implse"}})
     assert (key, "impulse" in text) == ("excitation.kind", True)
 
 
@@ -73,25 +71,29 @@ TABLES = {
 def test_a_faulty_table_is_named_with_its_line(table: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "grains.csv"
     path.write_text(table)
-    ((key, text),) = faults(GOOD | {"chain": {"file": "grains.csv"}}, tmp_path)
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": {"file": "grains.csv"}}, tmp_path)
     assert key == "chain.file"
     assert text.startswith(said.format(path=path))
 
 
 def test_missing_or_unnamed_tables(tmp_path: Path) -> None:
-    ((key, text),) = faults(GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
     assert (key, text) == (
         "chain.file",
         f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory",
     )
-    assert faults(GOOD | {"chain": {"file": 3}}, tmp_path) == [
+    assert faults(Scene.from_dict, GOOD | {"chain": {"file": 3}}, tmp_path) == [
         ("chain.file", "must be the name of a CSV file")
     ]
     without = "a scene without a folder cannot name a file: give the numbers themselves"
-    assert faults(GOOD | {"chain": {"file": "grains.csv"}}) == [("chain.file", without)]
+    assert faults(Scene.from_dict, GOOD | {"chain": {"file": "grains.csv"}}, None) == [
+        ("chain.file", without)
+    ]
     (tmp_path / "grains.csv").write_text("diameter,mass\n1e-3,1e-6\n2e-3,2e-6\n")
     for twice in ("diameter", "masses"):
-        found = faults(GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path)
+        found = faults(
+            Scene.from_dict, GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path
+        )
         key = "mass" if twice == "masses" else twice
         assert found == [(f"chain.{key}", "is in the file already; remove it from one of them")]
 

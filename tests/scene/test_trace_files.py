@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from data.make_traces import EXAMPLE, hammer, vibrometer
+from helpers.faults import faults
 from helpers.instrument_files import push
 from scipy.interpolate import PchipInterpolator
 
@@ -286,9 +287,7 @@ def test_files_without_required_information_are_rejected(
 ):
     path = tmp_path / "scope.csv"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        Force(grain=1, file=path, **options)
-    ((fault, message),) = caught.value.faults
+    ((fault, message),) = faults(Force, grain=1, file=path, **options)
     assert fault == key
     assert said in message
 

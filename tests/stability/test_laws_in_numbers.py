@@ -52,12 +52,11 @@ def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
     return EnergyError(np.linspace(0.0, duration, len(error)), np.asarray(error), 1.0).trend()
 
 
-def test_the_interval_of_a_trend_covers_in_99_of_100_draws() -> None:
+def test_the_interval_of_a_trend_covers_in_99_of_100_draws(rng: np.random.Generator) -> None:
     """White noise, whose slope has the standard deviation sqrt(12 / n) / T.
 
     T of 48 degrees is 2.68 at 99 %.
     """
-    rng = np.random.default_rng(4)
     size = 250
     draws = np.array(
         [trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)]
@@ -69,9 +68,10 @@ def test_the_interval_of_a_trend_covers_in_99_of_100_draws() -> None:
     assert np.mean(widths) == pytest.approx(stats.t.ppf(0.995, 48) * deviation, rel=0.04)
 
 
-def test_the_interval_of_a_trend_is_wider_for_correlated_stretches() -> None:
+def test_the_interval_of_a_trend_is_wider_for_correlated_stretches(
+    rng: np.random.Generator,
+) -> None:
     """An autoregressive sequence with r = 0.6 counts as a quarter of its length."""
-    rng = np.random.default_rng(5)
     hits = 0
     plain = 0
     for _ in range(200):
@@ -147,7 +147,7 @@ def test_energies_are_followed_for_a_number_of_periods_of_the_band_edge() -> Non
 
 
 def struck_column(grains: int, number: float, **keys: Any) -> Scene:
-    return struck_in_units(column(grains, **keys), number, 300.0)
+    return struck_in_units(column(grains, **keys), number, 1.0).replace(duration=1e-3)
 
 
 def test_the_reflection_time_agrees_with_a_pulse_in_an_unloaded_chain() -> None:

@@ -23,7 +23,7 @@ from laws.theory_errors import (
     uniform_error,
 )
 
-from lmpchain import Displacement, Impulse, InputError
+from lmpchain import Chain, Displacement, Impulse, InputError
 from lmpchain.engines.linear.engine import Chebyshev
 from lmpchain.engines.linear.model_error import expected_error, passage
 from lmpchain.stability import linear_theory
@@ -177,29 +177,28 @@ def test_the_package_predicts_the_error_of_linear_theory():
 
 
 def test_recognition_of_a_struck_column():
-    chain = column(40)
+    chain = Chain(grains=40, diameter=1e-3)
     scene = struck(chain, 1e-6, 5e-5)
     lasts = float(passage(scene).sum())
     hops = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
     assert lasts == pytest.approx(hops.sum(), rel=1e-12)
     assert linear_theory.struck_column(scene)
-    assert linear_theory.struck_column(struck(chain, 1e-6, 9.99 * lasts))
-    assert linear_theory.struck_column(struck(column(40, exponent=2.2), 1e-6, 5e-5))
+    assert linear_theory.struck_column(scene.replace(duration=9.99 * lasts))
+    assert linear_theory.struck_column(scene.replace(chain=chain.replace(exponent=2.2)))
+    others = [
+        {"exponent": 2.21},
+        {"gravity": 0.0, "top_load": 1e-3},
+        {"top_load": 1e-6},
+        {"top": "wall", "top_load": 1e-6},
+        {"masses": chain.masses * np.linspace(1, 1.1, 40)},
+        {"contact_constants": chain.contact_constants * np.linspace(1, 1.1, 39)},
+        {"grains": 1, "bottom": "wall"},
+    ]
     for other in (
-        struck(chain, 1e-6, 10.01 * lasts),
+        scene.replace(duration=10.01 * lasts),
         scene.replace(excitation=Impulse(velocity=1e-6, grain=2)),
         scene.replace(excitation=Displacement(displacement=1e-12)),
-        struck(column(40, exponent=2.21), 1e-6, 5e-5),
-        struck(column(40, gravity=0.0, top_load=1e-3), 1e-6, 5e-5),
-        struck(column(40, top_load=1e-6), 1e-6, 5e-5),
-        struck(column(40, top="wall", top_load=1e-6), 1e-6, 5e-5),
-        struck(column(40, masses=chain.masses * np.linspace(1, 1.1, 40)), 1e-6, 5e-5),
-        struck(
-            column(40, contact_constants=chain.contact_constants * np.linspace(1, 1.1, 39)),
-            1e-6,
-            5e-5,
-        ),
-        struck(column(1, bottom="wall"), 1e-6, 5e-5),
+        *(scene.replace(chain=chain.replace(**changes)) for changes in others),
     ):
         assert not linear_theory.struck_column(other)
 

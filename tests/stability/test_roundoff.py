@@ -144,8 +144,7 @@ def test_scenes_without_a_rounding_floor_are_rejected():
 
 
 @pytest.mark.soak
-def test_the_law_on_random_scenes():
-    rng = np.random.default_rng(11)
+def test_the_law_on_random_scenes(rng):
     ratios = []
     while len(ratios) < 120:
         scene = random_scene(rng, (1.0, 1.5, 1.5))
@@ -310,8 +309,7 @@ def test_solvable_scenes_are_not_rejected():
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-def test_no_solvable_random_scene_is_rejected():
-    rng = np.random.default_rng(3)
+def test_no_solvable_random_scene_is_rejected(rng):
     refused = 0
     for _ in range(60):
         try:

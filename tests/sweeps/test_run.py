@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import pytest
+from helpers.faults import faults
 
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
@@ -139,9 +140,9 @@ def test_an_executor_has_a_limited_number_of_tasks(
 
 @pytest.mark.parametrize("workers", [0, -1, True, 1.0, "2", None])
 def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
-    with pytest.raises(InputError) as caught:
-        sweep(ASKED, tmp_path, workers=workers)
-    assert caught.value.faults == [("workers", f"must be a whole number from 1 (got {workers!r})")]
+    assert faults(sweep, ASKED, tmp_path, workers=workers) == [
+        ("workers", f"must be a whole number from 1 (got {workers!r})")
+    ]
 
 
 def test_warnings_are_given_once_for_all_scenes(tmp_path: Path):

@@ -18,6 +18,7 @@ import pytest
 from helpers.child_processes import finish
 from helpers.example_chains import column
 from helpers.example_scenes import struck
+from helpers.faults import faults
 from helpers.seals import seal_anew
 from numcodecs.abc import Codec
 
@@ -55,9 +56,7 @@ def stopped(originals: Path, tmp_path: Path) -> Path:
 
 def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """Return the one line with which all readers reject a file."""
-    with pytest.raises(InputError) as caught:
-        Trajectory.load(path)
-    ((key, why),) = caught.value.faults
+    ((key, why),) = faults(Trajectory.load, path)
     assert key == str(path)
     capsys.readouterr()
     for words in (["fit", str(path)], ["report", str(path), "-o", str(path.parent / "new.html")]):

@@ -211,9 +211,8 @@ def test_an_unsupported_splitting_leaves_no_deck(tmp_path):
         Lammps(integrator="rkn6", keep=tmp_path)
 
 
-def test_unlike_contacts_share_few_types():
+def test_unlike_contacts_share_few_types(rng):
     """N different contacts need about sqrt(2 N) types; each contact has its own force."""
-    rng = np.random.default_rng(3)
     chain = Chain(
         grains=200,
         material="glass",
