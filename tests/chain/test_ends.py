@@ -48,10 +48,7 @@ def test_a_wall_mirrors_the_chain(rng: np.random.Generator, delta: float, load: 
     solver = engines.get(engine, **({} if engine == "modes" else options))
 
     def run(chain: Chain, velocity: Any) -> Any:
-        return simulate(
-            scene_of(chain, Profile(velocity=velocity), duration, 7),
-            solver,
-        )
+        return simulate(scene_of(chain, Profile(velocity=velocity), duration, 7), solver)
 
     one = run(half, speed)
     two = run(double, np.append(speed, -speed[::-1]))

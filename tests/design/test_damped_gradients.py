@@ -53,12 +53,7 @@ SCENES = {
     "striker": scene(Impulse(velocity=0.1), load_grain=2),
     "driven": scene(Drive(amplitude=2e-8, frequency=2e5)),
     "driven wall": scene(
-        Drive(
-            grain=0,
-            times=np.linspace(0, 8e-6, 7),
-            displacement=SHAPE,
-            interpolation="spline",
-        ),
+        Drive(grain=0, times=np.linspace(0, 8e-6, 7), displacement=SHAPE, interpolation="spline"),
         top="wall",
         damping=EACH,
     ),

@@ -164,11 +164,7 @@ def test_model_error_over_the_map_of_strikes(engine, gravity):
 
 OTHERS = {
     "struck within": (column(150), Impulse(velocity=1e-5, grain=75), 1e-4),
-    "struck within, reflected": (
-        column(60),
-        Impulse(velocity=1e-6, grain=30),
-        1e-3,
-    ),
+    "struck within, reflected": (column(60), Impulse(velocity=1e-6, grain=30), 1e-3),
     "pulled": (column(60), Displacement(displacement=-1e-11, grain=1), 1e-4),
     "loaded": (
         Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
@@ -182,11 +178,7 @@ OTHERS = {
     ),
     "two grains": (column(2), Impulse(velocity=1e-6), 1e-4),
     "square law": (column(100, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
-    "nearly springs": (
-        column(100, exponent=1.1),
-        Impulse(velocity=1e-6),
-        1e-4,
-    ),
+    "nearly springs": (column(100, exponent=1.1), Impulse(velocity=1e-6), 1e-4),
 }
 
 
@@ -262,20 +254,14 @@ def test_grains_outside_the_light_cone_are_not_computed():
     strike = Impulse(velocity=1e-6)
     some = [1, 10, 100, 500]
     long, short = (
-        simulate(
-            scene_of(column(n), strike, 1e-3, 5, grains=some),
-            "chebyshev",
-        )
+        simulate(scene_of(column(n), strike, 1e-3, 5, grains=some), "chebyshev")
         for n in (10**6, 2000)
     )
     assert long.velocity == pytest.approx(
         short.velocity, rel=0, abs=1e-13 * np.abs(short.velocity).max()
     )
     assert long.velocity[-1, 3] == short.velocity[-1, 3]
-    quick = simulate(
-        scene_of(column(3000), strike, 1e-5, 3),
-        "chebyshev",
-    )
+    quick = simulate(scene_of(column(3000), strike, 1e-5, 3), "chebyshev")
     assert not quick.displacement[:, 200:].any()
 
 
@@ -349,18 +335,8 @@ def test_closed_forms_reject_unsuitable_scenes():
             "excitation: bessel needs an impulse on grain 1",
         ),
         (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum needs"),
-        (
-            column(9, top_load=1e-3),
-            strike,
-            "continuum",
-            "top_load: continuum needs a chain",
-        ),
-        (
-            column(9, top="wall", top_load=1e-3),
-            strike,
-            "bessel",
-            "top: bessel needs",
-        ),
+        (column(9, top_load=1e-3), strike, "continuum", "top_load: continuum needs a chain"),
+        (column(9, top="wall", top_load=1e-3), strike, "bessel", "top: bessel needs"),
     ):
         with pytest.raises(InputError, match=key):
             simulate(scene_of(made, excitation, 1e-5, 3), engine)

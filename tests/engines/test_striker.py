@@ -148,10 +148,7 @@ def test_linear_theories_reject_strikers():
     [
         ({"load_grain": 0}, "load_grain"),
         ({"load_grain": 15}, "at most 14 of 14 grains"),
-        (
-            {"load_grain": 14, "bottom": "fixed"},
-            "13 of 14 grains, and the last one is held",
-        ),
+        ({"load_grain": 14, "bottom": "fixed"}, "13 of 14 grains, and the last one is held"),
     ],
 )
 def test_a_load_on_a_fixed_or_missing_grain_is_rejected(changes, message):

@@ -117,14 +117,8 @@ SHAKEN = [
 @pytest.mark.parametrize(
     ("scene", "steps"),
     [
-        (
-            scene_of(VACUUM, Impulse(velocity=0.0212068595), 6.2358512707e-6, 11),
-            2,
-        ),
-        (
-            scene_of(LOADED, Profile(velocity=SHAKEN), 1.1311997779e-5, 11),
-            3,
-        ),
+        (scene_of(VACUUM, Impulse(velocity=0.0212068595), 6.2358512707e-6, 11), 2),
+        (scene_of(LOADED, Profile(velocity=SHAKEN), 1.1311997779e-5, 11), 3),
     ],
     ids=["vacuum", "loaded"],
 )

@@ -215,12 +215,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
         assert len(events) == 4
-    struck = scene_of(
-        column(12, gravity=0.0, bottom="free"),
-        Impulse(velocity=0.1),
-        4e-5,
-        161,
-    )
+    struck = scene_of(column(12, gravity=0.0, bottom="free"), Impulse(velocity=0.1), 4e-5, 161)
     native, lammps = (
         contacts(simulate(struck, engine, 1e-5)).events() for engine in ("native", "lammps")
     )

@@ -148,10 +148,7 @@ def test_the_error_of_an_arrival():
         assert peak.error == pytest.approx(abs(when - other) if near else 0.1, rel=1e-9)
     for values, words in (
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
-        (
-            -np.arange(41.0),
-            "the signal is largest in the first sample: it has no later maximum",
-        ),
+        (-np.arange(41.0), "the signal is largest in the first sample: it has no later maximum"),
     ):
         with pytest.raises(InputError, match=f"duration: {words}"):
             arrival(time, values)
@@ -282,13 +279,7 @@ def test_columns_of_recorded_bodies():
 
 
 def test_largest_values_are_labelled_by_grain():
-    scene = scene_of(
-        column(6),
-        Impulse(velocity=1e-6, grain=2),
-        2e-5,
-        101,
-        grains=[4, 2, 3, 1, 5],
-    )
+    scene = scene_of(column(6), Impulse(velocity=1e-6, grain=2), 2e-5, 101, grains=[4, 2, 3, 1, 5])
     t = simulate(scene, "native", 1e-9)
     for field in ("velocity", "displacement"):
         seen = peaks(t, field)  # type: ignore[arg-type]

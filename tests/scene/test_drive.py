@@ -192,10 +192,7 @@ def test_a_drive_may_begin_with_grains_in_motion(
 def test_a_start_of_another_length_is_rejected():
     chain = loaded()
     for start, said in (
-        (
-            Profile(velocity=np.ones(5)),
-            "excitation.start.velocity: must have one entry a grain",
-        ),
+        (Profile(velocity=np.ones(5)), "excitation.start.velocity: must have one entry a grain"),
         (
             Profile(velocity=np.eye(8)[0]),
             "excitation.start.velocity: must be 0 for grain 1, because it is driven",

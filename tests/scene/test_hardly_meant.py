@@ -25,11 +25,7 @@ def said(make) -> list[str]:
     [
         (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
         (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
-        (
-            lambda: column(5, gravity=0.0, top_load=30.0),
-            "diameter: ",
-            "by 0.012 of the diameter",
-        ),
+        (lambda: column(5, gravity=0.0, top_load=30.0), "diameter: ", "by 0.012 of the diameter"),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
         (lambda: struck(CHAIN, 20.0, 1e-5), "velocity: ", "by 0.012 of the diameter"),
         (

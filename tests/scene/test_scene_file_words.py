@@ -42,10 +42,7 @@ def test_missing_or_wrong_sections() -> None:
 HEADER = "{path} must have a header with some of material, diameter, mass"
 TABLES = {
     "no such column": ("diametre\n1e-3\n", HEADER),
-    "a strange column": (
-        "diameter,colour\n1e-3,2\n",
-        HEADER,
-    ),
+    "a strange column": ("diameter,colour\n1e-3,2\n", HEADER),
     "a column twice": ("diameter,diameter\n1,2\n", HEADER),
     "grains alone": ("grain\n1\n", HEADER),
     "a short line": (

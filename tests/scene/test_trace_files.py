@@ -119,10 +119,7 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         "Vertical Scale,CH1:0.5\nModel Number,SDS1202\nSource,CH1\nSecond,Volt\n" + POINTS,
         {"scale": 1.0},
     ),
-    "Rigol, with times": (
-        "Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS,
-        {"scale": 1.0},
-    ),
+    "Rigol, with times": ("Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS, {"scale": 1.0}),
     "Rohde and Schwarz": ("in s,CH1 in V\n" + POINTS, {"scale": 1.0}),
     "Tektronix, names": (
         "Model,MSO4034\nFirmware Version,2.48\n\nPoint Format,Y,\nHorizontal Units,S,\n"
@@ -140,10 +137,7 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         "-1\t0.5e-3\n0\t0.25e-3\n1\t0.75e-3\n2\t1e-3\n",
         {},
     ),
-    "Hantek, counted": (
-        "nr,time,ch1\n0,-1e-06,0.5\n1,0,0.25\n2,1e-06,0.75\n3,2e-06,1\n",
-        {},
-    ),
+    "Hantek, counted": ("nr,time,ch1\n0,-1e-06,0.5\n1,0,0.25\n2,1e-06,0.75\n3,2e-06,1\n", {}),
     "Excel": ("sep=;\nt / us;F_mN\n-1,0;500\n0,0;250\n1,0;750,0\n2,0;1000\n", {}),
     "values alone": ("0.5\n0.25\n0.75\n1\n", {"columns": 1, "time_scale": 1e-6, "trigger": 1e-6}),
 }
@@ -242,12 +236,7 @@ REFUSED = {  # Content of the file, options, key, and a part of the message.
     "too many columns": ("t,A\n0,1\n1,2\n", {"columns": [1, 2, 3]}, "columns", "must name 2"),
     "volts": ("t,A (V)\n0,1\n1,2\n", {}, "scale", "give it in N for each V"),
     "counts": ("t,A [counts]\n0,1\n1,2\n", {}, "scale", "for each counts"),
-    "times in volts": (
-        "time (V),force\n0,1\n1,2\n",
-        {},
-        "time_scale",
-        "not a unit of time",
-    ),
+    "times in volts": ("time (V),force\n0,1\n1,2\n", {}, "time_scale", "not a unit of time"),
     "another time unit": (
         "t (ms),F\n0,1\n1,2\n",
         {"time_scale": 1e-6},

@@ -95,11 +95,7 @@ CHAINS = {  # Chain, strike number, and largest deviation of the law.
     "strong": (LOADED, 1e3, 0.03),
     "column, medium": (COLUMN, 30, 0.03),
     "column, strong": (COLUMN, 1e4, 0.03),
-    "exponent 2": (
-        column(12, gravity=0.0, top_load=1e-2, exponent=2.0),
-        30,
-        0.05,
-    ),
+    "exponent 2": (column(12, gravity=0.0, top_load=1e-2, exponent=2.0), 30, 0.05),
     "dimer": (
         patterns.periodic(12, 4.76e-3, ["steel", "ptfe"], gravity=0, top_load=2.38),
         10,

@@ -107,10 +107,7 @@ def test_a_grid_is_every_combination(tmp_path):
     for gravity in GRAVITIES:
         for speed in speeds:
             chain = column(12, gravity=gravity)
-            alone = simulate(
-                struck(chain, speed, 2e-5, 11),
-                "native",
-            )
+            alone = simulate(struck(chain, speed, 2e-5, 11), "native")
             here = found.sel({"chain.gravity": gravity, "excitation.velocity": speed})
             assert np.array_equal(here.velocity, alone.velocity)
             assert np.array_equal(here.displacement, alone.displacement)
