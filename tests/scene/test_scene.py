@@ -91,11 +91,6 @@ FAULTS = {  # Replaced text, replacement, and the key that must be named.
     "material that is not known": ('"glass"', '"jelly"', "chain.material"),
     "material without a modulus": ('"glass"', SOFT, "chain.material.youngs_modulus"),
     "material that swells": ('"glass"', SWELLING, "chain.material.poissons_ratio"),
-    "impurity twice": (
-        "[excitation]",
-        "[[chain.impurity]]\ngrain = 3\nmass = 1e-6\n" * 2 + "[excitation]",
-        "chain.impurity.1.grain",
-    ),
     "impurity beside given constants": (
         "gravity =",
         f"contact_constants = {[1] * 19}\nimpurity = [{{grain = 3, diameter = 1}}]\ngravity =",
@@ -120,11 +115,6 @@ CHAIN_FAULTS = {
     "free bottom under gravity": ('bottom = "free"', "bottom"),
     "end that is not known": ('bottom = "floating"', "bottom"),
     "crushed by its load": ("top_load = 1e6", "diameter"),
-    "top that is not known": ('top = "fixed"', "top"),
-    "chain that hangs": ('top = "wall"\nbottom = "free"', "bottom"),
-    "material of no wall above": ('top_material = "steel"', "top_material"),
-    "material of no wall below": ('bottom_material = "steel"', "bottom_material"),
-    "wall of no known material": ('bottom = "wall"\nbottom_material = "mud"', "bottom_material"),
     "wall without a modulus": (
         f'top = "wall"\ntop_material = {SOFT}',
         "top_material.youngs_modulus",
@@ -135,18 +125,12 @@ CHAIN_FAULTS = {
     ),
 }
 IMPURITY_FAULTS = {
-    "impurity that is no grain": ("grain = 21\nmass = 1e-6", "grain"),
     "impurity at grain 0": ("grain = 0\nmass = 1e-6", "grain"),
-    "impurity without a grain": ("mass = 1e-6", "grain"),
-    "impurity like the others": ("grain = 3", "diameter"),
-    "impurity with an unknown key": ("grain = 3\nmas = 1e-6", "mas"),
     "impurity with a word for a mass": ('grain = 3\nmass = "heavy"', "mass"),
-    "impurity of no known material": ('grain = 3\nmaterial = "mud"', "material"),
     "impurity that swells": (f"grain = 3\nmaterial = {SWELLING}", "material.poissons_ratio"),
 }
 DRIVE_FAULTS = {
     "drive with nothing in it": ("", "amplitude"),
-    "drive of no frequency": ("amplitude = 1e-9", "amplitude"),
     "drive of both kinds": (
         f"{SINE}\ntimes = [0.0, 1e-5]\ndisplacement = [0.0, 1e-9]",
         "amplitude",
@@ -154,10 +138,6 @@ DRIVE_FAULTS = {
     "drive of frequency 0": ("amplitude = 1e-9\nfrequency = 0.0", "frequency"),
     "drive by NaN": ("amplitude = nan\nfrequency = 1e5", "amplitude"),
     "drive of another grain": (f"{SINE}\ngrain = 2", "grain"),
-    "drive that begins before the strike": (
-        "times = [-1e-6, 2e-5]\ndisplacement = [0.0, 1e-9]",
-        "times",
-    ),
     "spline through a step": (
         'interpolation = "spline"\n'
         "times = [0.0, 1e-6, 1.1e-6, 2e-5]\ndisplacement = [0.0, 0.0, 1e-9, 1e-9]",
@@ -167,15 +147,10 @@ DRIVE_FAULTS = {
         "times = [0.0, 2e-5, 1e-5]\ndisplacement = [0.0, 1e-9, 0.0]",
         "times",
     ),
-    "drive that begins elsewhere": (
-        "times = [0.0, 2e-5]\ndisplacement = [1e-9, 1e-9]",
-        "displacement",
-    ),
     "drive by unequal columns": (
         "times = [0.0, 2e-5]\ndisplacement = [0.0, 1e-9, 0.0]",
         "displacement",
     ),
-    "drive by one point": ("times = [0.0]\ndisplacement = [0.0]", "displacement"),
     "drive of a wall that is not there": (f"{SINE}\ngrain = 0", "grain"),
     "crushed by the drive": ("amplitude = 1e-3\nfrequency = 1e6", "kind"),
     "drive file that is missing": ('file = "none.csv"', "file"),
