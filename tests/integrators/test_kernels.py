@@ -272,7 +272,8 @@ def test_other_loops_are_vectorised():
     assert packed(next(iter(loop.inspect_asm().values())), "sqrt") > 0
 
 
-def test_no_contact_that_shortens_a_step_is_missed(rng):
+def test_no_contact_that_shortens_a_step_is_missed():
+    rng = np.random.default_rng(3)
     size = 100
     find = numba.njit(error_model="numpy", fastmath=forces.STRICT)(_find_nearness.py_func)
     shortened = 0.2

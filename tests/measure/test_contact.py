@@ -206,11 +206,7 @@ def test_grains_that_just_touch_have_not_opened() -> None:
     chain = vacuum(12)
     assert contacts(run(chain, REST, 10.0, 11)).events() == []
     # The pulse moves 1.2 grains per unit of time and gets halfway. Samples are coarse to fine.
-    for samples in (
-        5,
-        9,
-        33,
-    ):
+    for samples in (5, 9, 33):
         events = contacts(run(chain, Impulse(velocity=1.0), 8.0, samples)).events()
         assert all(event.opens for event in events)
         assert [event.contact for event in events] == list(range(1, len(events) + 1))
@@ -344,15 +340,6 @@ def test_sound_between_sensors_of_unlike_grains() -> None:
     assert time_of_flight(t, 2, 4).distance == pytest.approx(3.5e-3, rel=1e-12, abs=0)
 
 
-def test_a_sensor_is_the_mean_of_two_contacts(opening: Trajectory) -> None:
-    signal = sensor(opening, 5)
-    above, below = contacts(opening, [4, 5]).force.T
-    assert np.array_equal(signal.force, (above + below) / 2)
-    assert signal.force - signal.force[0] == pytest.approx(
-        signal.change, abs=1e-12 * signal.force.max()
-    )
-
-
 def test_weak_signals_keep_their_digits() -> None:
     chain = column(12)
     signals = [
@@ -395,9 +382,6 @@ def test_what_is_not_there_is_named(opening: Trajectory) -> None:
             "numbers: the contacts are numbered 1 to 11 (got [12, 13])",
             lambda: contacts(opening, [12, 13]),
         ),
-        ("grain: grain 1 does not exist or lacks a contact", lambda: sensor(opening, 1)),
-        ("grain: grain 12 does not exist or lacks a contact", lambda: sensor(opening, 12)),
-        ("grain: grain 40 does not exist or lacks a contact", lambda: sensor(opening, 40)),
         ("end: there is no wall at the end 'top'", lambda: wall_force(opening, "top")),
         ("end: there is no wall at the end 'bottom'", lambda: wall_force(free)),
         (
@@ -405,11 +389,6 @@ def test_what_is_not_there_is_named(opening: Trajectory) -> None:
             lambda: wall_force(opening, "left"),  # type: ignore[arg-type]
         ),
         ("excitation: nothing is driven", lambda: drive_force(opening)),
-        ("second: choose two different grains", lambda: time_of_flight(opening, 5, 5)),
-        (
-            "second: choose two different grains",
-            lambda: time_of_flight(opening, 5, 6, "guess"),  # type: ignore[arg-type]
-        ),
     ]:
         with pytest.raises(InputError) as error:
             wrong()

@@ -253,18 +253,6 @@ def test_other_exponents_of_the_contacts(delta: float):
     assert abs(fit.front.exponent - (1 + 1 / delta) / 2) < fit.front.error[0] < 6e-3
 
 
-def test_noise_widens_the_error_of_the_amplitude(rng: np.random.Generator, weak: Trajectory):
-    scale = 1e-9 * weak.scene.chain.time_scale
-    noisy = replace(
-        weak,
-        displacement=weak.displacement + 0.01 * scale * rng.normal(size=weak.displacement.shape),
-    )
-    fit = fit_continuum(noisy)
-    assert 1e-5 < fit.error < 1e-3
-    assert abs(fit.amplitude - C) < fit.error
-    assert fit.residual == pytest.approx(0.01 / np.sqrt(np.mean(fit.values**2)), rel=0.05)
-
-
 @pytest.fixture(scope="module")
 def fit(weak: Trajectory) -> ExponentFit:
     return fit_exponents(weak)
@@ -577,29 +565,6 @@ def dumped(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return folder / "column.lammpstrj", folder / "scene.toml"
 
 
-def without(dump: Path, column: str, name: str, form: str = "{}") -> Path:
-    """Write the dump again without a column, and with numbers in another form."""
-    out = dump.with_name(name)
-    lines = []
-    place = None
-    for line in dump.read_text().splitlines():
-        words = line.split()
-        if words[:2] == ["ITEM:", "ATOMS"]:
-            place = words.index(column) if column in words else None
-            lines.append(" ".join(word for word in words if word != column))
-        elif words[0] == "ITEM:" or place is None or len(words) < 8:
-            lines.append(line)
-        else:
-            numbers = [
-                word if i < 2 else form.format(word)
-                for i, word in enumerate(words)
-                if i != place - 2
-            ]
-            lines.append(" ".join(numbers))
-    out.write_text("\n".join(lines) + "\n")
-    return out
-
-
 def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Path):
     from helpers.standalone_lammps import read_dump
 
@@ -621,97 +586,6 @@ def test_a_dump_is_read_as_in_mdanalysis(dumped: tuple[Path, Path], tmp_path: Pa
     side.plot().figure.draw_without_rendering()
     some = Trajectory.from_dump(dumped[0], Scene(**scene.given() | {"grains": [4, 2]}))
     assert np.array_equal(some.velocity, v[:, [3, 1]])
-
-
-def test_a_dump_without_displacements(dumped: tuple[Path, Path]):
-    scene = Scene.from_toml(dumped[1])
-    whole = Trajectory.from_dump(dumped[0], scene)
-    heights = Trajectory.from_dump(without(dumped[0], "v_phi", "heights"), scene)
-    assert np.abs(heights.displacement - whole.displacement).max() < 1e-17 + 1e-16 * 0.02
-    assert heights.provenance["displacement"] != whole.provenance["displacement"]
-    coarse = dumped[0].with_name("coarse")
-    text = without(dumped[0], "v_phi", "six").read_text().splitlines()
-    coarse.write_text(
-        "\n".join(
-            " ".join([*words[:4], f"{float(words[4]):g}", *words[5:]])
-            if len(words := line.split()) == 9
-            else line
-            for line in text
-        )
-        + "\n"
-    )
-    with pytest.raises(InputError, match=r"heights have 6 digits, too few for.*%\.17g"):
-        Trajectory.from_dump(coarse, scene)
-
-
-def spoil(dump: Path, what: str) -> Path:
-    """Write the dump again with a fault."""
-    text = dump.read_text()
-    out = dump.with_name(what.replace(" ", "-"))
-    lines = text.splitlines(keepends=True)
-    frame = 9 + 20
-    faults = {
-        "cut in a line": text[:-30],
-        "cut in a frame": "".join(lines[:-5]),
-        "a frame short": "".join(lines[:-frame]),
-        "a frame missing": "".join(lines[: 3 * frame] + lines[4 * frame :]),
-        "words": text.replace("ITEM: ATOMS id", "ITEM: ATOMS id", 1).replace(
-            lines[9 + frame].split()[4], "high"
-        ),
-        "no velocities": text.replace(" vz ", " qz "),
-        "no numbers": text.replace(lines[frame + 12].split()[7], "nan"),
-        "no dump": "ITEM: SOMETHING\n",
-        "only a head": "ITEM: TIMESTEP\n0\n",
-        "empty": "",
-    }
-    out.write_text(faults[what])
-    return out
-
-
-@pytest.mark.parametrize(
-    ("what", "says"),
-    [
-        ("cut in a line", "cut short"),
-        ("cut in a frame", "20 whole frames, but the scene has 21 samples"),
-        ("a frame short", "20 whole frames, but the scene has 21 samples"),
-        ("a frame missing", "20 whole frames"),
-        ("words", "cannot be read as a dump"),
-        ("no velocities", "no column vz"),
-        ("no numbers", "not finite"),
-        ("no dump", "not a LAMMPS dump"),
-        ("only a head", "cut short"),
-        ("empty", "not a LAMMPS dump"),
-    ],
-)
-def test_dumps_that_cannot_be_read(dumped: tuple[Path, Path], what: str, says: str):
-    path = spoil(dumped[0], what)
-    with pytest.raises(InputError, match=says) as error:
-        Trajectory.from_dump(path, Scene.from_toml(dumped[1]))
-    assert keys(error) == [str(path)]
-
-
-@pytest.mark.parametrize(
-    ("chain", "scene", "says"),
-    [
-        ({"grains": 21}, {}, "has 20 atoms, but the scene has 21 grains .step 0."),
-        ({}, {"samples": 11}, "21 whole frames, but the scene has 11"),
-        (
-            {},
-            {"excitation": Impulse(velocity=1e-5, grain=3)},
-            "grain 3 begins with a velocity of 8.57e-06",
-        ),
-        (
-            {},
-            {"excitation": Displacement(displacement=1e-9, grain=3)},
-            "grain 3 begins with a velocity",
-        ),
-    ],
-)
-def test_dumps_of_another_scene(dumped: tuple[Path, Path], chain: Any, scene: Any, says: str):
-    mine = Scene.from_toml(dumped[1])
-    other = Scene(**mine.given() | {"chain": Chain(**mine.chain.given() | chain)} | scene)
-    with pytest.raises(InputError, match=says):
-        Trajectory.from_dump(dumped[0], other)
 
 
 # --- the command line

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck_in_units
+from helpers.example_chains import column, vacuum
+from helpers.example_scenes import run, scene_of, struck, struck_in_units
 from helpers.faults import fault_keys
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Impulse, InputError, Trajectory, simulate
 from lmpchain.measure.front import Front, asymptotic, exponent, track
 from lmpchain.report import panels
 
@@ -51,13 +51,7 @@ def made_up(
     motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
 ) -> Trajectory:
     """Return a trajectory with the velocity motion(t, n) for 0 to 20 us, without an equation."""
-    scene = scene_of(
-        Chain(grains=grains + 1, diameter=1e-3),
-        Impulse(velocity=1e-6),
-        20e-6,
-        samples,
-        grains=f"1:{grains}",
-    )
+    scene = struck(column(grains + 1), 1e-6, 20e-6, samples, grains=f"1:{grains}")
     numbers = np.arange(1.0, grains + 1)
     step = 20 / (samples - 1)
     nodes, weights = np.polynomial.legendre.leggauss(16)
@@ -130,13 +124,8 @@ def test_a_wave_without_a_recorded_decrease_has_no_width():
 
 
 def test_recorded_grains_may_come_in_any_order():
-    scene = scene_of(
-        Chain(grains=40, diameter=1e-3),
-        Impulse(velocity=1e-6, grain=10),
-        6e-5,
-        301,
-        grains=[20, 4, 12, 10, 16, 8],
-    )
+    strike = Impulse(velocity=1e-6, grain=10)
+    scene = scene_of(column(40), strike, 6e-5, 301, grains=[20, 4, 12, 10, 16, 8])
     front = track(simulate(scene, engine="native", tolerance=1e-8))
     assert front.grain.tolist() == [4, 8, 12, 16, 20], "the one that was struck is left out"
     assert (np.diff(front.time[2:]) > 0).all()
@@ -174,15 +163,7 @@ def test_soliton_of_the_sonic_vacuum():
 
     The speed is V = 0.9074700784 v^(1/5), and the full width at half maximum is 1.5791 grains.
     """
-    chain = Chain(
-        grains=90,
-        diameter=100.0,
-        gravity=0.0,
-        bottom="free",
-        masses=np.ones(90),
-        contact_constants=np.ones(89),
-    )
-    scene = scene_of(chain, Impulse(velocity=1.0), 110.0, 2201, grains="50:80")
+    scene = struck(vacuum(90), 1.0, 110.0, 2201, grains="50:80")
     t = simulate(scene, engine="native", tolerance=1e-8)
     front = track(t)
     assert front.grain.tolist() == list(range(50, 81))
@@ -319,11 +300,10 @@ def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: f
 # --- the fits themselves
 
 
-def power_law(noise: float = 0.0, terms: tuple[float, ...] = (-0.4,)) -> Front:
+def power_law(terms: tuple[float, ...] = (-0.4,)) -> Front:
     grain = np.arange(10, 300)
     h = grain - 0.5
     amplitude = 1e-9 * h**-0.3 * (1 + sum(c * h ** (-k / 3) for k, c in enumerate(terms, 1)))
-    amplitude *= 1 + noise * np.random.default_rng(5).normal(size=h.size)
     zero = np.zeros(h.size)
     return Front("velocity", grain, h * 1e-3, h.astype(float), -amplitude, h**2, zero, zero, zero)
 
@@ -343,19 +323,6 @@ def test_a_power_law_is_recovered():
     assert local.residual < 1e-6
 
 
-def test_scatter_widens_the_intervals():
-    law = asymptotic(power_law(1e-3), "amplitude", 1.5)
-    local = exponent(power_law(1e-3, ()), window=None)
-    assert 1e-3 < law.error[0] < 0.2
-    assert abs(law.exponent + 0.3) < law.error[0]
-    assert local.residual == pytest.approx(1e-3, rel=0.1)
-    # The standard error is noise / (sigma_x sqrt(N)), times 1.97 for 95 %.
-    assert local.error == pytest.approx(
-        1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1
-    )
-    assert abs(local.exponent + 0.3) < 2 * local.error
-
-
 def test_fronts_without_a_power_law_are_rejected():
     front = power_law()
     with pytest.raises(InputError, match="choose other grains"):
@@ -367,11 +334,7 @@ def test_fronts_without_a_power_law_are_rejected():
     [
         (lambda t: track(t, "energy"), "field"),
         (lambda t: track(made_up(lambda t, n: gauss(t, 10 + n), samples=15)), "samples"),
-        (lambda t: exponent(power_law(), "amplitude", 2), "window"),
-        (lambda t: exponent(power_law(), "amplitude", 500), "window"),
         (lambda t: exponent(power_law(), "grain"), "quantity"),
-        (lambda t: asymptotic(power_law().between(10, 14), "amplitude", 1.5), "front"),
-        (lambda t: asymptotic(power_law(), "amplitude", 2.5), "front"),
         (lambda t: power_law().between(10, 10).speed, "grains"),
     ],
 )
@@ -397,17 +360,9 @@ def test_simultaneous_peaks_have_infinite_speed():
 
 def test_grains_at_rest_are_skipped():
     """A long chain at rest behind the wave does not change the front."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
-    longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
     short, long = (
-        track(
-            simulate(
-                Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=30e-6, samples=301),
-                "native",
-                1e-9,
-            )
-        )
-        for made in (chain, longer)
+        track(run(column(grains, gravity=0.0, top_load=1.0), Impulse(velocity=1e-6), 30e-6, 301))
+        for grains in (60, 6000)
     )
     assert short.grain.tolist() == long.grain.tolist()
     assert short.time == pytest.approx(long.time, rel=1e-8)
@@ -415,7 +370,7 @@ def test_grains_at_rest_are_skipped():
 
 def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     """The message gives the number of grains whose arrival times are too uncertain."""
-    scene = scene_of(Chain(grains=1000, diameter=1e-3), Impulse(velocity=1e-5), 1.2e-3, 241)
+    scene = struck(column(1000), 1e-5, 1.2e-3, 241)
     coarse = simulate(scene, "native")
     with pytest.raises(
         InputError, match=r"samples: 241 samples do not show .*: record (\d+) samples"

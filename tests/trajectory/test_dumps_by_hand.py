@@ -198,6 +198,8 @@ def test_missing_columns(tmp_path: Path):
     text = dump(path).read_text()
     path.write_text(text.replace("\n5\nITEM: BOX", "\nfive\nITEM: BOX"))
     assert fault(path) == "ITEM: NUMBER OF ATOMS must be a whole number (got five): write it anew"
+    path.write_text(text.rpartition(" ")[0] + " high\n")
+    assert "cannot be read as a dump" in fault(path)
     path.write_text(text[:-1])
     assert fault(path) == "is cut short within a line: run LAMMPS to its end"
     path.write_text("\n" + text)
