@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import run, scene_of, struck
+from helpers.example_scenes import run, scene_of, struck, struck_in_units
+from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
 from scipy import optimize, stats
 from scipy.integrate import solve_ivp
@@ -246,8 +247,7 @@ def test_recognition_of_columns_struck_at_their_top():
 
     def keys(excitation: Any = strike, **more: Any) -> list[str]:
         chain = Chain(**{"grains": 8, "diameter": 1e-3} | more)
-        scene = scene_of(chain, excitation, 1e-6, 2)
-        trajectory: Any = SimpleNamespace(scene=scene)
+        trajectory: Any = SimpleNamespace(scene=scene_of(chain, excitation, 1e-6, 2))
         try:
             assert strike_at_top(trajectory) == -2e-9
         except InputError as error:
@@ -272,8 +272,7 @@ def test_recognition_of_columns_struck_at_their_top():
 
 
 def guessed(velocity: float) -> Scene:
-    chain = column(8)
-    return struck(chain, velocity, 1e-5, 3)
+    return struck(column(8), velocity, 1e-5, 3)
 
 
 def waving(asked: list[Scene]) -> Any:
@@ -398,10 +397,7 @@ def test_the_rows_of_a_summary():
     assert (whole.value, whole.expected, whole.unit) == (
         pytest.approx(scene.energy, rel=1e-6), scene.energy, "J"
     )  # fmt: skip
-    diagonal, coupling = chain.dynamical_matrix()
-    squares, vectors = np.linalg.eigh(
-        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
-    )
+    squares, vectors = dense_modes(chain)
     energies = squares * vectors[8] ** 2
     most = int(energies.argmax())
     strongest = rows["modes", f"share of mode {most + 1}, strongest"]
@@ -438,7 +434,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     time = np.arange(0, 26, 5e-3)
     found = solve_ivp(slope, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
     peaks = found.y[grains - 1 :].max(1)
-    fit = fit_exponents(simulate(struck_column(grains, strike), "native", 1e-8))
+    fit = fit_exponents(simulate(struck_in_units(column(grains), strike, 26, 1301), "native", 1e-8))
     n = np.arange(fit.grain[-1] - 10, fit.grain[-1] + 1)
     power = np.polyfit(np.log(n - 0.5), np.log(peaks[n - 1]), 1)[0]
     assert fit.grain[-1] == 47
@@ -448,11 +444,3 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     # The reference velocity of a contact at rest is (n^(2/3)) sqrt(n^(1/3)) in these units.
     holds = 47 ** (2 / 3 + 1 / 6)
     assert fit.strength[-1] == pytest.approx(peaks[46] / holds, rel=1e-4)
-
-
-def struck_column(grains: int, strike: float) -> Scene:
-    chain = column(grains)
-    velocity = strike * chain.length_scale / chain.time_scale
-    duration = 26 * chain.time_scale
-    impulse = Impulse(velocity=velocity)
-    return scene_of(chain, impulse, duration, 1301)

@@ -206,32 +206,36 @@ def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float)
 
 @pytest.mark.parametrize("window", ["boxcar", "hann"])
 @pytest.mark.parametrize("field", ["velocity", "displacement"])
-def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
+@pytest.mark.parametrize(("samples", "first"), [(24, 2), (25, 1)])
+def test_spectra_are_sums_over_samples_and_grains(
+    field: Any, window: str, samples: int, first: int
+):
     """Every number of the spectra agrees with its sum, with windows over time and grains."""
-    t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples=24)
+    t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples)
     motion = getattr(t, field)[:, np.argsort(t.grains)]
-    over_time = get_window(window, 24)
-    step = 2e-5 / 23
+    over_time = get_window(window, samples)
+    step = 2e-5 / (samples - 1)
     seen = spectrum(t, field, window)
-    wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(24) / 24)
+    wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(samples) / samples)
     assert seen.grain.tolist() == list(range(1, 10))
-    assert seen.frequency == pytest.approx(np.arange(13) / (24 * step), rel=1e-12)
+    assert seen.frequency == pytest.approx(np.arange(13) / (samples * step), rel=1e-12)
     assert seen.amplitude == pytest.approx(
         np.abs(step * wave @ (over_time[:, None] * motion)), rel=1e-9
     )
-    both = dispersion(t, 2, 9, field, window)
-    over_grains = get_window(window, 8)
-    wavenumber = 2 * np.pi * np.arange(-4, 4) / 8
-    phase = np.exp(1j * np.arange(8)[:, None] * wavenumber)
-    windowed = over_time[:, None] * motion[:, 1:] * over_grains
+    both = dispersion(t, first, 9, field, window)
+    width = 10 - first
+    over_grains = get_window(window, width)
+    wavenumber = 2 * np.pi * (np.arange(width) - width // 2) / width
+    phase = np.exp(1j * np.arange(width)[:, None] * wavenumber)
+    windowed = over_time[:, None] * motion[:, first - 1 :] * over_grains
     assert both.wavenumber == pytest.approx(wavenumber, abs=1e-14)
     scale = 1e-9 * both.amplitude.max()
     assert both.amplitude == pytest.approx(
         np.abs(step * wave @ windowed @ phase), rel=1e-9, abs=scale
     )
     assert both.frequency == pytest.approx(seen.frequency, rel=1e-14)
-    assert both.grain.tolist() == [2, 5, 9]
-    expected = cut_off(t.scene.chain)[[1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
+    assert both.grain.tolist() == [first, 5, 9]
+    expected = cut_off(t.scene.chain)[[first - 1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
     assert both.relation[:, 0] == pytest.approx(expected, rel=1e-9)
     assert np.array_equal(spectrum(t).amplitude, spectrum(t, "velocity", "boxcar").amplitude)
     assert np.array_equal(
