@@ -389,7 +389,7 @@ def test_shaking_a_dimer(engine: str, place: str) -> None:
     times = np.linspace(0.0, end, 2101)
     envelope = np.sin(np.pi / 2 * np.minimum(times / ramp, 1.0)) ** 4
     shaker = lmpchain.Drive(times=times, displacement=height * envelope * np.sin(omega * times))
-    t = run(chain, shaker, end, 841, 1e-5, engine, [1, 3, 5, 41])
+    t = run(chain, shaker, end, 841, 1e-5, engine, grains=[1, 3, 5, 41])
     late = t.time > end - 6 * np.pi / omega
     waves = np.exp(1j * omega * t.time[late])
     fit, *_ = np.linalg.lstsq(
