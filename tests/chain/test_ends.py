@@ -148,7 +148,6 @@ def test_the_bounce_of_one_grain():
     deepest = (5 * m * v**2 / (4 * k)) ** 0.4
     share, _ = quad(lambda s: 2 * s / np.sqrt(1 - (1 - s**2) ** 2.5), 0, 1, epsabs=0, epsrel=1e-13)
     contact_time = 2 * deepest / v * share
-    scene = struck(chain, v, contact_time, 3)
-    t = simulate(scene, "native", 1e-9)
+    t = simulate(struck(chain, v, contact_time, 3), "native", 1e-9)
     assert t.displacement[1, 0] == pytest.approx(deepest, rel=1e-8)
     assert t.velocity[:, 0] == pytest.approx([v, 0.0, -v], rel=1e-8, abs=1e-8 * v)

@@ -141,8 +141,7 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
     for grains in (10**4, 10**6):
         tracemalloc.start()
         chain = column(grains)
-        scene = struck(chain, 8.57e-4, 100e-6, grains="1:64")
-        runs.append(simulate(scene, "native"))
+        runs.append(simulate(struck(chain, 8.57e-4, 100e-6, grains="1:64"), "native"))
         assert tracemalloc.get_traced_memory()[1] < 4e6
         tracemalloc.stop()
     assert np.array_equal(runs[0].displacement, runs[1].displacement)

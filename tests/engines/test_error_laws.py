@@ -466,8 +466,7 @@ def test_runs_of_more_than_ten_years_are_rejected():
 def test_recording_only_fixed_grains_has_no_error(engine: str):
     """A scene that records fixed grains was once rejected because of rounding elsewhere."""
     chain = column(8)
-    held = struck(chain, 0.3, 2e-3, grains=[8])
-    answer = simulate(held, engine, 1e-13)
+    answer = simulate(struck(chain, 0.3, 2e-3, grains=[8]), engine, 1e-13)
     assert not answer.displacement.any()
     assert not answer.velocity.any()
     assert answer.error_estimate.solver == 0

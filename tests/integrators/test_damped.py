@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import run, scene_of, struck
 from helpers.taylor_series import reference
 
 from lmpchain import (
@@ -145,8 +145,7 @@ def test_a_mode_decays_at_the_exact_rate(viscoelastic, drag):
     shapes = modes.eigenmodes(chain)
     omega = shapes.frequency[4]
     shape = 1e-3 * chain.equilibrium_overlap[0] * shapes.shape[:, 4] / abs(shapes.shape[:, 4]).max()
-    scene = scene_of(chain, Profile(displacement=shape), 20 / omega, 41)
-    t = simulate(scene, engine="native", tolerance=1e-11)
+    t = run(chain, Profile(displacement=shape), 20 / omega, 41, 1e-11)
     decay = viscoelastic * omega**2 / 2 + drag / 2
     turn = np.emath.sqrt(omega**2 - decay**2)
     course = np.exp(-decay * t.time) * (

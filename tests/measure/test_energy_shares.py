@@ -47,8 +47,7 @@ def test_energy_that_flows_into_a_part(kind: str):
 def test_a_closed_form():
     """Half of the energy of a single grain on a spring oscillates."""
     spring = column(1, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
-    scene = struck(spring, 1e-4, 1e-3, 101)
-    found = energy.shares(simulate(scene, "modes"))
+    found = energy.shares(simulate(struck(spring, 1e-4, 1e-3, 101), "modes"))
     whole = 2e-6 * 1e-8 / 2
     assert found.kinetic[:, 0] == pytest.approx(
         whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole

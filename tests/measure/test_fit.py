@@ -460,16 +460,14 @@ def test_grains_near_the_bottom_are_left_out(weak: Trajectory, fit: ExponentFit)
 
 def test_a_summary_without_suitable_fits():
     chain = column(5, gravity=0.0, bottom="free")
-    scene = struck(chain, 0.1, 1e-5, 5)
-    found = summary(simulate(scene, "native", 1e-6))
+    found = summary(simulate(struck(chain, 0.1, 1e-5, 5), "native", 1e-6))
     assert (found.rows, len(found.left_out)) == ((), 6)
     assert "linear theory is not expected to hold" in found.table()
     assert found.to_json()["strike_number"] is None
 
 
 def test_summary_of_a_chain_at_rest():
-    scene = struck(UNIFORM, 0.0, 1e-6, 21)
-    found = summary(simulate(scene, "native", 1e-6))
+    found = summary(simulate(struck(UNIFORM, 0.0, 1e-6, 21), "native", 1e-6))
     assert isinstance(found, Summary)
     assert not found.rows
 

@@ -5,7 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
@@ -20,8 +20,7 @@ def driven(chain: Chain, drive: Drive | Force, periods: float, samples: int = 24
     """Simulate a chain for a number of periods of its drive."""
     assert drive.frequency
     duration = periods / drive.frequency
-    scene = scene_of(chain, drive, duration, 1 + round(samples * periods))
-    return simulate(scene, "native", tolerance=1e-8)
+    return run(chain, drive, duration, 1 + round(samples * periods), 1e-8)
 
 
 def exact_linear(chain: Chain, omega: float, viscoelastic: float, drag: float) -> complex:

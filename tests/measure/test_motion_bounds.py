@@ -179,8 +179,7 @@ def test_the_largest_force_on_the_bottom_support(bottom: str):
         rest = 1.0 + 3.0 * chain.masses[0]
     omega = math.sqrt(stiffness / chain.masses[0])
     speed = 0.1
-    scene = struck(chain, speed, 5 / omega, 13)
-    between = motion_of(simulate(scene, "native", 1e-10))
+    between = motion_of(simulate(struck(chain, speed, 5 / omega, 13), "native", 1e-10))
     contact = chain.grains - (bottom == "fixed")
     closer, off = between.closest(contact)
     force, error = between.largest_wall_force()

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import run, scene_of
+from helpers.example_scenes import run
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import energy, power
@@ -56,8 +56,7 @@ def test_input_equals_the_work_in_the_ledger() -> None:
         Drive(grain=0, amplitude=1e-10, frequency=FREQUENCY),
         Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY),
     ):
-        scene = scene_of(chain, drive, 80 / FREQUENCY, 1601)
-        t = simulate(scene, "native", 1e-7)
+        t = run(chain, drive, 80 / FREQUENCY, 1601, 1e-7)
         work = energy.ledger(t).drive
         mean = (work[-1] - work[800]) / (t.time[-1] - t.time[800])
         passed = power.through(t, 20)
@@ -113,8 +112,7 @@ def test_viscous_contacts_absorb_their_part_of_the_power() -> None:
     level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
     chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)
     drive = Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY)
-    scene = scene_of(chain, drive, 80 / FREQUENCY, 1601)
-    t = simulate(scene, "native", 1e-7)
+    t = run(chain, drive, 80 / FREQUENCY, 1601, 1e-7)
     ledger = energy.ledger(t)
     elapsed = t.time[-1] - t.time[800]
     passed = power.through(t, 5)

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run, scene_of
 
 from lmpchain import Drive, Riemann, Trajectory, simulate
 from lmpchain.measure import self_similar
@@ -66,8 +66,7 @@ def test_a_dispersive_shock_keeps_its_edges_but_has_no_limit() -> None:
     chain = column(300, gravity=0.0, top_load=1.0, top="wall")
     speed = 0.3 * chain.equilibrium_overlap[0] / chain.time_scale
     piston = Drive(shape="piston", velocity=float(speed), rise=1e-6, grain=0)
-    scene = scene_of(chain, piston, 270 * chain.time_scale, 1201)
-    seen = self_similar.view(simulate(scene, "native", 1e-6))
+    seen = self_similar.view(run(chain, piston, 270 * chain.time_scale, 1201, 1e-6))
     shock = seen.shock
     assert shock.kind == "dispersive shock"
     assert np.isnan(seen.limit).all()

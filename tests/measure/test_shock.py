@@ -47,8 +47,7 @@ def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajec
     speed = velocity * OVERLAP * SOUND
     drive = Drive(shape="piston", velocity=speed, rise=10 / SOUND, grain=0)
     front = GAS.rankine_hugoniot(REST, speed)[1]
-    scene = scene_of(chain, drive, grains / front, 4 * grains + 1)
-    return simulate(scene, engine="native", tolerance=1e-6)
+    return run(chain, drive, grains / front, 4 * grains + 1, 1e-6)
 
 
 def test_momentum_is_the_impulse_of_the_piston() -> None:
@@ -100,8 +99,7 @@ def test_piston_in_a_sonic_vacuum() -> None:
     """The leading wave is the exact solitary wave, with twice the velocity of the piston."""
     chain = CHAIN.replace(grains=200, top_load=0.0)
     drive = Drive(shape="piston", velocity=0.05, rise=1e-4, grain=0)
-    scene = scene_of(chain, drive, 3e-3, 901)
-    found = shock.find(simulate(scene, engine="native", tolerance=1e-5))
+    found = shock.find(run(chain, drive, 3e-3, 901, 1e-5))
     assert found.leading.velocity == pytest.approx(2 * 0.05, rel=0.01)
     assert found.leading.speed == pytest.approx(found.solitary, rel=1e-3)
     assert found.behind.overlap == pytest.approx(found.rankine_hugoniot[0].overlap, rel=0.01)
@@ -127,8 +125,7 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
     grain = 250 if down else 150
     chain = CHAIN.replace(grains=400, top="free")
     step = Riemann(velocity=(0, 0), strain=strain, grain=grain)
-    scene = scene_of(chain, step, 150 / SOUND, 601)
-    found = shock.find(simulate(scene, engine="native", tolerance=1e-5), direction)
+    found = shock.find(run(chain, step, 150 / SOUND, 601, 1e-5), direction)
     assert found.kind == "rarefaction"
     sides = State(0, OVERLAP), State(0, OVERLAP / 2)
     between = GAS.between(*sides)
@@ -280,8 +277,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
         velocity=(0, 0), strain=(2e-5, 0) if direction == "down" else (0, 2e-5), grain=150
     )
     chain = CHAIN.replace(top="free")
-    scene = scene_of(chain, step, 110 / SOUND, 441)
-    found = shock.find(simulate(scene, "native", 1e-5), direction)
+    found = shock.find(run(chain, step, 110 / SOUND, 441, 1e-5), direction)
     ax = found.plot_map()
     line = ax.get_lines()[0]
     assert line.get_label() == f"leading edge: {found.leading.speed:.5g} grains/s"
@@ -307,7 +303,6 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
 def test_runs_without_a_shock_are_rejected_with_the_reason(changes: dict, message: str) -> None:
     """A strike, a column and a taper are rejected in one line."""
     chain = CHAIN.replace(grains=30, **changes)
-    scene = struck(chain, 1e-3, 1e-4)
-    run = simulate(scene, engine="native")
+    run = simulate(struck(chain, 1e-3, 1e-4), engine="native")
     with pytest.raises(InputError, match=message):
         shock.find(run)

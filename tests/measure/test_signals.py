@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, struck
+from helpers.example_scenes import run, scene_of, struck
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
@@ -166,8 +166,7 @@ def test_a_time_of_flight_in_metres_and_grains():
 def test_the_flight_of_a_bump(method: Any):
     """A bump of displacement passes one grain in 1.013 us, so the forces are equal but delayed."""
     chain = column(30, gravity=0.0, top_load=1.0, exponent=1.0)
-    scene = struck(chain, 1e-6, 4e-5, 401)
-    t = simulate(scene, engines.Native(step=1e-7))
+    t = simulate(struck(chain, 1e-6, 4e-5, 401), engines.Native(step=1e-7))
     late = t.time[:, None] - 8e-6 - 1.013e-6 * t.grains
     made = replace(t, displacement=1e-9 * np.tanh(late / 2e-6) * (t.grains < 30))
     apart = 8 * (1e-3 - chain.equilibrium_overlap[0])
@@ -192,8 +191,7 @@ def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float)
     ends = {"top": "wall", "bottom": "wall"}
     chain = column(60, gravity=0.0, top_load=1.0, **ends)
     piston = Drive(shape="piston", velocity=1e-3, rise=rise, grain=0)
-    scene = scene_of(chain, piston, duration, 401)
-    t = simulate(scene, engines.Native(step=1e-7))
+    t = run(chain, piston, duration, 401, 1e-6, engines.Native(step=1e-7))
     with pytest.raises(InputError, match="duration: the wave has not passed grain 1"):
         time_of_flight(t, 10, 34, "correlation")
     if duration > 5e-5 and rise < 1e-4:
@@ -283,8 +281,7 @@ def test_columns_of_recorded_bodies():
 
 
 def test_largest_values_are_labelled_by_grain():
-    scene = scene_of(column(6), Impulse(velocity=1e-6, grain=2), 2e-5, 101, grains=[4, 2, 3, 1, 5])
-    t = simulate(scene, "native", 1e-9)
+    t = run(column(6), Impulse(velocity=1e-6, grain=2), 2e-5, 101, 1e-9, grains=[4, 2, 3, 1, 5])
     for field in ("velocity", "displacement"):
         seen = peaks(t, field)  # type: ignore[arg-type]
         assert seen.grain.tolist() == [4, 2, 3, 1, 5]

@@ -441,8 +441,7 @@ def test_the_integral_of_a_forcing(wave: Waveform):
 @pytest.mark.parametrize("kind", STRONG)
 def test_work_and_impulse_are_balanced(kind: str):
     """Energy is the work of the force or driver; momentum is its impulse, with load and walls."""
-    scene = scene_of(*STRONG[kind], LASTS, 4001)
-    t = simulate(scene, "native", 1e-9)
+    t = simulate(scene_of(*STRONG[kind], LASTS, 4001), "native", 1e-9)
     ledger = energy.ledger(t)
     assert np.ptp(ledger.total) > 0
     assert np.abs(ledger.drift).max() <= ledger.drive_error + 1e-8 * ledger.total.max()

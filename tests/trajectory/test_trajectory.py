@@ -9,7 +9,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run
 from helpers.faults import fault_keys
 from helpers.seals import seal_anew
 
@@ -20,8 +20,7 @@ from lmpchain.util.provenance import command
 @pytest.fixture(scope="module")
 def trajectory() -> Trajectory:
     chain = Chain(grains=8, material=["glass", "steel"] * 4, diameter=np.linspace(1e-3, 2e-3, 8))
-    scene = scene_of(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 31, grains=[5, 1, 2])
-    return simulate(scene, "native", 1e-9)
+    return run(chain, Impulse(velocity=1e-4, grain=2), 2e-5, 31, 1e-9, grains=[5, 1, 2])
 
 
 def test_saved_and_loaded_trajectories_are_equal(trajectory: Trajectory, tmp_path: Path):

@@ -37,8 +37,7 @@ def train() -> Trajectory:
     """Simulate the dispersive shock of a piston."""
     chain = Chain(grains=600, top="wall", bottom="wall", **BEADS)
     piston = Drive(shape="piston", velocity=0.07, rise=2e-4, grain=0)
-    scene = scene_of(chain, piston, 9e-3, 1601)
-    return simulate(scene, "native", 1e-5)
+    return run(chain, piston, 9e-3, 1601, 1e-5)
 
 
 @cache
@@ -119,8 +118,7 @@ def diode() -> Row:
     diameter = np.repeat([1e-2, 6e-3], 15)
     chain = Chain(grains=30, diameter=diameter, material="steel", gravity=0.0, top_load=10.0)
     tone = Drive(amplitude=1e-8, frequency=2000.0)
-    scene = scene_of(chain, tone, 2e-2, 2001)
-    found = spectrum.spectrum(simulate(scene, "native", 1e-8), window="hann")
+    found = spectrum.spectrum(run(chain, tone, 2e-2, 2001, 1e-8), window="hann")
     peak = float(found.frequency[found.amplitude[:, 4].argmax()])
     return peak, 2000.0, 60.0
 
@@ -155,8 +153,7 @@ def impact() -> Row:
 def reflected() -> Row:
     """Compare the energy of an echo from a wall with that of the solitary wave before."""
     beads = Chain(grains=40, material="steel", diameter=5e-3, gravity=0.0, bottom="wall")
-    strike = struck(beads, 0.1, 9e-4, 1201)
-    return float(echo.find(simulate(strike), grain=15).share), 1.0, 0.01
+    return float(echo.find(simulate(struck(beads, 0.1, 9e-4, 1201)), grain=15).share), 1.0, 0.01
 
 
 def balance(law: lmpchain.Law, **keys: float) -> Row:
@@ -190,8 +187,7 @@ def bilinear() -> Row:
         damping=Damping(drag=200.0),
     )
     tone = Drive(amplitude=1e-7, frequency=100.0)
-    scene = scene_of(chain, tone, 0.6, 1801)
-    run = simulate(scene, "native", 1e-8)
+    run = simulate(scene_of(chain, tone, 0.6, 1801), "native", 1e-8)
     first, later = power.through(run, 1), power.through(run, 4)
     assert np.mean(first.power) > np.mean(later.power) > 0
     return balance(laws.bilinear(0.5, k=1e5), bottom="free")
@@ -207,8 +203,7 @@ def apparent_mass() -> Row:
     damping = Damping(viscoelastic=4e-6)
     chain = Chain(grains=6, material="steel", diameter=1e-2, bottom="wall", damping=damping)
     shaker = Drive(end="bottom", amplitude=1e-10, frequency=500.0)
-    scene = scene_of(chain, shaker, 0.4, 4801)
-    found = harmonic.drive_point(simulate(scene, "native", 1e-9))
+    found = harmonic.drive_point(run(chain, shaker, 0.4, 4801, 1e-9))
     linear = -found.linear / (2 * np.pi * 500.0) ** 2
     slack = 1e3 * (found.apparent_mass_error + 1e-8 * abs(linear))
     return 1e3 * abs(found.apparent_mass), 1e3 * abs(linear), slack
