@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import taylor_series
+from helpers.independent_integrators import distance
 from helpers.standalone_lammps import lmp, read_dump, small
 from helpers.thinned import thinned
 
@@ -134,12 +135,11 @@ def test_few_digits_are_named_as_the_cause(tmp_path: Path):
     all_digits = dump_of(small(), tmp_path / "all", **short)
     few = dump_of(small(), tmp_path / "few", (r"float %\.17g", "float %g"), **short)
     found = check(few, small())
-    (u, v), (x, y) = read_dump(few), read_dump(all_digits)
-    left_out = max(np.abs(u - x).max() / np.abs(x).max(), np.abs(v - y).max() / np.abs(y).max())
+    left_out = distance(read_dump(few), read_dump(all_digits))
     assert found.cause == "digits"
     assert found.integrator == "kahan-li6"
     assert causes(found)["digits"] == pytest.approx(left_out, rel=0.2)
-    assert found.error == pytest.approx(true_error(small(), (u, v)), rel=1e-4)
+    assert found.error == pytest.approx(true_error(small(), read_dump(few)), rel=1e-4)
     assert "%.17g" in found.causes[1].why
     fine = check(all_digits, small())
     assert causes(fine)["digits"] < 0.1 * left_out
@@ -160,9 +160,7 @@ def test_single_precision_has_too_few_digits(dump: Path, tmp_path: Path):
     single = tmp_path / "single.lammpstrj"
     single.write_text("\n".join(rounded) + "\n")
     found = check(single, small())
-    u, v = read_dump(single)
-    x, y = read_dump(dump)
-    left_out = max(np.abs(u - x).max() / np.abs(x).max(), np.abs(v - y).max() / np.abs(y).max())
+    left_out = distance(read_dump(single), read_dump(dump))
     assert causes(found)["digits"] == pytest.approx(left_out, rel=0.5)
     assert re.search(r"about [78] digits", found.causes[1].why)
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import paper, random_scene, scene_of, smooth, struck
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.reference_scenes import path
 from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
@@ -82,9 +82,7 @@ def test_the_error_estimate_of_the_reference_holds(kind: str):
     assert truth.error < GOOD
     assert itself < (1e-13 if EXTENDED else 1e-11)
     # The other integrator estimates the error of its looser run.
-    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(
-        itself / 2, 2e-15
-    )
+    assert distance(truth, (u, v)) < truth.error + max(itself / 2, 2e-15)
 
 
 @pytest.mark.soak
@@ -94,9 +92,7 @@ def test_random_scenes(seed: int):
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
     # The rounding of a sampled drive may cause errors of 1e-14.
-    assert (
-        relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
-    )
+    assert distance(truth, (u, v)) < truth.error + 2 * itself + 1e-14
 
 
 # Strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings.
@@ -174,28 +170,17 @@ def test_grains_beyond_the_wave_have_no_effect():
     many = reference(long)
     assert many.error < GOOD
     reached = few.displacement.shape[1]
-    assert (
-        relative_error(
-            many.displacement[:, :reached],
-            many.velocity[:, :reached],
-            few.displacement,
-            few.velocity,
-        )
-        < 1e-15
-    )
+    assert distance((many.displacement[:, :reached], many.velocity[:, :reached]), few) < 1e-15
     assert not many.displacement[:, 200:].any()
 
 
 def test_samples_between_steps_are_as_accurate():
     """Samples are exact up to the rounding of their times, which contributes 2e-15."""
     few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
-    assert (
-        relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity)
-        < 5e-15
-    )
+    assert distance((many.displacement[::25], many.velocity[::25]), few) < 5e-15
     middle = reference(strong(2, 37 * 2e-7))
     u, v = (x[37:38] for x in (many.displacement, many.velocity))
-    assert relative_error(u, v, middle.displacement[-1:], middle.velocity[-1:]) < 1e-14
+    assert distance((u, v), (middle.displacement[-1:], middle.velocity[-1:])) < 1e-14
 
 
 def test_the_reference_states_its_method():
@@ -246,10 +231,7 @@ def test_laws_by_formula_have_the_reference_of_power_laws(name: str) -> None:
     true, found = reference(scene), reference(by_formula)
     assert "SciPy" in found.method
     assert found.displacement.shape == true.displacement.shape
-    off = max(
-        np.abs(found.displacement - true.displacement).max() / true.scale[0],
-        np.abs(found.velocity - true.velocity).max() / true.scale[1],
-    )
+    off = distance(found, true, true.scale)
     assert off <= found.error + true.error
     # A tenth of the error is the change from a run at ten times the tolerance.
     assert found.error < 1e-9

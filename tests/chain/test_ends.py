@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.thinned import thinned
 from scipy.integrate import quad
 
@@ -53,10 +53,7 @@ def test_a_wall_mirrors_the_chain(rng: np.random.Generator, delta: float, load: 
     one = run(half, speed)
     two = run(double, np.append(speed, -speed[::-1]))
     tolerance = 1e-8 if engine == "lammps" else 1e-12  # LAMMPS has the rounding errors of heights.
-    assert (
-        relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n])
-        < tolerance
-    )
+    assert distance(one, (two.displacement[:, :n], two.velocity[:, :n])) < tolerance
     assert (
         np.abs(two.velocity + two.velocity[:, ::-1]).max() < tolerance * np.abs(two.velocity).max()
     )
@@ -96,7 +93,7 @@ def test_one_grain(name: str, strike: float):
     u, v, own = extended_reference(scene)
     for engine in ("native", "auto", "lammps"):
         t = simulate(scene, engine, 1e-6)
-        true = relative_error(t.displacement, t.velocity, u, v)
+        true = distance(t, (u, v))
         assert true < 1e-6
         assert t.error_estimate.total > (true - own) / 3
     assert Scene.from_text(scene.to_text()) == scene

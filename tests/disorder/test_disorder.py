@@ -12,7 +12,7 @@ from helpers.command_output import keys
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 from helpers.faults import fault_keys
-from helpers.independent_integrators import relative_error
+from helpers.independent_integrators import distance
 
 from lmpchain import (
     Chain,
@@ -258,13 +258,13 @@ def test_weak_strikes_are_linear_and_strong_ones_are_not():
     weak = weakly_struck(grains=20, tau=6.0, speed=1e-12)
     strong = weakly_struck(grains=20, tau=6.0, speed=2e-5)
     linear, full = (ensemble(weak, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
-    off = relative_error(full.displacement, full.velocity, linear.displacement, linear.velocity)
+    off = distance(full, linear)
     assert off < linear.model_error + 3e-6
     assert full.model_error == 0
     linear, full = (
         ensemble(strong, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native")
     )
-    off = relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
+    off = distance(linear, full)
     assert 1e-3 < off < 3 * linear.model_error
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of, stirred, struck
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.taylor_series import reference as taylor
 
 from lmpchain import (
@@ -97,10 +97,10 @@ def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
         engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-9).step
         < engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-6).step
     )
-    u, v, _ = extended_reference(VACUUM)
+    truth = extended_reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
-        error = relative_error(answer.displacement, answer.velocity, u, v)
+        error = distance(answer, truth)
         assert error / 3 < answer.error_estimate.total <= tolerance
         others = (
             *simulate_many([VACUUM, VACUUM], tolerance),
@@ -165,10 +165,10 @@ def test_the_trusted_order():
 
 def test_estimates_of_smooth_runs_are_close_upper_bounds():
     scene = struck(column(20), 1e-6, 1e-4, 11)
-    u, v, _ = extended_reference(scene)
+    truth = extended_reference(scene)
     for tolerance in (1e-6, 1e-8, 1e-10):
         answer = simulate(scene, Native("rkn6"), tolerance)
-        error = relative_error(answer.displacement, answer.velocity, u, v)
+        error = distance(answer, truth)
         assert error < answer.error_estimate.total < 4 * error
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, stirred, struck
-from helpers.independent_integrators import relative_error
+from helpers.independent_integrators import distance
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes
@@ -110,7 +110,7 @@ def test_linear_solutions_agree_with_forty_digits(seed):
     u, v = longdouble_modes(scene)
     for engine in ENGINES:
         t = simulate(scene, engine)
-        true = relative_error(t.displacement[-1], t.velocity[-1], u, v)
+        true = distance((t.displacement[-1], t.velocity[-1]), (u, v))
         assert true < 2e-13
         assert true < 3 * t.error_estimate.solver
 
@@ -122,9 +122,7 @@ def test_modes_and_the_chebyshev_series_agree(seed, grains):
     """Both methods share no arithmetic, and agree to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
     one, other = (simulate(scene, engine) for engine in ENGINES)
-    assert (
-        relative_error(one.displacement, one.velocity, other.displacement, other.velocity) < 1e-11
-    )
+    assert distance(one, other) < 1e-11
     assert np.abs(one.velocity).max() > 0
 
 
@@ -134,10 +132,7 @@ def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
     scene = random_linear(seed + 200, 30, strike=1e-13)
     linear = simulate(scene, engine)
     full = simulate(scene, "native", 5e-12)
-    assert (
-        relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
-        < 1e-11
-    )
+    assert distance(linear, full) < 1e-11
 
 
 @both
@@ -153,7 +148,7 @@ def test_model_error_over_the_map_of_strikes(engine, gravity):
         scene = struck(chain, speed, 100e-6, 51)
         t = simulate(scene, engine, 0.999)
         truth = simulate(scene, "native", 1e-8)
-        true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+        true = distance(t, truth)
         if 1e-6 < true < 0.3:
             seen += 1
             assert true / 3 < t.error_estimate.model < 3 * true
@@ -211,7 +206,7 @@ def test_springs_have_no_model_error_until_they_open():
     t = simulate(scene, "chebyshev")
     truth = simulate(scene, "native", 1e-11)
     assert t.error_estimate.model == 0
-    assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-11
+    assert distance(t, truth) < 1e-11
 
 
 @both
@@ -302,7 +297,7 @@ def test_closed_forms_state_their_error(engine, duration):
     scene = scene_of(chain, Impulse(velocity=1e-6), duration, 11, grains="1:50")
     t = simulate(scene, engine, 0.999, on_miss="warn")
     truth = simulate(scene, "native", 1e-10)
-    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    true = distance(t, truth)
     assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
     assert true == pytest.approx(t.error_estimate.model, rel=0.05) or true < 0.1
     assert t.equation == {"bessel": 4, "continuum": 27}[engine]
@@ -312,10 +307,7 @@ def test_bessel_is_exact_for_a_loaded_chain_until_the_reflection():
     chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
     scene = scene_of(chain, Impulse(velocity=1e-9), 20 * chain.time_scale, 11)
     exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
-    assert (
-        relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
-        < 1e-12
-    )
+    assert distance(formula, exact) < 1e-12
 
 
 def test_closed_forms_reject_unsuitable_scenes():
@@ -350,10 +342,7 @@ def test_a_solution_larger_than_memory(engine, monkeypatch):
     whole = simulate(scene, engine, 0.9)
     monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
     pieces = simulate(scene, engine, 0.9)
-    assert (
-        relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity)
-        < 1e-13
-    )
+    assert distance(pieces, whole) < 1e-13
     assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)
 
 
@@ -371,7 +360,5 @@ def test_a_moving_wall_drives_the_first_grain(grains, frequency):
     scene = scene_of(chain, drive, 200 * chain.time_scale, 1001)
     answer = simulate(scene, "modes")
     exact = simulate(scene, "native", 1e-11, integrator="dop853")
-    left_out = relative_error(
-        answer.displacement, answer.velocity, exact.displacement, exact.velocity
-    )
+    left_out = distance(answer, exact)
     assert left_out < 3 * answer.error_estimate.total

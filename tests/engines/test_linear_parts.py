@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, stirred, struck
-from helpers.independent_integrators import relative_error
+from helpers.independent_integrators import distance
 
 from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
@@ -342,7 +342,7 @@ def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made
     scene = struck(chain, 1e-7, 3e-5, 401)
     formula = simulate(scene, made, 0.999, on_miss="warn")
     exact = simulate(scene, "chebyshev", 0.9)
-    own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
+    own = distance(formula, exact)
     # The continuum differs by 2.5 times the true motion; an estimate of 2 means that nothing is
     # known.
     stated = min(own + exact.error_estimate.model, LARGEST_ERROR)
@@ -422,6 +422,6 @@ def test_the_model_error_of_a_wave_train():
     scene = scene_of(chain, packet, 150 / chain.band_edge, 31)
     answer = simulate(scene, "modes", 1e-2, on_miss="warn")
     exact = simulate(scene, "native", 1e-9)
-    error = relative_error(answer.displacement, answer.velocity, exact.displacement, exact.velocity)
+    error = distance(answer, exact)
     assert 1e-3 < error < 1e-2
     assert error <= answer.error_estimate.model < 4 * error

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
 from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of, struck
 from helpers.faults import fault_keys
@@ -219,7 +220,7 @@ def test_law_of_the_front(weak: Trajectory):
     assert law.error[0] < 2e-3
     assert law.shift == pytest.approx(0.908 * law.depth ** (1 / 6) / 4 ** (1 / 3), rel=1e-3)
     assert np.abs(law.residual).max() < 1e-3
-    raw = np.polyfit(np.log(law.depth), np.log(law.time), 1)[0]
+    raw = slope(law.depth, law.time)
     assert abs(raw - 5 / 6) > 5e-3
 
 
@@ -440,10 +441,8 @@ def test_local_exponents_are_compared_with_those_of_great_depth(weak: Trajectory
     local = fit.local["velocity"]
     last = fit.grain[-1]
     inside = (front.grain > last - 11) & (front.grain <= last)
-    slope = np.polyfit(
-        np.log(front.grain[inside] - 0.5), np.log(np.abs(front.amplitude[inside])), 1
-    )[0]
-    assert local.exponent[-1] == pytest.approx(slope, rel=1e-9)
+    power = slope(front.grain[inside] - 0.5, np.abs(front.amplitude[inside]))
+    assert local.exponent[-1] == pytest.approx(power, rel=1e-9)
     assert local.depth[-1] + 0.5 == pytest.approx(last - 5, abs=0.5)
     rows = {row.quantity: row for row in fit.rows()}
     near = rows[f"velocity near grain {local.depth[-1] + 0.5:.0f}"]

@@ -436,7 +436,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     peaks = found.y[grains - 1 :].max(1)
     fit = fit_exponents(simulate(struck_in_units(column(grains), strike, 26, 1301), "native", 1e-8))
     n = np.arange(fit.grain[-1] - 10, fit.grain[-1] + 1)
-    power = np.polyfit(np.log(n - 0.5), np.log(peaks[n - 1]), 1)[0]
+    power = slope(n - 0.5, peaks[n - 1])
     assert fit.grain[-1] == 47
     assert fit.local["velocity"].exponent[-1] == pytest.approx(power, abs=2e-4)
     assert -4 / 15 < power < 0

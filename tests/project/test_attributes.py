@@ -1,28 +1,12 @@
 """`import lmpchain` provides every name of the reference, and loads none of the modules."""
 
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from helpers.modules import listed_names
 
 import lmpchain
-
-REFERENCE = Path(__file__).parents[2] / "docs" / "api.md"
-
-
-def listed_names() -> dict[str, list[str]]:
-    """Return the names of the reference by package."""
-    names: dict[str, list[str]] = {}
-    package = ""
-    for line in REFERENCE.read_text(encoding="utf-8").splitlines():
-        if line.startswith(".. currentmodule:: "):
-            package = line.split()[-1]
-        elif re.fullmatch(r"   [\w.]+", line):
-            *within, name = line.strip().split(".")
-            names.setdefault(".".join([package, *within]), []).append(name)
-    return names
 
 
 def output_of(program: str) -> str:
@@ -35,7 +19,9 @@ def output_of(program: str) -> str:
 @pytest.mark.slow
 def test_one_import_provides_every_name_of_the_reference():
     """The name must be in `dir`, because an attribute may also be a module loaded elsewhere."""
-    names = listed_names()
+    names: dict[str, list[str]] = {}
+    for package, _, name in (each.rpartition(".") for each in listed_names()):
+        names.setdefault(package, []).append(name)
     assert sum(map(len, names.values())) > 50
     program = f"""
 import sys

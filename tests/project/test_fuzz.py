@@ -17,6 +17,7 @@ import hypothesis
 import pytest
 import tomli_w
 from helpers.child_processes import same
+from helpers.thinned import fuzzed
 from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
@@ -253,11 +254,6 @@ def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) 
     )
     run = options(hypothesis.given(cases)(check))
     (run if quick else hypothesis.seed(seed)(run))()
-
-
-def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test with its number of cases in the quick suite and in a soak."""
-    return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 
 def call(*words: object) -> tuple[int, str]:

@@ -10,7 +10,7 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 from helpers.forcing import Curve
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.standalone_lammps import lmp, read_dump
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
@@ -183,8 +183,7 @@ def test_a_moving_wall_in_linear_engines(name: str):
                 simulate(scene, name)
             continue
         t = simulate(scene, name)
-        u, v, _ = extended_reference(scene)
-        assert relative_error(t.displacement, t.velocity, u, v) < 1e-12
+        assert distance(t, extended_reference(scene)) < 1e-12
 
 
 @pytest.mark.slow
@@ -198,9 +197,7 @@ def test_forces_in_modes():
             continue
         t = simulate(scene, "modes")
         truth = reference(scene)
-        assert (
-            relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-12
-        )
+        assert distance(t, truth) < 1e-12
         for other in ("chebyshev", "bessel"):
             with pytest.raises(InputError, match="excitation"):
                 simulate(scene, other)
@@ -247,7 +244,7 @@ def test_order_of_convergence(integrator: str, kind: str):
             scene, engine=engines.Native(integrator=integrator, step=scene.duration / count)
         )
         assert t.cost.steps == count or integrator == "dop853"
-        errors.append(relative_error(t.displacement, t.velocity, u, v))
+        errors.append(distance(t, (u, v)))
     assert min(errors) > 100 * own
     # The divided step has a smaller error than the others.
     n = np.array(counts, dtype=float)
@@ -258,19 +255,6 @@ def test_order_of_convergence(integrator: str, kind: str):
     assert slope == pytest.approx(
         METHODS[integrator].order, abs=0.05 if integrator in SPLITTINGS else 0.2
     )
-
-
-def err(t: Any, truth: Any) -> float:
-    """Return the error as defined by the package, relative to the largest motion at any time."""
-    apart = np.abs([t.displacement[:] - truth.displacement, t.velocity[:] - truth.velocity]).max(
-        (1, 2)
-    )
-    scale = (
-        truth.scale
-        if hasattr(truth, "scale")
-        else np.abs([truth.displacement, truth.velocity]).max((1, 2))
-    )
-    return float((apart / scale).max())
 
 
 STRONG = {
@@ -311,7 +295,7 @@ def test_accuracy_is_as_requested_and_estimated(kind: str):
     scene = scene_of(*STRONG[kind], LASTS, 5)
     truth = strong(kind)
     u, v, own = extended_reference(scene)
-    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * own + 1e-13
+    assert distance(truth, (u, v)) < truth.error + 2 * own + 1e-13
     for integrator, tolerance in (
         ("rkn6", 1e-5),
         ("rkn6", 1e-9),
@@ -320,7 +304,7 @@ def test_accuracy_is_as_requested_and_estimated(kind: str):
         ("verlet", 1e-5),
     ):
         t = simulate(scene, "native", tolerance, integrator=integrator)
-        true = err(t, truth)
+        true = distance(t, truth, truth.scale)
         assert true <= tolerance
         assert (true - truth.error) / 3 <= t.error_estimate.total <= tolerance
 
@@ -337,11 +321,11 @@ def test_lammps(kind: str, integrator: str):
     scene = scene_of(*STRONG[kind], LASTS, 5)
     truth = strong(kind)
     t = simulate(scene, "lammps", 1e-3 if integrator == "verlet" else 1e-6, integrator=integrator)
-    assert (err(t, truth) - truth.error) / 3 <= t.error_estimate.total
+    assert (distance(t, truth, truth.scale) - truth.error) / 3 <= t.error_estimate.total
     # With equal steps LAMMPS and the native engine compute the same map.
     step = scene.duration / 200
     gauge = simulate(scene, engines.Lammps(integrator, step, "gauge"))
-    assert err(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
+    assert distance(gauge, simulate(scene, engines.Native(integrator, step))) < 1e-11
 
 
 # --- batches, pieces and restarts
@@ -552,7 +536,7 @@ def test_decks(kind: str, tmp_path: Path):
     lmp(tmp_path)
     u, v = read_dump(tmp_path / "column.lammpstrj")
     same = simulate(scene, engines.Native("verlet", step))
-    assert relative_error(u, v, same.displacement, same.velocity) < 1e-10
+    assert distance((u, v), same) < 1e-10
 
 
 @pytest.mark.parametrize(
@@ -575,8 +559,4 @@ def test_knots_that_cut_the_steps_of_all_runs_hide_no_error(integrator: str, une
     scene = scene_of(chain, drive, duration, 2)
     found = simulate(scene, engines.Native(integrator), 1e-2)
     truth = reference(scene)
-    pairs = (found.displacement, truth.displacement), (found.velocity, truth.velocity)
-    error = max(
-        float(np.abs(a - b).max()) / size for (a, b), size in zip(pairs, truth.scale, strict=True)
-    )
-    assert error < found.error_estimate.total < 1e-2
+    assert distance(found, truth, truth.scale) < found.error_estimate.total < 1e-2

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import random_column
 from helpers.example_scenes import scene_of
+from helpers.independent_integrators import distance
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
@@ -79,10 +80,7 @@ def test_errors_of_all_methods_hold_where_contacts_open(
 ) -> None:
     scene, exact = solved(bottom, top, drive)
     run = simulate(scene, engines.Native(method), tolerance=tolerance)
-    off = max(
-        np.abs(run.displacement - exact.displacement).max() / exact.scale[0],
-        np.abs(run.velocity - exact.velocity).max() / exact.scale[1],
-    )
+    off = distance(run, exact, exact.scale)
     assert scene.strike_number > 1
     assert off <= run.error_estimate.total + exact.error
     assert run.error_estimate.total <= tolerance

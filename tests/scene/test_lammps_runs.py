@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.independent_integrators import distance
 from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input
 
 from lmpchain import InputError, Scene, Trajectory, simulate
@@ -32,8 +33,7 @@ def difference(dump: Path, scene: Scene, step: float, units: str | None = None) 
     method = "lagged-verlet" if scene.chain.damped else "verlet"
     here = simulate(scene, Native(method, step=step))
     assert here.cost.steps == there.cost.steps
-    pairs = [(here.displacement, there.displacement), (here.velocity, there.velocity)]
-    return max(float(np.abs(a - b).max() / np.abs(a).max()) for a, b in pairs)
+    return distance(there, here)
 
 
 @pytest.mark.parametrize("name", INPUTS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, smooth, struck
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 
 from lmpchain import (
     Drive,
@@ -75,7 +75,7 @@ def test_the_estimate_covers_the_error():
     ]
     for t in simulate_many(scenes, 1e-7):
         u, v, _ = extended_reference(t.scene)
-        error = relative_error(np.asarray(t.displacement), np.asarray(t.velocity), u, v)
+        error = distance((np.asarray(t.displacement), np.asarray(t.velocity)), (u, v))
         assert error <= t.error_estimate.total + 1e-10
         assert t.error_estimate.total <= 1e-7
 

@@ -5,6 +5,7 @@ Every law against what is measured, and its constants against other arithmetic.
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
 from helpers.example_scenes import paper, struck
 from helpers.independent_integrators import extended_reference
 from laws import theories
@@ -30,10 +31,6 @@ from lmpchain.stability import linear_theory
 from lmpchain.theory import bessel, continuum, front
 
 TAU = 14.555  # A time of 100 us at g.
-
-
-def slope(x, y) -> float:
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
 def second_order(

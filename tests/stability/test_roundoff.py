@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
 from helpers.example_chains import column
 from helpers.example_scenes import random_scene, scene_of, struck, struck_in_units
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 
@@ -45,10 +46,6 @@ def agitated(grains, strike, reflections, samples=201, gravity=9.81):
     return scene_of(scene.chain, scene.excitation, duration, samples)
 
 
-def slope(x, y):
-    return np.polyfit(np.log(x), np.log(y), 1)[0]
-
-
 # Rounding.
 
 
@@ -64,8 +61,7 @@ def test_the_measured_floor_is_the_error_of_the_run(options):
         scene,
         Lammps("rkn6", step=scene.duration / steps * (1 + 1e-9), diameter=options["diameter"]),
     )
-    u, v, _ = extended_reference(scene)
-    true = relative_error(t.displacement, t.velocity, u, v)
+    true = distance(t, extended_reference(scene))
     assert measured_floor(scene, **options) == pytest.approx(true, rel=0.02, abs=0)
 
 

@@ -11,6 +11,7 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import pytest
+from helpers.example_sweeps import SCENE
 from helpers.faults import faults
 
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
@@ -20,11 +21,6 @@ from lmpchain.sweeps.results import find_recorded, make_labels
 from lmpchain.sweeps.run import Here
 from lmpchain.sweeps.tasks import count_scenes
 
-SCENE: dict[str, Any] = {
-    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
-    "excitation": {"kind": "impulse", "velocity": 1e-4},
-    "recording": {"duration": 5e-6, "samples": 3},
-}
 GRAVITIES = [float(n) for n in range(1, 8)]
 ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_force"]}
 

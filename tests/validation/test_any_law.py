@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
+from helpers.independent_integrators import distance
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
@@ -118,11 +119,6 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
-def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) -> float:
-    found = run.displacement, run.velocity
-    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in zip(found, true, strict=True))
-
-
 @pytest.fixture(scope="module")
 def truths() -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return {name: reference(scene_of(*SCENES[name], 3e-5, 11)) for name in SCENES}
@@ -140,7 +136,7 @@ def test_a_new_law_meets_its_tolerance(
     run = lmpchain.simulate(
         scene_of(*SCENES[name], 3e-5, 11), Native(integrator=integrator), tolerance=tolerance
     )
-    off = true_error(run, truths[name])
+    off = distance(run, truths[name])
     assert off < 3 * run.error_estimate.total + 3e-12
     assert run.error_estimate.total < tolerance
 
@@ -152,7 +148,7 @@ def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None
     assert ledger.total == pytest.approx(scene.energy, rel=1e-7)
     weak = scene_of(*SCENES["weak"], 3e-5, 11)
     run = lmpchain.simulate(weak, "modes", tolerance=0.9)
-    assert true_error(run, truths["weak"]) < run.error_estimate.total
+    assert distance(run, truths["weak"]) < run.error_estimate.total
 
 
 @pytest.mark.parametrize(

@@ -6,10 +6,10 @@ Taylor series of `helpers.taylor_series`.
 
 import math
 
-import numpy as np
 import pytest
 from helpers import taylor_series
 from helpers.example_scenes import struck
+from helpers.independent_integrators import distance
 
 from lmpchain import Chain, Impulse, Scene, simulate
 from lmpchain.engines import Lammps, Native
@@ -82,9 +82,5 @@ def test_the_estimate_holds_in_random_strikers(rng):
         step = lammps.propose(lammps.part(scene), tolerance).step
         truth = simulate(scene, "native", 1e-11)
         answer = simulate(scene, Native("verlet", step=step, adaptive=False))
-        error = max(
-            np.abs(answer.displacement - truth.displacement).max()
-            / np.abs(truth.displacement).max(),
-            np.abs(answer.velocity - truth.velocity).max() / np.abs(truth.velocity).max(),
-        )
+        error = distance(answer, truth)
         assert error <= answer.error_estimate.solver <= tolerance / 2
