@@ -7,7 +7,7 @@ import pytest
 from helpers.example_scenes import scene_of, struck
 from helpers.faults import faults
 
-from lmpchain import GLASS, Chain, Impurity, InputError, Material, Profile, Scene
+from lmpchain import GLASS, Chain, Impurity, Material, Profile, Scene
 
 CHAIN = {"grains": 3, "diameter": 1e-3}
 IMPULSE = {"kind": "impulse", "velocity": 1e-6}
@@ -132,9 +132,7 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
 def test_invalid_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(text)
-    with pytest.raises(InputError) as caught:
-        Scene.from_toml(path)
-    ((key, message),) = caught.value.faults
+    ((key, message),) = faults(Scene.from_toml, path)
     assert key == str(path)
     assert said in message
 
@@ -144,9 +142,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (tmp_path / "none.toml", "there is no such file"),
         (tmp_path, "cannot be read: "),
     ):
-        with pytest.raises(InputError) as caught:
-            Scene.from_toml(path)
-        ((key, message),) = caught.value.faults
+        ((key, message),) = faults(Scene.from_toml, path)
         assert key == str(path)
         assert message.startswith(said)
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from data.make_traces import EXAMPLE, hammer, vibrometer
 from helpers.faults import faults
-from helpers.instrument_files import push
+from helpers.instrument_files import TIME, push, rows
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Force, InputError, Profile, Scene, simulate
@@ -20,14 +20,6 @@ from lmpchain.cli import main
 from lmpchain.design import Traces
 
 DATA = Path(__file__).parents[1] / "data"
-# A smooth push that begins before t = 0, for tests of a trigger.
-TIME = np.arange(-20, 61) * 1e-6
-
-
-def rows(*columns: np.ndarray, form: str = "{:.9e}", between: str = ",") -> str:
-    """Return columns as lines of text."""
-    lines = (between.join(form.format(x) for x in row) for row in zip(*columns, strict=True))
-    return "\n".join(lines) + "\n"
 
 
 def lvm(column: bool) -> str:
