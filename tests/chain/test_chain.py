@@ -230,14 +230,6 @@ def test_band_edge_against_a_dense_eigensolver(chain: Chain):
     assert chain.band_edge == pytest.approx(highest, rel=1e-11, abs=0)
 
 
-def test_band_edge_between_like_walls():
-    """For two grains on three equal springs, w^2 follows from a 2 x 2 determinant."""
-    chain = column(2, gravity=0.0, top_load=1e-3, exponent=1.0, **BETWEEN)
-    k = chain.contact_constants[0]
-    m = chain.masses[0]
-    assert chain.band_edge == pytest.approx(np.sqrt((2 + np.sqrt(2)) * k / m), rel=1e-14, abs=0)
-
-
 def test_band_edge_of_a_free_pair_and_of_a_vacuum():
     springs = column(2, exponent=1.0, gravity=0.0, bottom="free")
     m = springs.masses[0]

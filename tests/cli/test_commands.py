@@ -24,7 +24,6 @@ from lmpchain import (
     EngineUnavailable,
     Impulse,
     InputError,
-    LmpchainError,
     Scene,
     ToleranceNotMet,
     Trajectory,
@@ -691,18 +690,6 @@ def test_progress_is_shown_only_on_a_terminal(monkeypatch: Any):
     ):
         monkeypatch.setattr(sys, "stderr", stream)
         assert common.on_terminal() is shown
-
-
-def test_faults_of_all_checks_are_reported_at_once():
-    def fails(key: str) -> None:
-        raise InputError([(key, "wrong")])
-
-    assert common.collect(lambda: 1, lambda: None) == [1, None]
-    assert faults(common.collect, lambda: fails("a"), lambda: 1, lambda: fails("b")) == [
-        ("a", "wrong"),
-        ("b", "wrong"),
-    ]
-    assert issubclass(InputError, LmpchainError)
 
 
 def test_nan_and_infinity_become_null_in_json(tmp_path: Path):

@@ -19,7 +19,6 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Modes
-from lmpchain.measure import energy
 from lmpchain.theory import modes
 
 # Linear engines warn that they neglect terms.
@@ -157,16 +156,6 @@ def test_modes_are_chosen_where_they_are_cheapest():
     assert plan(long).engine == "modes"
     strong = long.replace(excitation=Impulse(velocity=1e-2), duration=1e-4)
     assert plan(strong).engine == "native"
-
-
-def test_the_dissipated_energy():
-    chain = between_walls(damping={"viscoelastic": 3e-8, "drag": 1e3})
-    scene = struck(chain, 1e-8, 6e-5, 801)
-    linear = energy.ledger(simulate(scene, engine="modes"))
-    exact = energy.ledger(simulate(scene, engine="native", tolerance=1e-10))
-    most = exact.dissipated[-1]
-    assert linear.dissipated == pytest.approx(exact.dissipated, abs=1e-3 * most)
-    assert abs(linear.drift).max() < 1e-3 * exact.total.max()
 
 
 @pytest.mark.parametrize(

@@ -63,12 +63,6 @@ def test_energy_and_momentum_balance(act):
     assert abs(total - balance.dissipated).max() <= lost.error < 1e-4 * put_in
 
 
-def test_an_undamped_chain_dissipates_nothing():
-    balance = energy.ledger(simulate(damped_scene(ACTS["strike"], 21, damping={}), "native", 1e-9))
-    assert not balance.dissipated.any()
-    assert balance.dissipated_error == 0.0
-
-
 def test_contact_forces_agree_with_accelerations():
     t = simulate(damped_scene(ACTS["strike"], 4001), "native", 1e-11)
     history = contact.contacts(t)

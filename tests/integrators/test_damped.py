@@ -18,7 +18,6 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
-from lmpchain.measure import energy
 from lmpchain.simulation.many import simulate_many
 from lmpchain.theory import modes
 
@@ -45,17 +44,6 @@ def slope(scene: Scene, integrator: str, counts: list[int]) -> float:
     n = np.array(counts, dtype=float)
     laws = np.stack([np.ones(n.size), -np.log(n), 1 / n], axis=1)
     return np.linalg.lstsq(laws, np.log(errors), rcond=None)[0][1]
-
-
-@pytest.mark.parametrize("damping", [{"viscoelastic": 1e-7}, {"drag": 2e5}])
-def test_the_dissipated_energy_closes_the_balance(damping):
-    """DOP853 sums the dissipation with its own weights, so two samples suffice."""
-    t = simulate(displaced(damped_chain(damping=damping)), "native", 1e-10, integrator="dop853")
-    ledger = energy.ledger(t)
-    initial = ledger.total[0]
-    assert "dissipated" not in ledger.balanced
-    assert ledger.dissipated[-1] > 0.01 * initial
-    assert abs(ledger.drift[-1]) < 1e-8 * initial
 
 
 @pytest.mark.parametrize(

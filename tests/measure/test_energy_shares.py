@@ -5,7 +5,7 @@ import pytest
 from helpers.example_chains import WALLED, column
 from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Drive, Force, Impulse, InputError, Scene, simulate, sweep
+from lmpchain import Drive, Force, Impulse, simulate, sweep
 from lmpchain.measure import energy
 
 LOADED = column(9, gravity=0.0, top_load=1e-2, top="wall", bottom="wall")
@@ -56,17 +56,6 @@ def test_a_closed_form():
         whole * np.sin(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
     )
     assert found.contact.tolist() == [1]
-
-
-def test_parts_of_what_was_recorded():
-    scene = scene_of(LOADED, ACTED["struck"], 2e-5, 11)
-    whole = energy.shares(simulate(scene, "native", 1e-9))
-    some = energy.shares(simulate(Scene(**scene.given() | {"grains": "3:6"}), "native", 1e-9))
-    assert some.contact.tolist() == [3, 4, 5]
-    assert np.isnan(some.of_grain[:, [0, -1]]).all()
-    assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-12)
-    with pytest.raises(InputError, match="part: must be a range of recorded grains"):
-        some.part(2, 5)
 
 
 def test_energies_in_a_sweep(tmp_path):

@@ -100,18 +100,6 @@ def test_shares_of_the_modes_and_their_energy(weak: Trajectory):
     assert fit.share == pytest.approx(shape[0] ** 2, abs=1e-12)
 
 
-def test_a_single_mode_has_all_of_the_energy():
-    chain = column(12, top_load=0.02, bottom="wall")
-    _, shape = dense_modes(chain)
-    start = Profile(displacement=1e-15 * shape[:, 3] / np.sqrt(chain.masses / chain.masses[0]))
-    fit = fit_modes(answered(chain, start, 20.0, 41))
-    assert fit.share[3] == pytest.approx(1, abs=1e-12)
-    assert fit.amplitude[:, 3] == pytest.approx(
-        fit.amplitude[0, 3] * np.cos(fit.frequency[3] * fit.time),
-        abs=1e-10 * abs(fit.amplitude[0, 3]),
-    )
-
-
 def test_a_strong_strike_deviates_from_linear_motion():
     """At v0 = 0.857 mm/s the residual agrees with a run of the linear chain.
 
@@ -151,13 +139,6 @@ def test_the_parameters_of_a_uniform_chain_are_recovered(excitation: Any, engine
     assert (fit.error[[0, 1]] / np.abs(fit.expected[[0, 1]]) < 1e-6).all()
 
 
-def test_an_infinite_chain_between_walls():
-    chain = column(60, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
-    fit = fit_bessel(answered(chain, Impulse(velocity=1e-9, grain=30), 30.0, 121))
-    assert fit.kappa == pytest.approx(1, abs=1e-6)
-    assert fit.residual < 1e-6
-
-
 def test_against_the_formulas_with_another_speed_and_delay(uniform: Trajectory):
     """The data follow Eq. (11): J_(2n-2)(2s) + J_(2n)(2s) with s = 1.03 (tau - 0.2)."""
     n = uniform.grains
@@ -179,14 +160,6 @@ def test_the_local_speed_in_a_column():
     assert fit.amplitude == pytest.approx(1e-9, rel=5e-3)
     assert np.unique(fit.grain)[[0, -1]].tolist() == [129, 174]
     assert fit.residual < 0.1
-
-
-def test_a_given_window(weak: Trajectory):
-    unit = weak.scene.chain.time_scale
-    fit = fit_bessel(weak, grains=(1, 2), until=unit)
-    assert fit.time.max() <= unit
-    assert np.unique(fit.grain).tolist() == [1, 2]
-    assert fit.kappa == pytest.approx(1, abs=0.2)
 
 
 # --- the continuum
@@ -542,11 +515,6 @@ def test_fit_prints_a_table_and_writes_json(
     kappa = next(row for row in data["rows"] if row["quantity"] == "kappa")
     assert kappa["value"] == pytest.approx(1, abs=1e-6)
     assert kappa["expected"] == pytest.approx(1, rel=1e-12)
-
-
-def test_help_of_the_command(capsys: pytest.CaptureFixture[str]):
-    assert main(["fit", "--help"]) == 0
-    assert capsys.readouterr().out.startswith("usage: lmpchain fit")
 
 
 def test_fit_reads_a_dump(dumped: tuple[Path, Path], capsys: pytest.CaptureFixture[str]):

@@ -424,7 +424,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     grains = 60
     rest = np.arange(1, grains) ** (2 / 3)
 
-    def slope(_: float, y: np.ndarray) -> np.ndarray:
+    def rates(_: float, y: np.ndarray) -> np.ndarray:
         u = np.append(y[: grains - 1], 0.0)
         force = np.maximum(rest + u[:-1] - u[1:], 0.0) ** 1.5
         return np.append(y[grains - 1 :], (np.append(0.0, force[:-1]) - force + 1) / 1.5)
@@ -432,7 +432,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     start = np.zeros(2 * grains - 2)
     start[grains - 1] = strike
     time = np.arange(0, 26, 5e-3)
-    found = solve_ivp(slope, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
+    found = solve_ivp(rates, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
     peaks = found.y[grains - 1 :].max(1)
     fit = fit_exponents(simulate(struck_in_units(column(grains), strike, 26, 1301), "native", 1e-8))
     n = np.arange(fit.grain[-1] - 10, fit.grain[-1] + 1)

@@ -31,7 +31,7 @@ from lmpchain.benchmark.reference import reference
 from lmpchain.engines.lammps.export import write_deck
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.methods import METHODS, SPLITTINGS
-from lmpchain.measure import contact, energy
+from lmpchain.measure import energy
 from lmpchain.scene.excitation import EXCITATIONS
 from lmpchain.scene.waveform import Waveform
 
@@ -435,28 +435,6 @@ def test_work_and_impulse_are_balanced(kind: str):
     assert ledger.drive_error < (2e-5 if "points" in kind else 1e-5) * ledger.total.max()
     parts = ledger.kinetic + ledger.contact + ledger.gravity + ledger.load
     assert parts == pytest.approx(ledger.total, rel=0, abs=1e-9 * np.abs(ledger.contact).max())
-
-
-def test_the_force_of_a_driver():
-    scene = scene_of(WALLED, drives(0.5)["burst"], LASTS, 401)
-    t = simulate(scene, "native", 1e-9)
-    wall = scene.excitation.motion(t.time)[0]
-    u = t.displacement[:, 0]
-    overlap = WALLED.contacts.overlap[0] + wall - u
-    assert contact.drive_force(t) == pytest.approx(
-        WALLED.wall_constants[0] * overlap**1.5, rel=1e-9
-    )
-    assert contact.wall_force(t, "top") == pytest.approx(contact.drive_force(t), rel=1e-12)
-    below = scene_of(WALLED, drives(0.5, 1)["burst"], LASTS, 401)
-    alone = scene_of(LOADED, drives(0.5, 1)["burst"], LASTS, 401)
-    t = simulate(below, "native", 1e-9)
-    free = simulate(alone, "native", 1e-9)
-    # A wall above a driven grain has no effect.
-    assert np.array_equal(t.displacement, free.displacement)
-    squeezed = contact.contacts(t, [0]).change[:, 0]
-    assert contact.drive_force(t) == pytest.approx(
-        contact.drive_force(free) - LOAD - squeezed, rel=1e-9, abs=1e-9 * LOAD
-    )
 
 
 # --- messages

@@ -6,7 +6,7 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 
-from lmpchain import GLASS, Chain, Impurity, Profile, plan, simulate, sweep
+from lmpchain import GLASS, Impurity, Profile, plan, simulate, sweep
 from lmpchain.cli import main
 
 CHAIN = column(5)
@@ -23,9 +23,6 @@ def said(make) -> list[str]:
 @pytest.mark.parametrize(
     ("make", "begin", "number"),
     [
-        (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
-        (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
-        (lambda: column(5, gravity=0.0, top_load=30.0), "diameter: ", "by 0.012 of the diameter"),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
         (lambda: struck(CHAIN, 20.0, 1e-5), "velocity: ", "by 0.012 of the diameter"),
         (

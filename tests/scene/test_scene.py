@@ -526,16 +526,6 @@ def test_a_faulty_csv_file_is_rejected(text: str, file: Path, capsys: pytest.Cap
     assert refused(file, capsys)[0].startswith("excitation.")
 
 
-def test_a_checked_scene_cannot_be_changed():
-    scene = scene_of(Chain(grains=3, diameter=[1e-3] * 3), Impulse(velocity=1e-3), 1e-6)
-    with pytest.raises(
-        InputError, match=r"^duration: cannot be changed: use .replace\(duration=...\)"
-    ):
-        scene.duration = -1.0
-    with pytest.raises(ValueError, match="read-only"):
-        scene.chain.diameter[0] = -1.0
-
-
 def test_a_faulty_chain_does_not_hide_other_faults(tmp_path: Path):
     """Unknown key, free bottom under gravity, missing struck grain and missing recorded grain."""
     path = tmp_path / "scene.toml"

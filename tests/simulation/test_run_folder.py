@@ -13,11 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from filelock import FileLock
 from helpers.child_processes import COMMAND, at_work, finish, same, start, write
 from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of, struck
 from helpers.faults import fault_keys
+from helpers.independent_integrators import distance
 from helpers.thinned import thinned
 
 import lmpchain
@@ -340,20 +340,6 @@ def test_an_empty_folder_can_be_used(tmp_path: Path):
     assert status(tmp_path / "run")["state"] == "finished"
 
 
-@pytest.mark.slow
-def test_one_process_at_a_time(tmp_path: Path):
-    folder = tmp_path / "run"
-    with pytest.raises(Stopped):
-        simulate(SCENE, "native", folder=folder, max_wall=1e-9)
-    with FileLock(folder / ".lock"):
-        before = contents(folder)
-        code, said = finish("resume", folder)
-        assert contents(folder) == before
-    assert code == 2
-    assert said == f"error: {folder}: another process is running here; wait for it, or stop it\n"
-    assert resume(folder).velocity.shape == (301, 3)
-
-
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
 def test_an_invalid_elapsed_time(said: str, tmp_path: Path):
     """An invalid elapsed time is ignored and does not end the run."""
@@ -469,11 +455,7 @@ def test_a_stopped_run_loads_with_its_current_estimate(
         part = Trajectory.load(tmp_path / "run")
         done = part.time.size
         assert 1 < done < 61
-        off = max(
-            np.abs(getattr(part, name)[:] - getattr(truth, name)[:done]).max()
-            / np.abs(getattr(truth, name)[:done]).max()
-            for name in ("displacement", "velocity")
-        )
+        off = distance(part, (truth.displacement[:done], truth.velocity[:done]))
         assert off <= part.error_estimate.total < 100 * off
     about = json.loads((tmp_path / "run" / "trajectory.zarr" / "zarr.json").read_text())
     about["attributes"]["error_so_far"]["samples"] -= 1  # As if samples had been added since.
