@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
 from helpers.example_chains import column
 from helpers.example_scenes import run, scene_of, struck, struck_in_units
 from helpers.independent_theory import dense_modes
