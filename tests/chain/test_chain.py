@@ -327,10 +327,10 @@ def test_excess_energy_between_walls(rng: np.random.Generator, chain: Chain):
                 assert single[0] == 0
 
 
-def test_excess_energy_of_contacts_that_rest():
+def test_excess_energy_of_contacts_that_rest(rng):
     """Columns at rest in many samples are skipped, without effect on the other energies."""
     contacts = column(9, bottom="wall").contacts
-    r = np.random.default_rng(1).normal(size=(5, 10)) * contacts.overlap[-1]
+    r = rng.normal(size=(5, 10)) * contacts.overlap[-1]
     r[:, [0, 4, 8, 9]] = 0.0
     assert np.array_equal(contacts.energy(r), [contacts.energy(row) for row in r])
 

@@ -8,7 +8,7 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from helpers.example_chains import column
+from helpers.example_chains import column, random_column
 from helpers.example_scenes import paper, scene_of, smooth, struck
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
@@ -318,9 +318,7 @@ def test_amplification_of_an_ulp_equals_that_of_a_small_change():
 
     Of a change that is a million times as large, a millionth.
     """
-    chain = Chain(
-        grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall"
-    )
+    chain = random_column(6, 2, 0.3, top="wall")
     scene = struck(chain, 0.1, 4e-4, 9)
     candidate = Native("rkn6").propose(scene, 1e-9)
     grown = amplify_rounding(scene, 1.0)

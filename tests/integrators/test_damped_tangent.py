@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers.flying_grains import unlike
 from helpers.taylor_series import reference
 
-from lmpchain import Chain, Damping, Drive, Force, Profile, Scene
+from lmpchain import Damping, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.damped_tangent import Body, ImposedStages, RungeKutta, march
 from lmpchain.integrators.kernels.layout import PAD
@@ -15,14 +16,8 @@ GRAINS = 5
 STEPS = 60
 NODES, _, (_, WEIGHTS), INNER = DormandPrince().tables
 METHOD = RungeKutta(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
-CHAIN = Chain(
-    grains=GRAINS,
-    diameter=np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3,
-    gravity=30.0,
-    top_load=0.02,
-    top="wall",
-    damping=Damping(viscoelastic=2e-7, drag=np.linspace(1e3, 4e3, GRAINS)),
-)
+DAMPING = Damping(viscoelastic=2e-7, drag=np.linspace(1e3, 4e3, GRAINS))
+CHAIN = unlike(GRAINS, top="wall", damping=DAMPING)
 PERIOD = 1 / CHAIN.band_edge
 LENGTH = CHAIN.contacts.overlap[1:-1].min()
 FORCING = {

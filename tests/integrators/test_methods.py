@@ -208,7 +208,9 @@ def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Forc
 
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("what", ACTS)
-def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int):
+def test_derivatives_of_the_forcing_agree_with_differences(
+    rng: np.random.Generator, what: str, order: int
+):
     """Adjoint and tangent at samples before, between and after the given ones."""
     excitation = ACTS[what]
     course = ImposedCourse(excitation)
@@ -239,7 +241,7 @@ def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int
     assert (
         np.abs(course.push(times, np.eye(base.size), order) / scale - slopes / scale).max() < 1e-9
     )
-    weights = np.random.default_rng(1).normal(size=times.size)
+    weights = rng.normal(size=times.size)
     assert course.pull(times, weights, order) / scale[:, 0] == pytest.approx(
         slopes @ weights / scale[:, 0], abs=1e-9
     )

@@ -158,14 +158,14 @@ def chi(h: Any, delta: float = 1.5) -> Any:
 
 
 @pytest.mark.parametrize("inside", [0.5, 0.3])
-def test_the_amplitude_of_eq_35(wave: Trajectory, inside: float):
+def test_the_amplitude_of_eq_35(rng: np.random.Generator, wave: Trajectory, inside: float):
     """Synthetic data with C = 1.3 and scatter test the selection of samples and the regression."""
     unit = wave.scene.chain.time_scale
     chain = wave.scene.chain
     tau = wave.time[:, None] / unit
     travel = chi(wave.grains - 0.5)
     cone = np.maximum(tau**2 - travel**2, 1e-9)
-    scatter = 1 + 1e-3 * np.random.default_rng(3).normal(size=cone.shape)
+    scatter = 1 + 1e-3 * rng.normal(size=cone.shape)
     made = replace(wave, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
     fit = fit_continuum(made, inside=inside)
     width = np.cbrt((chain.grains - 0.5) ** 0.5 / 4)
@@ -291,11 +291,11 @@ def waving(asked: list[Scene]) -> Any:
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_a_parameter_with_a_linear_effect(even: bool):
+def test_a_parameter_with_a_linear_effect(rng: np.random.Generator, even: bool):
     """The value is sum(x y) / sum(x^2), with the error sqrt(s^2 / sum(x^2))."""
     time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
     shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
-    values = 2e-3 * (shape + 0.1 * np.random.default_rng(1).normal(size=shape.shape))
+    values = 2e-3 * (shape + 0.1 * rng.normal(size=shape.shape))
     asked: list[Scene] = []
     fit = fit_parameter(Trace(time, [3, 5], values), guessed(1.5e-3), "velocity", waving(asked))
     slope = (shape * values).sum() / (shape**2).sum()

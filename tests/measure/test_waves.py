@@ -38,9 +38,9 @@ def late() -> Trajectory:
     return replace(t, velocity=-2e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
 
 
-def test_the_covariance_of_fitted_parameters(late: Trajectory):
+def test_the_covariance_of_fitted_parameters(rng: np.random.Generator, late: Trajectory):
     """The covariance is s^2 (J^T J)^-1, with numerical derivatives and s^2 from n - 3 residuals."""
-    noise = 2e-11 * np.random.default_rng(2).normal(size=late.velocity.shape)
+    noise = 2e-11 * rng.normal(size=late.velocity.shape)
     fit = fit_bessel(replace(late, velocity=late.velocity + noise))
 
     def wave(amplitude: float, rate: float, delay: float) -> Array:

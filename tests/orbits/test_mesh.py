@@ -63,9 +63,9 @@ def passage_of(u: np.ndarray, v: np.ndarray) -> Passage:
     return Passage(u, v, np.zeros((2, len(u))), u[-1:], np.zeros(0))
 
 
-def test_openings_are_at_zero_overlaps():
+def test_openings_are_at_zero_overlaps(rng):
     """The motion is given in closed form, and openings are found by a search over many times."""
-    steps = np.random.default_rng(2).uniform(0.5, 1.5, 400)
+    steps = rng.uniform(0.5, 1.5, 400)
     steps /= steps.sum()
     u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
     period = 3e-5

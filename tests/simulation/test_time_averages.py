@@ -114,9 +114,9 @@ def test_a_linear_chain_has_the_averages_of_its_mode():
 
 
 @pytest.mark.parametrize("number", [0, 1, 4, 5])
-def test_forces_agree_with_those_of_measure(number: int):
+def test_forces_agree_with_those_of_measure(rng: np.random.Generator, number: int):
     chain = Chain(grains=5, diameter=1e-3, top="wall", bottom="wall")
-    displacement, velocity = 1e-9 * np.random.default_rng(1).normal(size=(2, 3, 5))
+    displacement, velocity = 1e-9 * rng.normal(size=(2, 3, 5))
     force = observable(chain, f"force:{number}").measure(displacement, velocity)
     closer = chain.contacts.closer(displacement)[:, number]
     change = chain.contacts.of(number).force_change(closer)
@@ -124,9 +124,9 @@ def test_forces_agree_with_those_of_measure(number: int):
 
 
 @pytest.mark.parametrize("number", [1, 4])
-def test_quantities_of_a_grain_are_those_of_its_number(number: int):
+def test_quantities_of_a_grain_are_those_of_its_number(rng: np.random.Generator, number: int):
     chain = Chain(grains=5, diameter=1e-3)  # The last grain is held.
-    displacement, velocity = np.random.default_rng(1).normal(size=(2, 3, 5))
+    displacement, velocity = rng.normal(size=(2, 3, 5))
     energy = chain.masses[number - 1] * velocity[:, number - 1] ** 2 / 2
     for name, expected in (
         ("displacement", displacement[:, number - 1]),

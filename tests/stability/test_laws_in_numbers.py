@@ -86,10 +86,10 @@ def test_the_interval_of_a_trend_is_wider_for_correlated_stretches(
     assert hits > 0.94 * 200
 
 
-def test_a_drift_that_slows_down_is_not_a_correlation() -> None:
+def test_a_drift_that_slows_down_is_not_a_correlation(rng: np.random.Generator) -> None:
     """The trend of a parabola is its regression line, with the standard error of the residuals."""
     time = np.linspace(0.0, 2.0, 50)
-    noise = 1e-3 * np.random.default_rng(6).normal(size=50)
+    noise = 1e-3 * rng.normal(size=50)
     rate, width = trend(time - 0.2 * time**2 + noise)
     line = stats.linregress(time, time - 0.2 * time**2 + noise)
     assert rate == pytest.approx(0.6, abs=1e-3)

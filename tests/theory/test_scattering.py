@@ -280,12 +280,12 @@ def test_refusals(call, key: str):
         call()
 
 
-def test_the_former_name_of_a_modulus_is_rejected_with_the_current_name():
+def test_the_former_name_of_a_modulus_is_rejected_with_the_current_name(rng):
     chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0)
     with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
         transparent(chain, 1e5, [5, 6], vary="modulus")
     with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
-        disordered(chain, 9, np.random.default_rng(1), of="modulus")
+        disordered(chain, 9, rng, of="modulus")
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5)
     with pytest.raises(InputError, match="did you mean 'youngs_modulus'"):
         check(scene, ["youngs_moduli"])

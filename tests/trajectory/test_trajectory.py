@@ -36,11 +36,11 @@ def test_saved_and_loaded_trajectories_are_equal(trajectory: Trajectory, tmp_pat
     assert again.provenance == trajectory.provenance
 
 
-def test_a_profile_is_preserved(tmp_path: Path):
+def test_a_profile_is_preserved(rng: np.random.Generator, tmp_path: Path):
     chain = Chain(grains=8, diameter=1e-3)
     start = Profile(
         displacement=[1e-10 / 3] * 7 + [0],
-        velocity=np.append(np.random.default_rng(1).random(7), 0) * 1e-5,
+        velocity=np.append(rng.random(7), 0) * 1e-5,
     )
     run = simulate(Scene(chain=chain, excitation=start, duration=1e-5, samples=3), "native", 1e-8)
     run.save(tmp_path / "run.nc")
