@@ -16,7 +16,6 @@ from scipy.optimize import brentq
 import lmpchain
 from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.benchmark.reference import Reference, reference
-from lmpchain.cli.command_line import main
 from lmpchain.measure import contact, energy, power, shock
 
 SHAKEN = Drive(end="bottom", amplitude=3e-6, frequency=2000.0)
@@ -268,20 +267,6 @@ def test_engines_without_a_moving_base_refuse_it() -> None:
         lmpchain.design.gradient(scene, lmpchain.design.PeakForce(3), ["masses"])
     with pytest.raises(InputError, match="must act on the top"):
         lmpchain.orbits.find(scene.chain, Profile(velocity=np.zeros(8)), drive=SHAKEN)
-
-
-def test_the_command_line_runs_a_shaken_column(tmp_path: Path, capsys: Any) -> None:
-    path = tmp_path / "scene.toml"
-    path.write_text(
-        '[chain]\ngrains = 8\nmaterial = "steel"\ndiameter = 5e-3\nbottom = "wall"\n'
-        '[excitation]\nkind = "drive"\nend = "bottom"\namplitude = 1e-6\nfrequency = 1000.0\n'
-        "[recording]\nduration = 1e-3\n"
-    )
-    assert main(["run", str(path), "-o", str(tmp_path / "run.nc")]) == 0
-    run = lmpchain.Trajectory.load(tmp_path / "run.nc")
-    assert run.scene.drive == Drive(end="bottom", amplitude=1e-6, frequency=1000.0)
-    assert main(["deck", str(path), "-o", str(tmp_path / "deck")]) == 2
-    assert "cannot drive the base" in capsys.readouterr().err
 
 
 def test_drives_from_above_and_below_are_mirror_images_without_gravity() -> None:

@@ -15,7 +15,6 @@ from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Impulse, InputError, Profile, Scene, engines, simulate
 from lmpchain.integrators.methods import METHODS
-from lmpchain.scene.waveform import Waveform
 
 Array = NDArray[np.float64]
 every = pytest.mark.parametrize("integrator", sorted(METHODS))
@@ -108,9 +107,6 @@ def test_grain_1_follows_its_drive_for_any_mass():
         )
     assert np.array_equal(runs[0].displacement, runs[1].displacement)
     assert np.array_equal(runs[0].velocity, runs[1].velocity)
-
-
-# --- motion of the other grains
 
 
 # --- batches, pieces and restarts
@@ -207,15 +203,3 @@ def test_a_start_of_another_length_is_rejected():
         with pytest.raises(InputError) as caught:
             Scene.from_dict(tables)
         assert str(caught.value).startswith(said)
-
-
-@pytest.mark.parametrize("cycles", [None, 2.3])
-def test_derivatives_of_a_waveform_are_limits_of_differences(cycles):
-    wave = Waveform.sine(2.0, 3.0, cycles)
-    t = np.linspace(0.01, 0.7, 30)
-    h = 1e-5
-    for order in range(3):
-        difference = (wave.at(t + h, order) - wave.at(t - h, order)) / (2 * h)
-        assert wave.at(t, order + 1) == pytest.approx(
-            difference, abs=1e-6 * wave.largest(order + 1)
-        )

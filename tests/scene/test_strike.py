@@ -10,8 +10,6 @@ from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
 from lmpchain import (
-    PTFE,
-    STEEL,
     Chain,
     Displacement,
     Drive,
@@ -213,25 +211,3 @@ def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
     assert not remarks(pressed, Impulse(velocity=1e-3))
     steep = column(9, gravity=0.0, exponent=2.0)
     assert not remarks(steep, Impulse(velocity=20.0))
-
-
-def test_materials_differ_from_grain_to_grain() -> None:
-    """The sound speed of the moving grain is used, not the slowest one."""
-    chain = column(
-        4,
-        material=[STEEL, PTFE, STEEL, STEEL],
-        gravity=0.0,
-        exponent=1.0,
-        top_load=1e-3,
-        masses=[1e-20] * 4,
-    )
-    between = 2 * PTFE.sound_speed
-    assert PTFE.sound_speed < between < STEEL.sound_speed
-    for grain, count in ((1, 0), (2, 1), (3, 0)):
-        scene = {
-            "chain": chain,
-            "excitation": Impulse(velocity=between, grain=grain),
-            "duration": 1e-5,
-            "samples": 3,
-        }
-        assert len(list(make_unchecked(Scene, **scene)._remarks())) == count
