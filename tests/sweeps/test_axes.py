@@ -83,7 +83,7 @@ def test_a_hypercube_is_reproducible_from_its_seed():
     )
     assert [one.key for one in each.arrays] == ["chain.diameter"]
     missing = "name a key, such as chain.gravity = {low = 1.0, high = 10.0}"
-    assert faults({"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
+    assert faults(make_axes, {"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
 
 
 def test_realisations_have_random_contacts_if_an_order_is_given():
