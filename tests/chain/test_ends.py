@@ -47,11 +47,11 @@ def test_a_wall_mirrors_the_chain(rng: np.random.Generator, delta: float, load: 
     )
     solver = engines.get(engine, **({} if engine == "modes" else options))
 
-    def run(chain: Chain, velocity: Any) -> Any:
+    def started(chain: Chain, velocity: Any) -> Any:
         return simulate(scene_of(chain, Profile(velocity=velocity), duration, 7), solver)
 
-    one = run(half, speed)
-    two = run(double, np.append(speed, -speed[::-1]))
+    one = started(half, speed)
+    two = started(double, np.append(speed, -speed[::-1]))
     tolerance = 1e-8 if engine == "lammps" else 1e-12  # LAMMPS has the rounding errors of heights.
     assert distance(one, (two.displacement[:, :n], two.velocity[:, :n])) < tolerance
     assert (
