@@ -6,6 +6,7 @@ import os
 import signal
 import sys
 
+import numpy as np
 import pytest
 from helpers.relative import approx
 
@@ -44,6 +45,13 @@ def _figures_are_closed():
     yield
     if "matplotlib.pyplot" in sys.modules:
         sys.modules["matplotlib.pyplot"].close("all")
+
+
+@pytest.fixture
+def rng(request: pytest.FixtureRequest) -> np.random.Generator:
+    """Return a generator of random numbers; its seed is the parameter `seed` of the test, or 1."""
+    parameters = request.node.callspec.params if hasattr(request.node, "callspec") else {}
+    return np.random.default_rng(parameters.get("seed", 1))
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:

@@ -233,8 +233,7 @@ def test_title_and_footer_describe_the_measurement():
     assert title == f"8 grains, no gravity, {vacuum.excitation.label} (sonic vacuum), at t = 4 µs"
 
 
-def test_the_pareto_front_equals_a_brute_force_search():
-    rng = np.random.default_rng(2)
+def test_the_pareto_front_equals_a_brute_force_search(rng):
     for _ in range(20):
         points = [tuple(row) for row in rng.integers(1, 7, (12, 2)).astype(float).tolist()]
         lead = {
@@ -243,16 +242,6 @@ def test_the_pareto_front_equals_a_brute_force_search():
         places = front(points)
         assert [points[place] for place in places] == sorted(lead)
         assert len(places) == len(lead)  # Only one of several equal points is listed.
-
-
-def test_the_time_to_an_error_is_a_power_law_between_points():
-    points = [(4.0, 1e-6), (1.0, 1e-2), (2.0, 5e-2)]
-    assert time_to(1e-2, points) == 1.0
-    exponent = math.log(1e-2 / 5e-2) / math.log(1.0 / 2.0)
-    assert exponent > 0  # The slower point in between is worse, and the law continues from it.
-    steep = math.log(5e-2 / 1e-6) / math.log(4.0 / 2.0)
-    assert time_to(1e-4, points) == pytest.approx(2.0 * (5e-2 / 1e-4) ** (1 / steep), rel=1e-12)
-    assert math.isnan(time_to(1e-7, points))
 
 
 def test_rows_and_tables_of_given_points():

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of, smooth
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, smooth, struck
 
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, Trajectory, simulate
+from lmpchain import Impulse, InputError, Profile, Scene, Trajectory, simulate
 from lmpchain.benchmark.comparison import compare, error, error_over_time, errors
 from lmpchain.benchmark.reference import Reference, expected_seconds, reference
 from lmpchain.util.plotting import figure, save
@@ -16,9 +17,7 @@ from lmpchain.util.plotting import figure, save
 
 def test_the_reference_starts_where_the_scene_does():
     start = Profile(displacement=[1e-10, -1e-10, 0], velocity=[0, 1e-5, 0])
-    truth = reference(
-        Scene(chain=Chain(grains=3, diameter=1e-3), excitation=start, duration=1e-6, samples=2)
-    )
+    truth = reference(scene_of(column(3), start, 1e-6, 2))
     assert truth.displacement[0] == pytest.approx([1e-10, -1e-10, 0], rel=1e-15, abs=0)
     assert truth.velocity[0] == pytest.approx([0, 1e-5, 0], rel=1e-15, abs=0)
     assert not truth.displacement[:, 2].any()
@@ -26,23 +25,15 @@ def test_the_reference_starts_where_the_scene_does():
 
 def test_the_reference_is_accurate_for_weak_waves():
     """Halving a weak strike halves the motion, to the accuracy of linear theory."""
-    chain = Chain(grains=10, diameter=1e-3)
-    motion = [
-        reference(
-            Scene(chain=chain, excitation=Impulse(velocity=v), duration=3e-5, samples=4)
-        ).velocity
-        / v
-        for v in (1e-16, 2e-16)
-    ]
+    chain = column(10)
+    motion = [reference(struck(chain, v, 3e-5, 4)).velocity / v for v in (1e-16, 2e-16)]
     assert motion[0] == pytest.approx(motion[1], abs=1e-11)
 
 
 def test_a_chain_without_excitation_stays_at_rest():
-    chain = Chain(grains=4, diameter=1e-3)
-    for quiet in (chain, Chain(grains=4, diameter=1e-3, gravity=0.0)):
-        truth = reference(
-            Scene(chain=quiet, excitation=Impulse(velocity=0.0), duration=1e-5, samples=3)
-        )
+    chain = column(4)
+    for quiet in (chain, column(4, gravity=0.0)):
+        truth = reference(struck(quiet, 0.0, 1e-5, 3))
         assert not truth.displacement.any()
         assert not truth.velocity.any()
         assert truth.error < 1e-9
@@ -51,7 +42,7 @@ def test_a_chain_without_excitation_stays_at_rest():
 def test_a_long_scene_is_expected_to_take_longer():
     short = smooth()
     long = replace_scene(smooth(), duration=1e6 * smooth().duration)
-    large = scene_of(Chain(grains=10**5, diameter=1e-3), Impulse(velocity=1e-6), 1e-2, 2)
+    large = scene_of(column(10**5), Impulse(velocity=1e-6), 1e-2, 2)
     assert 0 < expected_seconds(short) < 1
     assert expected_seconds(long) > 1e3
     assert expected_seconds(large) > 60
@@ -63,7 +54,7 @@ def replace_scene(scene: Scene, **changes: Any) -> Scene:
 
 # --- errors of trajectories made by hand
 
-CHAIN = Chain(grains=4, diameter=1e-3)
+CHAIN = column(4)
 
 
 def made_up(grains: Any = "all") -> tuple[Trajectory, Reference]:
@@ -180,7 +171,7 @@ def test_a_picture_in_axes_of_the_user():
 
 
 def test_a_picture_of_a_chain_at_rest(tmp_path: Any):
-    scene = Scene(chain=CHAIN, excitation=Impulse(velocity=0.0), duration=1e-6, samples=3)
+    scene = struck(CHAIN, 0.0, 1e-6, 3)
     picture = compare([simulate(scene, "native", 1e-6)], reference(scene)).plot()
     save(picture, tmp_path / "rest.png")
     assert (tmp_path / "rest.png").exists()

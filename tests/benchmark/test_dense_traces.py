@@ -1,10 +1,10 @@
 """Scenes whose force is sampled much more densely than the motion of the chain requires."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from scipy.interpolate import CubicHermiteSpline
 
 from lmpchain import Chain, Drive, Force, Scene, engines, simulate
@@ -30,15 +30,11 @@ def hammer(noise: float = 1e-3, duration: float = 2e-4) -> Force:
     return Force(grain=1, times=times, force=push + noises)
 
 
-def scene_of(force: Force, samples: int = 401, **options: Any) -> Scene:
-    return Scene(chain=CHAIN, excitation=force, duration=2e-4, samples=samples, **options)
-
-
 def test_steps_and_samples_follow_the_motion_and_not_the_points():
     """Steps depend on the chain for a push by formula, and on the spectrum for a sampled one."""
     formula = Force(grain=1, shape="half-sine", amplitude=3.0, duration=LENGTH)
-    exact = scene_of(formula)
-    dense = scene_of(hammer())
+    exact = scene_of(CHAIN, formula, 2e-4, 401)
+    dense = scene_of(CHAIN, hammer(), 2e-4, 401)
     assert exact.highest_frequency <= dense.highest_frequency < 0.1 * RATE
     run = simulate(dense, "native")
     truth = simulate(exact, "native", 1e-9)
@@ -77,8 +73,10 @@ def test_noise_between_samples_is_in_the_doubt_of_what_is_imposed(driven: bool):
 
 
 def test_a_reference_is_expected_to_take_a_step_for_each_point():
-    assert expected_seconds(scene_of(hammer())) > 50 * expected_seconds(
-        scene_of(Force(grain=1, shape="half-sine", amplitude=3.0, duration=LENGTH))
+    assert expected_seconds(scene_of(CHAIN, hammer(), 2e-4, 401)) > 50 * expected_seconds(
+        scene_of(
+            CHAIN, Force(grain=1, shape="half-sine", amplitude=3.0, duration=LENGTH), 2e-4, 401
+        )
     )
 
 

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, random_scene, scene_of, smooth
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import paper, random_scene, scene_of, smooth, struck
+from helpers.independent_integrators import distance, extended_reference
 from helpers.reference_scenes import path
 from helpers.taylor_series import reference as independent_reference
 from helpers.thinned import thinned
@@ -30,7 +31,7 @@ def between(excitation: Any, **keys: Any) -> Scene:
 
 def strong(samples: int, duration: float = 4e-5) -> Scene:
     """Return the upper 40 grains of the paper's strongest strike, which opens contacts."""
-    fields = paper("fig1").given() | {"chain": Chain(grains=40, diameter=1e-3)}
+    fields = paper("fig1").given() | {"chain": column(40)}
     return Scene(**fields | {"duration": duration, "samples": samples})
 
 
@@ -81,9 +82,7 @@ def test_the_error_estimate_of_the_reference_holds(kind: str):
     assert truth.error < GOOD
     assert itself < (1e-13 if EXTENDED else 1e-11)
     # The other integrator estimates the error of its looser run.
-    assert relative_error(truth.displacement, truth.velocity, u, v) < truth.error + max(
-        itself / 2, 2e-15
-    )
+    assert distance(truth, (u, v)) < truth.error + max(itself / 2, 2e-15)
 
 
 @pytest.mark.soak
@@ -93,15 +92,12 @@ def test_random_scenes(seed: int):
     truth = reference(scene)
     u, v, itself = extended_reference(scene, TIGHT)
     # The rounding of a sampled drive may cause errors of 1e-14.
-    assert (
-        relative_error(truth.displacement, truth.velocity, u, v) < truth.error + 2 * itself + 1e-14
-    )
+    assert distance(truth, (u, v)) < truth.error + 2 * itself + 1e-14
 
 
 # Strikes, profiles, forces, drives and walls; contacts that open; all exponents and dampings.
 @pytest.mark.parametrize("seed", thinned([0, 1, 2, 4, 5, 8, 13, 16, 17, 19, 23], 2))
-def test_scenes_with_damping(seed: int):
-    rng = np.random.default_rng(seed)
+def test_scenes_with_damping(rng: np.random.Generator, seed: int):
     draw = trial_scene if seed % 2 else acted_trial_scene
     scene = damped(rng, draw(rng, work=1500))
     truth = reference(scene.replace(samples=min(scene.samples, 11)))
@@ -125,7 +121,7 @@ def test_a_collision_that_loses_energy(viscosity: float, restitution: float):
         bottom="free",
         damping={"viscoelastic": viscosity},
     )
-    truth = reference(Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=9.0, samples=2))
+    truth = reference(struck(chain, 1.0, 9.0, 2))
     assert np.diff(truth.velocity[-1]) == pytest.approx(restitution, rel=1e-12)
 
 
@@ -138,17 +134,8 @@ def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, fl
 
     Energy and momentum say what velocities are left, whatever the law of force.
     """
-    chain = Chain(
-        grains=2,
-        diameter=1e-3,
-        masses=np.array(masses) * 1e-6,
-        gravity=0.0,
-        bottom="free",
-        exponent=exponent,
-    )
-    truth = reference(
-        Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-3, samples=2)
-    )
+    chain = column(2, masses=np.array(masses) * 1e-6, gravity=0.0, bottom="free", exponent=exponent)
+    truth = reference(struck(chain, 0.1, 1e-3, 2))
     first, second = masses
     after = 0.1 * np.array([first - second, 2 * first]) / (first + second)
     assert truth.velocity[-1] == pytest.approx(after, rel=0, abs=2e-16)
@@ -156,8 +143,8 @@ def test_a_collision_of_two_free_grains(exponent: float, masses: tuple[float, fl
 
 def test_a_grain_that_is_thrown_up_falls_back_as_fast():
     """The flight between two contacts is a parabola of duration 2 v / g."""
-    chain = Chain(grains=2, diameter=1e-3)
-    flight = Scene(chain=chain, excitation=Impulse(velocity=-1e-2), duration=3e-3, samples=31)
+    chain = column(2)
+    flight = struck(chain, -1e-2, 3e-3, 31)
     truth = reference(flight)
     energy = chain.excess_energy(truth.displacement, truth.velocity)
     assert energy == pytest.approx(energy[0], rel=1e-14, abs=0)
@@ -178,33 +165,22 @@ def test_energy_is_conserved_if_contacts_open():
 def test_grains_beyond_the_wave_have_no_effect():
     """The chains have 120 and 10,000 grains, with different units of time and length."""
     short = paper("fig5 g", samples=3)
-    long = Scene(**short.given() | {"chain": Chain(grains=10_000, diameter=1e-3)})
+    long = Scene(**short.given() | {"chain": column(10_000)})
     few = reference(short)
     many = reference(long)
     assert many.error < GOOD
     reached = few.displacement.shape[1]
-    assert (
-        relative_error(
-            many.displacement[:, :reached],
-            many.velocity[:, :reached],
-            few.displacement,
-            few.velocity,
-        )
-        < 1e-15
-    )
+    assert distance((many.displacement[:, :reached], many.velocity[:, :reached]), few) < 1e-15
     assert not many.displacement[:, 200:].any()
 
 
 def test_samples_between_steps_are_as_accurate():
     """Samples are exact up to the rounding of their times, which contributes 2e-15."""
     few, many = (reference(strong(samples, 2e-5)) for samples in (5, 101))
-    assert (
-        relative_error(many.displacement[::25], many.velocity[::25], few.displacement, few.velocity)
-        < 5e-15
-    )
+    assert distance((many.displacement[::25], many.velocity[::25]), few) < 5e-15
     middle = reference(strong(2, 37 * 2e-7))
     u, v = (x[37:38] for x in (many.displacement, many.velocity))
-    assert relative_error(u, v, middle.displacement[-1:], middle.velocity[-1:]) < 1e-14
+    assert distance((u, v), (middle.displacement[-1:], middle.velocity[-1:])) < 1e-14
 
 
 def test_the_reference_states_its_method():
@@ -249,16 +225,13 @@ FORCED = {
 @pytest.mark.parametrize("name", thinned(FORCED, 2))
 def test_laws_by_formula_have_the_reference_of_power_laws(name: str) -> None:
     options, excitation = FORCED[name]
-    chain = Chain(grains=6, diameter=1e-3, top_load=0.02, bottom="wall", **options)
-    scene = Scene(chain=chain, excitation=excitation, duration=2e-5, samples=21)
+    chain = column(6, top_load=0.02, bottom="wall", **options)
+    scene = scene_of(chain, excitation, 2e-5, 21)
     by_formula = scene.replace(chain=chain.replace(law=HERTZ))
     true, found = reference(scene), reference(by_formula)
     assert "SciPy" in found.method
     assert found.displacement.shape == true.displacement.shape
-    off = max(
-        np.abs(found.displacement - true.displacement).max() / true.scale[0],
-        np.abs(found.velocity - true.velocity).max() / true.scale[1],
-    )
+    off = distance(found, true, true.scale)
     assert off <= found.error + true.error
     # A tenth of the error is the change from a run at ten times the tolerance.
     assert found.error < 1e-9
@@ -267,9 +240,7 @@ def test_laws_by_formula_have_the_reference_of_power_laws(name: str) -> None:
 
 def on_springs(**chain):
     """Return a strong strike on a chain of springs that may open, on springs to the ground."""
-    made = Chain(
-        grains=8, diameter=1e-3, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain
-    )
+    made = column(8, gravity=9.81, exponent=1, ground=Law("k*u", k=1e5), **chain)
     return scene_of(made, Impulse(velocity=1e-3), 15 * made.time_scale, 4)
 
 

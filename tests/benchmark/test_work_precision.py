@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.example_scenes import scene_of, smooth
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 
 from lmpchain import Chain, Impulse, InputError, RunFailed, Scene, engines, simulate
 from lmpchain.benchmark.bench import Bench, work_precision
@@ -90,9 +90,7 @@ def test_errors_are_true(found):
         engine = engines.get(curve.engine, integrator=curve.integrator, step=point.step_s)
         again = simulate(SCENE, engine)
         assert again.cost.steps == point.steps
-        assert point.error == pytest.approx(
-            relative_error(again.displacement, again.velocity, u, v), rel=1e-2, abs=0
-        )
+        assert point.error == pytest.approx(distance(again, (u, v)), rel=1e-2, abs=0)
         assert point.error == max(point.error_displacement, point.error_velocity) > 100 * itself
         assert point.expected_error == again.error_estimate.total
 
@@ -129,10 +127,7 @@ def breaks_down(scene, engine, integrator, step):
     except (InputError, RunFailed):
         return True
     truth = reference(scene)
-    return (
-        relative_error(answer.displacement, answer.velocity, truth.displacement, truth.velocity)
-        >= 1
-    )
+    return distance(answer, truth) >= 1
 
 
 def longest_holds(scene, name):
@@ -282,7 +277,7 @@ def test_the_table_lists_the_time_to_each_error(found):
 
 def test_the_cheapest_way_to_an_error_has_it(found):
     """A run with the step of a row has the stated error, compared with another integrator."""
-    u, v, _ = extended_reference(SCENE)
+    truth = extended_reference(SCENE)
     ways = [*found.cheapest(), *found.cheapest("lammps")]
     # On a busy machine the time limit may be reached early.
     assert ways[0].engine
@@ -292,7 +287,7 @@ def test_the_cheapest_way_to_an_error_has_it(found):
             assert way.seconds == min(p.seconds for p in points)
             engine = engines.get(way.engine, integrator=way.integrator, step=way.step_s)
             t = simulate(SCENE, engine)
-            assert relative_error(t.displacement, t.velocity, u, v) <= 1.01 * way.target
+            assert distance(t, truth) <= 1.01 * way.target
     assert [way.target for way in ways] == 2 * [1e-3, 1e-6, 1e-9, 1e-12]
 
 

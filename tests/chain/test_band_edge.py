@@ -9,8 +9,7 @@ from lmpchain.chain.contact_law import dynamical_matrix
 EPSILON = np.finfo(float).eps
 
 
-def test_band_edges_agree_with_lapack():
-    rng = np.random.default_rng(1)
+def test_band_edges_agree_with_lapack(rng):
     for _ in range(1500):
         moving = int(10 ** rng.uniform(0.4, 3))
         unlike = rng.choice([0.0, 0.1, 1.0, 5.0, 20.0])
@@ -36,9 +35,8 @@ def test_they_are_exact_in_a_uniform_chain():
         assert abs(edge / exact - 1) < 4 * EPSILON
 
 
-def test_an_end_of_a_long_chain_that_swings_alone_above_the_band():
+def test_an_end_of_a_long_chain_that_swings_alone_above_the_band(rng):
     """The mode of a stiff wall decays along the chain and is separate from thousands of others."""
-    rng = np.random.default_rng(3)
     for _ in range(100):
         moving = int(10 ** rng.uniform(2.5, 4.5))
         stiffness = np.ones(moving + 1)
@@ -51,8 +49,7 @@ def test_an_end_of_a_long_chain_that_swings_alone_above_the_band():
         assert abs(edge**2 / square - 1) < 8 * EPSILON
 
 
-def test_a_batch_has_the_bits_of_single_chains():
-    rng = np.random.default_rng(2)
+def test_a_batch_has_the_bits_of_single_chains(rng):
     diagonal, coupling = dynamical_matrix(
         rng.gamma(2.0, size=(50, 101)), rng.gamma(2.0, size=(50, 100))
     )

@@ -6,8 +6,10 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
-from lmpchain import Chain, Impulse, Impurity, InputError, Law, Scene
+from lmpchain import Chain, Impurity, InputError, Law, Scene
 from lmpchain.chain.bounds import LIMITS, bounds, least_compression
 from lmpchain.chain.contact_law import Contacts, PowerForce, dynamical_matrix, together
 from lmpchain.chain.materials import GLASS, PTFE, STEEL, Kinds, Material, kinds
@@ -100,19 +102,12 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
 
 def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
     law = by_formulas(2.0)
-    chain = Chain(grains=3, diameter=1e-3, law=law)
+    chain = column(3, law=law)
     assert chain.law is law
     assert chain == chain.replace(gravity=9.81)
-    assert chain != Chain(grains=3, diameter=1e-3)
-    assert Chain(grains=3, diameter=1e-3, law=PowerForce(2.0)) == chain.replace(
-        law=None, exponent=2.0
-    )
-    power = Scene(
-        chain=Chain(grains=3, diameter=1e-3, law=PowerForce(2.0)),
-        excitation=Impulse(velocity=1e-3),
-        duration=1e-5,
-        samples=3,
-    )
+    assert chain != column(3)
+    assert column(3, law=PowerForce(2.0)) == chain.replace(law=None, exponent=2.0)
+    power = struck(column(3, law=PowerForce(2.0)), 1e-3, 1e-5, 3)
     power.to_toml(tmp_path / "power.toml")
     assert Scene.from_toml(tmp_path / "power.toml") == power
     with pytest.raises(InputError, match="law: takes the place of an exponent"):
@@ -120,7 +115,7 @@ def test_an_exponent_and_another_law_exclude_each_other(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="law: must be a power of the overlap for an exponent"):
         _ = chain.exponent
     with pytest.raises(InputError, match="law: is not a law"):
-        Chain(grains=3, diameter=1e-3, law="hertz")
+        column(3, law="hertz")
 
 
 def test_energy_bounds_overlaps_and_strains() -> None:
@@ -164,7 +159,7 @@ def test_energy_bounds_overlaps_and_strains() -> None:
 
 
 def test_contacts_of_many_chains_are_rows() -> None:
-    one, other = (Chain(grains=4, diameter=1e-3, gravity=g).contacts for g in (1.0, 9.81))
+    one, other = (column(4, gravity=g).contacts for g in (1.0, 9.81))
     rows = together([one, other])
     alone = together([one])
     for name in ("constant", "force", "overlap", "stiffness"):
@@ -174,7 +169,7 @@ def test_contacts_of_many_chains_are_rows() -> None:
 
 
 def test_contacts_above_a_fixed_grain() -> None:
-    whole = Chain(grains=6, diameter=1e-3, top="wall", top_load=1e-3, bottom="wall").contacts
+    whole = column(6, top="wall", top_load=1e-3, bottom="wall").contacts
     above = whole.above(3)
     assert above.constant.tolist() == [*whole.constant[:3], 0.0]
     assert above.force.tolist() == [*whole.force[:3], 0.0]
@@ -259,7 +254,7 @@ def test_depths_and_loads_from_grain_to_grain() -> None:
 
 
 def test_the_energy_by_a_moved_wall() -> None:
-    chain = Chain(grains=3, diameter=1e-3, top="wall", top_load=1e-3)
+    chain = column(3, top="wall", top_load=1e-3)
     still = np.zeros(3)
     wall = np.array(2e-9)
     r = chain.contacts.overlap[0]
@@ -352,7 +347,7 @@ def test_arguments_that_contradict_the_ends_are_rejected() -> None:
         assert [key for key, _ in faults(**fields)] == [key], fields
     assert not faults(wall_constants=[0.0, 1e9], bottom="wall")
     assert not faults(bottom="free", gravity=0.0)
-    given = Chain(grains=4, diameter=1e-3, top="wall", bottom="wall", wall_constants=[1e9, 3e9])
+    given = column(4, top="wall", bottom="wall", wall_constants=[1e9, 3e9])
     assert given.contacts.constant[[0, -1]].tolist() == [1e9, 3e9]
     ((_, text),) = faults(masses=[1e-6] * 5)
     assert text == "must have 4 entries for 4 grains, not 5"
@@ -365,7 +360,7 @@ def test_arguments_that_contradict_the_ends_are_rejected() -> None:
 @pytest.mark.parametrize("numbers", [2, slice(1, 4), np.array([3, 1])])
 def test_a_selection_of_contacts_keeps_its_parameters(numbers: Any) -> None:
     law = Law("k*max(o, 0)**p", k=1e6, p=[1.2, 1.4, 1.6, 1.8, 2.0])
-    contacts = Chain(grains=6, diameter=1e-3, law=law).contacts
+    contacts = column(6, law=law).contacts
     overlap = np.full(contacts.overlap.shape, 1e-6)
     assert np.array_equal(
         contacts.of(numbers).force_at(overlap[numbers]), contacts.force_at(overlap)[numbers]

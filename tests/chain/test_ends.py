@@ -5,11 +5,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
+from helpers.independent_integrators import distance, extended_reference
 from helpers.thinned import thinned
 from scipy.integrate import quad
 
-from lmpchain import Chain, Impulse, InputError, Profile, Scene, design, engines, simulate
+from lmpchain import Chain, InputError, Profile, Scene, design, engines, simulate
 from lmpchain.measure import fit
 from lmpchain.report.document import write
 from lmpchain.theory import scattering
@@ -20,11 +22,10 @@ from lmpchain.theory import scattering
 @pytest.mark.parametrize(
     "engine", ["native", pytest.param("lammps", marks=pytest.mark.slow), "modes"]
 )
-def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
+def test_a_wall_mirrors_the_chain(rng: np.random.Generator, delta: float, load: float, engine: str):
     """With K_wall = 2^delta K the chain is half of a symmetric one around a squeezed contact."""
     if (engine == "lammps" and delta == 2.2) or (engine == "modes" and not load):
         return
-    rng = np.random.default_rng(5)
     n = 6
     diameters = 1e-3 * rng.uniform(0.8, 1.2, 6)
     ends = {"gravity": 0.0, "exponent": delta, "top_load": load, "top": "wall"}
@@ -46,19 +47,13 @@ def test_a_wall_mirrors_the_chain(delta: float, load: float, engine: str):
     )
     solver = engines.get(engine, **({} if engine == "modes" else options))
 
-    def run(chain: Chain, velocity: Any) -> Any:
-        return simulate(
-            Scene(chain=chain, excitation=Profile(velocity=velocity), duration=duration, samples=7),
-            solver,
-        )
+    def started(chain: Chain, velocity: Any) -> Any:
+        return simulate(scene_of(chain, Profile(velocity=velocity), duration, 7), solver)
 
-    one = run(half, speed)
-    two = run(double, np.append(speed, -speed[::-1]))
+    one = started(half, speed)
+    two = started(double, np.append(speed, -speed[::-1]))
     tolerance = 1e-8 if engine == "lammps" else 1e-12  # LAMMPS has the rounding errors of heights.
-    assert (
-        relative_error(one.displacement, one.velocity, two.displacement[:, :n], two.velocity[:, :n])
-        < tolerance
-    )
+    assert distance(one, (two.displacement[:, :n], two.velocity[:, :n])) < tolerance
     assert (
         np.abs(two.velocity + two.velocity[:, ::-1]).max() < tolerance * np.abs(two.velocity).max()
     )
@@ -89,18 +84,16 @@ LONE = {
 @pytest.mark.parametrize("name", LONE)
 @pytest.mark.parametrize("strike", [1e-7, 3e-3])
 def test_one_grain(name: str, strike: float):
-    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
+    chain = column(1, **LONE[name])
     assert chain.movable == 1
     assert chain.band_edge == pytest.approx(
         np.sqrt(chain.contacts.stiffness.sum() / chain.masses[0]), rel=1e-14
     )
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=strike), duration=7 * chain.time_scale, samples=9
-    )
+    scene = struck(chain, strike, 7 * chain.time_scale, 9)
     u, v, own = extended_reference(scene)
     for engine in ("native", "auto", "lammps"):
         t = simulate(scene, engine, 1e-6)
-        true = relative_error(t.displacement, t.velocity, u, v)
+        true = distance(t, (u, v))
         assert true < 1e-6
         assert t.error_estimate.total > (true - own) / 3
     assert Scene.from_text(scene.to_text()) == scene
@@ -109,16 +102,14 @@ def test_one_grain(name: str, strike: float):
 @pytest.mark.parametrize("end", [{"bottom": "fixed"}, {"bottom": "free", "top": "free"}])
 def test_one_grain_that_is_fixed_or_has_no_contact(end: dict[str, str]):
     with pytest.raises(InputError, match="grains: a single grain must move and touch a wall"):
-        Chain(grains=1, diameter=1e-3, gravity=0.0, **{"top": "wall"} | end)
+        column(1, gravity=0.0, **{"top": "wall"} | end)
 
 
 @pytest.mark.parametrize("name", thinned(["between walls", "under gravity on a wall"], 2))
 def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
     """The report of one grain works; measures that need a wave or two grains are rejected."""
-    chain = Chain(grains=1, diameter=1e-3, **LONE[name])
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-5), duration=20 * chain.time_scale, samples=101
-    )
+    chain = column(1, **LONE[name])
+    scene = struck(chain, 1e-5, 20 * chain.time_scale, 101)
     run = simulate(scene, "native", 1e-8)
     write(run, tmp_path / "report.html")
     assert isinstance(fit.summary(run).rows, tuple | list)
@@ -147,14 +138,13 @@ def test_what_is_measured_of_one_grain(name: str, tmp_path: Path):
 
 def test_the_bounce_of_one_grain():
     """The contact time of a grain on a wall without gravity equals Hertz's quadrature."""
-    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, bottom="wall")
+    chain = column(1, gravity=0.0, bottom="wall")
     m = float(chain.masses[0])
     k = float(chain.wall_constants[1])
     v = 1e-2
     deepest = (5 * m * v**2 / (4 * k)) ** 0.4
     share, _ = quad(lambda s: 2 * s / np.sqrt(1 - (1 - s**2) ** 2.5), 0, 1, epsabs=0, epsrel=1e-13)
     contact_time = 2 * deepest / v * share
-    scene = Scene(chain=chain, excitation=Impulse(velocity=v), duration=contact_time, samples=3)
-    t = simulate(scene, "native", 1e-9)
+    t = simulate(struck(chain, v, contact_time, 3), "native", 1e-9)
     assert t.displacement[1, 0] == pytest.approx(deepest, rel=1e-8)
     assert t.velocity[:, 0] == pytest.approx([v, 0.0, -v], rel=1e-8, abs=1e-8 * v)

@@ -6,12 +6,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import stirred, struck
 from helpers.thinned import thinned
 from scipy.interpolate import make_interp_spline
 
 import lmpchain
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Scene, laws, simulate
+from lmpchain import Chain, Drive, Force, InputError, Law, Scene, laws, simulate
 from lmpchain.benchmark.reference import reference
 from lmpchain.chain import ground
 from lmpchain.engines import Native
@@ -29,11 +29,10 @@ def on(law: Law | None, grains: int = 12, **options) -> Chain:
     return Chain(grains=grains, **{key: x for key, x in fields.items() if x is not None})
 
 
-def struck(chain: Chain, velocity: float = 1e-3, samples: int = 41) -> Scene:
-    """Return the scene of a strike on the top."""
-    duration = 30 * chain.time_scale
-    strike = Impulse(velocity=velocity)
-    return Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
+def struck_on(law: Law, velocity: float = 1e-3, samples: int = 41, **options) -> Scene:
+    """Return the scene of a strike on the top of a chain on a ground."""
+    chain = on(law, **options)
+    return struck(chain, velocity, 30 * chain.time_scale, samples)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +65,7 @@ def test_parts_and_files_preserve_the_ground(tmp_path):
     chain = on(Law("k*u + b*u**3", k=stiffness.tolist(), b=1e15))
     part = chain.part(3, 7)
     np.testing.assert_array_equal(part.ground_stiffness, stiffness[2:7])
-    struck(chain).to_toml(tmp_path / "scene.toml")
+    struck(chain, 1e-3, 1e-5).to_toml(tmp_path / "scene.toml")
     again = Scene.from_toml(tmp_path / "scene.toml").chain
     assert again == chain
     assert again.ground == chain.ground
@@ -87,7 +86,7 @@ GROUNDS = {
     thinned(product(GROUNDS, [None, {"drag": 1e4}, {"viscoelastic": 1e-8}]), 4),
 )
 def test_a_run_meets_its_tolerance(name, damping):
-    scene = struck(on(GROUNDS[name], damping=damping), velocity=3e-3, samples=21)
+    scene = struck_on(GROUNDS[name], damping=damping, velocity=3e-3, samples=21)
     scene = scene.replace(duration=scene.duration / 2)
     answer = simulate(scene, "native", tolerance=1e-8)
     exact = reference(scene)
@@ -110,7 +109,7 @@ ORDERS = {
 @pytest.mark.parametrize("name", ["two wells", "in time"])
 @pytest.mark.parametrize("integrator", ORDERS)
 def test_splittings_keep_their_order(name, integrator):
-    scene = struck(on(GROUNDS[name]), samples=11)
+    scene = struck_on(GROUNDS[name], samples=11)
     exact = simulate(scene, "native", tolerance=1e-12).velocity
     order, *counts = ORDERS[integrator]
     coarse, fine = (
@@ -124,7 +123,7 @@ def test_splittings_keep_their_order(name, integrator):
 
 
 def test_a_batch_gives_the_bits_of_single_runs():
-    scenes = [struck(on(Law("k*u + b*u**3", k=k, b=1e20))) for k in (1e5, 3e5, 1e6)]
+    scenes = [struck_on(Law("k*u + b*u**3", k=k, b=1e20)) for k in (1e5, 3e5, 1e6)]
     engine = Native(integrator="dop853", step=scenes[0].sampling_interval / 2)
     together = lmpchain.simulate_many(scenes, engine=engine)
     for scene, answer in zip(scenes, together, strict=True):
@@ -135,7 +134,7 @@ def test_a_batch_gives_the_bits_of_single_runs():
 
 def test_quantities_between_samples_hold_their_errors():
     """Motion between samples is computed from the samples alone, as the ground may vary."""
-    scene = struck(on(GROUNDS["in time"]), samples=161)
+    scene = struck_on(GROUNDS["in time"], samples=161)
     peaks, exact = (
         lmpchain.measure.motion.peaks(simulate(each, "native", tolerance=1e-9))
         for each in (scene, scene.replace(samples=1601))
@@ -199,7 +198,7 @@ DAMPINGS = (None, {"drag": 1e4}, {"viscoelastic": 1e-8})
 )
 def test_the_balance_of_energy_and_momentum(name, acting, damping):
     top = "wall" if acting == "moved wall" else "free"
-    scene = struck(on(GROUNDS[name], damping=damping, top=top), samples=201)
+    scene = struck_on(GROUNDS[name], damping=damping, top=top, samples=201)
     scene = scene.replace(duration=scene.duration / 2, **ENERGIES[acting])
     run = simulate(scene, "native", tolerance=1e-9)
     ledger = energy.ledger(run)
@@ -247,7 +246,7 @@ def test_averages_of_springs_on_springs():
 @pytest.mark.parametrize("name", ["periodic", "two wells", "in time"])
 def test_averages_take_springs_alone(name):
     with pytest.raises(InputError, match="averages support only springs to the ground"):
-        lmpchain.averages(struck(on(GROUNDS[name])), ["kinetic_energy"])
+        lmpchain.averages(struck_on(GROUNDS[name]), ["kinetic_energy"])
 
 
 MOVING = {
@@ -259,7 +258,7 @@ MOVING = {
 
 @pytest.mark.parametrize("name", MOVING)
 def test_a_ground_in_time_has_no_balance_of_energy(name):
-    run = simulate(struck(on(GROUNDS["in time"])), "native")
+    run = simulate(struck_on(GROUNDS["in time"]), "native")
     with pytest.raises(InputError, match="does not support a stiffness that changes in time"):
         MOVING[name](run)
 
@@ -281,27 +280,27 @@ REFUSING = {
 
 
 @pytest.fixture(scope="module")
-def run():
-    return simulate(struck(on(SPRING)), "native")
+def sprung():
+    return simulate(struck_on(SPRING), "native")
 
 
 @pytest.mark.parametrize("name", REFUSING)
-def test_functions_without_ground_support_reject_it(name, run):
+def test_functions_without_ground_support_reject_it(name, sprung):
     with pytest.raises(InputError, match="ground"):
-        REFUSING[name](run)
+        REFUSING[name](sprung)
 
 
 def test_modes_allow_only_springs():
-    simulate(struck(on(SPRING), velocity=1e-7), "modes")
+    simulate(struck_on(SPRING, velocity=1e-7), "modes")
     for name in ("periodic", "two wells", "in time"):
         with pytest.raises(InputError, match="not a linear spring"):
-            simulate(struck(on(GROUNDS[name])), "modes")
+            simulate(struck_on(GROUNDS[name]), "modes")
 
 
 @pytest.mark.parametrize("acting", ["strike", "push", "drive"])
 def test_modes_of_viscous_contacts_on_a_spring(acting):
     """The ground is not viscous, so only the energy in contacts damps a mode."""
-    scene = struck(on(SPRING, damping={"viscoelastic": 1e-8, "drag": 1e3}), velocity=1e-8)
+    scene = struck_on(SPRING, damping={"viscoelastic": 1e-8, "drag": 1e3}, velocity=1e-8)
     weak = {
         key: excitation.replace(amplitude=1e-5 * excitation.amplitude)
         for key, excitation in ENERGIES[acting].items()
@@ -317,7 +316,7 @@ def test_modes_of_viscous_contacts_on_a_spring(acting):
 
 
 def test_a_ground_that_couples_viscous_modes_is_refused():
-    scene = struck(on(GROUNDS["of each grain"], damping={"viscoelastic": 1e-8}), velocity=1e-8)
+    scene = struck_on(GROUNDS["of each grain"], damping={"viscoelastic": 1e-8}, velocity=1e-8)
     with pytest.raises(InputError, match="couples viscous modes: use drag alone"):
         simulate(scene, "modes")
     dragged = scene.replace(chain=on(GROUNDS["of each grain"], damping={"drag": 1e3}))

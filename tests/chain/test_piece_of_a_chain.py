@@ -5,7 +5,8 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from helpers.example_chains import CHAINS, WALLED
+from helpers.example_chains import CHAINS, WALLED, column
+from helpers.example_scenes import scene_of, struck
 
 from lmpchain import (
     PTFE,
@@ -18,15 +19,13 @@ from lmpchain import (
     InputError,
     Material,
     Profile,
-    Scene,
     simulate,
 )
 
 MORE = {
-    "vacuum": Chain(grains=9, diameter=1e-3, gravity=0.0, bottom="free"),
-    "springs with impurities": Chain(
-        grains=12,
-        diameter=1e-3,
+    "vacuum": column(9, gravity=0.0, bottom="free"),
+    "springs with impurities": column(
+        12,
         exponent=1.0,
         gravity=0.0,
         top_load=1e-3,
@@ -37,11 +36,8 @@ MORE = {
             Impurity(grain=4, material=PTFE),
         ],
     ),
-    "own masses with an impurity": Chain(
-        grains=5,
-        diameter=1e-3,
-        masses=[1e-6, 3e-6, 2e-6, 1e-6, 2e-6],
-        impurity=[Impurity(grain=3, mass=4e-6)],
+    "own masses with an impurity": column(
+        5, masses=[1e-6, 3e-6, 2e-6, 1e-6, 2e-6], impurity=[Impurity(grain=3, mass=4e-6)]
     ),
 }
 ALL = CHAINS | {f"walled, {name}": chain for name, chain in WALLED.items()} | MORE
@@ -105,14 +101,8 @@ def test_the_largest_part_is_the_chain_and_parts_are_valid_chains(chain: Chain):
 )
 def test_a_part_moves_as_the_whole(strike, first: int, last: int):
     """The motions agree until the wave reaches the ends; there is an impurity and a wall."""
-    chain = Chain(
-        grains=120,
-        diameter=1e-3,
-        top="free",
-        bottom="wall",
-        impurity=[Impurity(grain=60, diameter=1.3e-3)],
-    )
-    scene = Scene(chain=chain, excitation=strike, duration=20e-6, samples=11)
+    chain = column(120, top="free", bottom="wall", impurity=[Impurity(grain=60, diameter=1.3e-3)])
+    scene = scene_of(chain, strike, 20e-6, 11)
     small = scene.part(first, last)
     whole, part = (simulate(s, "native", 1e-11) for s in (scene, small))
     for what in ("displacement", "velocity"):
@@ -126,16 +116,14 @@ def test_a_part_moves_as_the_whole(strike, first: int, last: int):
 @pytest.mark.parametrize(("first", "last"), [(0, 3), (3, 3), (4, 2), (2, 6), (-2, 3)])
 def test_a_part_must_be_within_the_chain(first: int, last: int):
     with pytest.raises(InputError, match=r"part: must be two or more of grains 1 to 5 \(got"):
-        Chain(grains=5, diameter=1e-3).part(first, last)
+        column(5).part(first, last)
 
 
 def test_no_grain_of_a_long_chain_is_laid_out_before_it_is_asked_for():
     """A hundred million grains, whose masses alone would take 800 MB."""
     tracemalloc.start()
-    chain = Chain(
-        grains=10**8, diameter=1e-3, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)]
-    )
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=1e-4, grains="1:64")
+    chain = column(10**8, gravity=0.01, impurity=[Impurity(grain=10**7, material=STEEL)])
+    scene = struck(chain, 1e-5, 1e-4, grains="1:64")
     assert 0 < scene.strike_number < np.inf
     assert 0 < scene.energy < np.inf
     assert not scene.at_rest
@@ -152,11 +140,8 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
     runs = []
     for grains in (10**4, 10**6):
         tracemalloc.start()
-        chain = Chain(grains=grains, diameter=1e-3)
-        scene = Scene(
-            chain=chain, excitation=Impulse(velocity=8.57e-4), duration=100e-6, grains="1:64"
-        )
-        runs.append(simulate(scene, "native"))
+        chain = column(grains)
+        runs.append(simulate(struck(chain, 8.57e-4, 100e-6, grains="1:64"), "native"))
         assert tracemalloc.get_traced_memory()[1] < 4e6
         tracemalloc.stop()
     assert np.array_equal(runs[0].displacement, runs[1].displacement)
@@ -164,9 +149,8 @@ def test_a_strike_on_a_million_grains_is_that_on_ten_thousand():
     assert runs[1].cost.active_grains < 200
 
 
-def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
+def test_alike_grains_are_held_to_the_same_limits_as_those_written_out(rng):
     """Bounds avoid arrays of valid chains, and never accept a faulty or reject a valid chain."""
-    rng = np.random.default_rng(11)
     refused = 0
     for _ in range(300):
         grains = int(rng.integers(2, 9))
@@ -215,9 +199,9 @@ def test_alike_grains_are_held_to_the_same_limits_as_those_written_out():
 
 def test_given_masses_and_constants_are_preserved():
     given = {"masses": [1e-6, 2e-6, 3e-6], "contact_constants": [1e9, 2e9]}
-    chain = Chain(grains=3, diameter=1e-3, **given)
+    chain = column(3, **given)
     assert {key: getattr(chain, key).tolist() for key in given} == given
-    assert Chain(grains=3, diameter=1e-3).given() == {"grains": 3, "diameter": 1e-3}
+    assert column(3).given() == {"grains": 3, "diameter": 1e-3}
     with pytest.raises(AttributeError, match="weights"):
         _ = chain.weights
 
@@ -225,9 +209,7 @@ def test_given_masses_and_constants_are_preserved():
 @pytest.mark.parametrize(("bottom", "loaded"), [("fixed", 5), ("wall", 5), ("wall", 8)])
 def test_a_load_below_the_top_is_kept_if_its_grain_moves_in_the_part(bottom: str, loaded: int):
     """The last grain of a part is fixed unless the chain ends with it."""
-    chain = Chain(
-        grains=8, diameter=1e-3, gravity=0.0, top_load=0.02, load_grain=loaded, bottom=bottom
-    )
+    chain = column(8, gravity=0.0, top_load=0.02, load_grain=loaded, bottom=bottom)
     for last in range(2, 8):
         part = chain.part(1, last)
         assert (part.top_load, part.load_grain) == ((0.02, loaded) if loaded < last else (0.0, 1))

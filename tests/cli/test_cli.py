@@ -5,7 +5,6 @@ import os
 import re
 import shlex
 import signal
-import stat
 import subprocess
 import sys
 import tomllib
@@ -243,17 +242,6 @@ def test_outputs_that_cannot_be_written_are_found_before_the_run(
     assert main(["run", str(scene)]) == 2
     assert keys(capsys.readouterr()) == [str(scene.with_suffix(".nc"))]
     assert names(tmp_path) == sorted([*before, "scene.nc"])
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_a_folder_that_may_not_be_written_to(
-    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-):
-    locked = tmp_path / "locked"
-    locked.mkdir()
-    locked.chmod(stat.S_IRUSR | stat.S_IXUSR)
-    assert main(["run", str(scene), "-o", f"{locked}/run.nc"]) == 2
-    assert keys(capsys.readouterr()) == [f"{locked}/run.nc"]
 
 
 def test_a_missed_tolerance_preserves_the_file(

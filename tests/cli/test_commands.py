@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.command_output import SCENE, keys, names
+from helpers.faults import faults
 
 from lmpchain import (
     Chain,
     EngineUnavailable,
     Impulse,
     InputError,
-    LmpchainError,
     Scene,
     ToleranceNotMet,
     Trajectory,
@@ -617,9 +617,7 @@ def test_invalid_outputs(tmp_path: Path):
     os.mkfifo(tmp_path / "pipe")
 
     def fault(name: str, suffixes: tuple[str, ...] = ()) -> str:
-        with pytest.raises(InputError) as caught:
-            common.output(name, str(scene), suffixes)
-        ((key, message),) = caught.value.faults
+        ((key, message),) = faults(common.output, name, str(scene), suffixes)
         assert key == name
         return message
 
@@ -692,17 +690,6 @@ def test_progress_is_shown_only_on_a_terminal(monkeypatch: Any):
     ):
         monkeypatch.setattr(sys, "stderr", stream)
         assert common.on_terminal() is shown
-
-
-def test_faults_of_all_checks_are_reported_at_once():
-    def fails(key: str) -> None:
-        raise InputError([(key, "wrong")])
-
-    assert common.collect(lambda: 1, lambda: None) == [1, None]
-    with pytest.raises(InputError) as caught:
-        common.collect(lambda: fails("a"), lambda: 1, lambda: fails("b"))
-    assert caught.value.faults == [("a", "wrong"), ("b", "wrong")]
-    assert issubclass(InputError, LmpchainError)
 
 
 def test_nan_and_infinity_become_null_in_json(tmp_path: Path):

@@ -53,12 +53,7 @@ SCENES = {
     "striker": scene(Impulse(velocity=0.1), load_grain=2),
     "driven": scene(Drive(amplitude=2e-8, frequency=2e5)),
     "driven wall": scene(
-        Drive(
-            grain=0,
-            times=np.linspace(0, 8e-6, 7),
-            displacement=SHAPE,
-            interpolation="spline",
-        ),
+        Drive(grain=0, times=np.linspace(0, 8e-6, 7), displacement=SHAPE, interpolation="spline"),
         top="wall",
         damping=EACH,
     ),
@@ -133,12 +128,12 @@ def test_gradients_agree_with_differences_of_taylor_series(name: str):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_adjoints_agree_with_tangents(name: str):
+def test_adjoints_agree_with_tangents(rng: np.random.Generator, name: str):
     case = SCENES[name]
     everyone = np.arange(1, GRAINS + 1)
     step = 0.5 / case.highest_frequency
     run = differentiable(case, DIFFERENTIABLE["dop853"], step, 4, everyone)
-    weights = np.random.default_rng(1).standard_normal((2, *run.velocity.shape))
+    weights = rng.standard_normal((2, *run.velocity.shape))
     weights[0] *= case.highest_frequency
     inputs = run.pull(*weights)
     for key in known(case):
@@ -148,9 +143,8 @@ def test_adjoints_agree_with_tangents(name: str):
         assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), key
 
 
-def test_adjoints_of_long_chains_agree_with_tangents():
+def test_adjoints_of_long_chains_agree_with_tangents(rng):
     """Long runs with growing windows and several pieces."""
-    rng = np.random.default_rng(1)
     start = np.zeros(600)
     start[:5] = 1e-2 * rng.uniform(0.5, 1, 5)
     chain = Chain(grains=600, diameter=1e-3, damping=DAMPING)

@@ -308,7 +308,7 @@ def test_objectives_of_formulas_have_the_values_of_measures() -> None:
 
 
 @pytest.mark.slow
-def test_fits_recover_parameters_within_their_intervals() -> None:
+def test_fits_recover_parameters_within_their_intervals(rng: np.random.Generator) -> None:
     """Of 12 draws of noise on traces of the reference, 95 % intervals cover 10 or more."""
     chain = PRESSED.replace(law=HERTZ, ground=GROUND)
     values = {"c": 2e4, "s": 2e5, "beta": 1e19}
@@ -321,7 +321,6 @@ def test_fits_recover_parameters_within_their_intervals() -> None:
             law=Law(HERTZ.text, c=2.3e4), ground=Law(GROUND.text, s=1.6e5, beta=1e19)
         )
     )
-    rng = np.random.default_rng(7)
     true = np.array([2e4, 2e5])
     inside = np.zeros(2)
     off = []

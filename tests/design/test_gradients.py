@@ -170,10 +170,9 @@ def test_weak_waves_have_the_derivatives_of_the_linear_propagator():
     ],
 )
 def test_adjoints_of_long_chains_agree_with_tangents(
-    velocity: float, struck: int, options: dict[str, float]
+    rng: np.random.Generator, velocity: float, struck: int, options: dict[str, float]
 ):
     """Windows grow or form tiles, for every law and both ways of undoing rows."""
-    rng = np.random.default_rng(1)
     start = np.zeros(900)
     start[:struck] = velocity * rng.uniform(0.5, 1, struck)
     scene = scene_of(Chain(grains=900, diameter=1e-3, **options), Profile(velocity=start), 2e-4)
@@ -299,9 +298,8 @@ def test_two_steps_that_agree_by_chance_are_no_bound():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(40))
-def test_error_estimates_cover_the_errors_of_random_scenes(seed: int):
+def test_error_estimates_cover_the_errors_of_random_scenes(rng: np.random.Generator, seed: int):
     scene = drawn(seed)
-    rng = np.random.default_rng(seed)
     while scene.chain.exponent == 1.0:  # For exponent 1, estimates are only of first order.
         scene = drawn(seed := seed + 1000)
     contact = int(rng.choice(np.flatnonzero(scene.chain.contacts.exists)))

@@ -4,8 +4,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Drive, Impulse, InputError, Scene, simulate
+from lmpchain import Drive, Impulse, InputError, simulate
 from lmpchain.design import (
     ArrivalTime,
     DriveWork,
@@ -33,12 +35,7 @@ def square(time, u, v):
     )
 
 
-STRUCK = Scene(
-    chain=Chain(grains=8, diameter=1e-3, top_load=0.02, bottom="wall", exponent=1.7),
-    excitation=Impulse(velocity=5e-3),
-    duration=2e-5,
-    samples=9,
-)
+STRUCK = struck(column(8, top_load=0.02, bottom="wall", exponent=1.7), 5e-3, 2e-5, 9)
 DRIVEN = STRUCK.replace(
     excitation=Drive(
         times=np.linspace(0, 2e-5, 6),
@@ -65,14 +62,13 @@ OBJECTIVES = {
 
 
 @pytest.mark.parametrize("case", OBJECTIVES)
-def test_objectives_have_the_derivatives_that_differences_show(case: str):
+def test_objectives_have_the_derivatives_that_differences_show(rng: np.random.Generator, case: str):
     scene, objective = OBJECTIVES[case]
     names = ["masses", "contact_constants", "top_load"] + ["drive"] * (scene is DRIVEN)
     method = SPLITTINGS["rkn4"]
     chain = scene.chain
     _, gradients, _ = at_step(scene, objective, names, method, 2e-7)
     step = 1e-5
-    rng = np.random.default_rng(5)
     for name in names:
         base = parameters.values(scene, name)
         along = rng.uniform(-1, 1, base.size) * np.abs(base).max()
@@ -122,9 +118,9 @@ def test_weak_waves_lose_no_digits_of_the_energy():
 
 
 def test_a_moving_wall_is_rejected():
-    chain = Chain(grains=6, diameter=1e-3, top_load=0.02, top="wall", bottom="wall")
+    chain = column(6, top_load=0.02, top="wall", bottom="wall")
     wall = Drive(grain=0, amplitude=2e-7, frequency=2e5)
-    scene = Scene(chain=chain, excitation=wall, duration=1e-5, samples=7)
+    scene = scene_of(chain, wall, 1e-5, 7)
     for objective in (PeakForce(0), Energy([1, 2])):
         with pytest.raises(InputError, match="moving wall"):
             gradient(scene, objective, ["masses"])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from lmpchain import Chain, InputError, Profile, Scene
-from lmpchain.design import Momentum, optimise
+from lmpchain.design import Momentum, optimisation, optimise
 from lmpchain.design.optimisation import fingerprint
 from lmpchain.design.parameters import changed, values
 
@@ -21,71 +21,51 @@ BALLS = Scene(
     duration=4e-4,
     samples=2,
 )
-BOUNDS = {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])}
+TASK: dict[str, Any] = {
+    "scene": BALLS,
+    "objective": Momentum([3]),
+    "parameters": ["masses"],
+    "bounds": {"masses": ([1e-3, 1.2e-3, 9e-3], [1e-3, 8e-3, 9e-3])},
+    "maximise": True,
+    "starts": 1,
+}
 
 
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-7])
 def test_an_optimum_is_as_flat_as_its_value_is_exact(tolerance: float):
     """At a relative distance e from the geometric mean the momentum is smaller by 3/16 e^2."""
-    found = optimise(
-        BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=1, tolerance=tolerance
-    )
+    found = optimise(**TASK, tolerance=tolerance)
     assert abs(found.values["masses"][1] / 3e-3 - 1) < np.sqrt(tolerance / (3 / 16))
     assert found.value == pytest.approx(9e-3 / 4, rel=tolerance)
 
 
 @pytest.mark.slow
-def test_the_middle_ball_has_the_geometric_mean_of_the_masses(tmp_path: Path):
-    task: Any = dict(bounds=BOUNDS, maximise=True, starts=2, tolerance=1e-7, folder=tmp_path)
-    found = optimise(BALLS, Momentum([3]), ["masses"], **task)
+def test_the_middle_ball_has_the_geometric_mean_of_the_masses():
+    found = optimise(**TASK | {"starts": 2}, tolerance=1e-7)
     np.testing.assert_allclose(found.values["masses"], [1e-3, 3e-3, 9e-3], rtol=1e-4)
     assert found.value == pytest.approx(9e-3 * 4 * 3 / (4 * 12), rel=1e-7)
     assert len(found.history) == 2
     assert found.scene.chain.masses[1] == found.values["masses"][1]
-    again = optimise(BALLS, Momentum([3]), ["masses"], **task)
-    assert again.value == found.value
-    assert [part.tolist() for part in again.history] == [part.tolist() for part in found.history]
-    with pytest.raises(InputError, match="another task"):
-        optimise(BALLS, Momentum([2]), ["masses"], **task)
-
-
-def test_constraints_are_satisfied():
-    def light(by_name):
-        return 2e3 * (2e-3 - by_name["masses"][1]), {"masses": np.array([0, -2e3, 0])}
-
-    found = optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, [light], maximise=True, starts=1)
-    assert found.values["masses"][1] == pytest.approx(2e-3, rel=1e-5)
 
 
 @pytest.mark.slow
 def test_finished_starts_are_not_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    whole = optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3)
-
-    def stop(*_):
-        raise KeyboardInterrupt
-
-    from lmpchain.design import optimisation
-
+    task = TASK | {"starts": 3}
+    whole = optimise(**task)
     descend = optimisation._descend
     done = []
 
     def two_of_them(*arguments):
         if len(done) == 2:
-            stop()
+            raise KeyboardInterrupt
         done.append(1)
         return descend(*arguments)
 
-    monkeypatch.setattr(optimisation, "_descend", two_of_them)
-    with pytest.raises(KeyboardInterrupt):
-        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path)
-    monkeypatch.setattr(optimisation, "_descend", descend)
-    found = optimise(
-        BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path
-    )
-    assert found.value == whole.value
-    (tmp_path / "starts.json").write_text('{"task": 3')
-    with pytest.raises(InputError, match="damaged"):
-        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, maximise=True, starts=3, folder=tmp_path)
+    with monkeypatch.context() as stopped:
+        stopped.setattr(optimisation, "_descend", two_of_them)
+        with pytest.raises(KeyboardInterrupt):
+            optimise(**task, folder=tmp_path)
+    assert optimise(**task, folder=tmp_path).value == whole.value
 
 
 LIMIT = 2e-3
@@ -106,11 +86,11 @@ def test_a_folder_is_of_one_task_constraints_included(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     """With an additional constraint, the old optimum of 3 g was once returned instead of 2 g."""
-    task: Any = dict(maximise=True, starts=1, runs=12, folder=tmp_path / "starts")
-    arguments = (BALLS, Momentum([3]), ["masses"], BOUNDS)
-    free = optimise(*arguments, **task)
+    task = TASK | {"runs": 12, "folder": tmp_path / "starts"}
+    free = optimise(**task)
     assert free.values["masses"][1] > 2.5e-3
     others = [
+        {"objective": Momentum([2])},
         {"constraints": [below(2e-3)]},
         {"constraints": [below_a_global]},
         {"tolerance": 1e-6},
@@ -120,20 +100,20 @@ def test_a_folder_is_of_one_task_constraints_included(
     ]
     for change in others:
         with pytest.raises(InputError, match="to another task: use another folder"):
-            optimise(*arguments, **task | change)
+            optimise(**task | change)
     task = task | {"folder": tmp_path / "light", "constraints": [below(2e-3)]}
-    light = optimise(*arguments, **task)
+    light = optimise(**task)
     assert light.values["masses"][1] == pytest.approx(2e-3, rel=1e-5)
     # The same constraint, defined again, is the same task.
-    assert optimise(*arguments, **task | {"constraints": [below(2e-3)]}).value == light.value
+    assert optimise(**task | {"constraints": [below(2e-3)]}).value == light.value
     for constraints in ([], [below(2.1e-3)], [below(2e-3), below(4e-3)]):
         with pytest.raises(InputError, match="to another task"):
-            optimise(*arguments, **task | {"constraints": constraints})
+            optimise(**task | {"constraints": constraints})
     task |= {"folder": tmp_path / "global", "constraints": [below_a_global]}
-    optimise(*arguments, **task)
+    optimise(**task)
     monkeypatch.setattr(sys.modules[__name__], "LIMIT", 2.5e-3)
     with pytest.raises(InputError, match="to another task"):
-        optimise(*arguments, **task)
+        optimise(**task)
 
 
 @pytest.mark.parametrize(
@@ -147,6 +127,7 @@ def test_a_folder_is_of_one_task_constraints_included(
         '{"task": "a", "starts": [{}]}',
         '{"task": "a", "starts": [{"value": "x", "at": [], "history": []}]}',
         '{"mine": 1}',
+        '{"task": 3',
     ],
 )
 def test_a_foreign_starts_json_is_rejected_and_preserved(content: str, tmp_path: Path):
@@ -154,20 +135,20 @@ def test_a_foreign_starts_json_is_rejected_and_preserved(content: str, tmp_path:
     with pytest.raises(
         InputError, match=r"^folder: .*starts\.json is damaged, or lmpchain did not"
     ):
-        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path)
+        optimise(**TASK, folder=tmp_path)
     assert (tmp_path / "starts.json").read_text() == content
 
 
 @pytest.mark.parametrize("name", [3, 1.5, True, "a" * 300, "a\0b", ["a"], b"a"])
 def test_names_that_no_folder_can_bear(name: Any):
     with pytest.raises(InputError, match=r"^folder: "):
-        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=name)
+        optimise(**TASK, folder=name)
 
 
 def test_a_file_is_not_a_folder(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is not a folder and cannot be made one"):
-        optimise(BALLS, Momentum([3]), ["masses"], BOUNDS, starts=1, folder=tmp_path / "file")
+        optimise(**TASK, folder=tmp_path / "file")
 
 
 @pytest.mark.parametrize(
@@ -220,10 +201,8 @@ def test_scenes_change_by_name():
 
 def test_invalid_tasks_are_rejected():
     with pytest.raises(InputError, match="bounds"):
-        optimise(BALLS, Momentum([3]), ["masses"], {})
+        optimise(**TASK | {"bounds": {}})
     with pytest.raises(InputError, match="no parameter free"):
-        optimise(
-            BALLS, Momentum([3]), ["masses"], {"masses": (BALLS.chain.masses, BALLS.chain.masses)}
-        )
+        optimise(**TASK | {"bounds": {"masses": (BALLS.chain.masses, BALLS.chain.masses)}})
     with pytest.raises(InputError, match="shape"):
         changed(BALLS, {"masses": np.ones(2)})

@@ -53,7 +53,7 @@ def test_sums_with_corrected_ends_integrate_polynomials(size: int):
 
 @pytest.mark.parametrize(("contact", "viscosity"), [(0, 0.0), (2, 0.0), (2, 3e-7), (4, 3e-7)])
 def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
-    contact: int, viscosity: float
+    rng: np.random.Generator, contact: int, viscosity: float
 ):
     """The derivatives of closed and open contacts agree with differences.
 
@@ -69,7 +69,6 @@ def test_the_force_of_a_contact_and_its_derivatives_are_those_of_hertz(
         damping={"viscoelastic": viscosity},
     )
     scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5, samples=6)
-    rng = np.random.default_rng(1)
     eps = chain.contacts.overlap.max()
     grains = np.array([1, 2, 3, 4])
     u = 0.4 * eps * rng.normal(size=(6, 4))

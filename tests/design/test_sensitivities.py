@@ -5,18 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Impulse, InputError, Profile, simulate
+from lmpchain import Impulse, InputError, Profile, simulate
 from lmpchain.cli import main
 from lmpchain.design import KineticEnergy, PeakForce, gradient, sensitivity
 from lmpchain.design.gradients import at_step
 from lmpchain.design.parameters import changed, values
 from lmpchain.integrators.methods import SPLITTINGS
 
-VACUUM = scene_of(
-    Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31
-)
+VACUUM = scene_of(column(12, gravity=0.0, bottom="wall"), Impulse(velocity=0.1), 6e-5, 31)
 
 
 DAMPED = VACUUM.replace(chain=VACUUM.chain.replace(damping={"viscoelastic": 3e-7, "drag": 5e3}))
@@ -53,9 +52,8 @@ def test_uncertain_damping_scatters_a_result():
 
 
 @pytest.mark.slow
-def test_an_uncertainty_is_the_scatter_of_random_chains():
+def test_an_uncertainty_is_the_scatter_of_random_chains(rng):
     share = 1e-4
-    rng = np.random.default_rng(3)
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share, "youngs_modulus": share})
     answers = []
     for _ in range(100):
@@ -68,10 +66,9 @@ def test_an_uncertainty_is_the_scatter_of_random_chains():
 
 
 @pytest.mark.slow
-def test_drawn_chains_show_the_error_of_first_order():
+def test_drawn_chains_show_the_error_of_first_order(rng):
     share = 3e-3
     found = sensitivity(VACUUM, "peak_force:6", {"diameters": share})
-    rng = np.random.default_rng(4)
     diameters = values(VACUUM, "diameters")
     answers = []
     for _ in range(600):
@@ -134,13 +131,7 @@ def test_an_unknown_objective_is_named(of: str, text: str):
 
 
 def test_given_masses_replace_diameters():
-    chain = Chain(
-        grains=4,
-        diameter=1e-3,
-        masses=np.full(4, 1e-6),
-        contact_constants=np.full(3, 1e9),
-        top_load=0.1,
-    )
+    chain = column(4, masses=np.full(4, 1e-6), contact_constants=np.full(3, 1e9), top_load=0.1)
     scene = scene_of(chain, Profile(velocity=[1e-3, 0, 0, 0]), 1e-5, 3)
     found = sensitivity(scene, KineticEnergy([2]), {"masses": 0.01})
     assert set(found.relative) == {"masses", "contact_constants", "top_load", "gravity", "velocity"}

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 from helpers.child_processes import COMMAND, PATIENCE, on_a_terminal
 from helpers.command_output import keys
-from helpers.independent_integrators import relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
+from helpers.faults import fault_keys
+from helpers.independent_integrators import distance
 
 from lmpchain import (
     Chain,
@@ -28,15 +31,12 @@ from lmpchain.disorder.averages import at_the_end, disordered, ensemble, factors
 from lmpchain.measure.dyson import relative_stiffness, sums
 
 
-def column(
+def weakly_struck(
     grains: int = 30, tau: float = 8.0, samples: int = 2, speed: float = 1e-12, **recorded: Any
 ) -> Scene:
     """Return the paper's column with a strike on the top grain."""
-    chain = Chain(grains=grains, diameter=1e-3)
-    strike = Impulse(velocity=speed)
-    return Scene(
-        chain=chain, excitation=strike, duration=tau * chain.time_scale, samples=samples, **recorded
-    )
+    chain = column(grains)
+    return struck(chain, speed, tau * chain.time_scale, samples, **recorded)
 
 
 def generator(seed: int = 1) -> np.random.Generator:
@@ -84,24 +84,9 @@ def chains(exponent: float) -> list[Chain]:
         {"grain": 9, "mass": 2e-6},
     )
     return [
-        Chain(grains=40, diameter=1e-3, exponent=exponent),
-        Chain(
-            grains=12,
-            diameter=1e-3,
-            exponent=exponent,
-            gravity=0,
-            top_load=1e-3,
-            top="wall",
-            bottom="wall",
-        ),
-        Chain(
-            grains=12,
-            diameter=1e-3,
-            exponent=exponent,
-            bottom="wall",
-            bottom_material="steel",
-            impurity=odd,
-        ),
+        column(40, exponent=exponent),
+        column(12, exponent=exponent, gravity=0, top_load=1e-3, top="wall", bottom="wall"),
+        column(12, exponent=exponent, bottom="wall", bottom_material="steel", impurity=odd),
         Chain(
             grains=9,
             diameter=np.linspace(1, 2, 9) * 1e-3,
@@ -146,7 +131,7 @@ def test_masses_and_diameters_are_unchanged_by_random_stiffness(of):
 
 
 def test_a_vacuum_has_constants_but_no_stiffness():
-    vacuum = Chain(grains=6, diameter=1e-3, gravity=0)
+    vacuum = column(6, gravity=0)
     with pytest.raises(InputError, match=r'^gravity: .* use of="constant"$'):
         disordered(vacuum, 2, generator())
     drawn = disordered(vacuum, 2, generator(), of="constant")
@@ -157,7 +142,7 @@ def test_a_vacuum_has_constants_but_no_stiffness():
 
 def test_contacts_too_soft_for_hertz():
     """A single chain is rejected; an average includes it with a warning."""
-    scene = column(grains=40)
+    scene = weakly_struck(grains=40)
     with pytest.raises(InputError, match=r"^diameter: contact .* is compressed by"):
         disordered(scene.chain, 0.05, generator())
     soft = ensemble(scene, 0.05, 20, seed=1)
@@ -180,9 +165,7 @@ def test_contacts_too_soft_for_hertz():
 )
 def test_options_that_are_wrong(change, key):
     options: dict[str, Any] = {"m": 2, "realisations": 3, "seed": 1} | change
-    with pytest.raises(InputError) as raised:
-        ensemble(column(), **options)
-    assert [fault[0] for fault in raised.value.faults] == [key]
+    assert fault_keys(ensemble, weakly_struck(), **options) == [key]
 
 
 # --- averages
@@ -191,7 +174,11 @@ def test_options_that_are_wrong(change, key):
 @pytest.mark.parametrize(("engine", "count"), [("chebyshev", 37), ("modes", 37), ("native", 18)])
 def test_mean_and_standard_error(engine, count):
     """Batches give the same means as all chains at once, each solved separately."""
-    scene = column(samples=5, grains=20, tau=6.0) if engine == "native" else column(samples=5)
+    scene = (
+        weakly_struck(samples=5, grains=20, tau=6.0)
+        if engine == "native"
+        else weakly_struck(samples=5)
+    )
     found = ensemble(scene, 2, count, seed=5, engine=engine)
     alone = [simulate(realisation(scene, 2, 5, i), engine) for i in range(count)]
     tolerance = 3e-6 if engine == "native" else 1e-12
@@ -219,7 +206,9 @@ def test_first_moments_of_a_motion_just_begun():
     tau = 0.02
     m = 4
     count = 400
-    found = ensemble(column(grains=4, tau=tau, speed=1.0e-12), m, count, seed=3, engine="modes")
+    found = ensemble(
+        weakly_struck(grains=4, tau=tau, speed=1.0e-12), m, count, seed=3, engine="modes"
+    )
     lost = (1 - found.velocity[-1, 0] / 1e-12) / (tau**2 / 2)
     error = found.velocity_error[-1, 0] / 1e-12 / (tau**2 / 2)
     assert lost == pytest.approx(1, rel=0, abs=4 * np.sqrt(1 / m / count))
@@ -234,7 +223,7 @@ PUBLISHED = {1: 0.0995, 5: 0.234, 100: 0.356}
 @pytest.mark.slow
 def test_largest_mean_velocity():
     """Disorder lowers the true averages, and each average is within 3 standard errors."""
-    scene = column(grains=60, tau=15.0)
+    scene = weakly_struck(grains=60, tau=15.0)
     ordered = simulate(scene, "modes").velocity[-1] / 1e-12
     assert ordered.max() == pytest.approx(0.364, abs=5e-4)
     largest = []
@@ -251,7 +240,7 @@ def test_largest_mean_velocity():
 @pytest.mark.parametrize("law", ["dyson", "paper"])
 def test_order_is_the_limit_of_large_m(law):
     """The mean deviates by some 1/m, a single chain by some 1/sqrt(m)."""
-    scene = column()
+    scene = weakly_struck()
     ordered = simulate(scene, "chebyshev").velocity[-1]
     size = np.abs(ordered).max()
     for m in (1e6, 1e10):
@@ -266,16 +255,16 @@ def test_order_is_the_limit_of_large_m(law):
 
 def test_weak_strikes_are_linear_and_strong_ones_are_not():
     """The same chains are solved by Eq. (3) and by Eq. (1)."""
-    weak = column(grains=20, tau=6.0, speed=1e-12)
-    strong = column(grains=20, tau=6.0, speed=2e-5)
+    weak = weakly_struck(grains=20, tau=6.0, speed=1e-12)
+    strong = weakly_struck(grains=20, tau=6.0, speed=2e-5)
     linear, full = (ensemble(weak, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native"))
-    off = relative_error(full.displacement, full.velocity, linear.displacement, linear.velocity)
+    off = distance(full, linear)
     assert off < linear.model_error + 3e-6
     assert full.model_error == 0
     linear, full = (
         ensemble(strong, 5, 20, seed=1, engine=name) for name in ("chebyshev", "native")
     )
-    off = relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
+    off = distance(linear, full)
     assert 1e-3 < off < 3 * linear.model_error
 
 
@@ -289,7 +278,7 @@ MADE = {
 @pytest.mark.parametrize("engine", MADE)
 def test_a_batch_is_its_chains(engine, monkeypatch):
     """The bits are equal for single chains and batches of any size."""
-    scene = column(samples=4)
+    scene = weakly_struck(samples=4)
     made = MADE[engine](scene)
     scenes = [realisation(scene, 3, 11, i) for i in range(5)]
     alone = [simulate(each, made, 0.9) for each in scenes]
@@ -315,7 +304,7 @@ def assert_same(one: disorder.Ensemble, other: disorder.Ensemble) -> None:
 
 
 def test_seeds():
-    scene = column()
+    scene = weakly_struck()
     first = ensemble(scene, 2, 10, seed=4)
     assert_same(first, ensemble(scene, 2, 10, seed=4, progress=True))
     assert not np.array_equal(first.velocity, ensemble(scene, 2, 10, seed=5).velocity)
@@ -344,7 +333,7 @@ def test_a_longer_series_begins_with_the_shorter_one():
     """The same chains have the same steps, also if the step is determined for a batch."""
     short = Watched()
     long = Watched()
-    scene = column(grains=12, tau=4.0, speed=1e-6)
+    scene = weakly_struck(grains=12, tau=4.0, speed=1e-6)
     ensemble(scene, 1, 3, seed=2, engine=short, tolerance=1e-9)
     ensemble(scene, 1, 18, seed=2, engine=long, tolerance=1e-9)
     assert short.asked == long.asked[: len(short.asked)]
@@ -352,13 +341,13 @@ def test_a_longer_series_begins_with_the_shorter_one():
 
 
 def test_failing_ensembles_state_the_reason():
-    scene = column(grains=10, tau=20.0, speed=1.0)
+    scene = weakly_struck(grains=10, tau=20.0, speed=1.0)
     with pytest.raises(RunFailed, match="shorter step"):
         ensemble(scene, 5, 2, seed=1, engine=engines.Native(integrator="verlet", step=2e-6))
     with pytest.raises(ToleranceNotMet):
-        ensemble(column(), 5, 2, seed=1, tolerance=1e-17)
+        ensemble(weakly_struck(), 5, 2, seed=1, tolerance=1e-17)
     drawn = Displacement(displacement=1e-12)
-    loose = Scene(chain=Chain(grains=5, diameter=1e-3, top="wall"), excitation=drawn, duration=1e-5)
+    loose = scene_of(column(5, top="wall"), drawn, 1e-5)
     with pytest.raises(InputError, match=r"^top: a wall that only touches"):
         ensemble(loose, 5, 2, seed=1)
 
@@ -376,12 +365,12 @@ def test_an_interruption_releases_all_resources(monkeypatch):
 
     monkeypatch.setattr(engine, "start", start)
     with pytest.raises(KeyboardInterrupt):
-        ensemble(column(), 2, 5, seed=1, engine=engine)
+        ensemble(weakly_struck(), 2, 5, seed=1, engine=engine)
     assert closed == [True]
 
 
 def test_picture_of_a_mean():
-    found = ensemble(column(), 2, 10, seed=1)
+    found = ensemble(weakly_struck(), 2, 10, seed=1)
     for sample in (-1, 0):
         (axes,) = found.plot(sample=sample).figure.axes
         (line,) = axes.lines
@@ -404,14 +393,14 @@ def test_picture_of_a_mean():
     )
     assert axes.yaxis.get_major_formatter()(2e-6) == "2 µm/s"
     for count, bands in ((1, 0), (2, 1)):
-        assert len(ensemble(column(), 2, count, seed=1).plot().collections) == bands
+        assert len(ensemble(weakly_struck(), 2, count, seed=1).plot().collections) == bands
 
 
 def test_averages_at_the_end():
     """The ordered chain and averages of all grains, at the start and at the end."""
-    scene = column(samples=7, grains=12)
+    scene = weakly_struck(samples=7, grains=12)
     ordered, averages = at_the_end(scene.replace(grains=[3]), [2, 5], 4, seed=3)
-    end = column(samples=2, grains=12)
+    end = weakly_struck(samples=2, grains=12)
     assert np.array_equal(ordered, simulate(end, "chebyshev").velocity[-1])
     for m, found in zip((2, 5), averages, strict=True):
         assert_same(found, ensemble(end, m, 4, seed=3))
@@ -423,26 +412,26 @@ def test_averages_at_the_end():
 
 
 def test_metadata_of_averages():
-    found = ensemble(column(grains=12), 3, 4, 7, law="paper", of="constant")
+    found = ensemble(weakly_struck(grains=12), 3, 4, 7, law="paper", of="constant")
     assert (found.m, found.seed, found.law, found.of) == (3, 7, "paper", "constant")
     alone = [
-        simulate(realisation(column(grains=12), 3, 7, i, "paper", "constant"), "chebyshev")
+        simulate(realisation(weakly_struck(grains=12), 3, 7, i, "paper", "constant"), "chebyshev")
         for i in range(4)
     ]
     mean = np.mean([t.velocity for t in alone], axis=0)
     assert found.velocity == pytest.approx(mean, rel=0, abs=1e-15 * np.abs(mean).max())
     with pytest.raises(ToleranceNotMet, match=r"^in chains 1 to 5 "):
-        ensemble(column(), 5, 5, seed=1, tolerance=1e-17)
+        ensemble(weakly_struck(), 5, 5, seed=1, tolerance=1e-17)
     with pytest.raises(
         InputError,
         match=r"^engine: must be one of native, modes, chebyshev for random chains \(got 'bes",
     ):
-        ensemble(column(), 5, 5, seed=1, engine="bessel")
+        ensemble(weakly_struck(), 5, 5, seed=1, engine="bessel")
 
 
 def test_materials_of_grains_whose_modulus_is_drawn():
     """Density and Poisson's ratio are unchanged; Young's modulus is multiplied by the factors."""
-    chain = Chain(grains=6, diameter=1e-3, material=["steel", "glass", "ptfe"] * 2)
+    chain = column(6, material=["steel", "glass", "ptfe"] * 2)
     zeta = factors(9, 6, generator())
     drawn = disordered(chain, 9, generator(), of="youngs_modulus")
     for before, after, factor in zip(chain.material, drawn.material, zeta, strict=True):
@@ -453,7 +442,7 @@ def test_materials_of_grains_whose_modulus_is_drawn():
         match=r"^contact_constants: contact constants are given .* from diameter: use",
     ):
         disordered(
-            Chain(grains=3, diameter=1e-3, contact_constants=[1e9, 1e9]),
+            column(3, contact_constants=[1e9, 1e9]),
             9,
             generator(),
             of="diameter",
@@ -473,7 +462,7 @@ SUMS = {
 
 
 def test_relative_stiffness():
-    paper = relative_stiffness(Chain(grains=60, diameter=1e-3))
+    paper = relative_stiffness(column(60))
     assert paper == pytest.approx(np.arange(1, 61) ** (1 / 3), rel=1e-13)
     load = {"gravity": 0, "top_load": 1e-3, "grains": 7, "diameter": 1e-3}
     assert relative_stiffness(Chain(**load)) == pytest.approx(np.ones(7), rel=1e-13)
@@ -486,7 +475,7 @@ def test_relative_stiffness():
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
     path = tmp_path / "run.nc"
-    simulate(column(grains=60, tau=15.0, samples=4), "modes").save(path)
+    simulate(weakly_struck(grains=60, tau=15.0, samples=4), "modes").save(path)
     return path
 
 
@@ -512,7 +501,7 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
     for row in data["rows"]:
         assert len(row["as_printed_over_time"]) == len(data["time_s"]) == 4
         assert f"{row['as_printed']:.5g}" in said.out
-        found = ensemble(column(grains=60, tau=15.0), row["m"], 12, seed=1)
+        found = ensemble(weakly_struck(grains=60, tau=15.0), row["m"], 12, seed=1)
         mean = row["random_chains"]
         assert mean["mean_velocity"] == pytest.approx(found.velocity[-1] / 1e-12, rel=0, abs=1e-12)
         assert mean["mean_velocity"][mean["grain"] - 1] == mean["largest"]
@@ -521,11 +510,9 @@ def test_dyson(saved: Path, capsys: pytest.CaptureFixture[str]):
 
 
 def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixture[str]):
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     pulled = Displacement(displacement=-1e-16, grain=3)
-    everything_that_moves = Scene(
-        chain=chain, excitation=pulled, duration=1e-5, samples=3, grains="1:11"
-    )
+    everything_that_moves = scene_of(chain, pulled, 1e-5, 3, grains="1:11")
     simulate(everything_that_moves, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "2", "--realisations", "3", "--seed", "0"]) == 0
     assert "velocities in m/s" in capsys.readouterr().out
@@ -533,7 +520,7 @@ def test_dyson_in_m_per_s_without_files(saved: Path, capsys: pytest.CaptureFixtu
 
 
 def test_lines_of_the_picture_differ_in_colour_and_dash():
-    scene = column()
+    scene = weakly_struck()
     orders = [float(m) for m in range(1, 11)]
     found = sums(simulate(scene, "modes"), orders)
     few = [ensemble(scene, m, 2, seed=1) for m in orders]
@@ -561,15 +548,13 @@ def test_dyson_with_invalid_options(options, key, saved: Path, capsys: pytest.Ca
 
 
 def test_unsuitable_runs_for_dyson_are_rejected(saved: Path, capsys: pytest.CaptureFixture[str]):
-    chain = Chain(grains=12, diameter=1e-3)
+    chain = column(12)
     strike = Impulse(velocity=1e-9)
-    some = Scene(chain=chain, excitation=strike, duration=1e-5, samples=3, grains=[1, 5])
+    some = scene_of(chain, strike, 1e-5, 3, grains=[1, 5])
     simulate(some, "modes").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["grains"]
-    vacuum = Scene(
-        chain=Chain(grains=5, diameter=1e-3, gravity=0), excitation=strike, duration=1e-5, samples=3
-    )
+    vacuum = scene_of(column(5, gravity=0), strike, 1e-5, 3)
     simulate(vacuum, "native").save(saved)
     assert main(["dyson", str(saved), "--m", "1"]) == 2
     assert keys(capsys.readouterr()) == ["gravity"]

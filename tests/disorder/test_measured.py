@@ -18,9 +18,8 @@ SHORT = SCENE.replace(chain=CHAIN.replace(grains=4), duration=1e-6, samples=2)
 
 
 @pytest.mark.slow
-def test_intervals_cover_mean_and_quantiles() -> None:
+def test_intervals_cover_mean_and_quantiles(rng: np.random.Generator) -> None:
     """At least 95 % of the intervals of 2000 ensembles contain the true value."""
-    rng = np.random.default_rng(2)
     law = stats.gamma(5, scale=0.2)
     covers = np.zeros((2000, 4), bool)
     for row in covers:
@@ -196,9 +195,8 @@ def test_statistics_of_a_sweep_are_those_of_the_ensemble(tmp_path: Path) -> None
         statistics([1.0])
 
 
-def test_pictures_have_labels() -> None:
+def test_pictures_have_labels(rng: np.random.Generator) -> None:
     """A number is drawn as a histogram, a curve as a band; more dimensions are refused."""
-    rng = np.random.default_rng(1)
     number = MeasuredEnsemble(rng.normal(size=30), None, 0.0, 0.0)
     axes = number.plot(label="speed (m/s)")
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("speed (m/s)", "number of chains")

@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from scipy.special import j0, jv, jvp
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
@@ -28,7 +30,7 @@ def scene(
         if moved
         else Impulse(velocity=1e-9, grain=middle)
     )
-    return Scene(chain=line, excitation=excitation, duration=tau * line.time_scale, samples=samples)
+    return scene_of(line, excitation, tau * line.time_scale, samples)
 
 
 @pytest.mark.parametrize("engine", ["chebyshev", "native"])
@@ -137,9 +139,7 @@ def test_chains_with_random_grains(of):
         {"grain": 8, "material": "steel"},
         {"grain": 9, "mass": 2e-6},
     )
-    chain = Chain(
-        grains=12, diameter=1e-3, gravity=0, top_load=1e-3, top="wall", bottom="wall", impurity=odd
-    )
+    chain = column(12, gravity=0, top_load=1e-3, top="wall", bottom="wall", impurity=odd)
     zeta = factors(30, 12, np.random.default_rng(1))
     drawn = disordered(chain, 30, np.random.default_rng(1), of=of)
     power = {"mass": 1, "diameter": 3, "youngs_modulus": 0}[of]
@@ -227,7 +227,5 @@ def test_metadata_of_spreading():
 
 
 def column_of_soft_contacts() -> Scene:
-    chain = Chain(grains=40, diameter=1e-3)
-    return Scene(
-        chain=chain, excitation=Impulse(velocity=1e-12), duration=2 * chain.time_scale, samples=3
-    )
+    chain = column(40)
+    return struck(chain, 1e-12, 2 * chain.time_scale, 3)

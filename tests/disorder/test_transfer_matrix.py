@@ -94,10 +94,9 @@ def growth_and_nodes(
 
 @pytest.mark.parametrize("kind", ["masses", "ratios"])
 @pytest.mark.parametrize("piece", [2**16, 37])
-def test_every_grain_by_its_equation_of_motion(kind: str, piece: int, monkeypatch):
+def test_every_grain_by_its_equation_of_motion(rng, kind: str, piece: int, monkeypatch):
     """Three chains of given grains: mean after a tenth, standard error, and draw order."""
     monkeypatch.setattr(transfer_matrix, "PIECE", piece)
-    rng = np.random.default_rng(4)
     chains = 3
     grains = 150
     w = np.array([0.0, 0.3, 1.1, 2.5, 40.0])

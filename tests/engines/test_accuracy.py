@@ -4,7 +4,7 @@ from itertools import product
 
 import pytest
 from helpers.example_scenes import PAPER, paper
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.reference_scenes import (
     KINDS,
     LONG_AND_WEAK,
@@ -24,7 +24,7 @@ def check(scene, reference, engine, tolerance, **options):
     u, v, own = reference
     columns = scene.recorded - 1
     t = simulate(scene, engine=engine, tolerance=tolerance, **options)
-    true = relative_error(t.displacement, t.velocity, u[:, columns], v[:, columns])
+    true = distance(t, (u[:, columns], v[:, columns]))
     estimate = t.error_estimate.total
     assert own < 0.05 * tolerance
     assert estimate <= tolerance
@@ -42,7 +42,7 @@ def check_or_floor(scene, reference, engine, tolerance, **options):
         reason = refusal.reason
     with pytest.warns(UserWarning, match=FLOOR):
         t = simulate(scene, engine=engine, tolerance=tolerance, on_miss="warn", **options)
-    true = relative_error(t.displacement, t.velocity, *reference[:2])
+    true = distance(t, reference)
     assert t.error_estimate.total > tolerance or "heights in double precision" in reason
     assert (true - reference[2]) / 3 <= t.error_estimate.total
     # The law before the run overestimates the error of some short chains.
@@ -109,7 +109,7 @@ def test_gauge_diameter_on_the_weak_scene():
         simulate(scene, engine="lammps", tolerance=1e-7, diameter="physical")
     assert refusal.value.trajectory is None
     fixed = simulate(scene, engine=Lammps(step=1e-6, diameter="physical"))
-    true = relative_error(fixed.displacement, fixed.velocity, *reference[:2])
+    true = distance(fixed, reference)
     assert 4e-5 < true < 1e-2
     assert true / 3 < fixed.error_estimate.solver < 3 * true
 
@@ -164,7 +164,7 @@ def test_estimate_at_a_given_step(divisor):
     step = scene.duration / 5 / (40 * divisor) * 1.001
     t = simulate(scene, engine=Native(integrator="verlet", step=step), tolerance=1e-12)
     u, v = (each[::5] for each in reference_motion("fig5 g")[:2])
-    true = relative_error(t.displacement, t.velocity, u, v)
+    true = distance(t, (u, v))
     assert t.cost.steps == 5 * 40 * divisor
     assert t.cost.step_s <= step
     assert true / 3 < t.error_estimate.solver < 5 * true

@@ -5,11 +5,12 @@ import math
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of
 from helpers.taylor_series import reference, solve
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
 
 from lmpchain import (
-    Chain,
     Drive,
     Force,
     Impulse,
@@ -37,14 +38,14 @@ ACTS = {
 }
 
 
-def scene_of(excitation, samples: int = 401, **chain) -> Scene:
-    column = Chain(**{"grains": 20, "diameter": 1e-3, "damping": DAMPING} | WALLS | chain)
-    return Scene(chain=column, excitation=excitation, duration=6e-5, samples=samples)
+def damped_scene(excitation, samples: int = 401, **chain) -> Scene:
+    damped_column = column(**{"damping": DAMPING} | WALLS | chain)
+    return scene_of(damped_column, excitation, 6e-5, samples)
 
 
 @pytest.mark.parametrize("act", ACTS)
 def test_energy_and_momentum_balance(act):
-    t = simulate(scene_of(ACTS[act]), engine="native", tolerance=1e-11)
+    t = simulate(damped_scene(ACTS[act]), engine="native", tolerance=1e-11)
     balance = energy.ledger(t)
     put_in = balance.total.max()
     assert balance.dissipated[-1] > 0.03 * put_in
@@ -62,14 +63,8 @@ def test_energy_and_momentum_balance(act):
     assert abs(total - balance.dissipated).max() <= lost.error < 1e-4 * put_in
 
 
-def test_an_undamped_chain_dissipates_nothing():
-    balance = energy.ledger(simulate(scene_of(ACTS["strike"], 21, damping={}), "native", 1e-9))
-    assert not balance.dissipated.any()
-    assert balance.dissipated_error == 0.0
-
-
 def test_contact_forces_agree_with_accelerations():
-    t = simulate(scene_of(ACTS["strike"], 4001), "native", 1e-11)
+    t = simulate(damped_scene(ACTS["strike"], 4001), "native", 1e-11)
     history = contact.contacts(t)
     inside = history.change[:, :-1] - history.change[:, 1:]
     chain = t.scene.chain
@@ -82,13 +77,13 @@ def test_contact_forces_agree_with_accelerations():
 
 
 def test_peaks_between_samples_are_within_their_error():
-    fine = simulate(scene_of(ACTS["strike"], 4001), "native", 1e-9)
-    coarse = simulate(scene_of(ACTS["strike"], 161), "native", 1e-9)
+    fine = simulate(damped_scene(ACTS["strike"], 4001), "native", 1e-9)
+    coarse = simulate(damped_scene(ACTS["strike"], 161), "native", 1e-9)
     peaks = motion.peaks(coarse)
     exact = motion.peaks(fine).value
     assert (abs(peaks.value - exact) <= peaks.error + 1e-6 * exact).all()
     gathered = simulate(
-        scene_of(ACTS["strike"], 21).replace(quantities=["peak_velocity"]), "native", 1e-9
+        damped_scene(ACTS["strike"], 21).replace(quantities=["peak_velocity"]), "native", 1e-9
     ).gathered
     error = gathered["peak_velocity_error"]
     assert (abs(gathered["peak_velocity"] - exact) <= error + 1e-6 * exact).all()
@@ -97,13 +92,13 @@ def test_peaks_between_samples_are_within_their_error():
 
 @pytest.mark.parametrize("engine", ["chebyshev", "bessel", "continuum"])
 def test_engines_that_conserve_energy_reject_damping(engine):
-    scene = scene_of(Impulse(velocity=1e-9), 11, top="free", bottom="fixed", top_load=0.0)
+    scene = damped_scene(Impulse(velocity=1e-9), 11, top="free", bottom="fixed", top_load=0.0)
     with pytest.raises(InputError, match=r"chain\.damping: .* conserves energy"):
         simulate(scene, engine=engine)
 
 
 def test_the_choice_of_engine_considers_damping():
-    scene = scene_of(Impulse(velocity=1e-9), 11)
+    scene = damped_scene(Impulse(velocity=1e-9), 11)
     assert plan(scene).engine == "native"
     assert plan(scene).integrator == "dop853"
     with pytest.raises(InputError, match="rkn6 is a method for chains without damping: use dop853"):
@@ -121,7 +116,7 @@ def test_the_choice_of_engine_considers_damping():
     ],
 )
 def test_functions_without_damping_support_reject_it(compute):
-    scene = scene_of(ACTS["strike"], 5, gravity=0.0)
+    scene = damped_scene(ACTS["strike"], 5, gravity=0.0)
     with pytest.raises(InputError, match=r"chain\.damping: .*chain.replace\(damping=None\)"):
         compute(scene)
 
@@ -150,8 +145,8 @@ def test_the_effect_of_damping_is_within_its_estimate(seed: int):
 
 @pytest.mark.slow
 def test_a_run_states_the_effect_of_damping():
-    scene = scene_of(ACTS["strike"], 5)
-    weak = scene_of(ACTS["strike"], 5, damping={"drag": 100.0})
+    scene = damped_scene(ACTS["strike"], 5)
+    weak = damped_scene(ACTS["strike"], 5, damping={"drag": 100.0})
     remark = "leaving it out would change the answer by at most about 0.3 %"
     answer = simulate(weak, "native", 1e-6)
     assert answer.provenance["damping"] == weak.damping_remark == remark
@@ -164,7 +159,7 @@ def test_a_run_states_the_effect_of_damping():
     strong, again = simulate_many([scene, weak], 1e-6, "native")
     assert again.provenance["damping"] == remark
     assert "up to all of it" in strong.provenance["damping"]
-    undamped = scene_of(ACTS["strike"], 5, damping={})
+    undamped = damped_scene(ACTS["strike"], 5, damping={})
     assert undamped.damping_effect == 0.0
     assert "damping" not in simulate(undamped, "native", 1e-6).provenance
     assert "damping:" not in plan(undamped).table()
@@ -173,7 +168,7 @@ def test_a_run_states_the_effect_of_damping():
 def test_a_comparison_includes_the_lossless_chain(tmp_path, capsys):
     path = tmp_path / "scene.toml"
     numbers = tmp_path / "numbers.json"
-    scene = scene_of(ACTS["strike"], 21, damping={"viscoelastic": 1e-9, "drag": 100.0})
+    scene = damped_scene(ACTS["strike"], 21, damping={"viscoelastic": 1e-9, "drag": 100.0})
     scene.to_toml(path)
     assert main(["compare", str(path), "--engines", "native,bessel", "--json", str(numbers)]) == 0
     said = capsys.readouterr().out
@@ -193,12 +188,11 @@ def test_a_comparison_includes_the_lossless_chain(tmp_path, capsys):
 @pytest.mark.parametrize("viscoelastic", [0.0, 1e-9, 3e-8, 1e-6])
 def test_the_wave_is_negligible_beyond_the_light_cone(viscoelastic):
     """The front of a damped wave is not sharp: it spreads as in a parabolic equation."""
-    chain = Chain(
-        grains=900, diameter=1e-3, gravity=0.0, top_load=1.0,
-        damping={"viscoelastic": viscoelastic, "drag": 1e3},
-    )  # fmt: skip
+    chain = column(
+        900, gravity=0.0, top_load=1.0, damping={"viscoelastic": viscoelastic, "drag": 1e3}
+    )
     strike = Impulse(velocity=1e-4, grain=450)
-    scene = Scene(chain=chain, excitation=strike, duration=2e-5, samples=2)
+    scene = scene_of(chain, strike, 2e-5, 2)
     cone = scene.light_cone
     assert cone is not None
     true, _ = reference(scene, 1e-18)
@@ -213,7 +207,7 @@ def test_the_wave_is_negligible_beyond_the_light_cone(viscoelastic):
 
 
 def test_the_largest_wall_force_is_at_least_that_of_samples():
-    t = simulate(scene_of(ACTS["strike"], 21), engine="native")
+    t = simulate(damped_scene(ACTS["strike"], 21), engine="native")
     with pytest.raises(InputError, match=r'add "peak_force:.*or use wall_force'):
         motion.motion_of(t).largest_wall_force()
     assert contact.wall_force(t).max() > 0

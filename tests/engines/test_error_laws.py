@@ -8,7 +8,8 @@ import math
 import mpmath
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, smooth
+from helpers.example_chains import column, random_column
+from helpers.example_scenes import paper, scene_of, smooth, struck
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
@@ -116,7 +117,7 @@ def test_an_error_of_two_orders_is_estimated_from_both(fast: float, slow: float)
 )
 def test_errors_have_the_order_of_the_method_where_touching_grains_separate(changes, excitation):
     chain = Chain(**{"grains": 5, "diameter": 1e-3, "gravity": 0.0, "bottom": "wall"} | changes)
-    scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
+    scene = scene_of(chain, excitation, 1e-6, 2)
     scene = scene.replace(duration=30 / scene.highest_frequency)
     true, _ = reference(scene, 1e-17)
     engine = Native("rkn6")
@@ -163,12 +164,16 @@ def test_an_infinite_error_remains_infinite():
 
 def oscillator(stiffness: float, mass: float, periods: float, samples: int = 2) -> Scene:
     """Return a grain on a spring; grain 2 is fixed."""
-    chain = Chain(
-        grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, masses=[mass, mass],
+    chain = column(
+        2,
+        gravity=0.0,
+        top_load=10.0,
+        exponent=1.0,
+        masses=[mass, mass],
         contact_constants=[stiffness],
-    )  # fmt: skip
+    )
     duration = periods * 2 * np.pi / chain.band_edge
-    return Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=duration, samples=samples)
+    return struck(chain, 1e-3, duration, samples)
 
 
 def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
@@ -185,12 +190,11 @@ def swing_error(scene: Scene, velocity: float, displacement: float) -> float:
 
 
 @pytest.mark.slow
-def test_thousands_of_periods_shift_the_phase_by_rounding():
+def test_thousands_of_periods_shift_the_phase_by_rounding(rng):
     """One ulp of mass, stiffness or step shifts the phase by the same relative amount.
 
     More than a walk of roundings makes.
     """
-    rng = np.random.default_rng(4)
     for _ in range(2):
         stiffness, mass = (float(10 ** rng.uniform(low, high)) for low, high in ((6, 8), (-7, -4)))
         scene = oscillator(stiffness, mass, 4e3 + rng.random())
@@ -223,9 +227,9 @@ def test_the_loss_of_the_plain_force_is_in_the_estimate():
     """
     ratios = []
     for grains in range(3, 9):
-        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1.0)
+        chain = column(grains, gravity=0.0, top_load=1.0)
         strike = Impulse(velocity=1e-10 * chain.length_scale / chain.time_scale)
-        scene = Scene(chain=chain, excitation=strike, duration=60 * chain.time_scale, samples=21)
+        scene = scene_of(chain, strike, 60 * chain.time_scale, 21)
         plain, exact = (
             simulate(scene, Native("rkn6", scene.duration / 2000, force=force))
             for force in ("plain", "exact")
@@ -247,8 +251,8 @@ def test_rounding_of_heights_adds_energy_to_contacts():
 
     The rounding error is a random walk of ulps of the chain's length. For springs this is exact.
     """
-    chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
-    scene = Scene(chain=chain, excitation=Displacement(displacement=2e-5), duration=1e-5)
+    chain = column(10, gravity=0.0, top_load=1.0, exponent=1.0)
+    scene = scene_of(chain, Displacement(displacement=2e-5), 1e-5)
     digit = EPSILON * math.sqrt(1e4) * (10e-3 + 2e-5)
     expected = 0.5 * chain.contact_constants.sum() * digit**2
     assert rounded_energy(scene, 1e4) == pytest.approx(expected, rel=1e-9)
@@ -274,13 +278,13 @@ def test_equal_steps_may_round_to_one_side():
 
 @pytest.mark.parametrize("kind", ["struck", "released", "driven"])
 def test_a_nearby_scene_differs_by_a_fraction_of_the_largest_motion(kind):
-    chain = Chain(grains=5, diameter=1e-3)
+    chain = column(5)
     excitation = {
         "struck": Impulse(velocity=-2e-4, grain=2),
         "released": Displacement(displacement=-3e-9, grain=2),
         "driven": Drive(amplitude=1e-9, frequency=1e4),
     }[kind]
-    scene = Scene(chain=chain, excitation=excitation, duration=1e-5, samples=5)
+    scene = scene_of(chain, excitation, 1e-5, 5)
     near = perturb(scene, 1e-3)
     (u, v) = scene.initial()
     (near_u, near_v) = near.initial()
@@ -314,10 +318,8 @@ def test_amplification_of_an_ulp_equals_that_of_a_small_change():
 
     Of a change that is a million times as large, a millionth.
     """
-    chain = Chain(
-        grains=6, diameter=1e-3 * np.random.default_rng(2).uniform(0.7, 1.3, 6), top="wall"
-    )
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=4e-4, samples=9)
+    chain = random_column(6, 2, 0.3, top="wall")
+    scene = struck(chain, 0.1, 4e-4, 9)
     candidate = Native("rkn6").propose(scene, 1e-9)
     grown = amplify_rounding(scene, 1.0)
     near = [divergence(scene, candidate, change).max() / 1e-9 for change in (1e-9, -1e-9, 0.5e-9)]
@@ -337,8 +339,8 @@ def test_runs_that_break_down_show_no_growth():
 
 def test_amplification_is_limited_by_the_phase():
     """The exponent is 0.06 per radian, and rounding accumulates."""
-    chain = Chain(grains=6, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-3, samples=3)
+    chain = column(6)
+    scene = struck(chain, 1e-3, 1e-3, 3)
     radians = scene.highest_frequency * scene.duration
     assert could_grow(scene, 1.0) == pytest.approx(1e-15 * math.exp(0.06 * radians), rel=1e-9)
     assert could_grow(scene, 1e8) == pytest.approx(
@@ -461,9 +463,8 @@ def test_runs_of_more_than_ten_years_are_rejected():
 @pytest.mark.parametrize("engine", ["native", "auto"])
 def test_recording_only_fixed_grains_has_no_error(engine: str):
     """A scene that records fixed grains was once rejected because of rounding elsewhere."""
-    chain = Chain(grains=8, diameter=1e-3)
-    held = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, grains=[8])
-    answer = simulate(held, engine, 1e-13)
+    chain = column(8)
+    answer = simulate(struck(chain, 0.3, 2e-3, grains=[8]), engine, 1e-13)
     assert not answer.displacement.any()
     assert not answer.velocity.any()
     assert answer.error_estimate.solver == 0
@@ -472,8 +473,8 @@ def test_recording_only_fixed_grains_has_no_error(engine: str):
 @pytest.mark.parametrize("duration", [2e-4, 2.5e-4])
 def test_rounding_is_measured_by_runs_with_the_steps_of_the_main_run(duration):
     """Random walk times growth can be hundreds of times too large."""
-    chain = Chain(grains=2, diameter=1e-3, gravity=0, top="wall", bottom="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=duration, samples=21)
+    chain = column(2, gravity=0, top="wall", bottom="wall")
+    scene = struck(chain, 0.1, duration, 21)
     # Rounding errors are random and differ between versions of NumPy.
     tolerance = 1e-11 if duration == 2e-4 else 1e-10
     answer = simulate(scene, "native", tolerance)
@@ -516,7 +517,7 @@ def test_the_opening_of_a_striker_within_a_step_is_in_the_estimate(
         bottom="wall", exponent=exponent, impurity=[Impurity(grain=1, material="ptfe")],
     )  # fmt: skip
     duration = (1e-4 if exponent == 1.5 else 4e-5) * (1 + 0.03 * place)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.44), duration=duration, samples=201)
+    scene = struck(chain, 0.44, duration, 201)
     step = duration / 200 / steps * (1 + 1e-9)
     answer = simulate(scene, Native(integrator, step, adaptive=False))
     true = reference(scene, 1e-13)[0]

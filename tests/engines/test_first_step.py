@@ -5,8 +5,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper, stirred
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, stirred, struck
+from helpers.independent_integrators import distance, extended_reference
 from helpers.taylor_series import reference as taylor
 
 from lmpchain import (
@@ -26,19 +27,8 @@ from lmpchain.engines.stepping.auxiliary_runs import OPENINGS, AuxiliarySteps, r
 from lmpchain.engines.stepping.step_choice import FIRST_STEP, choose_step, expected_reach, land
 from lmpchain.integrators.methods import METHODS
 
-VACUUM = Scene(
-    chain=Chain(grains=20, diameter=1e-3, gravity=0.0, bottom="wall"),
-    excitation=Impulse(velocity=0.1),
-    duration=1e-4, samples=6,
-)  # fmt: skip
+VACUUM = struck(column(20, gravity=0.0, bottom="wall"), 0.1, 1e-4, 6)
 RKN6 = METHODS["rkn6"]
-
-
-def column(velocity: float, **changes) -> Scene:
-    """Return a column with a strike on its top."""
-    excitation = Impulse(velocity=velocity)
-    chain = Chain(grains=120, diameter=1e-3)
-    return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=21).replace(**changes)
 
 
 @pytest.mark.parametrize("name", ["rkn4", "rkn6", "kahan-li8"])
@@ -67,7 +57,7 @@ def test_openings_increase_errors_and_shorten_steps():
         assert FIRST_STEP.opening_factor(strain, adaptive=True) == pytest.approx(factor, rel=1e-9)
     assert FIRST_STEP.opening_factor(0.31, adaptive=False) == 30.0
     assert FIRST_STEP.opening_factor(0.3, adaptive=False) == 1.0
-    strong = column(1e-2)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     ratio = expected_reach(strong, RKN6, 1e-12, True) / expected_reach(strong, RKN6, 1e-12, False)
     assert ratio == pytest.approx(
         (30 / FIRST_STEP.opening_factor(strong.largest_strain, True)) ** (1 / 6), rel=1e-9
@@ -83,8 +73,8 @@ def test_cost_never_falls_as_the_tolerance_falls():
         paper("weak"),
         paper("fig1"),
         VACUUM,
-        column(8.57e-4),
-        column(8.57e-4, samples=301),
+        struck(column(120), 8.57e-4, 1e-4, 21),
+        struck(column(120), 8.57e-4, 1e-4, 301),
     ):
         work = []
         for tolerance in 10.0 ** -np.arange(1, 12.6, 0.25):
@@ -103,11 +93,14 @@ def test_unbounded_scenes_find_the_step_by_the_first_attempt(tmp_path):
     engine = Native("rkn6")
     first = engine.propose(VACUUM, 1e-6)
     assert engine.propose(VACUUM, 1e-9).step == first.step
-    assert engine.propose(column(1e-2), 1e-9).step < engine.propose(column(1e-2), 1e-6).step
-    u, v, _ = extended_reference(VACUUM)
+    assert (
+        engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-9).step
+        < engine.propose(struck(column(120), 1e-2, 1e-4, 21), 1e-6).step
+    )
+    truth = extended_reference(VACUUM)
     for tolerance in (1e-6, 1e-9):
         answer = simulate(VACUUM, "native", tolerance)
-        error = relative_error(answer.displacement, answer.velocity, u, v)
+        error = distance(answer, truth)
         assert error / 3 < answer.error_estimate.total <= tolerance
         others = (
             *simulate_many([VACUUM, VACUUM], tolerance),
@@ -127,16 +120,16 @@ def ratios(scene: Scene, tolerance: float, **options) -> list[float]:
 
 def test_auxiliary_runs_have_steps_twice_and_four_times_as_long():
     """The steps must be stable; openings with reflections need one more run."""
-    weak = column(1e-6)
-    strong = column(1e-2)
+    weak = struck(column(120), 1e-6, 1e-4, 21)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     assert ratios(weak, 1e-10) == [2, 4]
     assert ratios(weak, 1e-2) == [2]
     assert ratios(strong, 1e-10) == [2, 4]
-    returning = strong.replace(chain=Chain(grains=20, diameter=1e-3), duration=2e-3)
+    returning = strong.replace(chain=column(20), duration=2e-3)
     assert returning.highest_frequency * returning.duration > OPENINGS.returning * 20
     assert ratios(returning, 1e-10) == [2, 4, 1.5]
     assert ratios(returning, 1e-10, adaptive=False) == [2, 4]
-    springs = strong.replace(chain=Chain(grains=20, diameter=1e-3, exponent=1.0))
+    springs = strong.replace(chain=column(20, exponent=1.0))
     assert ratios(springs, 1e-10) == [2, 4, 1.75]
     # Contacts that only touch open and close from the beginning.
     assert ratios(VACUUM, 1e-10) == [2, 4, 1.5]
@@ -149,7 +142,7 @@ def test_the_trusted_order():
 
     Six, four if coarse, and two at equal steps.
     """
-    strong = column(1e-2)
+    strong = struck(column(120), 1e-2, 1e-4, 21)
     candidate = Native("kahan-li8").propose(strong, 1e-10)
     method = METHODS["kahan-li8"]
 
@@ -161,7 +154,7 @@ def test_the_trusted_order():
     assert order(opens=False) == 8
     assert order(coarse_openings=False) == 6
     assert order(coarse_openings=True) == 4
-    springs = strong.replace(chain=Chain(grains=120, diameter=1e-3, exponent=1.2))
+    springs = strong.replace(chain=column(120, exponent=1.2))
     assert order(springs) == 6
     assert order(adaptive=False) == 2
     assert order(adaptive=False, opens=False) == 8
@@ -171,16 +164,11 @@ def test_the_trusted_order():
 
 
 def test_estimates_of_smooth_runs_are_close_upper_bounds():
-    scene = Scene(
-        chain=Chain(grains=20, diameter=1e-3),
-        excitation=Impulse(velocity=1e-6),
-        duration=1e-4,
-        samples=11,
-    )
-    u, v, _ = extended_reference(scene)
+    scene = struck(column(20), 1e-6, 1e-4, 11)
+    truth = extended_reference(scene)
     for tolerance in (1e-6, 1e-8, 1e-10):
         answer = simulate(scene, Native("rkn6"), tolerance)
-        error = relative_error(answer.displacement, answer.velocity, u, v)
+        error = distance(answer, truth)
         assert error < answer.error_estimate.total < 4 * error
 
 
@@ -190,7 +178,7 @@ def test_the_longest_steps_of_auxiliary_runs_fit_between_two_kinks():
     push = Force(times=times, force=-2e-3 * np.cos(np.arange(15) ** 1.2), grain=1)
     half_sine = Force(shape="half-sine", amplitude=1e-3, duration=5e-6)
     for excitation, spacing in ((push, 5e-6), (half_sine, 5e-6)):
-        scene = Scene(chain=VACUUM.chain, excitation=excitation, duration=6e-5, samples=2)
+        scene = scene_of(VACUUM.chain, excitation, 6e-5, 2)
         candidate = Native("rkn6").propose(scene, 1e-3)
         assert candidate.steps.adaptive
         assert 4 * candidate.step <= spacing * (1 + 1e-9)
@@ -198,11 +186,10 @@ def test_the_longest_steps_of_auxiliary_runs_fit_between_two_kinks():
         assert {2, 4} <= {schedule.ratio for schedule in schedules}
 
 
-def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
+def test_chaotic_scenes_are_rejected_with_the_predictability_horizon(rng):
     """The scene can be solved if it is recorded up to this time."""
-    rng = np.random.default_rng(2)
     chain = Chain(grains=6, diameter=1e-3 * rng.uniform(0.7, 1.3, 6), gravity=9.81, top="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.3), duration=2e-3, samples=101)
+    scene = struck(chain, 0.3, 2e-3, 101)
     with pytest.raises(ToleranceNotMet, match="amplifies round-off") as refusal:
         simulate(scene, "native", 1e-7)
     assert refusal.value.trajectory.cost.step_s > Native().propose(scene, 1e-7).step / 20
@@ -215,7 +202,7 @@ def test_chaotic_scenes_are_rejected_with_the_predictability_horizon():
 
 def test_landings_are_at_least_eight_steps_apart():
     """Landings are at multiples of four samples, where blocks end, or at the last sample."""
-    many = column(1e-6, samples=2001)
+    many = struck(column(120), 1e-6, 1e-4, 2001)
     for rate in (0.03, 0.1, 0.34, 0.7, 1.9):
         steps, stride = land(many, rate)
         assert stride % 4 == 0
@@ -227,9 +214,9 @@ def test_landings_are_at_least_eight_steps_apart():
 
 def test_motion_of_many_grains_opens_contacts_without_a_reflection():
     """An error of 2.1e-11 was once estimated as 7.1e-12, as for a wave from one grain."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=9.81)
+    chain = column(60, gravity=9.81)
     start = stirred(chain, 0.1, seed=8, last=20)
-    scene = Scene(chain=chain, excitation=start, duration=1e-4, samples=4)
+    scene = scene_of(chain, start, 1e-4, 4)
     assert scene.highest_frequency * scene.duration < OPENINGS.returning * 60
     assert recurs(scene)
     assert not recurs(scene.replace(excitation=Impulse(velocity=0.1)))
@@ -246,7 +233,7 @@ def test_a_wave_returns_from_the_nearer_end():
         grains=40, diameter=diameters, material="tungsten_carbide", bottom="wall", gravity=19.0
     )
     strike = Impulse(grain=26, velocity=-4.3)
-    scene = Scene(chain=chain, excitation=strike, duration=2e-3, samples=400)
+    scene = scene_of(chain, strike, 2e-3, 400)
     angle = scene.highest_frequency * scene.duration
     assert 14 < angle / OPENINGS.returning < 40
     assert recurs(scene)
@@ -267,11 +254,11 @@ def test_a_wave_returns_from_the_nearer_end():
 )
 def test_a_tighter_tolerance_rarely_costs_less(masses, grain, radians, samples, pressed):
     """With springs of unequal masses that open, attempts after the first one once overshot."""
-    chain = Chain(grains=3, exponent=1.0, masses=masses, diameter=1e-3, bottom="wall", **pressed)
+    chain = column(3, exponent=1.0, masses=masses, bottom="wall", **pressed)
     lifted = Displacement(
         displacement=-10 * chain.equilibrium_overlap[min(grain, 2) - 1], grain=grain
     )
-    scene = Scene(chain=chain, excitation=lifted, duration=1e-6, samples=samples)
+    scene = scene_of(chain, lifted, 1e-6, samples)
     scene = scene.replace(duration=radians / scene.highest_frequency)
     work = [
         simulate(scene, "native", tolerance).cost.force_evaluations

@@ -6,26 +6,25 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers import taylor_series
-from helpers.example_scenes import paper
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of
 from helpers.thinned import thinned
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Scene, simulate
+from lmpchain import Displacement, Drive, Impulse, Scene, simulate
 from lmpchain.benchmark.comparison import error
 from lmpchain.benchmark.reference import reference
 from lmpchain.engines import Lammps, Native
 from lmpchain.integrators.methods import METHODS
 
 # Grain 2 is fixed, which makes an oscillator.
-PAIR = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0)
+PAIR = column(2, gravity=0.0, top_load=10.0, exponent=1.0)
 OMEGA = PAIR.band_edge
 SPEED = 1e-3
 LENGTH = SPEED / OMEGA
 
 
 def oscillator(excitation, periods: float, samples: int) -> Scene:
-    return Scene(
-        chain=PAIR, excitation=excitation, duration=periods * 2 * np.pi / OMEGA, samples=samples
-    )
+    return scene_of(PAIR, excitation, periods * 2 * np.pi / OMEGA, samples)
 
 
 @pytest.mark.parametrize("engine", ["native", "lammps"])
@@ -52,9 +51,9 @@ def test_samples_on_the_nodes_of_an_oscillator(engine, samples, periods):
 @pytest.mark.parametrize("frequency", thinned([0.31, 0.1], 2))
 def test_a_drive_sampled_at_its_period(frequency):
     """A stroboscopic (Poincare) section of a driven chain is a valid run."""
-    chain = Chain(grains=6, diameter=1e-3)
+    chain = column(6)
     drive = Drive(amplitude=1e-10, frequency=frequency * chain.band_edge / (2 * np.pi))
-    scene = Scene(chain=chain, excitation=drive, duration=6 / drive.frequency, samples=7)
+    scene = scene_of(chain, drive, 6 / drive.frequency, 7)
     t = simulate(scene, "native", 1e-7)
     truth = reference(scene)
     assert np.abs(t.displacement[:, 0]).max() < 1e-9 * drive.amplitude  # All samples are at nodes.
@@ -63,12 +62,12 @@ def test_a_drive_sampled_at_its_period(frequency):
     assert truth.largest[0] >= drive.amplitude * (1 - 1e-3)
 
 
-COLUMN = Chain(grains=6, diameter=1e-3)
+COLUMN = column(6)
 SLOW = Drive(amplitude=1e-10, frequency=0.2 * COLUMN.band_edge / (2 * np.pi))
 MOTIONS = {
     "oscillator": oscillator(Impulse(velocity=SPEED), 2, 3),
     "released": oscillator(Displacement(displacement=LENGTH), 2, 3),
-    "driven": Scene(chain=COLUMN, excitation=SLOW, duration=5 / SLOW.frequency, samples=6),
+    "driven": scene_of(COLUMN, SLOW, 5 / SLOW.frequency, 6),
     "strong": paper("fig1", samples=3),
 }
 

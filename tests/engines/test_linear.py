@@ -6,8 +6,9 @@ Against each other, against extended precision, and against what linearising lea
 import mpmath
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of, stirred
-from helpers.independent_integrators import relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, stirred, struck
+from helpers.independent_integrators import distance
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Scene, simulate
 from lmpchain.engines import Chebyshev, Modes
@@ -25,9 +26,8 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
     rng = np.random.default_rng(seed)
     driven = bool(rng.random() < 0.4)
     between = bool(rng.random() < 0.5)
-    chain = Chain(
-        grains=grains,
-        diameter=1e-3,
+    chain = column(
+        grains,
         gravity=9.81 * float(rng.random() < 0.5),
         top_load=10 ** rng.uniform(-4, -1),
         exponent=float(rng.choice([1.0, 1.5, 2.2])),
@@ -41,7 +41,7 @@ def random_linear(seed: int, grains: int, strike: float = 1e-14) -> Scene:
     frequency = rng.uniform(0.05, 0.4) * chain.band_edge / 6
     shaken = Drive(amplitude=length, frequency=frequency)
     duration = rng.uniform(5, 60) / chain.band_edge * 6
-    return Scene(chain=chain, excitation=shaken if driven else moved, duration=duration, samples=7)
+    return scene_of(chain, shaken if driven else moved, duration, 7)
 
 
 def longdouble_modes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +110,7 @@ def test_linear_solutions_agree_with_forty_digits(seed):
     u, v = longdouble_modes(scene)
     for engine in ENGINES:
         t = simulate(scene, engine)
-        true = relative_error(t.displacement[-1], t.velocity[-1], u, v)
+        true = distance((t.displacement[-1], t.velocity[-1]), (u, v))
         assert true < 2e-13
         assert true < 3 * t.error_estimate.solver
 
@@ -122,9 +122,7 @@ def test_modes_and_the_chebyshev_series_agree(seed, grains):
     """Both methods share no arithmetic, and agree to 1e-11 on random chains."""
     scene = random_linear(seed + 100, max(grains, 3))
     one, other = (simulate(scene, engine) for engine in ENGINES)
-    assert (
-        relative_error(one.displacement, one.velocity, other.displacement, other.velocity) < 1e-11
-    )
+    assert distance(one, other) < 1e-11
     assert np.abs(one.velocity).max() > 0
 
 
@@ -134,10 +132,7 @@ def test_limit_of_weak_motion_of_the_nonlinear_engine(engine, seed):
     scene = random_linear(seed + 200, 30, strike=1e-13)
     linear = simulate(scene, engine)
     full = simulate(scene, "native", 5e-12)
-    assert (
-        relative_error(linear.displacement, linear.velocity, full.displacement, full.velocity)
-        < 1e-11
-    )
+    assert distance(linear, full) < 1e-11
 
 
 @both
@@ -147,13 +142,13 @@ def test_model_error_over_the_map_of_strikes(engine, gravity):
 
     The estimate is within a factor of 3 wherever the error is below 0.3.
     """
-    chain = Chain(grains=120, diameter=1e-3, gravity=gravity)
+    chain = column(120, gravity=gravity)
     seen = 0
     for speed in 10.0 ** np.arange(-7, 0.5):
-        scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=100e-6, samples=51)
+        scene = struck(chain, speed, 100e-6, 51)
         t = simulate(scene, engine, 0.999)
         truth = simulate(scene, "native", 1e-8)
-        true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+        true = distance(t, truth)
         if 1e-6 < true < 0.3:
             seen += 1
             assert true / 3 < t.error_estimate.model < 3 * true
@@ -163,13 +158,9 @@ def test_model_error_over_the_map_of_strikes(engine, gravity):
 
 
 OTHERS = {
-    "struck within": (Chain(grains=150, diameter=1e-3), Impulse(velocity=1e-5, grain=75), 1e-4),
-    "struck within, reflected": (
-        Chain(grains=60, diameter=1e-3),
-        Impulse(velocity=1e-6, grain=30),
-        1e-3,
-    ),
-    "pulled": (Chain(grains=60, diameter=1e-3), Displacement(displacement=-1e-11, grain=1), 1e-4),
+    "struck within": (column(150), Impulse(velocity=1e-5, grain=75), 1e-4),
+    "struck within, reflected": (column(60), Impulse(velocity=1e-6, grain=30), 1e-3),
+    "pulled": (column(60), Displacement(displacement=-1e-11, grain=1), 1e-4),
     "loaded": (
         Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=10.0),
         Impulse(velocity=1e-3),
@@ -180,13 +171,9 @@ OTHERS = {
         Impulse(velocity=1e-3, grain=7),
         3e-3,
     ),
-    "two grains": (Chain(grains=2, diameter=1e-3), Impulse(velocity=1e-6), 1e-4),
-    "square law": (Chain(grains=100, diameter=1e-3, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
-    "nearly springs": (
-        Chain(grains=100, diameter=1e-3, exponent=1.1),
-        Impulse(velocity=1e-6),
-        1e-4,
-    ),
+    "two grains": (column(2), Impulse(velocity=1e-6), 1e-4),
+    "square law": (column(100, exponent=2.0), Impulse(velocity=1e-5), 1e-4),
+    "nearly springs": (column(100, exponent=1.1), Impulse(velocity=1e-6), 1e-4),
 }
 
 
@@ -201,7 +188,7 @@ def test_model_error_of_other_scenes(name, samples):
     times the truth in random scenes (test_linear_trials.py).
     """
     chain, excitation, duration = OTHERS[name]
-    fine = Scene(chain=chain, excitation=excitation, duration=duration, samples=1001)
+    fine = scene_of(chain, excitation, duration, 1001)
     t = simulate(Scene(**fine.given() | {"samples": samples}), "chebyshev", 0.9)
     runs = simulate(fine, "chebyshev", 0.9), simulate(fine, "native", 1e-9)
     motions = [(run.displacement, run.velocity) for run in runs]
@@ -214,17 +201,17 @@ def test_model_error_of_other_scenes(name, samples):
 
 
 def test_springs_have_no_model_error_until_they_open():
-    chain = Chain(grains=20, diameter=1e-3, exponent=1.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-9), duration=1e-4, samples=11)
+    chain = column(20, exponent=1.0)
+    scene = struck(chain, 1e-9, 1e-4, 11)
     t = simulate(scene, "chebyshev")
     truth = simulate(scene, "native", 1e-11)
     assert t.error_estimate.model == 0
-    assert relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity) < 1e-11
+    assert distance(t, truth) < 1e-11
 
 
 @both
 def test_a_warning_where_the_chain_is_not_linear(engine):
-    scene = scene_of(Chain(grains=40, diameter=1e-3), Impulse(velocity=1e-2), 1e-4, 11)
+    scene = scene_of(column(40), Impulse(velocity=1e-2), 1e-4, 11)
     with pytest.warns(
         UserWarning, match=r"Eq. \(3\) leaves out about .*not linear here: contact \d+ opens"
     ):
@@ -239,9 +226,7 @@ def test_batches_and_restarts(engine, monkeypatch):
     drawn = [scene for scene in (random_linear(seed, 25) for seed in range(12)) if not scene.drive][
         :3
     ]
-    scenes = [
-        Scene(chain=s.chain, excitation=s.excitation, duration=1e-4, samples=9) for s in drawn
-    ]
+    scenes = [scene_of(s.chain, s.excitation, 1e-4, 9) for s in drawn]
     monkeypatch.setattr(linear, "BLOCK", 4)
     made = {"modes": Modes, "chebyshev": Chebyshev}[engine]()
     candidate = made.propose(scenes[0], 1e-6)
@@ -264,48 +249,40 @@ def test_grains_outside_the_light_cone_are_not_computed():
     strike = Impulse(velocity=1e-6)
     some = [1, 10, 100, 500]
     long, short = (
-        simulate(
-            scene_of(Chain(grains=n, diameter=1e-3), strike, 1e-3, 5, grains=some),
-            "chebyshev",
-        )
+        simulate(scene_of(column(n), strike, 1e-3, 5, grains=some), "chebyshev")
         for n in (10**6, 2000)
     )
     assert long.velocity == pytest.approx(
         short.velocity, rel=0, abs=1e-13 * np.abs(short.velocity).max()
     )
     assert long.velocity[-1, 3] == short.velocity[-1, 3]
-    quick = simulate(
-        Scene(chain=Chain(grains=3000, diameter=1e-3), excitation=strike, duration=1e-5, samples=3),
-        "chebyshev",
-    )
+    quick = simulate(scene_of(column(3000), strike, 1e-5, 3), "chebyshev")
     assert not quick.displacement[:, 200:].any()
 
 
 def test_scenes_without_linear_theory_are_rejected():
-    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0)
-    loose = Chain(grains=5, diameter=1e-3, top="wall")
+    vacuum = column(5, gravity=0.0)
+    loose = column(5, top="wall")
     points = Drive(times=[0.0, 1e-5, 2e-5], displacement=[0.0, 1e-10, 0.0])
     for chain, excitation, key in (
         (vacuum, Impulse(velocity=1e-6), "gravity: without gravity and load"),
         (loose, Impulse(velocity=1e-6), "top: a wall that only touches"),
         (
-            Chain(grains=5, diameter=1e-3),
+            column(5),
             points,
             "excitation: linear engines do not support a motion or force by points",
         ),
     ):
         for engine in ENGINES:
             with pytest.raises(InputError, match=key):
-                simulate(
-                    Scene(chain=chain, excitation=excitation, duration=1e-5, samples=3), engine
-                )
-    long = Chain(grains=20_000, diameter=1e-3)
+                simulate(scene_of(chain, excitation, 1e-5, 3), engine)
+    long = column(20_000)
     driven = Drive(amplitude=1e-12, frequency=1e4)
     with pytest.raises(InputError, match="use chebyshev"):
-        simulate(Scene(chain=long, excitation=driven, duration=1e-5), "modes")
+        simulate(scene_of(long, driven, 1e-5), "modes")
     # The wave reaches few of these grains.
     with pytest.warns(UserWarning, match=r"Eq. \(3\) leaves out"):
-        t = simulate(Scene(chain=long, excitation=Impulse(velocity=1e-6), duration=1e-5), "modes")
+        t = simulate(struck(long, 1e-6, 1e-5), "modes")
     assert t.cost.active_grains < 200
 
 
@@ -316,11 +293,11 @@ def test_closed_forms_state_their_error(engine, duration):
 
     The model error they state is the true one, or its two parts partly cancel in truth.
     """
-    chain = Chain(grains=60, diameter=1e-3)
+    chain = column(60)
     scene = scene_of(chain, Impulse(velocity=1e-6), duration, 11, grains="1:50")
     t = simulate(scene, engine, 0.999, on_miss="warn")
     truth = simulate(scene, "native", 1e-10)
-    true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+    true = distance(t, truth)
     assert t.error_estimate.model / 4 < true < 1.05 * t.error_estimate.model
     assert true == pytest.approx(t.error_estimate.model, rel=0.05) or true < 0.1
     assert t.equation == {"bessel": 4, "continuum": 27}[engine]
@@ -330,16 +307,13 @@ def test_bessel_is_exact_for_a_loaded_chain_until_the_reflection():
     chain = Chain(grains=80, material="steel", diameter=5e-3, gravity=0, top_load=5.0)
     scene = scene_of(chain, Impulse(velocity=1e-9), 20 * chain.time_scale, 11)
     exact, formula = (simulate(scene, engine) for engine in ("modes", "bessel"))
-    assert (
-        relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
-        < 1e-12
-    )
+    assert distance(formula, exact) < 1e-12
 
 
 def test_closed_forms_reject_unsuitable_scenes():
     strike = Impulse(velocity=1e-6)
-    chain = Chain(grains=9, diameter=1e-3)
-    for made, struck, engine, key in (
+    chain = column(9)
+    for made, excitation, engine, key in (
         (
             Chain(grains=9, diameter=np.linspace(1e-3, 2e-3, 9)),
             strike,
@@ -353,35 +327,22 @@ def test_closed_forms_reject_unsuitable_scenes():
             "excitation: bessel needs an impulse on grain 1",
         ),
         (chain, Displacement(displacement=1e-12), "continuum", "excitation: continuum needs"),
-        (
-            Chain(grains=9, diameter=1e-3, top_load=1e-3),
-            strike,
-            "continuum",
-            "top_load: continuum needs a chain",
-        ),
-        (
-            Chain(grains=9, diameter=1e-3, top="wall", top_load=1e-3),
-            strike,
-            "bessel",
-            "top: bessel needs",
-        ),
+        (column(9, top_load=1e-3), strike, "continuum", "top_load: continuum needs a chain"),
+        (column(9, top="wall", top_load=1e-3), strike, "bessel", "top: bessel needs"),
     ):
         with pytest.raises(InputError, match=key):
-            simulate(Scene(chain=made, excitation=struck, duration=1e-5, samples=3), engine)
+            simulate(scene_of(made, excitation, 1e-5, 3), engine)
 
 
 @pytest.mark.filterwarnings("ignore:Eq. ")
 @both
 def test_a_solution_larger_than_memory(engine, monkeypatch):
     """Evaluation in blocks changes only rounding errors."""
-    scene = scene_of(Chain(grains=40, diameter=1e-3), Impulse(velocity=1e-4), 2e-4, 7)
+    scene = scene_of(column(40), Impulse(velocity=1e-4), 2e-4, 7)
     whole = simulate(scene, engine, 0.9)
     monkeypatch.setattr(linear, "BLOCK_VALUES", 90)
     pieces = simulate(scene, engine, 0.9)
-    assert (
-        relative_error(pieces.displacement, pieces.velocity, whole.displacement, whole.velocity)
-        < 1e-13
-    )
+    assert distance(pieces, whole) < 1e-13
     assert pieces.error_estimate.model == pytest.approx(whole.error_estimate.model, rel=1e-9, abs=0)
 
 
@@ -389,17 +350,15 @@ def test_a_solution_larger_than_memory(engine, monkeypatch):
 @pytest.mark.parametrize("frequency", [0.3, 3.0])
 def test_a_moving_wall_drives_the_first_grain(grains, frequency):
     """The error is known to a factor of three, also for a single free grain."""
-    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3, top="wall")
+    chain = column(grains, gravity=0.0, top_load=1e-3, top="wall")
     drive = Drive(
         amplitude=1e-6 * chain.length_scale,
         frequency=frequency * chain.band_edge / (2 * np.pi),
         cycles=5,
         grain=0,
     )
-    scene = Scene(chain=chain, excitation=drive, duration=200 * chain.time_scale, samples=1001)
+    scene = scene_of(chain, drive, 200 * chain.time_scale, 1001)
     answer = simulate(scene, "modes")
     exact = simulate(scene, "native", 1e-11, integrator="dop853")
-    left_out = relative_error(
-        answer.displacement, answer.velocity, exact.displacement, exact.velocity
-    )
+    left_out = distance(answer, exact)
     assert left_out < 3 * answer.error_estimate.total

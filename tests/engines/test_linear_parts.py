@@ -5,8 +5,9 @@ Forced motion, waves in resonance, bounds before a run, costs, what closed forms
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred, struck
-from helpers.independent_integrators import relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, stirred, struck
+from helpers.independent_integrators import distance
 
 from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
@@ -17,9 +18,7 @@ from lmpchain.trajectory.record import LARGEST_ERROR
 from lmpchain.util.arrays import EPSILON
 
 pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
-LOADED = Chain(
-    grains=7, diameter=1e-3, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6
-)
+LOADED = column(7, gravity=0.0, top_load=1e-2, masses=np.linspace(1, 2, 7) * 1e-6)
 EDGE = LOADED.band_edge
 HZ = EDGE / (2 * np.pi)
 
@@ -29,9 +28,7 @@ HZ = EDGE / (2 * np.pi)
 
 @pytest.mark.parametrize("engine", ["modes", "chebyshev"])
 def test_the_cost_of_a_linear_solution(engine):
-    scene = Scene(
-        chain=LOADED, excitation=Impulse(velocity=1e-9, grain=2), duration=20 / EDGE, samples=9
-    )
+    scene = scene_of(LOADED, Impulse(velocity=1e-9, grain=2), 20 / EDGE, 9)
     t = simulate(scene, engine)
     cost = t.cost
     assert (cost.steps, cost.active_grains, cost.ranks, cost.integrator) == (8, 7, 1, engine)
@@ -50,7 +47,7 @@ def test_the_cost_of_a_linear_solution(engine):
 
 @pytest.mark.parametrize("made", [Modes(), Chebyshev()])
 def test_a_batch_needs_scenes_with_the_same_recording(made):
-    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e-5, samples=9)
+    scene = struck(LOADED, 1e-9, 1e-5, 9)
     candidate = made.propose(scene, 1e-6)
     with pytest.raises(ValueError, match="a batch needs chains of one length"):
         made.start([scene, scene.replace(samples=8)], candidate)
@@ -71,7 +68,7 @@ def test_rounding_of_linear_solutions():
 
     Relative to the motion of a burst that has hardly begun, both are far larger.
     """
-    scene = Scene(chain=LOADED, excitation=Impulse(velocity=1e-9), duration=1e4 / EDGE, samples=2)
+    scene = struck(LOADED, 1e-9, 1e4 / EDGE, 2)
     series = Chebyshev().round_off(scene)
     modes = Modes().round_off(scene)
     assert 1e4 * EPSILON < series < 1.1e4 * EPSILON
@@ -95,9 +92,9 @@ def test_costs_of_linear_solutions_grow_with_their_work():
     """
 
     def seconds(engine, grains, samples=11, duration=1e-4):
-        chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-3)
+        chain = column(grains, gravity=0.0, top_load=1e-3)
         profile = Profile(velocity=np.append(np.full(grains - 1, 1e-9), 0.0))
-        scene = Scene(chain=chain, excitation=profile, duration=duration, samples=samples)
+        scene = scene_of(chain, profile, duration, samples)
         return engine.propose(scene, 1e-6).cost_s
 
     modes = Modes()
@@ -180,12 +177,16 @@ def resonance(scene: Scene, time: float) -> np.ndarray:
 @pytest.mark.parametrize("exponent", [1.5, 2.3])
 @pytest.mark.parametrize("top", ["free", "wall"])
 def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
-    chain = Chain(
-        grains=4, diameter=1e-3, gravity=5.0, top_load=1e-3, exponent=exponent, top=top,
+    chain = column(
+        4,
+        gravity=5.0,
+        top_load=1e-3,
+        exponent=exponent,
+        top=top,
         bottom="wall",
         masses=np.array([1.0, 2.0, 1.5, 3.0]) * 1e-6,
-    )  # fmt: skip
-    scene = Scene(chain=chain, excitation=stirred(chain, 1e-7, 1e-12), duration=1e-3)
+    )
+    scene = scene_of(chain, stirred(chain, 1e-7, 1e-12), 1e-3)
     for time in (1e-6, 1e-4, 1e-2):
         np.testing.assert_allclose(
             Resonance(scene).motion(time), resonance(scene, time), rtol=1e-9, atol=0
@@ -194,10 +195,10 @@ def test_waves_in_resonance_by_loops_over_pairs(exponent, top):
 
 def test_resonance_matters_for_few_grains_with_a_curved_force():
     strike = Impulse(velocity=1e-7)
-    for chain in (LOADED.replace(exponent=1.0), Chain(grains=13, diameter=1e-3)):
-        scene = Scene(chain=chain, excitation=strike, duration=1e-3)
+    for chain in (LOADED.replace(exponent=1.0), column(13)):
+        scene = scene_of(chain, strike, 1e-3)
         assert not Resonance(scene).motion(1e-3).any()
-    twelve = Scene(chain=Chain(grains=12, diameter=1e-3), excitation=strike, duration=1e-3)
+    twelve = scene_of(column(12), strike, 1e-3)
     assert Resonance(twelve).motion(1e-3).all()
     assert not Resonance(twelve).motion(0.0).any()
 
@@ -209,8 +210,7 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
     """
     chain = LOADED.replace(grains=5, masses=LOADED.masses[:5])
     scenes = [
-        Scene(chain=chain, excitation=Drive(amplitude=a, frequency=0.123 * HZ), duration=1e-3)
-        for a in (1e-12, 2e-12)
+        scene_of(chain, Drive(amplitude=a, frequency=0.123 * HZ), 1e-3) for a in (1e-12, 2e-12)
     ]
     one, two = (Resonance(scene).motion(5e-4) for scene in scenes)
     np.testing.assert_allclose(two, 4 * one, rtol=1e-9, atol=0)
@@ -221,7 +221,7 @@ def test_a_drive_is_one_of_the_waves_in_resonance():
 
 def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
     """The error is proportional to both, and to the root of time, or to time with a forcing."""
-    scene = struck(1e-7, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-7, 5e-5, 11)
     expected = model_error.expected_error(scene)
     assert 0 < expected < 1
     twice = model_error.expected_error(scene.replace(excitation=Impulse(velocity=2e-7)))
@@ -238,7 +238,7 @@ def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
     radians = driven.linear_frequency * driven.duration
     walk = excess * driven.linear_strain * (1 + radians)
     assert model_error.expected_error(driven) == pytest.approx(0.6 * walk, rel=1e-9)
-    springs = struck(1e-7, gravity=0.0, top_load=1e-2, exponent=1.0)
+    springs = struck(column(40, gravity=0.0, top_load=1e-2, exponent=1.0), 1e-7, 5e-5, 11)
     assert model_error.expected_error(springs) == 0.0
     assert model_error.expected_error(scene.replace(excitation=Impulse(velocity=10.0))) == 1.0
     for part, opens in ((1.001, True), (0.999, False)):
@@ -247,11 +247,11 @@ def test_the_expected_error_of_linear_theory_scales_with_strike_and_curvature():
 
 
 def test_relative_scatter_of_grains():
-    chain = Chain(grains=3, diameter=1e-3, masses=[1e-6, 4e-6, 2e-6], contact_constants=[1e9, 1e9])
+    chain = column(3, masses=[1e-6, 4e-6, 2e-6], contact_constants=[1e9, 1e9])
     assert model_error.unlike(chain) == pytest.approx(
         {"masses": 0.75, "contact_constants": 0.0}, rel=1e-12
     )
-    assert model_error.unlike(Chain(grains=1, diameter=1e-3, bottom="wall")) == {"masses": 0.0}
+    assert model_error.unlike(column(1, bottom="wall")) == {"masses": 0.0}
 
 
 def test_travel_time_of_a_wave_train_at_its_largest_strain():
@@ -259,21 +259,19 @@ def test_travel_time_of_a_wave_train_at_its_largest_strain():
 
     In a column as far as its strain, less and less, counts.
     """
-    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    chain = column(30, gravity=0.0, top_load=1e-2)
     hop = float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
     for grain, hops in ((1, 29), (10, 20), (25, 24)):
         force = Force(grain=grain, amplitude=1e-8, frequency=1e4)
-        scene = Scene(chain=chain, excitation=force, duration=1e-4)
+        scene = scene_of(chain, force, 1e-4)
         assert model_error.travel(scene) == pytest.approx(hops * hop, rel=1e-9)
     packet = Packet(frequency=0.1 / hop, width=2, grain=15, amplitude=1e-12)
-    assert model_error.travel(
-        Scene(chain=chain, excitation=packet, duration=1e-4)
-    ) == pytest.approx(29 * hop, rel=1e-9)
-    column = Chain(grains=30, diameter=1e-3)
-    scene = Scene(chain=column, excitation=Drive(amplitude=1e-12, frequency=1e4), duration=1e-4)
-    times = np.sqrt(column.masses[:-1] / column.linear_stiffness)
+    assert model_error.travel(scene_of(chain, packet, 1e-4)) == pytest.approx(29 * hop, rel=1e-9)
+    chain = column(30)
+    scene = scene_of(chain, Drive(amplitude=1e-12, frequency=1e4), 1e-4)
+    times = np.sqrt(chain.masses[:-1] / chain.linear_stiffness)
     # The energy flux is constant along the column.
-    strain = 1 / (column.equilibrium_overlap * np.sqrt(column.linear_stiffness / times))
+    strain = 1 / (chain.equilibrium_overlap * np.sqrt(chain.linear_stiffness / times))
     assert np.all(np.diff(strain) < 0)
     assert model_error.travel(scene) == pytest.approx(
         float((times * strain).sum() / strain[0]), rel=1e-9
@@ -281,7 +279,7 @@ def test_travel_time_of_a_wave_train_at_its_largest_strain():
 
 
 def test_the_fastest_of_chain_and_excitation():
-    scene = Scene(chain=LOADED, excitation=Drive(amplitude=1e-12, frequency=5 * HZ), duration=1e-4)
+    scene = scene_of(LOADED, Drive(amplitude=1e-12, frequency=5 * HZ), 1e-4)
     assert scene.linear_frequency == pytest.approx(5 * EDGE, rel=1e-12)
     slow = scene.replace(excitation=Drive(amplitude=1e-12, frequency=0.1 * HZ))
     assert slow.linear_frequency == EDGE
@@ -292,8 +290,8 @@ def test_evaluation_times_between_samples():
 
     Every half radian where contacts may open.
     """
-    calm = struck(1e-8, gravity=0.0, top_load=1e-2).replace(
-        duration=1e3 / struck(gravity=0.0, top_load=1e-2).chain.band_edge
+    calm = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11).replace(
+        duration=1e3 / column(40, gravity=0.0, top_load=1e-2).band_edge
     )
     times = model_error.evaluation_times(calm)
     fastest = calm.linear_frequency
@@ -319,7 +317,7 @@ def test_close_samples_need_no_other_evaluation_times():
 
     Two where something may, and then every opening is seen.
     """
-    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11)
     scene = scene.replace(duration=200.5 / scene.chain.band_edge)
     wild = scene.replace(excitation=Impulse(velocity=1e-8 / scene.linear_strain * 1.5))
     for samples, enough in ((202, True), (201, False)):
@@ -340,11 +338,11 @@ def test_close_samples_need_no_other_evaluation_times():
 
 @pytest.mark.parametrize("made", [Bessel(), Continuum()])
 def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made):
-    chain = Chain(grains=60, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-7), duration=3e-5, samples=401)
+    chain = column(60)
+    scene = struck(chain, 1e-7, 3e-5, 401)
     formula = simulate(scene, made, 0.999, on_miss="warn")
     exact = simulate(scene, "chebyshev", 0.9)
-    own = relative_error(formula.displacement, formula.velocity, exact.displacement, exact.velocity)
+    own = distance(formula, exact)
     # The continuum differs by 2.5 times the true motion; an estimate of 2 means that nothing is
     # known.
     stated = min(own + exact.error_estimate.model, LARGEST_ERROR)
@@ -357,14 +355,14 @@ def test_the_model_error_of_a_closed_form_includes_that_of_the_linear_chain(made
 
 def test_expected_errors_of_closed_forms():
     """The error is unknown unless contacts are equal and the end is out of reach."""
-    column = struck(1e-7)
+    scene = struck(column(40), 1e-7, 5e-5, 11)
     for made in (Bessel(), Continuum()):
-        candidate = made.propose(column, 0.9)
+        candidate = made.propose(scene, 0.9)
         assert np.isnan(candidate.model_error)
         assert candidate.active_grains == 40
-        assert made.part(column) is column.fine  # The whole scene, not the light cone.
+        assert made.part(scene) is scene.fine  # The whole scene, not the light cone.
         assert not made.batches
-    loaded = struck(1e-9, grains=400, gravity=0.0, top_load=1e-2).replace(duration=2e-5)
+    loaded = struck(column(400, gravity=0.0, top_load=1e-2), 1e-9, 2e-5, 11)
     series = Chebyshev().propose(loaded.reached, 0.9)
     candidate = Bessel().propose(loaded, 0.9)
     assert (candidate.model_error, candidate.active_grains) == (series.model_error, 400)
@@ -373,7 +371,7 @@ def test_expected_errors_of_closed_forms():
 
 
 def test_a_measured_model_error_is_below_the_expected_one():
-    scene = struck(1e-8, gravity=0.0, top_load=1e-2)
+    scene = struck(column(40, gravity=0.0, top_load=1e-2), 1e-8, 5e-5, 11)
     for made in (Modes(), Chebyshev()):
         candidate = made.propose(scene, 1e-6)
         assert candidate.model_error == model_error.expected_error(scene)
@@ -400,7 +398,7 @@ def test_the_model_error_of_forced_motion(kind: str):
     chain = Chain(
         grains=20, material="steel", diameter=5e-3, gravity=0, top_load=5.0, top=top, bottom="wall"
     )
-    scene = Scene(chain=chain, excitation=ACTING[kind], duration=2e-4, samples=41)
+    scene = scene_of(chain, ACTING[kind], 2e-4, 41)
     answer = simulate(scene, "modes", 1e-2, on_miss="warn")
     exact = simulate(scene, "native", 1e-9)
     fields = ("displacement", "velocity")
@@ -421,9 +419,9 @@ def test_the_model_error_of_a_wave_train():
     )
     hertz = 0.4 * chain.band_edge / (2 * np.pi)
     packet = Packet(frequency=hertz, width=20, grain=130, amplitude=1e-9)
-    scene = Scene(chain=chain, excitation=packet, duration=150 / chain.band_edge, samples=31)
+    scene = scene_of(chain, packet, 150 / chain.band_edge, 31)
     answer = simulate(scene, "modes", 1e-2, on_miss="warn")
     exact = simulate(scene, "native", 1e-9)
-    error = relative_error(answer.displacement, answer.velocity, exact.displacement, exact.velocity)
+    error = distance(answer, exact)
     assert 1e-3 < error < 1e-2
     assert error <= answer.error_estimate.model < 4 * error

@@ -10,6 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
+from helpers.independent_integrators import distance
 
 import lmpchain
 from lmpchain import (
@@ -90,7 +93,7 @@ def _drawn(rng: np.random.Generator) -> Scene:
     if rng.random() < 0.25:  # Samples at equal phases of one oscillation.
         half = np.pi / frequency
         duration = half * (samples - 1) * max(1, round(duration / half / (samples - 1)))
-    return Scene(chain=chain, excitation=excitation, duration=float(duration), samples=samples)
+    return scene_of(chain, excitation, float(duration), samples)
 
 
 class Truth(NamedTuple):
@@ -187,12 +190,12 @@ def trials(seed: int) -> list[Trial]:
 
 def springs() -> Scene:
     """Return springs between a wall and a fixed grain, one of which opens between two samples."""
-    chain = Chain(grains=4, diameter=1e-3, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
+    chain = column(4, gravity=0.0, top_load=3.3e-3, top="wall", exponent=1.0)
     unit = float(
         chain.equilibrium_overlap[2] * np.sqrt(chain.linear_stiffness[2] / chain.masses[2])
     )
     strike = Impulse(velocity=1.05 * unit, grain=3)
-    return Scene(chain=chain, excitation=strike, duration=978 / chain.band_edge, samples=5)
+    return scene_of(chain, strike, 978 / chain.band_edge, 5)
 
 
 def test_springs_that_open_between_samples_are_solved_by_eq_1():
@@ -217,9 +220,9 @@ def test_linear_theory_is_rejected_for_springs_that_cannot_be_resolved():
 
     It may be right, and is not said to be, unless the energy says so.
     """
-    chain = Chain(grains=40, diameter=1e-3, gravity=0.0, top_load=3.3e-3, exponent=1.0)
+    chain = column(40, gravity=0.0, top_load=3.3e-3, exponent=1.0)
     strike = Impulse(velocity=1.005 * chain.length_scale / chain.time_scale)
-    scene = Scene(chain=chain, excitation=strike, duration=1e7 / chain.band_edge, samples=5)
+    scene = scene_of(chain, strike, 1e7 / chain.band_edge, 5)
     assert 1 <= scene.linear_strain < 1.01
     candidate = Modes().propose(scene, 1e-6)
     assert candidate.model_error == 1.0
@@ -262,12 +265,10 @@ def test_errors_are_relative_to_the_largest_motion_also_between_samples(engine, 
 
     What is off there is no large part of nothing.
     """
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
+    chain = column(2, gravity=0.0, top_load=10.0)
     unit = chain.length_scale / chain.time_scale
     periods = 64 * (samples - 1) * np.pi / chain.band_edge
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-3 * unit), duration=periods, samples=samples
-    )
+    scene = struck(chain, 1e-3 * unit, periods, samples)
     known = truth(scene)
     t = simulate(scene, engine, 0.9)
     assert known
@@ -310,7 +311,7 @@ def test_waves_in_resonance_add_up(engine, length):
     drive = Drive(amplitude=4.6e-15, frequency=54370.746)
     third, fourth = between(chain.contacts.stiffness[1:], chain.masses[1:]).frequency[2:]
     assert third + 2 * np.pi * drive.frequency == pytest.approx(1.005 * fourth, rel=1e-3, abs=0)
-    scene = Scene(chain=chain, excitation=drive, duration=length * 2.61e-4, samples=199)
+    scene = scene_of(chain, drive, length * 2.61e-4, 199)
     known = truth(scene)
     t = simulate(scene, engine, 0.9)
     assert known
@@ -324,7 +325,7 @@ def test_waves_in_resonance_add_up(engine, length):
 def test_waves_that_travel_far_become_steeper(kind):
     """A crest is always faster than a trough, unlike strains of alternating sign."""
     grains = 1500
-    chain = Chain(grains=grains, diameter=1e-3, gravity=0, top_load=1.0, exponent=2.0)
+    chain = column(grains, gravity=0, top_load=1.0, exponent=2.0)
     hop = np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     amplitude = 2e-4 * chain.equilibrium_overlap[0]
     if kind == "drive":
@@ -336,13 +337,10 @@ def test_waves_that_travel_far_become_steeper(kind):
         wave = {"frequency": ratio * hop / np.pi, "amplitude": amplitude}
         excitation = Packet(**wave, grain=grains // 2, width=width)
         grains_passed = 600
-    scene = Scene(chain=chain, excitation=excitation, duration=grains_passed / hop, samples=41)
+    scene = scene_of(chain, excitation, grains_passed / hop, 41)
     t = simulate(scene, "chebyshev", 0.9)
     nonlinear = simulate(scene, "native", 1e-6)
-    true = max(
-        np.abs(a - b).max() / np.abs(b).max()
-        for a, b in ((t.displacement, nonlinear.displacement), (t.velocity, nonlinear.velocity))
-    )
+    true = distance(t, nonlinear)
     assert 1e-3 < true < t.error_estimate.model < 5 * true
 
 
@@ -365,9 +363,7 @@ def test_estimates_of_linear_theory_agree_for_a_driven_column(amplitude, frequen
     Estimates are 0.21, 0.57, 0.11, 0.15 and 0.68, the truth 0.10, 0.23, 0.073, 0.070 and 0.22.
     """
     drive = Drive(amplitude=amplitude, frequency=frequency)
-    scene = Scene(
-        chain=Chain(grains=120, diameter=1e-3), excitation=drive, duration=5e-4, samples=101
-    )
+    scene = scene_of(column(120), drive, 5e-4, 101)
     planned = next(p for p in lmpchain.plan(scene).candidates if p.engine == "chebyshev")
     with pytest.warns(UserWarning, match=r"leaves out about .* of the solution \(at most "):
         t = simulate(scene, "chebyshev")

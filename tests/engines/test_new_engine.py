@@ -9,9 +9,11 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
 import lmpchain
-from lmpchain import Chain, Impulse, Scene, engines, simulate
+from lmpchain import Scene, engines, simulate
 from lmpchain.cli import main
 from lmpchain.engines.base import Engine, ErrorBudget, Proposal, Run
 from lmpchain.integrators.steps import Steps
@@ -107,11 +109,9 @@ def spring(monkeypatch: pytest.MonkeyPatch) -> Scene:
     module.Oscillator = Oscillator  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(engines.REGISTRY, "oscillator", ("oscillator", "Oscillator"))
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
+    chain = column(2, gravity=0.0, top_load=1.0, exponent=1.0)
     speed = 0.3 * chain.length_scale / chain.time_scale
-    return Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=20 * chain.time_scale, samples=41
-    )
+    return struck(chain, speed, 20 * chain.time_scale, 41)
 
 
 def test_it_is_used_by_name_and_chosen_where_it_is_cheapest(spring: Scene):
@@ -126,9 +126,7 @@ def test_it_is_used_by_name_and_chosen_where_it_is_cheapest(spring: Scene):
     assert [proposal.kept for proposal in plan.candidates if proposal.engine == "oscillator"] == [
         True
     ]
-    two = Scene(
-        chain=Chain(grains=3, diameter=1e-3), excitation=Impulse(velocity=1e-4), duration=1e-5
-    )
+    two = struck(column(3), 1e-4, 1e-5)
     with pytest.raises(lmpchain.InputError, match="oscillator knows one grain"):
         simulate(two, "oscillator")
     assert lmpchain.plan(two).engine == "native"

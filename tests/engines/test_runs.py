@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, scene_of, smooth
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 
 from lmpchain import Chain, Displacement, Drive, Impulse, InputError, RunFailed, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Lammps, Modes, Native
@@ -166,7 +166,7 @@ def test_interpolated_samples_are_as_accurate_as_others():
     t = simulate(scene, Native("rkn6"), 1e-6)
     assert t.cost.steps < 500
     u, v, own = extended_reference(scene)
-    error = relative_error(t.displacement, t.velocity, u, v)
+    error = distance(t, (u, v))
     assert own < error / 10
     assert error / 3 < t.error_estimate.total <= 1e-6
     assert Native("rkn6", adaptive=False).propose(scene, 1e-6).steps.stride == 1

@@ -114,13 +114,13 @@ def test_energy_includes_the_work_of_the_load():
 def test_derivatives_by_the_load_agree_with_differences():
     chain = Chain(**PTFE | BEAD)
 
-    def struck(load: float) -> Scene:
-        loaded = chain.replace(top_load=load)
-        return Scene(chain=loaded, excitation=HIT, duration=3e-4, samples=2)
+    def loaded(load: float) -> Scene:
+        pressed = chain.replace(top_load=load)
+        return Scene(chain=pressed, excitation=HIT, duration=3e-4, samples=2)
 
     energy = lmpchain.design.KineticEnergy([8])
-    gradient = lmpchain.design.gradient(struck(2.38), energy, ["top_load"], tolerance=1e-7)
-    near = [simulate(struck(2.38 + x), engine="native", tolerance=1e-12) for x in (-1e-3, 1e-3)]
+    gradient = lmpchain.design.gradient(loaded(2.38), energy, ["top_load"], tolerance=1e-7)
+    near = [simulate(loaded(2.38 + x), engine="native", tolerance=1e-12) for x in (-1e-3, 1e-3)]
     low, high = (chain.masses[7] * t.velocity[-1, 7] ** 2 / 2 for t in near)
     assert gradient["top_load"] == pytest.approx((high - low) / 2e-3, rel=1e-5)
 
@@ -148,10 +148,7 @@ def test_linear_theories_reject_strikers():
     [
         ({"load_grain": 0}, "load_grain"),
         ({"load_grain": 15}, "at most 14 of 14 grains"),
-        (
-            {"load_grain": 14, "bottom": "fixed"},
-            "13 of 14 grains, and the last one is held",
-        ),
+        ({"load_grain": 14, "bottom": "fixed"}, "13 of 14 grains, and the last one is held"),
     ],
 )
 def test_a_load_on_a_fixed_or_missing_grain_is_rejected(changes, message):

@@ -6,6 +6,20 @@ import numpy as np
 
 from lmpchain import GLASS, PTFE, STEEL, Chain, Impurity, Material
 
+
+def column(grains: int = 20, **chain: Any) -> Chain:
+    """Return a column of glass beads of 1 mm under gravity; keywords change the chain."""
+    return Chain(**{"grains": grains, "diameter": 1e-3} | chain)
+
+
+def random_column(
+    grains: int, seed: int = 1, spread: float = 0.2, diameter: float = 1e-3, **chain: Any
+) -> Chain:
+    """Return a column of beads whose diameters differ at random by up to this relative spread."""
+    sizes = np.random.default_rng(seed).uniform(1 - spread, 1 + spread, grains)
+    return column(grains, diameter=diameter * sizes, **chain)
+
+
 RNG = np.random.default_rng(7)
 DISORDERED = Chain(
     grains=30,

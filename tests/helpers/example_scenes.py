@@ -36,21 +36,28 @@ def paper(name: str, samples: int = 26) -> Scene:
     )
 
 
-def struck(velocity: float = 1e-6, grains: int = 40, duration: float = 5e-5, **chain: Any) -> Scene:
-    """Return a column of 1 mm beads with a strike on its top; options change the chain."""
-    return Scene(
-        chain=Chain(**{"grains": grains, "diameter": 1e-3} | chain),
-        excitation=Impulse(velocity=velocity),
-        duration=duration,
-        samples=11,
-    )
-
-
 def scene_of(
-    chain: Chain, excitation: Any, duration: float, samples: int = 101, **more: Any
+    chain: Chain, excitation: Any, duration: float, samples: int | None = None, **more: Any
 ) -> Scene:
     """Return the scene of a chain and an excitation; options are those of `Scene`."""
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
+    if samples is not None:
+        more["samples"] = samples
+    return Scene(chain=chain, excitation=excitation, duration=duration, **more)
+
+
+def struck(
+    chain: Chain, velocity: float, duration: float, samples: int | None = None, **more: Any
+) -> Scene:
+    """Return the scene of a strike on the top grain; options are those of `Scene`."""
+    return scene_of(chain, Impulse(velocity=velocity), duration, samples, **more)
+
+
+def struck_in_units(
+    chain: Chain, number: float, units: float, samples: int | None = None, **more: Any
+) -> Scene:
+    """Return the scene of a strike with this strike number for a number of units of time."""
+    velocity = number * chain.length_scale / chain.time_scale
+    return struck(chain, velocity, units * chain.time_scale, samples, **more)
 
 
 def run(
@@ -59,12 +66,11 @@ def run(
     duration: float,
     samples: int = 2,
     tolerance: float = 1e-9,
-    engine: str = "native",
-    grains: Any = "all",
+    engine: Any = "native",
+    **more: Any,
 ) -> Trajectory:
-    """Return the motion of a scene."""
-    scene = scene_of(chain, excitation, duration, samples, grains=grains)
-    return simulate(scene, engine, tolerance)
+    """Return the motion of a scene; options are those of `Scene`."""
+    return simulate(scene_of(chain, excitation, duration, samples, **more), engine, tolerance)
 
 
 def smooth(grains: int = 8, exponent: float = 1.5, samples: int = 2) -> Scene:

@@ -1,9 +1,17 @@
-"""A long sweep for interruptions, and its state as seen from outside."""
+"""The scene of short sweeps, a long sweep for interruptions, and its state from outside."""
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from lmpchain import InputError, load_sweep
+
+# The scene of short sweeps.
+SCENE: dict[str, Any] = {
+    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
+    "excitation": {"kind": "impulse", "velocity": 1e-4},
+    "recording": {"duration": 5e-6, "samples": 3},
+}
 
 
 def long_sweep(folder: Path, count: int) -> Path:

@@ -3,16 +3,14 @@
 from typing import Any
 
 import numpy as np
+from helpers.example_chains import random_column
 
 from lmpchain import Chain, Profile, Scene
 
 
 def unlike(grains: int, **options: Any) -> Chain:
     """Return grains of random diameters under gravity and a load."""
-    diameters = np.random.default_rng(2).uniform(0.7, 1.3, grains) * 2e-3
-    return Chain(
-        **{"grains": grains, "diameter": diameters, "gravity": 30.0, "top_load": 0.02} | options
-    )
+    return random_column(grains, 2, 0.3, 2e-3, **{"gravity": 30.0, "top_load": 0.02} | options)
 
 
 def flying(

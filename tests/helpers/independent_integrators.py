@@ -6,7 +6,8 @@ positive downward; `helpers.taylor_series` computes them from Eq. (1) alone.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from helpers.forcing import Array
@@ -19,10 +20,24 @@ if TYPE_CHECKING:
 Reference = tuple[NDArray[np.float64], NDArray[np.float64], float]
 
 
-def relative_error(u: Array, v: Array, u_ref: Array, v_ref: Array) -> float:
-    """Return the larger of the relative errors max|x - x_ref| / max|x_ref| of both fields."""
-    pairs = ((u, u_ref), (v, v_ref))
-    return max(float(np.abs(np.asarray(x) - ref).max() / np.abs(ref).max()) for x, ref in pairs)
+def distance(found: Any, true: Any, scale: Sequence[float] | None = None) -> float:
+    """Return the larger of the relative distances of displacements and velocities of two motions.
+
+    A motion has these fields, or is a sequence that begins with them. The distances are relative
+    to the largest values of the second motion, or to those in `scale`.
+    """
+    pairs = list(zip(_fields(found), _fields(true), strict=True))
+    scale = [np.abs(ref).max() for _, ref in pairs] if scale is None else scale
+    return max(
+        float(np.abs(np.asarray(x) - ref).max() / size)
+        for (x, ref), size in zip(pairs, scale, strict=True)
+    )
+
+
+def _fields(motion: Any) -> tuple[Array, Array]:
+    if hasattr(motion, "displacement"):
+        return motion.displacement, motion.velocity
+    return motion[0], motion[1]
 
 
 def extended_reference(scene: Scene, tolerance: float = 1e-19) -> Reference:

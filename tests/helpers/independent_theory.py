@@ -29,6 +29,12 @@ def springs(kappa: Array, masses: Array | None = None) -> Chain:
     )
 
 
+def dense_modes(chain: Chain) -> tuple[Array, Array]:
+    """Return the squared frequencies and vectors of the modes by a dense eigenvalue solver."""
+    diagonal, coupling = chain.dynamical_matrix()
+    return np.linalg.eigh(np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1))
+
+
 def gravity_column(movable: int, delta: float = 1.5) -> Array:
     """Return kappa_1 ... kappa_M of Eq. (3)."""
     return np.arange(1.0, movable + 1) ** (1 - 1 / delta)

@@ -25,9 +25,9 @@ VOLTS = push(TIME) / 2
 OTHER = 0.1 * np.cos(TIME * 1e5)
 
 
-def rows(*columns: np.ndarray, between: str = ",", begin: str = "") -> str:
+def rows(*columns: np.ndarray, between: str = ",", begin: str = "", form: str = "{:.9e}") -> str:
     """Return columns as lines of text."""
-    lines = (between.join(f"{x:.9e}" for x in row) for row in zip(*columns, strict=True))
+    lines = (between.join(form.format(x) for x in row) for row in zip(*columns, strict=True))
     return "".join(f"{begin}{line}\n" for line in lines)
 
 

@@ -1,10 +1,12 @@
 """The modules of the package and their syntax trees, each parsed once."""
 
 import ast
+import re
 from functools import cache
 from pathlib import Path
 
 PACKAGE = Path(__file__).parents[2] / "lmpchain"
+REFERENCE = Path(__file__).parents[2] / "docs" / "api.md"
 
 
 def name_of(path: Path) -> str:
@@ -31,3 +33,15 @@ def nodes_of(module: str) -> list[ast.AST]:
 def room_of(module: str) -> str:
     """Return the part of the package to which a module belongs."""
     return module.split(".")[1]
+
+
+def listed_names() -> list[str]:
+    """Return the dotted names that the reference lists."""
+    found = []
+    package = ""
+    for line in REFERENCE.read_text(encoding="utf-8").splitlines():
+        if line.startswith(".. currentmodule:: "):
+            package = line.split()[-1]
+        elif re.fullmatch(r"   [\w.]+", line):
+            found.append(f"{package}.{line.strip()}")
+    return found

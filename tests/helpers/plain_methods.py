@@ -35,7 +35,7 @@ class Column(NamedTuple):
     scene: Scene
 
 
-def column(scene: Scene) -> Column:
+def column_of(scene: Scene) -> Column:
     """Return the properties of a scene in extended precision."""
     chain = scene.chain
     excitation = scene.excitation

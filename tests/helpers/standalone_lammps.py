@@ -7,6 +7,7 @@ from pathlib import Path
 
 import MDAnalysis
 import numpy as np
+from helpers.example_scenes import scene_of
 
 from lmpchain import Chain, Impulse, Scene
 
@@ -40,6 +41,4 @@ def read_dump(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 def small(excitation=None, **chain) -> Scene:
     made = Chain(**({"grains": 25, "material": "glass", "diameter": 1e-3} | chain))
-    return Scene(
-        chain=made, excitation=excitation or Impulse(velocity=8.57e-4), duration=2e-5, samples=6
-    )
+    return scene_of(made, excitation or Impulse(velocity=8.57e-4), 2e-5, 6)

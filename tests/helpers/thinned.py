@@ -15,3 +15,8 @@ def thinned(cases: Iterable[Any], every: int) -> list[Any]:
         )
         for number, case in enumerate(cases)
     ]
+
+
+def fuzzed(quick: int, soak: int) -> Any:
+    """Mark a test with its number of cases in the quick suite and in a soak."""
+    return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])

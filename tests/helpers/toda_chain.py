@@ -48,7 +48,7 @@ def exact(piston: float) -> TodaShock:
     return TodaShock(leading, 2 - ratio, float(2 * np.log(np.cosh(kappa))), plateau, kappa)
 
 
-def run(piston: float, grains: int, duration: float, samples: int, step: float = 0.05):
+def integrate(piston: float, grains: int, duration: float, samples: int, step: float = 0.05):
     """Return times (T,), displacements and velocities (T, N); the last grain is at a wall."""
     interval = duration / (samples - 1)
     inner = int(np.ceil(interval / step))

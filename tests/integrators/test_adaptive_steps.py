@@ -24,7 +24,7 @@ BETWEEN = {"top": "wall", "bottom": "wall", "top_material": "brass"}
 EPSILON = np.finfo(float).eps
 
 
-def scene_of(acts: str = "", **options: Any) -> Scene:
+def flying_or_forced(acts: str = "", **options: Any) -> Scene:
     """Return a chain of flying grains, or of forced grains."""
     scene = flying(unlike(GRAINS, **options), 3, (0.5, 1.5), 10, LOOKS + 1)
     if not acts:
@@ -47,14 +47,14 @@ def scene_of(acts: str = "", **options: Any) -> Scene:
 
 
 SCENES = {
-    "3/2": scene_of(),
-    "2.3 between walls": scene_of(exponent=2.3, **BETWEEN),
-    "springs": scene_of(exponent=1.0, **BETWEEN),
-    "touching wall": scene_of(top_load=0.0, **BETWEEN),
-    "vacuum": scene_of(top_load=0.0, gravity=0.0, **BETWEEN),
-    "burst on grain 3": scene_of("burst on grain 3", **BETWEEN),
-    "samples of the wall": scene_of("samples of the wall", **BETWEEN),
-    "sine of grain 1": scene_of("sine of grain 1"),
+    "3/2": flying_or_forced(),
+    "2.3 between walls": flying_or_forced(exponent=2.3, **BETWEEN),
+    "springs": flying_or_forced(exponent=1.0, **BETWEEN),
+    "touching wall": flying_or_forced(top_load=0.0, **BETWEEN),
+    "vacuum": flying_or_forced(top_load=0.0, gravity=0.0, **BETWEEN),
+    "burst on grain 3": flying_or_forced("burst on grain 3", **BETWEEN),
+    "samples of the wall": flying_or_forced("samples of the wall", **BETWEEN),
+    "sine of grain 1": flying_or_forced("sine of grain 1"),
 }
 
 
@@ -128,7 +128,7 @@ def by_dop853(motion: Motion, method: Any, steps: list[Any]) -> np.ndarray:
 
 def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray, list[int]]:
     """Return all steps, the states between them, and the number of states before each sample."""
-    motion = Motion(plain.column(scene))
+    motion = Motion(plain.column_of(scene))
     x = None
     v = None
     x = motion.x
@@ -153,7 +153,7 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
                 near = nearness(scene, motion, x, v, t, cap)
                 h = longest * min(1.0, shortened * near ** (-1 / 14)) if near > 0 else longest
                 step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
-                one = Motion(plain.column(scene))
+                one = Motion(plain.column_of(scene))
                 one.x = x
                 one.v = v
                 one.course = motion.course and (

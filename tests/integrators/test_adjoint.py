@@ -86,7 +86,7 @@ def sizes(scene: Scene, states: np.ndarray) -> Inputs:
     u, v = (np.abs(states[:, order]).max() for order in (0, 1))
     moving = np.arange(chain.grains) < chain.movable
     moving[: scene.excitation.driven] = False
-    drive = plain.column(scene).drive.astype(float)
+    drive = plain.column_of(scene).drive.astype(float)
     return Inputs(
         chain.masses,
         contacts.constant,
@@ -107,7 +107,7 @@ def differences(
     Directions are rows of `Inputs`, and slopes (D, looks+1, 2, N), by the relative size of a
     change.
     """
-    base = plain.column(scene)
+    base = plain.column_of(scene)
     true = plain.by_splitting(Motion(base), SPLITTINGS[method], steps)[looks]
     size = sizes(scene, true)
     lengths = [field.size for field in size]
@@ -225,9 +225,8 @@ def test_derivatives_of_forced_grains_in_many_calls_agree_with_differences(
     check(acted(name, exponent=1.7), "verlet", Way.OTHER, [1, 2, 5, 6], each=30)
 
 
-def test_derivatives_with_unequal_steps_agree_with_differences():
+def test_derivatives_with_unequal_steps_agree_with_differences(rng):
     scene, _ = LAWS["touching wall, 2"]
-    rng = np.random.default_rng(4)
     parts = [rng.uniform(0.5, 1.5, count) for count in (4, 7, 3)]
     steps = [part / part.sum() * scene.duration / LOOKS for part in parts]
     run = DifferentiableRun(scene, SPLITTINGS["rkn4"], steps, LOOKS, np.array([1, 4, 6]))
@@ -250,10 +249,9 @@ LONG = {
 
 
 @pytest.mark.parametrize("law", LONG)
-def test_long_chains_have_the_same_derivatives_back_and_forth(law: str):
+def test_long_chains_have_the_same_derivatives_back_and_forth(rng: np.random.Generator, law: str):
     """Windows grow, or tiles are used, within the light cone or everywhere."""
     speed, struck, options, kind = LONG[law]
-    rng = np.random.default_rng(1)
     velocity = np.zeros(900)
     velocity[:struck] = speed * rng.uniform(-1, 1, struck)
     chain = Chain(grains=900, diameter=1e-3, **options)

@@ -2,19 +2,18 @@
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Impulse, Scene
+from lmpchain import Impulse
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.methods import METHODS
 from lmpchain.integrators.stepper import NativeStepper
 from lmpchain.integrators.steps import Steps
 
-CHAIN = Chain(grains=30, diameter=1e-3, top="wall")
-SCENES = [
-    Scene(chain=CHAIN, excitation=Impulse(velocity=speed), duration=6e-5, samples=25)
-    for speed in (1e-3, 2e-2, 0.1)
-]
+CHAIN = column(30, top="wall")
+SCENES = [struck(CHAIN, speed, 6e-5, 25) for speed in (1e-3, 2e-2, 0.1)]
 
 
 @pytest.mark.parametrize("threads", [1, 2])
@@ -80,10 +79,8 @@ def method_of_one_stage(name: str) -> bool:
 )
 def test_samples_of_short_chains_are_written_whole(name: str, adaptive: bool, landing: int):
     """No zeros are written ahead of the wave, nor after auxiliary runs that stop."""
-    chain = Chain(grains=300, diameter=1e-3)
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-3, grain=150), duration=4e-6, samples=25
-    )
+    chain = column(300)
+    scene = scene_of(chain, Impulse(velocity=1e-3, grain=150), 4e-6, 25)
     steps = 9 * landing if method_of_one_stage(name) else 3 * landing
     own = Steps(
         steps, landing, landing * scene.duration / 24 / steps, adaptive, dense=int(landing > 1)

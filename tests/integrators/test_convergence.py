@@ -5,7 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, smooth
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from scipy.integrate import simpson
 
 from lmpchain import Chain, Drive, Impulse, Profile, Scene, engines, simulate
@@ -43,7 +43,7 @@ def test_order_of_convergence(engine, integrator):
     for count in counts:
         t = simulate(scene, engine=fixed_step(engine, integrator, scene.duration / count))
         assert t.cost.steps == count
-        errors.append(relative_error(t.displacement, t.velocity, u, v))
+        errors.append(distance(t, (u, v)))
     n = np.array(counts, dtype=float)
     # Methods that are not symmetric have odd terms as well.
     laws = [np.ones(n.size), -np.log(n)] + ([] if integrator in SPLITTINGS else [1 / n])

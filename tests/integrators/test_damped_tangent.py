@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers.flying_grains import unlike
 from helpers.taylor_series import reference
 
-from lmpchain import Chain, Damping, Drive, Force, Profile, Scene
+from lmpchain import Damping, Drive, Force, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.damped_tangent import Body, ImposedStages, RungeKutta, march
 from lmpchain.integrators.kernels.layout import PAD
@@ -15,14 +16,8 @@ GRAINS = 5
 STEPS = 60
 NODES, _, (_, WEIGHTS), INNER = DormandPrince().tables
 METHOD = RungeKutta(np.ascontiguousarray(INNER), np.ascontiguousarray(WEIGHTS))
-CHAIN = Chain(
-    grains=GRAINS,
-    diameter=np.random.default_rng(2).uniform(0.7, 1.3, GRAINS) * 2e-3,
-    gravity=30.0,
-    top_load=0.02,
-    top="wall",
-    damping=Damping(viscoelastic=2e-7, drag=np.linspace(1e3, 4e3, GRAINS)),
-)
+DAMPING = Damping(viscoelastic=2e-7, drag=np.linspace(1e3, 4e3, GRAINS))
+CHAIN = unlike(GRAINS, top="wall", damping=DAMPING)
 PERIOD = 1 / CHAIN.band_edge
 LENGTH = CHAIN.contacts.overlap[1:-1].min()
 FORCING = {
@@ -33,7 +28,7 @@ FORCING = {
 }
 
 
-def scene_of(kind: str) -> Scene:
+def moving(kind: str) -> Scene:
     """Return a damped chain in motion; a force starts from rest."""
     rng = np.random.default_rng(5)
     u = 0.1 * LENGTH * rng.uniform(-1, 1, GRAINS)
@@ -101,7 +96,7 @@ def wall_at(scene: Scene, time: float) -> float:
 
 @pytest.mark.parametrize("kind", FORCING)
 def test_the_map_follows_the_damped_motion(kind: str):
-    scene = scene_of(kind)
+    scene = moving(kind)
     u, v = (np.array(field) for field in scene.initial())
     free = np.flatnonzero(ChainBatch([scene]).arrays.inverse_mass[0][PAD : PAD + GRAINS])
     (x, w), _ = advance(scene, u, v - creep(scene, u, 0.0))
@@ -119,7 +114,7 @@ def test_the_map_follows_the_damped_motion(kind: str):
 
 @pytest.mark.parametrize("kind", FORCING)
 def test_the_tangent_is_the_derivative_of_the_map(kind: str):
-    scene = scene_of(kind)
+    scene = moving(kind)
     u, v = (np.array(field) for field in scene.initial())
     w = v - creep(scene, u, 0.0)
     free = np.flatnonzero(ChainBatch([scene]).arrays.inverse_mass[0][PAD : PAD + GRAINS])

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile, Scene
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile
 from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
 from lmpchain.integrators.kernels.contact_forces import Form
 from lmpchain.integrators.kernels.layout import (
@@ -38,9 +40,7 @@ def chains(**options) -> list[Chain]:
 
 def batch(*made: Chain, excitation=None, duration: float = 1e-5) -> ChainBatch:
     excitation = excitation or Impulse(velocity=1e-3, grain=2)
-    return ChainBatch(
-        [Scene(chain=chain, excitation=excitation, duration=duration, samples=3) for chain in made]
-    )
+    return ChainBatch([scene_of(chain, excitation, duration, 3) for chain in made])
 
 
 ENDS = {
@@ -70,7 +70,7 @@ def test_units_are_those_of_the_contact_below_grain_1(ends: str):
 
 
 def test_units_of_a_single_grain_are_those_of_the_contact_above():
-    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    chain = column(1, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
     laid = batch(chain, excitation=Impulse(velocity=1e-3))
     assert laid.arrays.units[0, 0] in (chain.contacts.overlap[0], chain.contacts.overlap[1])
 
@@ -98,7 +98,7 @@ def test_scales_are_the_largest_speed_and_displacement_of_the_excitation(excitat
 
 def test_rows_begin_at_cache_lines_with_one_body_more_at_either_end():
     for grains in (7, 8, 9, 15, 16, 17):
-        laid = batch(Chain(grains=grains, diameter=1e-3))
+        laid = batch(column(grains))
         x, v, _ = laid.place(*(field[None] for field in laid.initial))
         width = -(-(grains + 2 * PAD) // PAD) * PAD
         for rows in (x, v, laid.arrays.strength, laid.arrays.inverse_mass):
@@ -119,7 +119,7 @@ PLACES = {
 def test_the_initial_window_surrounds_the_excitation(what: str):
     """Windows begin at whole cache lines and include driven grains."""
     excitation, low, high = PLACES[what]
-    laid = batch(Chain(grains=300, diameter=1e-3, top="wall", top_load=1e-3), excitation=excitation)
+    laid = batch(column(300, top="wall", top_load=1e-3), excitation=excitation)
     _, _, state = laid.place(*(field[None] for field in laid.initial))
     first = state["first"][0]
     last = state["last"][0]
@@ -129,7 +129,7 @@ def test_the_initial_window_surrounds_the_excitation(what: str):
 
 
 def test_moving_grains_set_the_window_without_speeds_of_driven_grains():
-    chain = Chain(grains=300, diameter=1e-3)
+    chain = column(300)
     u, v = np.zeros((2, 300))
     u[120] = 1e-9
     v[170] = 1e-3
@@ -148,7 +148,7 @@ def test_moving_grains_set_the_window_without_speeds_of_driven_grains():
 
 def test_short_chains_are_computed_as_a_whole():
     for grains in (WINDOW_MIN - 2 * PAD, WINDOW_MIN - 2 * PAD + 1):
-        laid = batch(Chain(grains=grains, diameter=1e-3))
+        laid = batch(column(grains))
         x, _, state = laid.place(*(field[None] for field in laid.initial))
         whole = [PAD, x.shape[1] - PAD]
         assert ([state["first"][0], state["last"][0]] == whole) == (grains == WINDOW_MIN - 2 * PAD)
@@ -161,16 +161,15 @@ def test_contacts_that_are_open_at_rest_are_marked(ends: str):
     assert (state["least_strain"] == (0.0 if ends in ("walls", "held below") else -1.0)).all()
 
 
-def test_batches_of_splines_of_any_length_move_like_single_chains():
+def test_batches_of_splines_of_any_length_move_like_single_chains(rng):
     """The longest spline sets the number of knots; forces act on different grains."""
     chain = chains(**BETWEEN)[0]
-    rng = np.random.default_rng(6)
     scenes = []
     for grain, count in ((2, 4), (5, 9), (1, 6)):
         force = Force(
             times=np.linspace(0, 4e-5, count), force=0.1 * rng.normal(size=count), grain=grain
         )
-        scenes.append(Scene(chain=chain, excitation=force, duration=4e-5, samples=5))
+        scenes.append(scene_of(chain, force, 4e-5, 5))
     together = np.zeros((2, 3, 5, N))
     for name in ("rkn4", "dop853", "gear4"):
         schedule = Steps(9, 1, 1e-5 / 9, False)
@@ -187,7 +186,7 @@ def test_batches_of_splines_of_any_length_move_like_single_chains():
 def form_of(force: str = "auto", strikes: float = 1.0, **options) -> int:
     chain = Chain(**{"grains": N, "diameter": 1e-3} | options)
     speed = strikes * chain.length_scale / chain.time_scale if chain.compressed else strikes
-    return force_form(Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-5), force)
+    return force_form(struck(chain, speed, 1e-5), force)
 
 
 def test_the_fastest_accurate_form_is_chosen():
@@ -217,8 +216,8 @@ def test_the_fastest_accurate_form_is_chosen():
 
 
 def test_a_series_is_chosen_up_to_the_strain_of_its_rounding_error():
-    chain = Chain(grains=N, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-5)
+    chain = column(N)
+    scene = struck(chain, 1e-6, 1e-5)
     limit = 1e-6 * weakest(1.5) / scene.largest_strain  # Strains are proportional to the speed.
     for factor, form in ((0.99, Form.POLYNOMIAL), (1.01, Form.CORRECTED)):
         assert force_form(scene.replace(excitation=Impulse(velocity=factor * limit))) == form
@@ -241,9 +240,7 @@ def test_binomial_coefficients():
 
 
 def test_the_plain_form_is_inaccurate_only_for_compressed_contacts():
-    pressed = Scene(
-        chain=Chain(grains=N, diameter=1e-3), excitation=Impulse(velocity=0.1), duration=1e-5
-    )
+    pressed = struck(column(N), 0.1, 1e-5)
     vacuum = pressed.replace(chain=pressed.chain.replace(gravity=0.0))
     weak = pressed.replace(excitation=Impulse(velocity=1e-6))
     assert ChainBatch([pressed, weak]).plain == [True, False]
@@ -252,14 +249,14 @@ def test_the_plain_form_is_inaccurate_only_for_compressed_contacts():
 
 
 @pytest.mark.parametrize("name", ["verlet", "rkn6", "dop853", "gear4"])
-def test_extremes_include_all_steps(name: str):
+def test_extremes_include_all_steps(rng: np.random.Generator, name: str):
     """Smallest overlap, nearest approach and largest motion agree with samples at every step."""
     chain = chains(**BETWEEN)[0]
-    u, v = np.random.default_rng(9).uniform(-1, 1, (2, N))
+    u, v = rng.uniform(-1, 1, (2, N))
     scale = chain.contacts.overlap.max()
     edge = chain.band_edge
     start = Profile(displacement=scale * u, velocity=scale * edge * v)
-    scene = Scene(chain=chain, excitation=start, duration=20 / edge, samples=201)
+    scene = scene_of(chain, start, 20 / edge, 201)
     stepper = NativeStepper(ChainBatch([scene]), METHODS[name], Steps(1, 1, 0.1 / edge, False), {})
     fields = np.zeros((2, 1, 201, N))
     stepper.fill(*fields, 0, 200, 2**62)

@@ -7,11 +7,12 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 from scipy.integrate import DOP853
 from scipy.interpolate import make_interp_spline
 
-from lmpchain import Chain, Drive, Force, Impulse
+from lmpchain import Drive, Force, Impulse
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.methods import METHODS, SPLITTINGS, Splitting
@@ -207,7 +208,9 @@ def changed(excitation: Drive | Force, place: int, value: float) -> Drive | Forc
 
 @pytest.mark.parametrize("order", [0, 1])
 @pytest.mark.parametrize("what", ACTS)
-def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int):
+def test_derivatives_of_the_forcing_agree_with_differences(
+    rng: np.random.Generator, what: str, order: int
+):
     """Adjoint and tangent at samples before, between and after the given ones."""
     excitation = ACTS[what]
     course = ImposedCourse(excitation)
@@ -238,7 +241,7 @@ def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int
     assert (
         np.abs(course.push(times, np.eye(base.size), order) / scale - slopes / scale).max() < 1e-9
     )
-    weights = np.random.default_rng(1).normal(size=times.size)
+    weights = rng.normal(size=times.size)
     assert course.pull(times, weights, order) / scale[:, 0] == pytest.approx(
         slopes @ weights / scale[:, 0], abs=1e-9
     )
@@ -248,9 +251,7 @@ def test_derivatives_of_the_forcing_agree_with_differences(what: str, order: int
 
 # --- steppers
 
-SCENES = [
-    scene_of(Chain(grains=6, diameter=1e-3), Impulse(velocity=v), 2e-5, 9) for v in (1e-3, 2e-3)
-]
+SCENES = [scene_of(column(6), Impulse(velocity=v), 2e-5, 9) for v in (1e-3, 2e-3)]
 
 
 def stepper(companions: int = 0, state=None, **options) -> NativeStepper:
@@ -328,7 +329,7 @@ def test_arrays_of_long_chains_are_zero():
 
 
 def test_threads_share_a_long_chain_or_a_batch():
-    long = scene_of(Chain(grains=2 * LEAST_SHARE, diameter=1e-3), Impulse(velocity=1e-3), 1e-6)
+    long = scene_of(column(2 * LEAST_SHARE), Impulse(velocity=1e-3), 1e-6)
     own = Steps(2, 1, 1e-8, False)
     for scenes, threads, teams, works in (
         ([long], 2, 2, 2),

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import plain_methods as plain
-from helpers.example_scenes import stirred
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, stirred
 from helpers.flying_grains import flying as flying_grains
 from helpers.flying_grains import unlike
 from helpers.plain_methods import WIDE, Motion
@@ -113,7 +114,7 @@ STEPS_EACH = 12  # Number of steps between samples.
 
 
 def acted(name: str) -> Scene:
-    return Scene(chain=ACTED, excitation=ACTS[name], duration=DURATION, samples=5)
+    return scene_of(ACTED, ACTS[name], DURATION, 5)
 
 
 def answer(
@@ -159,7 +160,7 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
 
 def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
     """Return the displacement and velocity from plain NumPy, (2, T, N)."""
-    motion = Motion(plain.column(scene))
+    motion = Motion(plain.column_of(scene))
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":
         states = plain.by_dormand_prince(motion, lengths)
@@ -212,7 +213,7 @@ def test_a_run_lands_on_every_third_sample_and_on_the_last(method: str):
     fields, stepper = answer(scene, method, schedule, force)
     interval = WIDE(scene.duration) / 8
     lengths = [3 * interval / 10] * 20 + [2 * interval / 7] * 7
-    motion = Motion(plain.column(scene))
+    motion = Motion(plain.column_of(scene))
     run = {"dop853": plain.by_dormand_prince, "gear4": plain.by_gear}.get(method)
     states = (
         run(motion, lengths) if run else plain.by_splitting(motion, SPLITTINGS[method], lengths)
@@ -234,12 +235,12 @@ FOLLOWED = [
 @pytest.mark.parametrize(("method", "adaptive", "steps"), FOLLOWED)
 def test_a_window_follows_a_wave_in_a_long_chain(method: str, adaptive: bool, steps: int):
     """The motion agrees with plain NumPy, and grains outside the window are exactly at rest."""
-    chain = Chain(grains=240, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    chain = column(240, gravity=0.0, top_load=1e-2)
     u, v = np.zeros((2, 240))
     scale = 5e-3 * chain.equilibrium_overlap[0] * chain.band_edge
     v[119:123] = scale * np.array([1, -0.7, 0.4, 1])
     profile = Profile(displacement=u, velocity=v)
-    scene = Scene(chain=chain, excitation=profile, duration=8 / chain.band_edge, samples=3)
+    scene = scene_of(chain, profile, 8 / chain.band_edge, 3)
     fields, stepper = answer(scene, method, Steps(steps, 1, scene.duration / 2 / steps, adaptive))
     assert stepper.steps == 2 * steps
     assert distance(fields, plainly(scene, method, steps)) < 1e-13
@@ -257,9 +258,7 @@ def test_a_window_follows_a_wave_in_a_long_chain(method: str, adaptive: bool, st
 def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str):
     """Grains fly everywhere, and a force or a wall acts on one part of the chain."""
     grains = 3 * TILE + 5
-    chain = Chain(
-        grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0
-    )
+    chain = column(grains, gravity=0.0, top_load=1e-2, top="wall", exponent=2.0)
     edge = chain.band_edge
     overlap = chain.equilibrium_overlap[0]
     start = stirred(chain, overlap * edge)
@@ -270,7 +269,7 @@ def test_a_chain_of_several_tiles_moves_as_in_plain_numpy(method: str, acts: str
         "force": lambda: Force(amplitude=0.1, frequency=frequency, grain=2 * TILE - 3),
         "wall": lambda: Drive(amplitude=10 * overlap, frequency=frequency, grain=0, start=start),
     }[acts]()
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=2)
+    scene = scene_of(chain, excitation, duration, 2)
     steps = 6
     if method == "rkn4":
         steps = 2

@@ -32,7 +32,7 @@ LAWS: dict[str, dict[str, Any]] = {
 }
 
 
-def scene_of(law: str) -> Scene:
+def flying_or_driven(law: str) -> Scene:
     """Return a chain of flying grains, or a driven chain."""
     options = LAWS[law] | {}
     place = options.pop("drive", None)
@@ -50,8 +50,8 @@ def scene_of(law: str) -> Scene:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_deviations_grow_as_differences_of_two_runs(law: str):
-    scene = scene_of(law)
-    motion = Motion(plain.column(scene))
+    scene = flying_or_driven(law)
+    motion = Motion(plain.column_of(scene))
     moving = np.flatnonzero(motion.mobile)
     steps = FRACTIONS * scene.duration
     batch = ChainBatch([scene], "exact")
@@ -84,7 +84,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         for column, grain in enumerate(moving):
             many[0][column, grain] += sign * CHANGE * WIDE(unit[0])
             many[1][moving.size + column, grain] += sign * CHANGE * WIDE(unit[1])
-        other = Motion(plain.column(scene)._replace(displacement=many[0], velocity=many[1]))
+        other = Motion(plain.column_of(scene)._replace(displacement=many[0], velocity=many[1]))
         if driven:
             each = [WIDE(h) for h in steps]
         states.append(plain.by_splitting(other, RKN4, each))
@@ -112,7 +112,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
 
 def test_a_flight_of_many_steps_accumulates_no_rounding():
     """A grain that flies alone through 10^5 steps ends at the exact position."""
-    scene = scene_of("vacuum")
+    scene = flying_or_driven("vacuum")
     batch = ChainBatch([scene], "exact")
     inverse_mass = batch.arrays.inverse_mass[0]
     links = batch.arrays._replace(

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 from scipy.integrate import solve_ivp
 from scipy.optimize import minimize_scalar
 
-from lmpchain import Chain, Force, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Chain, Force, Impulse, InputError, Scene, simulate
 from lmpchain.measure import echo, flight
 from lmpchain.theory import soliton
 
@@ -18,13 +19,6 @@ def time_of(chain: Chain, velocity: float, grains: float) -> float:
         return grains * float(np.sqrt(chain.masses[0] / chain.linear_stiffness[0]))
     speed = 0.90747 * (chain.contact_constants[0] / chain.masses[0]) ** 0.4
     return float(grains / (speed * (0.6816 * velocity) ** 0.2))
-
-
-def struck(chain: Chain, velocity: float, duration: float, samples: int) -> Trajectory:
-    """Simulate a strike on the top of a chain."""
-    strike = Impulse(velocity=velocity)
-    scene = Scene(chain=chain, excitation=strike, duration=duration, samples=samples)
-    return simulate(scene, "native", tolerance=1e-9)
 
 
 def exact_peaks(chain: Chain, velocity: float, grain: int, duration: float) -> tuple[float, float]:
@@ -94,7 +88,7 @@ def test_time_of_flight_agrees_with_an_independent_integration(
     duration = time_of(chain, velocity, grains)
     out, back = exact_peaks(chain, velocity, 8, duration)
     assert back > out
-    t = struck(chain, velocity, duration, 1 + 4 * grains)
+    t = run(chain, Impulse(velocity=velocity), duration, 1 + 4 * grains)
     found = echo.find(t, 8, reflector, least=0.01)
     assert abs(found.seconds - (back - out)) <= found.error < 0.01 * found.seconds
     assert found.inverted == inverted
@@ -102,9 +96,8 @@ def test_time_of_flight_agrees_with_an_independent_integration(
     assert found.distance / 5e-3 == pytest.approx(2 * (place - 8), abs=1.01)
 
 
-def test_errors_cover_coarse_sampling() -> None:
+def test_errors_cover_coarse_sampling(rng: np.random.Generator) -> None:
     """Times and shares of random strikes at random sampling rates are right within their errors."""
-    rng = np.random.default_rng(3)
     covered = []
     for _ in range(8):
         load = float(rng.choice([0.0, 10.0]))
@@ -113,7 +106,7 @@ def test_errors_cover_coarse_sampling() -> None:
         duration = time_of(chain, velocity, 48)
         samples = int(rng.integers(150, 500))
         coarse, fine = (
-            echo.find(struck(chain, velocity, duration, 1 + size), 8)
+            echo.find(run(chain, Impulse(velocity=velocity), duration, 1 + size), 8)
             for size in (samples, 16 * samples)
         )
         covered.append(abs(coarse.seconds - fine.seconds) <= coarse.error)
@@ -128,7 +121,7 @@ def test_errors_cover_coarse_sampling() -> None:
 def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
     """Exact solitary waves have the same travel times, apart from the delay at the wall."""
     chain = Chain(grains=80, bottom="wall", **BEADS)
-    t = struck(chain, 0.1, time_of(chain, 0.1, 150), 5001)
+    t = run(chain, Impulse(velocity=0.1), time_of(chain, 0.1, 150), 5001)
     upper, lower = (echo.find(t, grain) for grain in (35, 55))
     constant = chain.contact_constants[0] / chain.masses[0]
     # V = C (K/m)^(2/5) v^(1/5) grains/s for the largest velocity v of a grain.
@@ -146,7 +139,7 @@ def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
 def test_energy_of_pulses_is_that_of_the_chain() -> None:
     """The downward energy past a grain is the strike energy minus the part that stays above."""
     chain = Chain(grains=30, bottom="wall", **BEADS)
-    t = struck(chain, 0.1, time_of(chain, 0.1, 60), 2001)
+    t = run(chain, Impulse(velocity=0.1), time_of(chain, 0.1, 60), 2001)
     pulses = echo.find(t, 10).pulses
     strike = chain.masses[0] * 0.1**2 / 2
     assert pulses[0].energy == pytest.approx(strike, rel=0.02)
@@ -157,9 +150,9 @@ def test_energy_of_pulses_is_that_of_the_chain() -> None:
 def test_missing_echoes_are_rejected_and_pictures_have_labels() -> None:
     """A run that ends before the echo, or a wrong reflector, raises an error."""
     chain = Chain(grains=24, bottom="wall", **BEADS)
-    t = struck(chain, 0.1, time_of(chain, 0.1, 48), 801)
+    t = run(chain, Impulse(velocity=0.1), time_of(chain, 0.1, 48), 801)
     with pytest.raises(InputError, match="no echo"):
-        echo.find(struck(chain, 0.1, 1.2e-4, 201), 8)
+        echo.find(run(chain, Impulse(velocity=0.1), 1.2e-4, 201), 8)
     for reflector in (-1, 8, 26):
         with pytest.raises(InputError, match="another grain"):
             echo.find(t, 8, reflector)

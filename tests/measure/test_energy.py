@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_chains import vacuum
-from helpers.example_scenes import run
+from helpers.example_chains import column, vacuum
+from helpers.example_scenes import run, struck
 from scipy.special import jv
 
 from lmpchain import (
@@ -18,7 +18,6 @@ from lmpchain import (
     Impulse,
     InputError,
     Profile,
-    Scene,
     Trajectory,
     engines,
     simulate,
@@ -50,8 +49,8 @@ def largest(values: Any) -> float:
     return float(np.abs(values).max())
 
 
-COLUMN = Chain(grains=20, diameter=1e-3)
-LOADED = Chain(grains=15, diameter=1e-3, top_load=1e-2, exponent=2.0, bottom="wall")
+COLUMN = column(20)
+LOADED = column(15, top_load=1e-2, exponent=2.0, bottom="wall")
 BETWEEN = Chain(
     grains=12,
     diameter=np.linspace(1e-3, 2e-3, 12),
@@ -98,7 +97,7 @@ def test_energy_and_momentum_are_conserved(case: tuple[Chain, Excitation, float]
 
 def test_a_single_spring_exchanges_its_energy() -> None:
     """A ball on a spring between walls: K = E cos^2, momentum m v cos, impulse m v (cos - 1)."""
-    chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=3.0)
+    chain = column(2, exponent=1.0, gravity=3.0)
     omega = np.sqrt(chain.contact_constants[0] / chain.masses[0])
     t = record(chain, Impulse(velocity=1e-9), 10 / omega, 201, 1e-12)
     energy = ledger(t)
@@ -113,7 +112,7 @@ def test_a_single_spring_exchanges_its_energy() -> None:
 @pytest.mark.parametrize("exponent", [1.0, 1.5])
 def test_a_lifted_grain_falls_freely(exponent: float) -> None:
     """An unsupported grain gains m g t, which the ledger adds as the missing support force."""
-    chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
+    chain = column(2, exponent=exponent)
     gap = 2 * chain.length_scale
     falls = np.sqrt(2 * gap / 9.81)
     t = record(chain, Displacement(displacement=-1.5 * gap), 0.9 * falls, 11)
@@ -144,7 +143,7 @@ DRIVES = {
 @pytest.mark.parametrize("drive", DRIVES.values(), ids=DRIVES)
 def test_the_work_of_a_driver_closes_the_ledger(drive: Drive) -> None:
     """The residual falls with the fourth power of the interval, and is 1/15 of the estimate."""
-    chain = Chain(grains=20, diameter=1e-3, top_load=1e-3)
+    chain = column(20, top_load=1e-3)
     open_ends = []
     for samples in (129, 257, 513):
         energy = ledger(of_unknown_error(record(chain, drive, 4e-5, samples, 1e-12)))
@@ -166,7 +165,7 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
     and Legendre. Later the mean power is that of a running wave, k A^2 omega sin(q) / 2 with omega
     = 2 sqrt(k/m) sin(q/2).
     """
-    chain = Chain(grains=120, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1e-3)
+    chain = column(120, exponent=1.0, gravity=0.0, top_load=1e-3)
     k = chain.contact_constants[0]
     m = chain.masses[0]
     unit = chain.time_scale
@@ -203,7 +202,7 @@ def test_a_driver_of_springs_does_the_work_of_theory() -> None:
 
 
 def test_the_kinetic_energy_counts_the_driven_grain() -> None:
-    chain = Chain(grains=5, diameter=1e-3)
+    chain = column(5)
     energy = ledger(record(chain, Drive(times=[0, 1e-6], displacement=[0, 1e-12]), 1e-9, 3))
     assert energy.kinetic[0] == pytest.approx(chain.masses[0] / 2 * 1e-12, rel=1e-12, abs=0)
     assert energy.drive[0] == 0
@@ -218,7 +217,7 @@ def test_energy_is_shared_5_to_4_between_walls() -> None:
     With G = sum m phi phi', K/E = (delta+1)/(delta+3) + [G(T) - G(0)] / ((delta+3) T E).
     """
     chain = vacuum(20, top="wall", bottom="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=400.0, samples=8001)
+    scene = struck(chain, 1.0, 400.0, 8001)
     # The motion is chaotic after 100, but the theorem holds for any motion.
     t = simulate(scene, engine=engines.Native(step=0.05))
     energy = ledger(t)
@@ -288,7 +287,7 @@ def test_grains_at_rest_do_not_change_the_balance(bottom: str) -> None:
     found = []
     for grains in (200, 2000):
         load = {"gravity": 0.0} if bottom == "free" else {}
-        chain = Chain(grains=grains, diameter=1e-3, bottom=bottom, **load)
+        chain = column(grains, bottom=bottom, **load)
         found.append(ledger(record(chain, Impulse(velocity=1e-3), 2e-5, 41, 1e-10)))
     short, long = (vars(each) for each in found)
     for name, value in short.items():

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import acted_trial_scene, damped, trial_scene
@@ -70,10 +72,8 @@ CASES = {
 }
 
 
-def scene_of(name: str, samples: int) -> Scene:
-    chain, excitation = CASES[name]
-    duration = 3e-4 if name == "springs" else 4e-5
-    return Scene(chain=chain, excitation=excitation, duration=duration, samples=samples)
+def case(name: str, samples: int) -> Scene:
+    return scene_of(*CASES[name], 3e-4 if name == "springs" else 4e-5, samples)
 
 
 def integrate(scene: Scene) -> tuple[Array, Array]:
@@ -164,13 +164,13 @@ LINEAR_ACTS = {
 @cache
 def exact_linear(damping: str, act: str) -> tuple[Scene, Array, Array]:
     chain = Chain(**LINEAR, damping=LINEAR_DAMPING[damping])
-    scene = Scene(chain=chain, excitation=LINEAR_ACTS[act], duration=1e-4, samples=41)
+    scene = scene_of(chain, LINEAR_ACTS[act], 1e-4, 41)
     return scene, *integrate(scene)
 
 
 @cache
 def exact(name: str) -> tuple[Array, Array]:
-    return integrate(scene_of(name, 41))
+    return integrate(case(name, 41))
 
 
 def largest(values: Array) -> float:
@@ -180,7 +180,7 @@ def largest(values: Array) -> float:
 @pytest.mark.parametrize("samples", [3, 41])
 @pytest.mark.parametrize("name", thinned(CASES, 2))
 def test_losses_and_work_close_the_balance_by_any_number_of_samples(name: str, samples: int):
-    t = simulate(scene_of(name, samples), "native", 1e-10)
+    t = simulate(case(name, samples), "native", 1e-10)
     balance = energy.ledger(t)
     put_in = largest(balance.total)
     assert largest(balance.drift) < 1e-9 * put_in
@@ -235,7 +235,7 @@ def test_linear_engines_close_the_balance_by_any_number_of_samples(engine, dampi
 @pytest.mark.parametrize("act", [Impulse(velocity=1e-4), Drive(amplitude=1e-10, frequency=1e5)])
 def test_errors_of_linear_energies_include_the_model_error(act, samples: int):
     chain = Chain(**WALLS, damping=DAMPING)
-    scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)
+    scene = scene_of(chain, act, 6e-5, samples)
     found = energy.ledger(simulate(scene, "modes", 0.5))
     true = energy.ledger(simulate(scene, "native", 1e-11))
     for name in ("dissipated", "drive"):
@@ -259,7 +259,7 @@ def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int)
     """The energies of linear theory (for weak waves) and LAMMPS are within their errors."""
     damping = DAMPING if engine != "chebyshev" else {}
     chain = Chain(**WALLS, damping=damping)
-    scene = Scene(chain=chain, excitation=act, duration=6e-5, samples=samples)
+    scene = scene_of(chain, act, 6e-5, samples)
     tolerance = 1e-3 if engine == "lammps" else 1e-6
     found = energy.ledger(simulate(scene, engine, tolerance))
     true = energy.ledger(simulate(scene, "native", 1e-11))
@@ -271,7 +271,7 @@ def test_other_engines_agree_with_the_native_one(engine: str, act, samples: int)
 
 
 def test_a_foreign_trajectory_uses_only_its_samples():
-    t = simulate(scene_of("strike", 401), "native", 1e-10)
+    t = simulate(case("strike", 401), "native", 1e-10)
     foreign = replace(t, error_estimate=ErrorEstimate(0.0, np.inf), gathered={})
     found = energy.ledger(foreign)
     assert found.balanced == ()
@@ -283,7 +283,7 @@ def test_a_foreign_trajectory_uses_only_its_samples():
 
 def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch):
     """Files, a resumed run, a batch, threads, and recorded grains: the bits stay."""
-    scene = scene_of("tone", 41)
+    scene = case("tone", 41)
     t = simulate(scene, "native", 1e-8)
     names = {"dissipated", "dissipated_error", "drive", "drive_error"}
     assert t.gathered.keys() == names
@@ -314,12 +314,7 @@ def test_energies_are_preserved_by_all_kinds_of_runs(tmp_path: Path, monkeypatch
 def test_files_without_energies_are_read(tmp_path: Path, monkeypatch):
     """A quadrature that takes too long is left out: the balance yields the losses of a strike."""
     monkeypatch.setattr(Modes, "most_summed", lambda _self, _scene: 0)
-    scene = Scene(
-        chain=Chain(**WALLS, damping=DAMPING),
-        excitation=Impulse(velocity=1e-9),
-        duration=6e-3,
-        samples=5,
-    )
+    scene = struck(Chain(**WALLS, damping=DAMPING), 1e-9, 6e-3, 5)
     t = simulate(scene, "modes", folder=tmp_path / "run")
     assert not t.gathered
     t.save(tmp_path / "run.nc")
@@ -331,8 +326,8 @@ def test_grains_beyond_the_wave_do_not_change_energies():
     """The light cone of a long chain has the energies of the whole, and of a shorter chain."""
     found = []
     for grains in (300, 3000):
-        chain = Chain(grains=grains, diameter=1e-3, damping={"viscoelastic": 1e-9})
-        scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=2e-5, samples=5)
+        chain = column(grains, damping={"viscoelastic": 1e-9})
+        scene = struck(chain, 1e-3, 2e-5, 5)
         found.append(simulate(scene, "native", 1e-10).gathered["dissipated"])
     assert found[1] == pytest.approx(found[0], rel=1e-12)
     assert found[0][-1] > 0
@@ -393,7 +388,7 @@ def test_work_without_losses_equals_accumulated_work_with_little_loss(
 ):
     """Without damping, work follows from the balance; with a drag of 1e-7 /s it is summed."""
     chain = Chain(**WALLS)
-    scene = Scene(chain=chain, excitation=excitation, duration=6e-5, samples=samples)
+    scene = scene_of(chain, excitation, 6e-5, samples)
     dragged = scene.replace(chain=chain.replace(damping={"drag": 1e-7}))
     exact = energy.ledger(simulate(scene, "native", 1e-10))
     summed = energy.ledger(simulate(dragged, "native", 1e-10))

@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from helpers.example_chains import WALLED
-from helpers.example_scenes import scene_of
+from helpers.example_chains import WALLED, column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, simulate, sweep
+from lmpchain import Drive, Force, Impulse, simulate, sweep
 from lmpchain.measure import energy
 
-LOADED = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=1e-2, top="wall", bottom="wall")
+LOADED = column(9, gravity=0.0, top_load=1e-2, top="wall", bottom="wall")
 ACTED = {
     "struck": Impulse(velocity=1e-3, grain=3),
     "pushed": Force(grain=2, shape="half-sine", amplitude=1e-2, duration=5e-6),
@@ -34,7 +34,7 @@ def test_shares_add_up(name: str):
 @pytest.mark.parametrize("kind", ACTED)
 def test_energy_that_flows_into_a_part(kind: str):
     """The energy of grains 5 to 9 changes by the power of contact 4: force times mean velocity."""
-    scene = Scene(chain=LOADED, excitation=ACTED[kind], duration=3e-5, samples=3001)
+    scene = scene_of(LOADED, ACTED[kind], 3e-5, 3001)
     t = simulate(scene, "native", 1e-10)
     part = energy.shares(t).part(5, 9)
     change = LOADED.contacts.of(4).force_change(t.displacement[:, 3] - t.displacement[:, 4])
@@ -46,16 +46,8 @@ def test_energy_that_flows_into_a_part(kind: str):
 
 def test_a_closed_form():
     """Half of the energy of a single grain on a spring oscillates."""
-    spring = Chain(
-        grains=1,
-        diameter=1e-3,
-        exponent=1.0,
-        bottom="wall",
-        masses=[2e-6],
-        wall_constants=[0.0, 50.0],
-    )
-    scene = Scene(chain=spring, excitation=Impulse(velocity=1e-4), duration=1e-3, samples=101)
-    found = energy.shares(simulate(scene, "modes"))
+    spring = column(1, exponent=1.0, bottom="wall", masses=[2e-6], wall_constants=[0.0, 50.0])
+    found = energy.shares(simulate(struck(spring, 1e-4, 1e-3, 101), "modes"))
     whole = 2e-6 * 1e-8 / 2
     assert found.kinetic[:, 0] == pytest.approx(
         whole * np.cos(5000 * found.time) ** 2, rel=0, abs=1e-12 * whole
@@ -66,19 +58,8 @@ def test_a_closed_form():
     assert found.contact.tolist() == [1]
 
 
-def test_parts_of_what_was_recorded():
-    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11)
-    whole = energy.shares(simulate(scene, "native", 1e-9))
-    some = energy.shares(simulate(Scene(**scene.given() | {"grains": "3:6"}), "native", 1e-9))
-    assert some.contact.tolist() == [3, 4, 5]
-    assert np.isnan(some.of_grain[:, [0, -1]]).all()
-    assert some.part(4, 5) == pytest.approx(whole.part(4, 5), rel=1e-12)
-    with pytest.raises(InputError, match="part: must be a range of recorded grains"):
-        some.part(2, 5)
-
-
 def test_energies_in_a_sweep(tmp_path):
-    scene = Scene(chain=LOADED, excitation=ACTED["struck"], duration=2e-5, samples=11)
+    scene = scene_of(LOADED, ACTED["struck"], 2e-5, 11)
     asked = {
         "scene": scene.to_dict(),
         "keep": ["energy", "grain_energy", "contact_energy"],

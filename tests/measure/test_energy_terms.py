@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import run
 from numpy.typing import NDArray
 
 from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
@@ -49,10 +49,8 @@ GIVEN = {
 }
 
 
-def run(name: str, samples: int = 401) -> Trajectory:
-    chain, excitation = GIVEN[name]
-    scene = Scene(chain=chain, excitation=excitation, duration=4e-5, samples=samples)
-    return simulate(scene, engines.Native(step=1e-8))
+def simulated(name: str, samples: int = 401) -> Trajectory:
+    return run(*GIVEN[name], 4e-5, samples, engine=engines.Native(step=1e-8))
 
 
 def overlaps(t: Trajectory) -> Array:
@@ -69,7 +67,7 @@ def overlaps(t: Trajectory) -> Array:
 @pytest.mark.parametrize("name", GIVEN)
 def test_every_term_and_the_energy_input(name: str):
     """The terms follow from the motion, and sum up to the input of force, driver and walls."""
-    t = run(name)
+    t = simulated(name)
     chain = t.scene.chain
     seen = energy.ledger(t)
     u = t.displacement
@@ -127,8 +125,7 @@ def test_the_work_of_a_hammer_is_right_for_few_samples(name: str, within: float)
     top = "wall" if name == "a wall" else "free"
     chain = Chain(grains=60, diameter=5e-3, top_load=1.0, gravity=0.0, top=top)
     samples = 25
-    scene = scene_of(chain, HAMMERS[name], (samples - 1) * 1e-5 / within, samples)
-    seen = energy.ledger(simulate(scene, "native", 1e-9))
+    seen = energy.ledger(run(chain, HAMMERS[name], (samples - 1) * 1e-5 / within, samples, 1e-9))
     assert np.abs(seen.drift).max() <= seen.drive_error + 1e-8 * seen.total.max()
     # Momenta cancel in a burst.
     rounding = 1e-8 * max(np.abs(seen.momentum).max(), 1e-2 * 1e-5)
@@ -143,7 +140,7 @@ def corrected_trapezoid(step: float, value: Array, slope: Array) -> Array:
 
 def test_the_errors_are_the_shift_when_every_second_sample_is_used():
     """A force acts on grain 3; its work and the impulses are computed from 41 and 21 samples."""
-    t = run("a sine on grain 3", 41)
+    t = simulated("a sine on grain 3", 41)
     # The sample error is unknown, as in a foreign dump, so that no balance replaces the integral.
     t = replace(t, error_estimate=ErrorEstimate(0.0, np.inf))
     chain = t.scene.chain
@@ -275,8 +272,7 @@ def test_grains_in_the_order_in_which_they_were_recorded():
 def test_errors_of_the_motion_propagate_to_the_energies():
     """Errors dv of speeds and du of displacements change the energies by exact formulas."""
     chain = Chain(**UNEVEN, bottom="wall")
-    scene = scene_of(chain, Impulse(velocity=3e-3, grain=4), 2e-5, 41)
-    t = simulate(scene, engines.Native(step=1e-8))
+    t = run(chain, Impulse(velocity=3e-3, grain=4), 2e-5, 41, 1e-6, engines.Native(step=1e-8))
     t = replace(t, error_estimate=replace(t.error_estimate, solver=1e-4, model=0.0))
     seen = energy.shares(t)
     between = motion_of(t)

@@ -4,45 +4,38 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column, vacuum
+from helpers.example_scenes import run, scene_of, struck, struck_in_units
+from helpers.faults import fault_keys
+from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Impulse, InputError, Trajectory, simulate
 from lmpchain.measure.front import Front, asymptotic, exponent, track
 from lmpchain.report import panels
 
 Array = NDArray[np.float64]
 
 
-def column(
-    strike: float,
-    last: int,
-    grains: int,
-    per_unit: int = 8,
-    recorded: str = "all",
-    delta: float = 1.5,
+def past(
+    last: int, strike: float, grains: int, per_unit: int = 8, recorded: str = "all", **chain: Any
 ) -> Trajectory:
     """Simulate a column struck at the top until the weak front has passed the `last` grain."""
-    chain = Chain(grains=grains, diameter=1e-3, exponent=delta)
-    eta = 1 + 1 / delta
+    beads = column(grains, **chain)
+    eta = 1 + 1 / beads.exponent
     end = 2 / eta * last ** (eta / 2) + 2.5 * last ** (eta / 2 - 2 / 3) + 4
-    scene = scene_of(
-        chain,
-        Impulse(velocity=strike * chain.length_scale / chain.time_scale),
-        end * chain.time_scale,
-        round(per_unit * end) + 1,
-        grains=recorded,
-    )
+    scene = struck_in_units(beads, strike, end, round(per_unit * end) + 1, grains=recorded)
     return simulate(scene, engine="native", tolerance=1e-8)
 
 
 @pytest.fixture(scope="module")
 def weak() -> Trajectory:
-    return column(1e-4, 505, 540)
+    return past(505, 1e-4, 540)
 
 
 @pytest.fixture(scope="module")
@@ -59,13 +52,7 @@ def made_up(
     motion: Callable[[Array, Array], Array], samples: int = 401, grains: int = 5
 ) -> Trajectory:
     """Return a trajectory with the velocity motion(t, n) for 0 to 20 us, without an equation."""
-    scene = scene_of(
-        Chain(grains=grains + 1, diameter=1e-3),
-        Impulse(velocity=1e-6),
-        20e-6,
-        samples,
-        grains=f"1:{grains}",
-    )
+    scene = struck(column(grains + 1), 1e-6, 20e-6, samples, grains=f"1:{grains}")
     numbers = np.arange(1.0, grains + 1)
     step = 20 / (samples - 1)
     nodes, weights = np.polynomial.legendre.leggauss(16)
@@ -138,13 +125,8 @@ def test_a_wave_without_a_recorded_decrease_has_no_width():
 
 
 def test_recorded_grains_may_come_in_any_order():
-    scene = scene_of(
-        Chain(grains=40, diameter=1e-3),
-        Impulse(velocity=1e-6, grain=10),
-        6e-5,
-        301,
-        grains=[20, 4, 12, 10, 16, 8],
-    )
+    strike = Impulse(velocity=1e-6, grain=10)
+    scene = scene_of(column(40), strike, 6e-5, 301, grains=[20, 4, 12, 10, 16, 8])
     front = track(simulate(scene, engine="native", tolerance=1e-8))
     assert front.grain.tolist() == [4, 8, 12, 16, 20], "the one that was struck is left out"
     assert (np.diff(front.time[2:]) > 0).all()
@@ -155,13 +137,10 @@ def test_recorded_grains_may_come_in_any_order():
 
 def test_against_the_exact_motion_of_a_weak_strike():
     """The maxima of the exact sum over all modes are found as roots, without sampling."""
-    t = column(1e-7, 60, 80)
+    t = past(60, 1e-7, 80)
     chain = t.scene.chain
     strike = t.scene.excitation.velocity
-    diagonal, coupling = chain.dynamical_matrix()
-    squares, shape = np.linalg.eigh(
-        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
-    )
+    squares, shape = dense_modes(chain)
     omega = np.sqrt(squares)
     front = track(t).between(2, 60)
     assert front.grain.tolist() == list(range(2, 61))
@@ -182,15 +161,7 @@ def test_soliton_of_the_sonic_vacuum():
 
     The speed is V = 0.9074700784 v^(1/5), and the full width at half maximum is 1.5791 grains.
     """
-    chain = Chain(
-        grains=90,
-        diameter=100.0,
-        gravity=0.0,
-        bottom="free",
-        masses=np.ones(90),
-        contact_constants=np.ones(89),
-    )
-    scene = scene_of(chain, Impulse(velocity=1.0), 110.0, 2201, grains="50:80")
+    scene = struck(vacuum(90), 1.0, 110.0, 2201, grains="50:80")
     t = simulate(scene, engine="native", tolerance=1e-8)
     front = track(t)
     assert front.grain.tolist() == list(range(50, 81))
@@ -256,7 +227,7 @@ def test_local_exponents(velocity: Front, window: int, grain: int, slope: float)
 @pytest.mark.parametrize(("strike", "slope"), [(10, -0.2374), (100, -0.1700), (1000, -0.0512)])
 def test_local_exponents_of_stronger_waves(strike: float, slope: float):
     """The exponents at n = 100 go from a weak wave to a soliton without gravity."""
-    front = track(column(strike, 112, 130, per_unit=15, recorded="88:112"))
+    front = track(past(112, strike, 130, per_unit=15, recorded="88:112"))
     found = exponent(front, window=None)
     assert found.exponent[0] == pytest.approx(slope, abs=2e-3)
 
@@ -313,7 +284,7 @@ def test_asymptotic_laws(
 )
 def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: float | None):
     """1.071313 n^(-1/3) for springs, the front of a Bessel function; n^(-2/9) for delta = 2."""
-    t = column(1e-3, 300, 340, delta=delta)
+    t = past(300, 1e-3, 340, exponent=delta)
     front = track(t).between(30, 295)
     free = asymptotic(front, "amplitude", delta)
     assert free.exponent == pytest.approx(power, abs=2e-3)
@@ -327,11 +298,10 @@ def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: f
 # --- the fits themselves
 
 
-def power_law(noise: float = 0.0, terms: tuple[float, ...] = (-0.4,)) -> Front:
+def power_law(terms: tuple[float, ...] = (-0.4,)) -> Front:
     grain = np.arange(10, 300)
     h = grain - 0.5
     amplitude = 1e-9 * h**-0.3 * (1 + sum(c * h ** (-k / 3) for k, c in enumerate(terms, 1)))
-    amplitude *= 1 + noise * np.random.default_rng(5).normal(size=h.size)
     zero = np.zeros(h.size)
     return Front("velocity", grain, h * 1e-3, h.astype(float), -amplitude, h**2, zero, zero, zero)
 
@@ -351,19 +321,6 @@ def test_a_power_law_is_recovered():
     assert local.residual < 1e-6
 
 
-def test_scatter_widens_the_intervals():
-    law = asymptotic(power_law(1e-3), "amplitude", 1.5)
-    local = exponent(power_law(1e-3, ()), window=None)
-    assert 1e-3 < law.error[0] < 0.2
-    assert abs(law.exponent + 0.3) < law.error[0]
-    assert local.residual == pytest.approx(1e-3, rel=0.1)
-    # The standard error is noise / (sigma_x sqrt(N)), times 1.97 for 95 %.
-    assert local.error == pytest.approx(
-        1.97e-3 / np.log(np.arange(10, 300) - 0.5).std() / np.sqrt(290), rel=0.1
-    )
-    assert abs(local.exponent + 0.3) < 2 * local.error
-
-
 def test_fronts_without_a_power_law_are_rejected():
     front = power_law()
     with pytest.raises(InputError, match="choose other grains"):
@@ -375,18 +332,12 @@ def test_fronts_without_a_power_law_are_rejected():
     [
         (lambda t: track(t, "energy"), "field"),
         (lambda t: track(made_up(lambda t, n: gauss(t, 10 + n), samples=15)), "samples"),
-        (lambda t: exponent(power_law(), "amplitude", 2), "window"),
-        (lambda t: exponent(power_law(), "amplitude", 500), "window"),
         (lambda t: exponent(power_law(), "grain"), "quantity"),
-        (lambda t: asymptotic(power_law().between(10, 14), "amplitude", 1.5), "front"),
-        (lambda t: asymptotic(power_law(), "amplitude", 2.5), "front"),
         (lambda t: power_law().between(10, 10).speed, "grains"),
     ],
 )
 def test_faults_name_their_key(call: Callable[[Trajectory], object], key: str):
-    with pytest.raises(InputError) as caught:
-        call(made_up(lambda t, n: gauss(t, 10 + n)))
-    assert [fault[0] for fault in caught.value.faults] == [key]
+    assert fault_keys(call, made_up(lambda t, n: gauss(t, 10 + n))) == [key]
 
 
 def test_speed_of_the_front_between_two_grains():
@@ -407,17 +358,9 @@ def test_simultaneous_peaks_have_infinite_speed():
 
 def test_grains_at_rest_are_skipped():
     """A long chain at rest behind the wave does not change the front."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
-    longer = Chain(grains=6000, diameter=1e-3, gravity=0.0, top_load=1.0)
     short, long = (
-        track(
-            simulate(
-                Scene(chain=made, excitation=Impulse(velocity=1e-6), duration=30e-6, samples=301),
-                "native",
-                1e-9,
-            )
-        )
-        for made in (chain, longer)
+        track(run(column(grains, gravity=0.0, top_load=1.0), Impulse(velocity=1e-6), 30e-6, 301))
+        for grains in (60, 6000)
     )
     assert short.grain.tolist() == long.grain.tolist()
     assert short.time == pytest.approx(long.time, rel=1e-8)
@@ -425,7 +368,7 @@ def test_grains_at_rest_are_skipped():
 
 def test_an_unresolved_front_reports_the_number_of_resolved_grains():
     """The message gives the number of grains whose arrival times are too uncertain."""
-    scene = scene_of(Chain(grains=1000, diameter=1e-3), Impulse(velocity=1e-5), 1.2e-3, 241)
+    scene = struck(column(1000), 1e-5, 1.2e-3, 241)
     coarse = simulate(scene, "native")
     with pytest.raises(
         InputError, match=r"samples: 241 samples do not show .*: record (\d+) samples"

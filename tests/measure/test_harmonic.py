@@ -5,11 +5,12 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
-from lmpchain import Chain, Drive, Force, InputError, Scene, Trajectory, patterns, simulate
+from lmpchain import Chain, Drive, Force, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import harmonic
 
 LOADED = {"material": "steel", "diameter": 1e-2, "gravity": 0.0, "top_load": 20.0}
@@ -19,10 +20,7 @@ def driven(chain: Chain, drive: Drive | Force, periods: float, samples: int = 24
     """Simulate a chain for a number of periods of its drive."""
     assert drive.frequency
     duration = periods / drive.frequency
-    scene = Scene(
-        chain=chain, excitation=drive, duration=duration, samples=1 + round(samples * periods)
-    )
-    return simulate(scene, "native", tolerance=1e-8)
+    return run(chain, drive, duration, 1 + round(samples * periods), 1e-8)
 
 
 def exact_linear(chain: Chain, omega: float, viscoelastic: float, drag: float) -> complex:
@@ -72,9 +70,8 @@ def travelling_wave(
     return float(found.x[0])
 
 
-def test_errors_cover_the_exact_linear_dispersion() -> None:
+def test_errors_cover_the_exact_linear_dispersion(rng: np.random.Generator) -> None:
     """Phase and decay of random damped chains are right within their errors."""
-    rng = np.random.default_rng(5)
     for number in range(4):
         exponent = float(rng.choice([1.3, 1.5, 2.0]))
         plain = Chain(grains=60, bottom="wall", exponent=exponent, **LOADED)
@@ -174,9 +171,10 @@ def test_a_gap_is_measured_as_a_decay() -> None:
 
 @pytest.mark.parametrize("bottom", ["wall", "fixed"])
 @pytest.mark.parametrize("seed", range(3))
-def test_drive_point_of_a_base_under_gravity(bottom: str, seed: int) -> None:
+def test_drive_point_of_a_base_under_gravity(
+    rng: np.random.Generator, bottom: str, seed: int
+) -> None:
     """A column on a shaker, against a dense linear system of all bodies."""
-    rng = np.random.default_rng(seed)
     grains = int(rng.integers(1 if bottom == "wall" else 2, 20))
     chain = Chain(
         grains=grains,

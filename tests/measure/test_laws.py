@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of, struck, struck_in_units
+from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
 from scipy import optimize, stats
 from scipy.integrate import solve_ivp
@@ -134,21 +138,18 @@ def test_local_intervals_hold_the_truth_in_95_of_100_draws():
 # --- a column struck at its top
 
 
-def column(grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any) -> Trajectory:
-    chain = Chain(grains=grains, diameter=1e-3)
-    scene = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=-1e-9),
-        duration=units * chain.time_scale,
-        samples=samples,
-        **more,
-    )
-    return simulate(scene, "chebyshev", 1e-8)
+def weakly_struck(
+    grains: int = 120, units: float = 90.0, samples: int = 361, **more: Any
+) -> Trajectory:
+    chain = column(grains)
+    excitation = Impulse(velocity=-1e-9)
+    duration = units * chain.time_scale
+    return run(chain, excitation, duration, samples, 1e-8, "chebyshev", **more)
 
 
 @pytest.fixture(scope="module")
-def struck() -> Trajectory:
-    return column()
+def wave() -> Trajectory:
+    return weakly_struck()
 
 
 def chi(h: Any, delta: float = 1.5) -> Any:
@@ -157,15 +158,15 @@ def chi(h: Any, delta: float = 1.5) -> Any:
 
 
 @pytest.mark.parametrize("inside", [0.5, 0.3])
-def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
+def test_the_amplitude_of_eq_35(rng: np.random.Generator, wave: Trajectory, inside: float):
     """Synthetic data with C = 1.3 and scatter test the selection of samples and the regression."""
-    unit = struck.scene.chain.time_scale
-    chain = struck.scene.chain
-    tau = struck.time[:, None] / unit
-    travel = chi(struck.grains - 0.5)
+    unit = wave.scene.chain.time_scale
+    chain = wave.scene.chain
+    tau = wave.time[:, None] / unit
+    travel = chi(wave.grains - 0.5)
     cone = np.maximum(tau**2 - travel**2, 1e-9)
-    scatter = 1 + 1e-3 * np.random.default_rng(3).normal(size=cone.shape)
-    made = replace(struck, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
+    scatter = 1 + 1e-3 * rng.normal(size=cone.shape)
+    made = replace(wave, displacement=-1e-9 * unit * 1.3 * cone**-0.1 * scatter)
     fit = fit_continuum(made, inside=inside)
     width = np.cbrt((chain.grains - 0.5) ** 0.5 / 4)
     known = tau <= 2 * chi(chain.grains - 0.5) - travel - 10 * width
@@ -173,7 +174,7 @@ def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
     since = min(50.0, tau[behind.any(1)].max() / 2)
     behind &= tau >= since
     rows, columns = np.nonzero(behind)
-    assert fit.grain.tolist() == struck.grains[columns].tolist()
+    assert fit.grain.tolist() == wave.grains[columns].tolist()
     values = made.displacement[rows, columns] / (-1e-9 * unit)
     shape = cone[rows, columns] ** -0.1
     assert fit.values == pytest.approx(values, rel=1e-12)
@@ -192,11 +193,11 @@ def test_the_amplitude_of_eq_35(struck: Trajectory, inside: float):
     assert abs(fit.amplitude - 1.3) < fit.error
 
 
-def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
-    law = fit_continuum(struck).front
+def test_the_law_of_the_front_and_its_errors(wave: Trajectory):
+    law = fit_continuum(wave).front
     assert law is not None
-    front = front_before_echo(struck, "velocity", 10)
-    unit = struck.scene.chain.time_scale
+    front = front_before_echo(wave, "velocity", 10)
+    unit = wave.scene.chain.time_scale
     assert front.grain[[0, -1]].tolist() == [10, int(120 - 3 - 2.5 * 120 ** (1 / 3))]
     assert law.depth.tolist() == (front.grain - 0.5).tolist()
     assert law.time == pytest.approx(front.time / unit, rel=1e-13)
@@ -212,10 +213,10 @@ def test_the_law_of_the_front_and_its_errors(struck: Trajectory):
     assert law.expected == pytest.approx([5 / 6, 6 / 5], rel=1e-14)
 
 
-def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
-    seen = fit_exponents(struck, 15, 70)
+def test_the_fitted_laws_depend_on_the_front(wave: Trajectory):
+    seen = fit_exponents(wave, 15, 70)
     velocity, displacement = (
-        track(struck, field).between(15, 70) for field in ("velocity", "displacement")
+        track(wave, field).between(15, 70) for field in ("velocity", "displacement")
     )
     fronts = {
         "velocity": (velocity, "amplitude"),
@@ -231,8 +232,8 @@ def test_the_fitted_laws_depend_on_the_front(struck: Trajectory):
     with pytest.raises(
         InputError, match=r"needs 6 or more grains from grain 60 on \(got 5\): record longer"
     ):
-        fit_exponents(struck, 60, 64)
-    assert set(fit_exponents(struck, 60, 65).laws) >= {"time"}
+        fit_exponents(wave, 60, 64)
+    assert set(fit_exponents(wave, 60, 65).laws) >= {"time"}
 
 
 @pytest.mark.parametrize("delta", [1.2, 1.5, 2.0])
@@ -247,8 +248,7 @@ def test_recognition_of_columns_struck_at_their_top():
 
     def keys(excitation: Any = strike, **more: Any) -> list[str]:
         chain = Chain(**{"grains": 8, "diameter": 1e-3} | more)
-        scene = Scene(chain=chain, excitation=excitation, duration=1e-6, samples=2)
-        trajectory: Any = SimpleNamespace(scene=scene)
+        trajectory: Any = SimpleNamespace(scene=scene_of(chain, excitation, 1e-6, 2))
         try:
             assert strike_at_top(trajectory) == -2e-9
         except InputError as error:
@@ -273,8 +273,7 @@ def test_recognition_of_columns_struck_at_their_top():
 
 
 def guessed(velocity: float) -> Scene:
-    chain = Chain(grains=8, diameter=1e-3)
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=1e-5, samples=3)
+    return struck(column(8), velocity, 1e-5, 3)
 
 
 def waving(asked: list[Scene]) -> Any:
@@ -292,11 +291,11 @@ def waving(asked: list[Scene]) -> Any:
 
 
 @pytest.mark.parametrize("even", [True, False])
-def test_a_parameter_with_a_linear_effect(even: bool):
+def test_a_parameter_with_a_linear_effect(rng: np.random.Generator, even: bool):
     """The value is sum(x y) / sum(x^2), with the error sqrt(s^2 / sum(x^2))."""
     time = np.linspace(0, 4e-5, 30) if even else 4e-5 * np.linspace(0.1, 1, 30) ** 1.5
     shape = np.sin(2e5 * time[:, None] + np.array([3, 5]))
-    values = 2e-3 * (shape + 0.1 * np.random.default_rng(1).normal(size=shape.shape))
+    values = 2e-3 * (shape + 0.1 * rng.normal(size=shape.shape))
     asked: list[Scene] = []
     fit = fit_parameter(Trace(time, [3, 5], values), guessed(1.5e-3), "velocity", waving(asked))
     slope = (shape * values).sum() / (shape**2).sum()
@@ -390,12 +389,8 @@ def test_the_table_of_a_summary():
 
 
 def test_the_rows_of_a_summary():
-    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=0.1)
-    scene = Scene(
-        chain=chain,
-        excitation=Displacement(displacement=1e-14, grain=9),
-        duration=12 * chain.time_scale,
-    )
+    chain = column(20, gravity=0.0, top_load=0.1)
+    scene = scene_of(chain, Displacement(displacement=1e-14, grain=9), 12 * chain.time_scale)
     t = simulate(scene, "chebyshev", 1e-7)
     seen = summary(t)
     rows = {(row.fit, row.quantity): row for row in seen.rows}
@@ -403,10 +398,7 @@ def test_the_rows_of_a_summary():
     assert (whole.value, whole.expected, whole.unit) == (
         pytest.approx(scene.energy, rel=1e-6), scene.energy, "J"
     )  # fmt: skip
-    diagonal, coupling = chain.dynamical_matrix()
-    squares, vectors = np.linalg.eigh(
-        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
-    )
+    squares, vectors = dense_modes(chain)
     energies = squares * vectors[8] ** 2
     most = int(energies.argmax())
     strongest = rows["modes", f"share of mode {most + 1}, strongest"]
@@ -433,7 +425,7 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     grains = 60
     rest = np.arange(1, grains) ** (2 / 3)
 
-    def slope(_: float, y: np.ndarray) -> np.ndarray:
+    def rates(_: float, y: np.ndarray) -> np.ndarray:
         u = np.append(y[: grains - 1], 0.0)
         force = np.maximum(rest + u[:-1] - u[1:], 0.0) ** 1.5
         return np.append(y[grains - 1 :], (np.append(0.0, force[:-1]) - force + 1) / 1.5)
@@ -441,11 +433,11 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     start = np.zeros(2 * grains - 2)
     start[grains - 1] = strike
     time = np.arange(0, 26, 5e-3)
-    found = solve_ivp(slope, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
+    found = solve_ivp(rates, (0, 26), start, "DOP853", time, rtol=1e-9, atol=1e-9 * strike)
     peaks = found.y[grains - 1 :].max(1)
-    fit = fit_exponents(simulate(struck_column(grains, strike), "native", 1e-8))
+    fit = fit_exponents(simulate(struck_in_units(column(grains), strike, 26, 1301), "native", 1e-8))
     n = np.arange(fit.grain[-1] - 10, fit.grain[-1] + 1)
-    power = np.polyfit(np.log(n - 0.5), np.log(peaks[n - 1]), 1)[0]
+    power = slope(n - 0.5, peaks[n - 1])
     assert fit.grain[-1] == 47
     assert fit.local["velocity"].exponent[-1] == pytest.approx(power, abs=2e-4)
     assert -4 / 15 < power < 0
@@ -453,11 +445,3 @@ def test_local_exponents_after_a_strong_strike(strike: float):
     # The reference velocity of a contact at rest is (n^(2/3)) sqrt(n^(1/3)) in these units.
     holds = 47 ** (2 / 3 + 1 / 6)
     assert fit.strength[-1] == pytest.approx(peaks[46] / holds, rel=1e-4)
-
-
-def struck_column(grains: int, strike: float) -> Scene:
-    chain = Chain(grains=grains, diameter=1e-3)
-    velocity = strike * chain.length_scale / chain.time_scale
-    duration = 26 * chain.time_scale
-    impulse = Impulse(velocity=velocity)
-    return Scene(chain=chain, excitation=impulse, duration=duration, samples=1301)

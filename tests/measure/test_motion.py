@@ -9,7 +9,7 @@ from types import FrameType
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_scenes import paper, scene_of
 
 from lmpchain import Chain, Drive, Impulse, InputError, Scene, engines, simulate
 from lmpchain.measure.front import track
@@ -18,20 +18,14 @@ from lmpchain.measure.motion import Motion, motion_of, peaks
 CALIBRATION = Path(__file__).parents[2] / "analysis" / "calibration"
 
 
-def column(samples: int, velocity: float = 8.57e-4) -> Scene:
-    """Return the scene of the paper with a given number of samples."""
-    chain = Chain(grains=120, diameter=1e-3)
-    return scene_of(chain, Impulse(velocity=velocity), 100e-6, samples)
-
-
 @pytest.fixture(scope="module")
 def dense():
-    return simulate(column(6401), "native", 1e-10)
+    return simulate(paper("fig5 g", 6401), "native", 1e-10)
 
 
 @pytest.mark.parametrize("samples", [11, 21, 41, 81])
 def test_sparse_samples_state_their_error(dense, samples):
-    sparse = simulate(column(samples), "native", 1e-10)
+    sparse = simulate(paper("fig5 g", samples), "native", 1e-10)
     for field in ("velocity", "displacement"):
         sampled = np.abs(getattr(dense, field)).max(0)
         seen = peaks(sparse, field)
@@ -88,7 +82,7 @@ def test_order_of_the_interpolation(dense, equation):
     off = []
     true = peaks(dense).value
     for step in every:
-        scene = column(6400 // step + 1)
+        scene = paper("fig5 g", 6400 // step + 1)
         thin = Motion(
             scene, equation, dense.grains, dense.displacement[::step], dense.velocity[::step], 0.0
         )
@@ -129,8 +123,8 @@ def test_grains_at_rest_do_not_change_peaks(samples):
 
 def test_recorded_grains_alone():
     """Without recorded neighbours, accelerations follow from the samples."""
-    whole = simulate(column(401), "native", 1e-9)
-    few = simulate(Scene(**column(401).given() | {"grains": [3, 9]}), "native", 1e-9)
+    whole = simulate(paper("fig5 g", 401), "native", 1e-9)
+    few = simulate(Scene(**paper("fig5 g", 401).given() | {"grains": [3, 9]}), "native", 1e-9)
     one = peaks(whole)
     other = peaks(few)
     assert other.grain.tolist() == [3, 9]
@@ -146,7 +140,7 @@ def test_driven_grain():
 
 
 def test_unknown_errors_leave_the_sampling_errors():
-    t = simulate(column(201), "native", 1e-6)
+    t = simulate(paper("fig5 g", 201), "native", 1e-6)
     unknown = replace(t, error_estimate=replace(t.error_estimate, solver=np.inf))
     one = peaks(t)
     other = peaks(unknown)

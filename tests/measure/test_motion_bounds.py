@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Impulse, InputError, Scene, engines, simulate
+from lmpchain import Chain, Impulse, InputError, engines, simulate
 from lmpchain.measure.motion import Motion, motion_of
 
-SPRING = Chain(grains=2, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0)
+SPRING = column(2, exponent=1.0, top_load=1.0, gravity=3.0)
 OMEGA = float(np.sqrt(SPRING.linear_stiffness[0] / SPRING.masses[0]))
 SPEED = 1e-6
 
@@ -59,8 +60,8 @@ def test_reference_values_of_relative_errors():
 def test_bounds_of_a_chain_that_may_open():
     """The speed is bounded by one grain with all of the energy, and the path by that speed."""
     masses = np.linspace(2e-6, 1e-6, 12)
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, bottom="free", masses=masses)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=1e-4, samples=3)
+    chain = column(12, gravity=0.0, bottom="free", masses=masses)
+    scene = struck(chain, 0.1, 1e-4, 3)
     for grains, time in (("all", scene.time[1] / 2), ("1:9", scene.duration)):
         t = simulate(scene.replace(grains=grains), engines.Native(step=2e-8))
         between = Motion(t.scene, 1, t.grains, t.displacement, t.velocity, 1e-3)
@@ -77,8 +78,8 @@ def test_bounds_of_a_compressed_chain():
 
     The bound is (sum of r)^2 <= (delta + 1) E sum of 1 / k.
     """
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-5), duration=4e-4, samples=3)
+    chain = column(12, gravity=0.0, top_load=1.0)
+    scene = struck(chain, 1e-5, 4e-4, 3)
     t = simulate(scene, engines.Native(step=2e-8))
     between = Motion(scene, 1, t.grains, t.displacement, t.velocity, 1e-3)
     farthest = math.sqrt(2.5 * scene.energy * (1 / chain.linear_stiffness).sum())
@@ -173,15 +174,12 @@ def test_the_largest_force_on_the_bottom_support(bottom: str):
         stiffness = SPRING.linear_stiffness[0]
         rest = 1.0 + 2 * 3.0 * SPRING.masses[0]
     else:
-        chain = Chain(
-            grains=1, diameter=1e-3, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall"
-        )
+        chain = column(1, exponent=1.0, top_load=1.0, gravity=3.0, bottom="wall")
         stiffness = float(chain.contacts.stiffness[1])
         rest = 1.0 + 3.0 * chain.masses[0]
     omega = math.sqrt(stiffness / chain.masses[0])
     speed = 0.1
-    scene = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=5 / omega, samples=13)
-    between = motion_of(simulate(scene, "native", 1e-10))
+    between = motion_of(simulate(struck(chain, speed, 5 / omega, 13), "native", 1e-10))
     contact = chain.grains - (bottom == "fixed")
     closer, off = between.closest(contact)
     force, error = between.largest_wall_force()
@@ -206,13 +204,11 @@ def test_the_bottom_force_of_distant_samples():
 
 
 def test_no_bottom_force_without_support_or_recording():
-    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, bottom="free")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=1e-6, samples=21)
+    chain = column(5, gravity=0.0, bottom="free")
+    scene = struck(chain, 1e-2, 1e-6, 21)
     with pytest.raises(InputError, match="end: there is no wall at the end 'bottom'"):
         motion_of(simulate(scene, engines.Native(step=1e-8))).largest_wall_force()
-    scene = scene_of(
-        Chain(grains=5, diameter=1e-3), Impulse(velocity=1e-4), 1e-6, 21, grains=[1, 2, 3]
-    )
+    scene = scene_of(column(5), Impulse(velocity=1e-4), 1e-6, 21, grains=[1, 2, 3])
     between = motion_of(simulate(scene, engines.Native(step=1e-8)))
     with pytest.raises(InputError, match="grains: the grains of contact 4 must be recorded"):
         between.largest_wall_force()
@@ -222,8 +218,8 @@ def test_no_bottom_force_without_support_or_recording():
 @pytest.mark.parametrize("equation", [0, 1])
 def test_errors_of_the_closest_approach_cover_the_deviation(equation: int):
     """The error covers the deviation from many samples for every contact of a chain that opens."""
-    chain = Chain(grains=6, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=6e-5, samples=1441)
+    chain = column(6)
+    scene = struck(chain, 1e-3, 6e-5, 1441)
     t = simulate(scene, engines.Native(step=1e-8))
     dense = Motion(scene, 1, t.grains, t.displacement, t.velocity, 0.0)
     true = np.array([dense.closest(contact) for contact in range(1, 6)])

@@ -4,30 +4,26 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import run
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, patterns, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, patterns, simulate
 from lmpchain.measure import energy, power
 from lmpchain.theory import scattering
 from lmpchain.theory.steady import displacements
 
-CHAIN = Chain(
-    grains=60,
-    diameter=1e-3,
-    gravity=0.0,
-    top_load=1.0,
-    bottom="wall",
-    impurity=[{"grain": 30, "diameter": 1.6e-3}],
+CHAIN = column(
+    60, gravity=0.0, top_load=1.0, bottom="wall", impurity=[{"grain": 30, "diameter": 1.6e-3}]
 )
 FREQUENCY = 0.15 / CHAIN.time_scale
 
 
 @cache
-def run(amplitude: float) -> Trajectory:
+def pushed(amplitude: float) -> Trajectory:
     """Simulate a force on a grain between absorbing boundaries for 150 periods."""
     chain = patterns.absorbing(CHAIN, bottom=60, top=60)
     push = Force(grain=80, amplitude=amplitude, frequency=FREQUENCY)
-    scene = Scene(chain=chain, excitation=push, duration=150 / FREQUENCY, samples=3001)
-    return simulate(scene, engine="native", tolerance=1e-6)
+    return run(chain, push, 150 / FREQUENCY, 3001, 1e-6)
 
 
 def test_power_of_weak_waves_agrees_with_scattering_theory() -> None:
@@ -37,7 +33,7 @@ def test_power_of_weak_waves_agrees_with_scattering_theory() -> None:
     q = 2 * np.arcsin(omega / 2 * np.sqrt(float(CHAIN.masses[0]) / stiffness))
     # The incoming power is half of omega k sin(q) |u|^2 of the wave u = F / (2 k sin q).
     incoming = 1e-4**2 * omega / (8 * stiffness * np.sin(q))
-    passed = power.through(run(1e-4), 100)
+    passed = power.through(pushed(1e-4), 100)
     theory = float(scattering.transmission(CHAIN, omega).transmitted)
     assert passed.mean / incoming == pytest.approx(theory, rel=3e-4)
     # Linear theory of the same chain, with its absorbing boundaries.
@@ -48,7 +44,7 @@ def test_power_of_weak_waves_agrees_with_scattering_theory() -> None:
 
 def test_power_into_an_undamped_part_equals_power_out_of_it() -> None:
     """In an undamped part, the mean power is the same in every contact."""
-    means = [power.through(run(1e-2), contact).mean for contact in (82, 89, 95, 110)]
+    means = [power.through(pushed(1e-2), contact).mean for contact in (82, 89, 95, 110)]
     assert means == pytest.approx([means[0]] * 4, rel=1e-5)
 
 
@@ -60,8 +56,7 @@ def test_input_equals_the_work_in_the_ledger() -> None:
         Drive(grain=0, amplitude=1e-10, frequency=FREQUENCY),
         Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY),
     ):
-        scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
-        t = simulate(scene, "native", 1e-7)
+        t = run(chain, drive, 80 / FREQUENCY, 1601, 1e-7)
         work = energy.ledger(t).drive
         mean = (work[-1] - work[800]) / (t.time[-1] - t.time[800])
         passed = power.through(t, 20)
@@ -75,8 +70,8 @@ def test_input_equals_the_work_in_the_ledger() -> None:
 
 def test_the_share_decreases_with_amplitude_beyond_the_errors() -> None:
     """Harmonics and a slower wave reduce the share of a strong force."""
-    weak = power.through(run(1e-4), 100)
-    strong = power.through(run(0.3), 100)
+    weak = power.through(pushed(1e-4), 100)
+    strong = power.through(pushed(0.3), 100)
     assert weak.share - strong.share > 3 * (weak.share_error + strong.share_error)
 
 
@@ -94,13 +89,13 @@ def test_the_steady_state_agrees_with_a_dense_matrix() -> None:
 
 def test_the_plot_has_mean_theory_and_share() -> None:
     """The picture has the mean, linear theory and the share."""
-    ax = power.through(run(1e-4), 100).plot()
+    ax = power.through(pushed(1e-4), 100).plot()
     assert any("linear" in label for label in ax.get_legend_handles_labels()[1])
 
 
 def test_unsteady_runs_are_rejected() -> None:
     """Each mistake raises an error of one line with its key."""
-    t = run(1e-4)
+    t = pushed(1e-4)
     for arguments, key in (((500,), "contact"), ((100, 1), "periods"), ((100, 400), "periods")):
         with pytest.raises(InputError, match=f"^{key}"):
             power.through(t, *arguments)
@@ -117,8 +112,7 @@ def test_viscous_contacts_absorb_their_part_of_the_power() -> None:
     level = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0, "top": "wall", "bottom": "wall"}
     chain = Chain(grains=12, damping={"viscoelastic": 0.05 / (2 * np.pi * FREQUENCY)}, **level)
     drive = Drive(grain=1, amplitude=1e-10, frequency=FREQUENCY)
-    scene = Scene(chain=chain, excitation=drive, duration=80 / FREQUENCY, samples=1601)
-    t = simulate(scene, "native", 1e-7)
+    t = run(chain, drive, 80 / FREQUENCY, 1601, 1e-7)
     ledger = energy.ledger(t)
     elapsed = t.time[-1] - t.time[800]
     passed = power.through(t, 5)

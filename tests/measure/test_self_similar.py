@@ -4,23 +4,21 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of
 
-from lmpchain import Chain, Drive, Riemann, Scene, Trajectory, simulate
+from lmpchain import Drive, Riemann, Trajectory, simulate
 from lmpchain.measure import self_similar
 
 
 @cache
 def rarefaction(exponent: float, grain: int, share: float) -> Trajectory:
     """Simulate a step to a smaller overlap, until waves from the ends arrive."""
-    chain = Chain(
-        grains=2 * grain, diameter=1e-3, gravity=0.0, top_load=1.0, top="free", exponent=exponent
-    )
+    chain = column(2 * grain, gravity=0.0, top_load=1.0, top="free", exponent=exponent)
     less = -share * chain.equilibrium_overlap[0] / 1e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=grain)
     duration = 0.9 * grain * chain.time_scale
-    return simulate(
-        Scene(chain=chain, excitation=step, duration=duration, samples=601), "native", 1e-6
-    )
+    return simulate(scene_of(chain, step, duration, 601), "native", 1e-6)
 
 
 @pytest.mark.parametrize(
@@ -65,11 +63,10 @@ def test_an_upward_wave_is_the_mirror_image() -> None:
 
 def test_a_dispersive_shock_keeps_its_edges_but_has_no_limit() -> None:
     """Profiles at all moments lie between the edges; pictures have labels."""
-    chain = Chain(grains=300, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall")
+    chain = column(300, gravity=0.0, top_load=1.0, top="wall")
     speed = 0.3 * chain.equilibrium_overlap[0] / chain.time_scale
     piston = Drive(shape="piston", velocity=float(speed), rise=1e-6, grain=0)
-    scene = Scene(chain=chain, excitation=piston, duration=270 * chain.time_scale, samples=1201)
-    seen = self_similar.view(simulate(scene, "native", 1e-6))
+    seen = self_similar.view(run(chain, piston, 270 * chain.time_scale, 1201, 1e-6))
     shock = seen.shock
     assert shock.kind == "dispersive shock"
     assert np.isnan(seen.limit).all()

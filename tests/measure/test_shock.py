@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from helpers.example_scenes import run, scene_of, struck
 
 from lmpchain import (
     Chain,
@@ -14,7 +15,6 @@ from lmpchain import (
     Impulse,
     InputError,
     Riemann,
-    Scene,
     Trajectory,
     simulate,
 )
@@ -47,8 +47,7 @@ def piston(velocity: float, grains: int = 300, viscosity: float = 0.0) -> Trajec
     speed = velocity * OVERLAP * SOUND
     drive = Drive(shape="piston", velocity=speed, rise=10 / SOUND, grain=0)
     front = GAS.rankine_hugoniot(REST, speed)[1]
-    scene = Scene(chain=chain, excitation=drive, duration=grains / front, samples=4 * grains + 1)
-    return simulate(scene, engine="native", tolerance=1e-6)
+    return run(chain, drive, grains / front, 4 * grains + 1, 1e-6)
 
 
 def test_momentum_is_the_impulse_of_the_piston() -> None:
@@ -64,7 +63,7 @@ def test_rankine_hugoniot_relations_hold_on_average() -> None:
     strain = (behind.overlap - OVERLAP) / 9.5e-3
     step = Riemann(velocity=(behind.velocity, 0), strain=(strain, 0), grain=150)
     chain = CHAIN.replace(top="free")
-    scene = Scene(chain=chain, excitation=step, duration=50 / SOUND, samples=101)
+    scene = scene_of(chain, step, 50 / SOUND, 101)
     run = simulate(scene, engine="native", tolerance=1e-9)
     # These contacts are beyond the wave from the top.
     closer = (run.displacement[:, 79:-1] - run.displacement[:, 80:]) / (behind.overlap - OVERLAP)
@@ -100,8 +99,7 @@ def test_piston_in_a_sonic_vacuum() -> None:
     """The leading wave is the exact solitary wave, with twice the velocity of the piston."""
     chain = CHAIN.replace(grains=200, top_load=0.0)
     drive = Drive(shape="piston", velocity=0.05, rise=1e-4, grain=0)
-    scene = Scene(chain=chain, excitation=drive, duration=3e-3, samples=901)
-    found = shock.find(simulate(scene, engine="native", tolerance=1e-5))
+    found = shock.find(run(chain, drive, 3e-3, 901, 1e-5))
     assert found.leading.velocity == pytest.approx(2 * 0.05, rel=0.01)
     assert found.leading.speed == pytest.approx(found.solitary, rel=1e-3)
     assert found.behind.overlap == pytest.approx(found.rankine_hugoniot[0].overlap, rel=0.01)
@@ -127,8 +125,7 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
     grain = 250 if down else 150
     chain = CHAIN.replace(grains=400, top="free")
     step = Riemann(velocity=(0, 0), strain=strain, grain=grain)
-    scene = Scene(chain=chain, excitation=step, duration=150 / SOUND, samples=601)
-    found = shock.find(simulate(scene, engine="native", tolerance=1e-5), direction)
+    found = shock.find(run(chain, step, 150 / SOUND, 601, 1e-5), direction)
     assert found.kind == "rarefaction"
     sides = State(0, OVERLAP), State(0, OVERLAP / 2)
     between = GAS.between(*sides)
@@ -139,15 +136,14 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
         assert edge.speed == pytest.approx(speed, rel=0.03)
 
 
-def run(chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float) -> Trajectory:
+def long_run(
+    chain: Chain, excitation: Drive | Riemann | Force | Impulse, duration: float
+) -> Trajectory:
     """Simulate a scene for a number of sound times from grain to grain, with 4 samples each.
 
     In a sonic vacuum the times are those of the loaded chain.
     """
-    scene = Scene(
-        chain=chain, excitation=excitation, duration=duration / SOUND, samples=4 * int(duration) + 1
-    )
-    return simulate(scene, engine="native", tolerance=1e-4)
+    return run(chain, excitation, duration / SOUND, 4 * int(duration) + 1, 1e-4)
 
 
 @pytest.mark.parametrize(
@@ -165,10 +161,10 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
     escape = 0.8 * SOUND * OVERLAP
     if step is None:
         pull = Drive(shape="piston", velocity=-0.1, rise=10 / SOUND, grain=0)
-        trajectory = run(CHAIN, pull, 300)
+        trajectory = long_run(CHAIN, pull, 300)
     else:
         pull = Riemann(velocity=(step, 0), strain=(0, 0), grain=200)
-        trajectory = run(CHAIN.replace(grains=400, top="free"), pull, 150)
+        trajectory = long_run(CHAIN.replace(grains=400, top="free"), pull, 150)
     found = shock.find(trajectory, direction)
     assert found.kind == "rarefaction"
     assert abs(found.trailing.speed) < 2 * found.trailing.error < 0.015 * SOUND
@@ -187,7 +183,7 @@ def test_rarefaction_that_opens_contacts(step: float | None, direction: str) -> 
 def test_only_the_first_transit_is_used(grains: int, duration: float) -> None:
     """Only the first transit of a run of several transits counts."""
     piston = Drive(shape="piston", velocity=0.07, rise=10 / SOUND, grain=0)
-    found = shock.find(run(CHAIN.replace(grains=grains), piston, duration))
+    found = shock.find(long_run(CHAIN.replace(grains=grains), piston, duration))
     theory = found.predictions["whitham"]
     assert found.time < (grains + 5) / SOUND
     assert found.behind.overlap == pytest.approx(found.simple.overlap, rel=3e-4)
@@ -207,7 +203,7 @@ def test_a_long_recording_gives_the_same_result(case: str) -> None:
     elif case == "step":
         chain = chain.replace(top="free")
         push = Riemann(velocity=(0.07, 0), strain=(0, 0), grain=60)
-    long = run(chain, push, 600 if case != "vacuum" else 320)
+    long = long_run(chain, push, 600 if case != "vacuum" else 320)
     found = shock.find(long)
     kept = long.time <= found.time * (1 + 1e-9)
     short = SimpleNamespace(
@@ -243,7 +239,7 @@ def test_a_long_recording_gives_the_same_result(case: str) -> None:
 def test_a_transient_push_is_rejected_with_its_reason(excitation: Drive, message: str) -> None:
     """A pulse, or a rise as long as the run, is rejected with its reason."""
     with pytest.raises(InputError, match=message) as caught:
-        shock.find(run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
+        shock.find(long_run(CHAIN.replace(grains=150, top="wall"), excitation, 150))
     assert not str(caught.value).endswith(": record longer")
 
 
@@ -259,7 +255,7 @@ def test_a_constant_force_acts_like_a_piston() -> None:
     Its overlap is (1 + F / load)^(2/3) of that at rest, and the wave is of both theories' speed.
     """
     force = Force(times=[0, 10 / SOUND, 1.0], force=[0, 10.0, 10.0], interpolation="linear")
-    found = shock.find(run(CHAIN.replace(top="free"), force, 290))
+    found = shock.find(long_run(CHAIN.replace(top="free"), force, 290))
     assert found.behind.overlap == pytest.approx(2 ** (2 / 3) * OVERLAP, rel=1e-3)
     assert abs(found.leading.speed - found.predictions["whitham"].leading) < found.leading.error
     assert abs(found.trailing.speed - found.predictions["whitham"].trailing) < found.trailing.error
@@ -281,8 +277,7 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
         velocity=(0, 0), strain=(2e-5, 0) if direction == "down" else (0, 2e-5), grain=150
     )
     chain = CHAIN.replace(top="free")
-    scene = Scene(chain=chain, excitation=step, duration=110 / SOUND, samples=441)
-    found = shock.find(simulate(scene, "native", 1e-5), direction)
+    found = shock.find(run(chain, step, 110 / SOUND, 441, 1e-5), direction)
     ax = found.plot_map()
     line = ax.get_lines()[0]
     assert line.get_label() == f"leading edge: {found.leading.speed:.5g} grains/s"
@@ -308,7 +303,6 @@ def test_map_has_the_same_edges_and_names_the_plateaus(direction: str) -> None:
 def test_runs_without_a_shock_are_rejected_with_the_reason(changes: dict, message: str) -> None:
     """A strike, a column and a taper are rejected in one line."""
     chain = CHAIN.replace(grains=30, **changes)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-4)
-    run = simulate(scene, engine="native")
+    run = simulate(struck(chain, 1e-3, 1e-4), engine="native")
     with pytest.raises(InputError, match=message):
         shock.find(run)

@@ -23,7 +23,7 @@ LENGTH = OVERLAP / (CHAIN.exponent - 1)  # F' / F'', the unit of a Toda chain.
 def toda(piston: float, grains: int) -> shock.Shock:
     """Measure the shock of a Toda chain, converted to a run of a granular chain."""
     duration = 0.97 * grains / toda_chain.exact(piston).leading
-    time, x, v = toda_chain.run(piston, grains, duration, int(5 * duration))
+    time, x, v = toda_chain.integrate(piston, grains, duration, int(5 * duration))
     drive = Drive(shape="piston", velocity=piston * LENGTH * SOUND, rise=1e-9 / SOUND, grain=0)
     trajectory = SimpleNamespace(
         scene=SimpleNamespace(chain=CHAIN.replace(grains=grains), excitation=drive),

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of, struck
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 from scipy.optimize import minimize_scalar
 from scipy.signal import get_window
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Trajectory, engines, simulate
 from lmpchain.measure.bodies import motion_of_all
 from lmpchain.measure.contact import contacts, drive_force, drive_motion, sensor, wall_force
 from lmpchain.measure.crests import summit
@@ -76,11 +77,9 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
 @pytest.mark.parametrize("top", ["free", "wall"])
 def test_force_of_a_driver(top: str):
     """The force on grain 1 is m a + F_1 - m g, with load or wall; on a wall, the contact force."""
-    chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top=top)
+    chain = column(7, top_load=1e-3, top=top)
     drive = Drive(amplitude=2e-9, frequency=1e5, grain=0 if top == "wall" else 1)
-    t = simulate(
-        Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8)
-    )
+    t = simulate(scene_of(chain, drive, 2e-5, 41), engines.Native(step=1e-8))
     omega = 2 * np.pi * 1e5
     given = [2e-9 * np.sin(omega * t.time), 2e-9 * omega * np.cos(omega * t.time)]
     given.append(-(omega**2) * given[0])
@@ -149,10 +148,7 @@ def test_the_error_of_an_arrival():
         assert peak.error == pytest.approx(abs(when - other) if near else 0.1, rel=1e-9)
     for values, words in (
         (np.arange(41.0), "the signal is largest in the last sample: record for longer"),
-        (
-            -np.arange(41.0),
-            "the signal is largest in the first sample: it has no later maximum",
-        ),
+        (-np.arange(41.0), "the signal is largest in the first sample: it has no later maximum"),
     ):
         with pytest.raises(InputError, match=f"duration: {words}"):
             arrival(time, values)
@@ -169,9 +165,8 @@ def test_a_time_of_flight_in_metres_and_grains():
 @pytest.mark.parametrize("method", ["peak", "correlation"])
 def test_the_flight_of_a_bump(method: Any):
     """A bump of displacement passes one grain in 1.013 us, so the forces are equal but delayed."""
-    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=1.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=4e-5, samples=401)
-    t = simulate(scene, engines.Native(step=1e-7))
+    chain = column(30, gravity=0.0, top_load=1.0, exponent=1.0)
+    t = simulate(struck(chain, 1e-6, 4e-5, 401), engines.Native(step=1e-7))
     late = t.time[:, None] - 8e-6 - 1.013e-6 * t.grains
     made = replace(t, displacement=1e-9 * np.tanh(late / 2e-6) * (t.grains < 30))
     apart = 8 * (1e-3 - chain.equilibrium_overlap[0])
@@ -194,10 +189,9 @@ def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float)
     The same holds while the force still grows, and before the wave has reached the second grain.
     """
     ends = {"top": "wall", "bottom": "wall"}
-    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0, **ends)
+    chain = column(60, gravity=0.0, top_load=1.0, **ends)
     piston = Drive(shape="piston", velocity=1e-3, rise=rise, grain=0)
-    scene = Scene(chain=chain, excitation=piston, duration=duration, samples=401)
-    t = simulate(scene, engines.Native(step=1e-7))
+    t = run(chain, piston, duration, 401, 1e-6, engines.Native(step=1e-7))
     with pytest.raises(InputError, match="duration: the wave has not passed grain 1"):
         time_of_flight(t, 10, 34, "correlation")
     if duration > 5e-5 and rise < 1e-4:
@@ -210,32 +204,36 @@ def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float)
 
 @pytest.mark.parametrize("window", ["boxcar", "hann"])
 @pytest.mark.parametrize("field", ["velocity", "displacement"])
-def test_spectra_are_sums_over_samples_and_grains(field: Any, window: str):
+@pytest.mark.parametrize(("samples", "first"), [(24, 2), (25, 1)])
+def test_spectra_are_sums_over_samples_and_grains(
+    field: Any, window: str, samples: int, first: int
+):
     """Every number of the spectra agrees with its sum, with windows over time and grains."""
-    t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples=24)
+    t = noise([5, 2, 3, 4, 9, 6, 7, 8, 1], samples)
     motion = getattr(t, field)[:, np.argsort(t.grains)]
-    over_time = get_window(window, 24)
-    step = 2e-5 / 23
+    over_time = get_window(window, samples)
+    step = 2e-5 / (samples - 1)
     seen = spectrum(t, field, window)
-    wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(24) / 24)
+    wave = np.exp(-2j * np.pi * np.arange(13)[:, None] * np.arange(samples) / samples)
     assert seen.grain.tolist() == list(range(1, 10))
-    assert seen.frequency == pytest.approx(np.arange(13) / (24 * step), rel=1e-12)
+    assert seen.frequency == pytest.approx(np.arange(13) / (samples * step), rel=1e-12)
     assert seen.amplitude == pytest.approx(
         np.abs(step * wave @ (over_time[:, None] * motion)), rel=1e-9
     )
-    both = dispersion(t, 2, 9, field, window)
-    over_grains = get_window(window, 8)
-    wavenumber = 2 * np.pi * np.arange(-4, 4) / 8
-    phase = np.exp(1j * np.arange(8)[:, None] * wavenumber)
-    windowed = over_time[:, None] * motion[:, 1:] * over_grains
+    both = dispersion(t, first, 9, field, window)
+    width = 10 - first
+    over_grains = get_window(window, width)
+    wavenumber = 2 * np.pi * (np.arange(width) - width // 2) / width
+    phase = np.exp(1j * np.arange(width)[:, None] * wavenumber)
+    windowed = over_time[:, None] * motion[:, first - 1 :] * over_grains
     assert both.wavenumber == pytest.approx(wavenumber, abs=1e-14)
     scale = 1e-9 * both.amplitude.max()
     assert both.amplitude == pytest.approx(
         np.abs(step * wave @ windowed @ phase), rel=1e-9, abs=scale
     )
     assert both.frequency == pytest.approx(seen.frequency, rel=1e-14)
-    assert both.grain.tolist() == [2, 5, 9]
-    expected = cut_off(t.scene.chain)[[1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
+    assert both.grain.tolist() == [first, 5, 9]
+    expected = cut_off(t.scene.chain)[[first - 1, 4, 8]][:, None] * np.abs(np.sin(wavenumber / 2))
     assert both.relation[:, 0] == pytest.approx(expected, rel=1e-9)
     assert np.array_equal(spectrum(t).amplitude, spectrum(t, "velocity", "boxcar").amplitude)
     assert np.array_equal(
@@ -283,14 +281,7 @@ def test_columns_of_recorded_bodies():
 
 
 def test_largest_values_are_labelled_by_grain():
-    scene = scene_of(
-        Chain(grains=6, diameter=1e-3),
-        Impulse(velocity=1e-6, grain=2),
-        2e-5,
-        101,
-        grains=[4, 2, 3, 1, 5],
-    )
-    t = simulate(scene, "native", 1e-9)
+    t = run(column(6), Impulse(velocity=1e-6, grain=2), 2e-5, 101, 1e-9, grains=[4, 2, 3, 1, 5])
     for field in ("velocity", "displacement"):
         seen = peaks(t, field)  # type: ignore[arg-type]
         assert seen.grain.tolist() == [4, 2, 3, 1, 5]
@@ -302,11 +293,9 @@ def test_largest_values_are_labelled_by_grain():
 
 def test_drive_force_on_grain_1_below_a_wall():
     """The force is m a + F_1 - F_0 - m g, 0 at rest, because the wall pushes as well."""
-    chain = Chain(grains=7, diameter=1e-3, top_load=1e-3, top="wall")
+    chain = column(7, top_load=1e-3, top="wall")
     drive = Drive(amplitude=2e-9, frequency=1e5)
-    t = simulate(
-        Scene(chain=chain, excitation=drive, duration=2e-5, samples=41), engines.Native(step=1e-8)
-    )
+    t = simulate(scene_of(chain, drive, 2e-5, 41), engines.Native(step=1e-8))
     omega = 2 * np.pi * 1e5
     u = t.displacement
     constant = chain.contacts.constant
@@ -319,9 +308,7 @@ def test_drive_force_on_grain_1_below_a_wall():
 
 def test_the_balance_needs_every_grain_that_can_move():
     """The moving part includes two grains at rest; every unrecorded grain is an error."""
-    scene = scene_of(
-        Chain(grains=100, diameter=1e-3, bottom="wall"), Impulse(velocity=1e-6), 5e-7, 5
-    )
+    scene = scene_of(column(100, bottom="wall"), Impulse(velocity=1e-6), 5e-7, 5)
     t = simulate(scene, "native", 1e-9)
     part, u, v = motion_of_all(t)
     last = int(np.flatnonzero(t.displacement.any(0) | t.velocity.any(0)).max()) + 1

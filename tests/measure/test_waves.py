@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import run
+from helpers.independent_theory import dense_modes
 from numpy.typing import NDArray
 from scipy.special import jv
 
-from lmpchain import Chain, Displacement, Impulse, InputError, Scene, Trajectory, simulate
+from lmpchain import Chain, Displacement, Impulse, InputError, Trajectory
 from lmpchain.measure.fit import waves
 from lmpchain.measure.fit.waves import fit_bessel, fit_modes
 
@@ -18,27 +21,26 @@ Array = NDArray[np.float64]
 UNIFORM = {"grains": 40, "diameter": 1e-3, "gravity": 0.0, "top_load": 0.1}
 
 
-def run(
+def linear_run(
     chain: Chain, excitation: Any, units: float = 30.0, samples: int = 61, **more: Any
 ) -> Trajectory:
     duration = units * chain.time_scale
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=samples, **more)
-    return simulate(scene, "chebyshev", 1e-9)
+    return run(chain, excitation, duration, samples, 1e-9, "chebyshev", **more)
 
 
 @pytest.fixture(scope="module")
 def late() -> Trajectory:
     """Return the wave of the first six grains by Eq. (11), delayed by 1 tau and 5 % faster."""
     chain = Chain(**UNIFORM)
-    t = run(chain, Impulse(velocity=-2e-9), grains="1:6")
+    t = linear_run(chain, Impulse(velocity=-2e-9), grains="1:6")
     z = 2 * 1.05 * (t.time[:, None] / chain.time_scale - 1.0)
     n = t.grains
     return replace(t, velocity=-2e-9 * (jv(2 * n - 2, z) + jv(2 * n, z)))
 
 
-def test_the_covariance_of_fitted_parameters(late: Trajectory):
+def test_the_covariance_of_fitted_parameters(rng: np.random.Generator, late: Trajectory):
     """The covariance is s^2 (J^T J)^-1, with numerical derivatives and s^2 from n - 3 residuals."""
-    noise = 2e-11 * np.random.default_rng(2).normal(size=late.velocity.shape)
+    noise = 2e-11 * rng.normal(size=late.velocity.shape)
     fit = fit_bessel(replace(late, velocity=late.velocity + noise))
 
     def wave(amplitude: float, rate: float, delay: float) -> Array:
@@ -71,9 +73,8 @@ def test_the_covariance_of_fitted_parameters(late: Trajectory):
 
 
 @pytest.mark.slow
-def test_noise_scatters_as_the_covariance_says(late: Trajectory):
+def test_noise_scatters_as_the_covariance_says(rng: np.random.Generator, late: Trajectory):
     """One standard error covers 68 %, two cover 95 %; the parameters have the stated covariance."""
-    rng = np.random.default_rng(20)
     few = replace(
         late, time=late.time[::2], velocity=late.velocity[::2], displacement=late.displacement[::2]
     )
@@ -110,7 +111,7 @@ def test_noise_scatters_as_the_covariance_says(late: Trajectory):
 def test_values_before_any_echo(more: dict[str, Any], struck: int, first: int, last: int):
     """The limit is 2 s <= m - 7.4 m^(1/3), with the order m of the nearest image."""
     chain = Chain(**UNIFORM | more)
-    t = run(chain, Impulse(velocity=1e-9, grain=struck), 25.0)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=struck), 25.0)
     fit = fit_bessel(t)
     rate = np.sqrt(chain.linear_stiffness[struck - 1] / chain.masses[struck - 1])
     expected = []
@@ -132,8 +133,8 @@ def test_grains_that_are_equal_within_five_per_cent():
     masses = np.full(30, 1e-6)
     masses[[3, 21]] = 1.049e-6, 0.951e-6
     masses[[1, 25]] = 0.949e-6, 1.051e-6
-    chain = Chain(grains=30, diameter=1e-3, gravity=0.0, top_load=0.1, masses=masses)
-    t = run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
+    chain = column(30, gravity=0.0, top_load=0.1, masses=masses)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     end = t.time[-1]
     assert np.unique(fit_bessel(t, until=end).grain)[[0, -1]].tolist() == [3, 25]
     constants = np.full(29, 1e9)
@@ -141,21 +142,14 @@ def test_grains_that_are_equal_within_five_per_cent():
     constants[[2, 24]] = 1e9 * 0.92, 1e9 * 1.085
     held = np.full(30, 1e-6)
     held[-1] = 1e-3
-    chain = Chain(
-        grains=30,
-        diameter=1e-3,
-        gravity=0.0,
-        top_load=0.1,
-        masses=held,
-        contact_constants=constants,
-    )
-    t = run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
+    chain = column(30, gravity=0.0, top_load=0.1, masses=held, contact_constants=constants)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=14), 4.0)
     assert np.unique(fit_bessel(t, until=t.time[-1]).grain)[[0, -1]].tolist() == [4, 25]
 
 
 def test_a_given_window_is_used():
     chain = Chain(**UNIFORM)
-    t = run(chain, Impulse(velocity=1e-9, grain=5), 10.0)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=5), 10.0)
     end = 4 * chain.time_scale * (1 + 1e-9)
     fit = fit_bessel(t, grains=(3, 9), until=end)
     assert np.unique(fit.grain).tolist() == list(range(3, 10))
@@ -168,9 +162,9 @@ def test_a_given_window_is_used():
             InputError, match=r"grains: must be .first, last. with 1 <= first <= 5 <= last"
         ):
             fit_bessel(t, grains=grains)
-    alone = Chain(grains=1, diameter=1e-3, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
+    alone = column(1, gravity=0.0, top_load=0.1, top="wall", bottom="wall")
     with pytest.raises(InputError, match="grains: must be two or more"):
-        fit_bessel(run(alone, Impulse(velocity=1e-9)))
+        fit_bessel(linear_run(alone, Impulse(velocity=1e-9)))
 
 
 def test_a_subset_of_too_many_values_is_fitted(
@@ -178,8 +172,8 @@ def test_a_subset_of_too_many_values_is_fitted(
 ):
     """With a limit of 300 values, every fifth of the 49 reached grains is used."""
     monkeypatch.setattr(waves, "REGION", waves.REGION._replace(most=300))
-    chain = Chain(grains=120, diameter=1e-3, gravity=0.0, top_load=0.1)
-    t = run(chain, Impulse(velocity=1e-9), 5.0, 21)
+    chain = column(120, gravity=0.0, top_load=0.1)
+    t = linear_run(chain, Impulse(velocity=1e-9), 5.0, 21)
     fit = fit_bessel(t)
     reach = 2 * 5.0
     near = int((reach + 12 * np.cbrt(reach) + 20) / 2) + 1
@@ -194,13 +188,13 @@ def test_a_subset_of_too_many_values_is_fitted(
 @pytest.mark.parametrize("excitation", [Impulse(velocity=0.0), Displacement(displacement=0.0)])
 def test_nothing_to_fit(excitation: Any):
     with pytest.raises(InputError, match="excitation: nothing moves"):
-        fit_bessel(run(Chain(**UNIFORM), excitation, 5.0))
+        fit_bessel(linear_run(Chain(**UNIFORM), excitation, 5.0))
 
 
 def test_enough_values_with_a_wave_in_them():
     """Twelve values are sufficient, eleven are not; the largest must exceed 1e-3 of the strike."""
     chain = Chain(**UNIFORM)
-    t = run(chain, Impulse(velocity=1e-9), 6.0, 25)
+    t = linear_run(chain, Impulse(velocity=1e-9), 6.0, 25)
     unit = chain.time_scale
     assert fit_bessel(t, (1, 2), 1.26 * unit).grain.size == 12
     with pytest.raises(InputError, match="samples: the fit has 11 values"):
@@ -233,13 +227,10 @@ def test_enough_values_with_a_wave_in_them():
 def test_amplitudes_and_energies_of_modes():
     """The motion is the sum of the modes; their energies agree with dense eigenvectors."""
     chain = Chain(grains=9, diameter=np.linspace(1e-3, 1.3e-3, 9), bottom="wall", top_load=1e-3)
-    t = run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
+    t = linear_run(chain, Impulse(velocity=1e-9, grain=3), 12.0, 31)
     fit = fit_modes(t)
     scale = np.sqrt(chain.masses)
-    diagonal, coupling = chain.dynamical_matrix()
-    squares, vectors = np.linalg.eigh(
-        np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)
-    )
+    squares, vectors = dense_modes(chain)
     amplitude = (t.displacement * scale) @ vectors
     rate = (t.velocity * scale) @ vectors
     assert fit.frequency == pytest.approx(np.sqrt(squares), rel=1e-10)

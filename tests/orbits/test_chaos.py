@@ -4,11 +4,11 @@ from functools import cache
 
 import numpy as np
 import pytest
-from helpers.example_scenes import stirred
+from helpers.example_scenes import stirred, struck
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from lmpchain import Chain, Damping, Drive, Impulse, InputError, Profile, Scene, laws
+from lmpchain import Chain, Damping, Drive, InputError, Profile, Scene, laws
 from lmpchain.orbits import Chaos, chaos_of
 from lmpchain.orbits import chaos as chaos_module
 
@@ -25,11 +25,6 @@ def log_volume(deviations: np.ndarray) -> float:
     """Return the logarithm of the volume of unit deviations, by singular values."""
     unit = deviations / np.linalg.norm(deviations, axis=0)
     return float(np.log(np.linalg.svd(unit, compute_uv=False)).sum())
-
-
-def struck(chain: Chain, velocity: float, duration: float) -> Scene:
-    """Return the scene of a strike on the top."""
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
 
 
 def test_a_linear_chain_has_the_indices_of_its_matrix() -> None:

@@ -231,7 +231,7 @@ def test_stability_of_a_breather_changes_where_pairs_of_multipliers_collide():
         assert growth(near[1]) > 1.001
 
 
-def column() -> tuple[Chain, orbits.Orbit, float]:
+def third_mode() -> tuple[Chain, orbits.Orbit, float]:
     """Return a column, an orbit of its third mode, and a higher energy."""
     chain = Chain(grains=6, diameter=1e-3)
     energy = chain.length_scale * chain.masses[0] * 9.81
@@ -242,7 +242,7 @@ def test_a_closed_family_ends(
     monkeypatch: pytest.MonkeyPatch,
 ):
     """After its return, the family would repeat its orbits, shifted by half a period."""
-    chain, first, until = column()
+    chain, first, until = third_mode()
     seen: list = []
 
     def recorded(equations, member):
@@ -264,7 +264,7 @@ def test_a_closed_family_ends(
 
 
 def test_a_family_that_fails_keeps_its_orbits_and_the_reason(monkeypatch: pytest.MonkeyPatch):
-    _, first, until = column()
+    _, first, until = third_mode()
     family = orbits.follow(first, "energy", until, points=3, events=False)
     assert (len(family), family.reached) == (3, False)
     assert family.ended.startswith("the limit of 3 orbits is reached at energy")

@@ -21,8 +21,7 @@ def test_multipliers_agree_with_the_matrix_in_exact_pairs(size: int):
     assert found[::2] * found[1::2] == pytest.approx(np.ones(size), abs=1e-14)
 
 
-def test_half_a_period_gives_the_multipliers_of_the_whole_period():
-    rng = np.random.default_rng(4)
+def test_half_a_period_gives_the_multipliers_of_the_whole_period(rng):
     size = 5
     symmetric = rng.normal(size=(2 * size, 2 * size))
     half = expm(0.2 * np.kron([[0, 1], [-1, 0]], np.eye(size)) @ (symmetric + symmetric.T))

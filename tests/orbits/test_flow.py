@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from scipy.integrate import solve_ivp
 
 from lmpchain import Chain, Drive, InputError
@@ -22,9 +23,7 @@ from lmpchain.orbits.shooting import (
 )
 
 MASSES = np.array([2.0, 1.0, 3.0, 1.5]) * 1e-6
-LOADED = Chain(
-    grains=4, diameter=1e-3, masses=MASSES, top_load=1.0, gravity=500.0, top="wall", bottom="wall"
-)
+LOADED = column(4, masses=MASSES, top_load=1.0, gravity=500.0, top="wall", bottom="wall")
 EPS = LOADED.contacts.overlap[1]
 RATE = 1.3e5
 PERIOD = 2e-5
@@ -99,7 +98,9 @@ def test_direction_and_energy_agree_with_the_equation():
 
 
 @pytest.mark.parametrize("grain", [None, 1, 0])
-def test_a_period_agrees_with_an_independent_integration(grain: int | None):
+def test_a_period_agrees_with_an_independent_integration(
+    rng: np.random.Generator, grain: int | None
+):
     """Steps are uneven; the drive of grain 1 or the wall has two cycles per period."""
     period = PERIOD
     size = 0.2 * EPS
@@ -108,7 +109,7 @@ def test_a_period_agrees_with_an_independent_integration(grain: int | None):
     assert (flow.held, flow.size) == ((1, 3) if grain == 1 else (0, 4))
     start = np.stack((U, V))
     start[:, 0] *= flow.held == 0
-    steps = np.random.default_rng(3).uniform(0.5, 1.5, 200)
+    steps = rng.uniform(0.5, 1.5, 200)
     passage = flow.run(flow.canonical(*start), period, steps / steps.sum())
     assert passage.displacement.shape == (201, 4)
     end = moved(LOADED, *start, period, drive)
@@ -173,13 +174,13 @@ def test_equations_have_the_derivatives_of_differences(
     closure = equations.closure(point, steps)
     assert np.abs(closure - left / equations.unit).max() < 1e-8 * np.abs(closure).max()
     np.testing.assert_array_equal(residual[: closure.size], closure)
-    for column in range(unknown.size):
-        change = 1e-6 * (np.arange(unknown.size) == column)
+    for place in range(unknown.size):
+        change = 1e-6 * (np.arange(unknown.size) == place)
         ends = [
             equations.closure(equations.unpack(unknown + side * change), steps) for side in (1, -1)
         ]
         slope = (ends[0] - ends[1]) / 2e-6
-        assert np.abs(slopes[: closure.size, column] - slope).max() < 2e-8 * np.abs(slopes).max()
+        assert np.abs(slopes[: closure.size, place] - slope).max() < 2e-8 * np.abs(slopes).max()
     # The last row fixes the phase of the orbit, across the motion.
     if not reversible and drive is None:
         across = np.concatenate((MASSES**0.5 * V / RATE, force(LOADED, U) / MASSES**0.5 / RATE**2))
@@ -197,11 +198,11 @@ def test_equations_have_the_derivatives_of_differences(
             "value": (value - target) / 700.0,
         }[what]
         assert left == pytest.approx(expected, rel=1e-8)
-        for column in range(unknown.size):
-            change = 1e-5 * (np.arange(unknown.size) == column)
+        for place in range(unknown.size):
+            change = 1e-5 * (np.arange(unknown.size) == place)
             sides = [unknown + side * change for side in (1, -1)]
             ends = [constraint.of(side, equations.unpack(side))[0] for side in sides]
-            assert row[column] == pytest.approx(
+            assert row[place] == pytest.approx(
                 (ends[0] - ends[1]) / 2e-5, abs=1e-8 * np.abs(row).max()
             )
 
@@ -247,7 +248,7 @@ def test_singular_equations_are_solved_by_least_squares():
 
 def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps():
     """The orbit of an oscillator and its period are compared with those at half the steps."""
-    chain = Chain(grains=2, diameter=1e-3)
+    chain = column(2)
     flow = Flow(chain, 1 / chain.time_scale)
     state = flow.canonical(np.array([0.8 * chain.length_scale, 0.0]), np.zeros(2))
     equations = Equations(lambda _: flow, True, float(np.abs(state).max()), 0.0, chain.time_scale)
@@ -268,7 +269,7 @@ def test_the_error_of_steps_is_a_safe_multiple_of_the_change_by_half_the_steps()
 
 
 def test_a_chain_that_flies_apart_has_no_flow():
-    free = Chain(grains=3, diameter=1e-3, gravity=0.0)
+    free = column(3, gravity=0.0)
     walls = free.replace(top="wall", bottom="wall")
     for chain in (free, free.replace(top="wall", bottom="free"), free.replace(bottom="wall")):
         with pytest.raises(InputError, match=r"^chain: flies apart"):

@@ -12,9 +12,8 @@ FLOW = Flow(CHAIN, 1e6)
 EPS = CHAIN.contacts.overlap
 
 
-def test_the_highest_frequency_bounds_the_stiffest_chain():
+def test_the_highest_frequency_bounds_the_stiffest_chain(rng):
     """The bound is twice the summed stiffness at a grain over its mass (Gershgorin)."""
-    rng = np.random.default_rng(1)
     masses = rng.uniform(1, 3, 5) * 1e-6
     chain = CHAIN.replace(masses=masses)
     u = rng.normal(size=(7, 5)) * EPS[1]
@@ -64,9 +63,9 @@ def passage_of(u: np.ndarray, v: np.ndarray) -> Passage:
     return Passage(u, v, np.zeros((2, len(u))), u[-1:], np.zeros(0))
 
 
-def test_openings_are_at_zero_overlaps():
+def test_openings_are_at_zero_overlaps(rng):
     """The motion is given in closed form, and openings are found by a search over many times."""
-    steps = np.random.default_rng(2).uniform(0.5, 1.5, 400)
+    steps = rng.uniform(0.5, 1.5, 400)
     steps /= steps.sum()
     u, v = moving(np.concatenate(([0.0], np.cumsum(steps))))
     period = 3e-5

@@ -5,11 +5,13 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of
 from helpers.extended_precision import tangent_map
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, Scene, orbits, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, orbits, simulate
 from lmpchain.engines import Native
 from lmpchain.errors import RunFailed
 from lmpchain.integrators.methods import KAHAN_LI8
@@ -50,9 +52,10 @@ def gap_breather() -> Orbit:
 
 
 @pytest.mark.parametrize("load", [1.0, 0.0])
-def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(load: float):
-    rng = np.random.default_rng(1)
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=load, top="wall", bottom="wall")
+def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(
+    rng: np.random.Generator, load: float
+):
+    chain = column(12, gravity=0.0, top_load=load, top="wall", bottom="wall")
     scale = chain.length_scale or 1e-7
     u, v = rng.normal(size=(2, 12)) * [[scale], [scale * 1e6]]
     flow = Flow(chain, 1e6)
@@ -70,17 +73,11 @@ def test_the_tangent_map_agrees_with_the_native_engine_and_is_symplectic(load: f
     assert np.abs(passage.displacement[-1] - x).max() < 1e-13 * np.abs(u).max()
     assert np.abs(matrix - weight[:, None] * exact / weight).max() < 1e-12 * np.abs(matrix).max()
     even = flow.run(flow.canonical(u, v), period, np.full(40, 1 / 40))
-    scene = scene_of(chain, u, v, period)
+    scene = scene_of(chain, Profile(displacement=u, velocity=v), period, 2)
     run = simulate(scene, engine=Native(integrator="kahan-li8", step=period / 40))
     assert (
         np.abs(run.displacement[-1] - even.displacement[-1]).max()
         < 1e-13 * np.abs(run.displacement).max()
-    )
-
-
-def scene_of(chain: Chain, u: np.ndarray, v: np.ndarray, duration: float):
-    return Scene(
-        chain=chain, excitation=Profile(displacement=u, velocity=v), duration=duration, samples=2
     )
 
 
@@ -106,7 +103,7 @@ def pi_mode_period(chain: Chain, amplitude: float) -> float:
 @pytest.mark.parametrize("load", [1.0, 0.0])
 @pytest.mark.parametrize("relative", [0.3, 0.7, 3.0])
 def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative: float):
-    chain = Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load, **WALLS)
+    chain = column(5, gravity=0.0, top_load=load, **WALLS)
     amplitude = relative * (chain.contacts.overlap[1] or 1e-7)
     orbit = at_rest(chain, amplitude * (-1.0) ** np.arange(5), pi_mode_period(chain, amplitude))
     found = np.abs(orbit.displacement).max()
@@ -118,7 +115,7 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
 
 def test_a_grain_with_long_flights_between_short_contacts():
     """The flight lasts 30 times as long as the contact, and needs compensated sums."""
-    chain = Chain(grains=1, diameter=1e-3, bottom="wall")
+    chain = column(1, bottom="wall")
     m = chain.masses[0]
     k = chain.wall_constants[1]
     eps = chain.contacts.overlap[1]
@@ -166,7 +163,7 @@ def test_a_gap_breather_closes_and_has_the_multipliers_of_extended_precision():
 
 
 def test_small_orbits_have_the_multipliers_of_the_linear_chain():
-    chain = Chain(grains=9, diameter=1e-3)
+    chain = column(9)
     u, period = orbits.linear_mode(chain, 3, 1e-6)
     orbit = at_rest(chain, u, period, energy=float(chain.excess_energy(u, 0 * u)))
     turn = np.exp(1j * eigenmodes(chain).frequency * orbit.period)
@@ -177,7 +174,7 @@ def test_small_orbits_have_the_multipliers_of_the_linear_chain():
 
 @pytest.mark.parametrize("exponent", [1.5, 2.5])
 def test_frequency_shifts_with_energy_agree_with_perturbation_theory(exponent: float):
-    chain = Chain(grains=2, diameter=1e-3, exponent=exponent)
+    chain = column(2, exponent=exponent)
     k = chain.contact_constants[0]
     m = chain.masses[0]
     eps = chain.length_scale
@@ -193,8 +190,8 @@ def test_frequency_shifts_with_energy_agree_with_perturbation_theory(exponent: f
 
 
 def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
-    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1.0)
-    modes = eigenmodes(Chain(grains=7, diameter=1e-3, gravity=0.0, top_load=1.0))
+    chain = column(6, gravity=0.0, top_load=1.0)
+    modes = eigenmodes(column(7, gravity=0.0, top_load=1.0))
     w = 0.9 * modes.frequency[0]
     k = chain.linear_stiffness[0]
     m = chain.masses[0]
@@ -209,7 +206,7 @@ def test_a_driven_chain_follows_the_closed_form_in_the_linear_limit():
 
 
 def test_an_orbit_with_initial_velocities_has_the_same_multipliers():
-    chain = Chain(grains=6, diameter=1e-3)
+    chain = column(6)
     energy = 0.2 * chain.length_scale * chain.masses[0] * 9.81
     orbit = orbits.normal_mode(chain, 2, energy)
     _, u, v = orbit.motion()
@@ -230,7 +227,7 @@ def test_an_orbit_runs_in_an_engine():
 @pytest.mark.slow
 def test_an_orbit_runs_in_lammps():
     """The accuracy is limited by the rounding of heights."""
-    chain = Chain(grains=10, diameter=1e-3, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
+    chain = column(10, gravity=0.0, top_load=1.0, top="wall", bottom="wall")
     orbit = orbits.normal_mode(chain, 6, 1e-7)
     run = simulate(orbit.scene(2, samples=3), "lammps", 1e-6)
     assert np.abs(run.displacement - orbit.displacement).max() < 1e-6 * orbit.amplitude
@@ -239,7 +236,7 @@ def test_an_orbit_runs_in_lammps():
 @pytest.mark.parametrize(("top", "grain"), [("free", 1), ("wall", 1), ("wall", 0)])
 def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
     """The state returns after each of three periods, while the drive continues."""
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, top=top, bottom="wall")
+    chain = column(12, gravity=0.0, top_load=1.0, top=top, bottom="wall")
     sine = {"frequency": 0.3 * chain.band_edge / (2 * np.pi), "grain": grain}
     orbit = orbits.find(chain, drive=Drive(amplitude=0.02 * chain.length_scale, **sine))
     assert orbit.residual < 1e-12
@@ -255,7 +252,7 @@ def test_a_driven_orbit_runs_in_an_engine(top: str, grain: int):
 
 @pytest.mark.slow
 def test_a_driven_orbit_runs_in_lammps():
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1.0, bottom="wall")
+    chain = column(12, gravity=0.0, top_load=1.0, bottom="wall")
     drive = Drive(
         amplitude=0.02 * chain.length_scale, frequency=0.3 * chain.band_edge / (2 * np.pi)
     )
@@ -265,12 +262,10 @@ def test_a_driven_orbit_runs_in_lammps():
 
 
 def test_impossible_orbits_are_rejected_in_one_line():
-    vacuum = Chain(grains=5, diameter=1e-3, gravity=0.0, top="wall", bottom="wall")
-    chain = Chain(grains=5, diameter=1e-3)
+    vacuum = column(5, gravity=0.0, top="wall", bottom="wall")
+    chain = column(5)
     small = orbits.normal_mode(chain, 1, 1e-20)
-    free, loaded = (
-        Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=load) for load in (0.0, 1.0)
-    )
+    free, loaded = (column(5, gravity=0.0, top_load=load) for load in (0.0, 1.0))
     long = Profile(displacement=np.ones(6))
     burst = Drive(times=[0, 1], displacement=[0, 1e-9])
     other = Drive(amplitude=1e-9, frequency=1.5e4)

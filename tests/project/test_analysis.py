@@ -433,13 +433,15 @@ def whole_history() -> set[str] | None:
 
 
 @pytest.mark.slow
-def test_a_picture_for_print(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_picture_for_print(
+    rng: np.random.Generator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
     """The picture is as large as the PNG, reproducible, without fonts, and small also for maps."""
     monkeypatch.setattr(sys, "argv", ["analysis/fig7.py", "--svg"])
     with rc_context(figures.LETTERS):
         picture, ((upper, _),) = figures.page(1)
         upper.set_title("velocities at v0* = 1e-06")
-        upper.pcolormesh(np.random.default_rng(0).random((300, 300)))
+        upper.pcolormesh(rng.random((300, 300)))
         figures.finish(picture, tmp_path / "one.png")
         figures.finish(picture, tmp_path / "two.png")
     text = (tmp_path / "one.svg").read_text(encoding="utf-8")

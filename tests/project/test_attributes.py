@@ -1,31 +1,15 @@
 """`import lmpchain` provides every name of the reference, and loads none of the modules."""
 
-import re
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from helpers.modules import listed_names
 
 import lmpchain
 
-REFERENCE = Path(__file__).parents[2] / "docs" / "api.md"
 
-
-def listed_names() -> dict[str, list[str]]:
-    """Return the names of the reference by package."""
-    names: dict[str, list[str]] = {}
-    package = ""
-    for line in REFERENCE.read_text(encoding="utf-8").splitlines():
-        if line.startswith(".. currentmodule:: "):
-            package = line.split()[-1]
-        elif re.fullmatch(r"   [\w.]+", line):
-            *within, name = line.strip().split(".")
-            names.setdefault(".".join([package, *within]), []).append(name)
-    return names
-
-
-def run(program: str) -> str:
+def output_of(program: str) -> str:
     """Return the output of a new Python process."""
     return subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=True
@@ -35,7 +19,9 @@ def run(program: str) -> str:
 @pytest.mark.slow
 def test_one_import_provides_every_name_of_the_reference():
     """The name must be in `dir`, because an attribute may also be a module loaded elsewhere."""
-    names = listed_names()
+    names: dict[str, list[str]] = {}
+    for package, _, name in (each.rpartition(".") for each in listed_names()):
+        names.setdefault(package, []).append(name)
     assert sum(map(len, names.values())) > 50
     program = f"""
 import sys
@@ -50,19 +36,19 @@ for package, names in {names}.items():
         if name not in dir(value) or not hasattr(value, name):
             print(package, name)
 """
-    assert run(program) == ""
+    assert output_of(program) == ""
 
 
 def test_the_import_loads_no_other_module():
     program = "import sys, lmpchain; print(*[m for m in sys.modules if 'lmpchain' in m])"
-    names = run(program).split()
+    names = output_of(program).split()
     assert set(names) == {
         "lmpchain",
         "lmpchain.util",
         "lmpchain.util.lammps_import",
         "lmpchain.util.lazy",
     }
-    assert "numpy" not in run("import sys, lmpchain; print(*sys.modules)").split()
+    assert "numpy" not in output_of("import sys, lmpchain; print(*sys.modules)").split()
 
 
 @pytest.mark.parametrize("name", ["stability", "benchmark", "report", "trajectory", "doctor"])

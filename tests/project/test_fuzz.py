@@ -17,6 +17,7 @@ import hypothesis
 import pytest
 import tomli_w
 from helpers.child_processes import same
+from helpers.thinned import fuzzed
 from hypothesis import strategies as st
 
 from lmpchain import LmpchainError, Scene, Stopped, Trajectory, engines, resume, simulate
@@ -255,11 +256,6 @@ def examine(check: Callable[[Any], None], cases: st.SearchStrategy, count: int) 
     (run if quick else hypothesis.seed(seed)(run))()
 
 
-def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test with its number of cases in the quick suite and in a soak."""
-    return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
-
-
 def call(*words: object) -> tuple[int, str]:
     """Run a command; check that errors are explained, and return its exit code and output."""
     out = StringIO()
@@ -321,7 +317,7 @@ def deck(scene: bytes) -> None:
         nothing_injected(folder)
 
 
-def run(scene: bytes, *options: str) -> None:
+def run_file(scene: bytes, *options: str) -> None:
     with Workplace(scene__toml=scene) as folder:
         before = files(folder)
         code, _ = call("run", folder / "scene.toml", *options)
@@ -341,7 +337,7 @@ def test_decks_of_hostile_scenes(count: int):
 def test_runs_of_hostile_scenes(count: int):
     def check(case: tuple[Tables, str]) -> None:
         tables, engine = case
-        run(toml(tables), "--engine", engine, "--tolerance", "1e-3")
+        run_file(toml(tables), "--engine", engine, "--tolerance", "1e-3")
 
     examine(
         check,

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from helpers.instrument_files import ARRAYS, FILES, push
 from helpers.standalone_lammps import lmp
+from helpers.thinned import fuzzed
 
 from lmpchain import Force, InputError, LmpchainError, Scene, Stopped, Trajectory, resume, simulate
 from lmpchain.engines.lammps.export import write_deck
@@ -158,11 +159,6 @@ def examine(case: Callable[[random.Random], object], count: int) -> None:
     assert longest < 1000
     print(f"{count} cases, {refused} refused")
     assert refused > count / 4
-
-
-def fuzzed(quick: int, soak: int) -> Any:
-    """Mark a test with its number of cases in the quick suite and in a soak."""
-    return pytest.mark.parametrize("count", [quick, pytest.param(soak, marks=pytest.mark.soak)])
 
 
 @fuzzed(300, 50_000)

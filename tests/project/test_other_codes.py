@@ -184,10 +184,10 @@ def test_unsupported_scenes_are_rejected(peer, change):
         )
 
 
-def test_the_compiled_right_hand_side_is_linear_at_small_amplitudes(peer):
+def test_the_compiled_right_hand_side_is_linear_at_small_amplitudes(rng, peer):
     problem = peer("problem").Problem(short(1e-9, grains=6))
     diagonal, coupling = problem.scene.chain.dynamical_matrix()
     matrix = (np.diag(diagonal) + np.diag(coupling, 1) + np.diag(coupling, -1)) * problem.time**2
-    y, rate = np.random.default_rng(0).normal(size=(2, 10))
+    y, rate = rng.normal(size=(2, 10))
     peer("problem").fill_rate(y, rate, problem.table())
     np.testing.assert_allclose(rate, np.concatenate((y[5:], -matrix @ y[:5])), rtol=1e-4)

@@ -22,6 +22,7 @@ import pytest
 from helpers.browser import Browser, browser, installed
 from helpers.child_processes import PATIENCE
 from helpers.example_scenes import scene_of
+from helpers.modules import listed_names
 from matplotlib.figure import Figure
 
 import lmpchain
@@ -200,18 +201,6 @@ def test_upright_letters_stay_upright_under_an_exponent():
             ), formula
             assert f"<msup><mi>{letter}<" not in shown
             assert f"<msup><mi>{code}<" not in shown
-
-
-def listed_names() -> list[str]:
-    """Return the dotted names that the reference lists."""
-    found = []
-    package = ""
-    for line in (DOCS / "api.md").read_text(encoding="utf-8").splitlines():
-        if line.startswith(".. currentmodule:: "):
-            package = line.split()[-1]
-        elif re.fullmatch(r"   [\w.]+", line):
-            found.append(f"{package}.{line.strip()}")
-    return found
 
 
 @pytest.mark.slow

@@ -33,12 +33,11 @@ STRIKE = Impulse(velocity=1e-3)
 
 
 @pytest.fixture(scope="module")
-def run() -> Trajectory:
-    scene = Scene(chain=CHAIN, excitation=STRIKE, duration=60e-6, samples=121)
-    answer = simulate(scene, "native", 1e-6)
-    cost = answer.cost._replace(integration_s=1.25, estimate_s=0.5, setup_s=0.125, compile_s=9.0)
+def priced(wave: Trajectory) -> Trajectory:
+    """Return the run with chosen errors and costs."""
+    cost = wave.cost._replace(integration_s=1.25, estimate_s=0.5, setup_s=0.125, compile_s=9.0)
     cost = cost._replace(steps=1234, force_evaluations=5678, active_grains=37, ranks=3, step_s=2e-8)
-    return replace(answer, error_estimate=ErrorEstimate(3e-3, 2e-5), cost=cost)
+    return replace(wave, error_estimate=ErrorEstimate(3e-3, 2e-5), cost=cost)
 
 
 class Rows(HTMLParser):
@@ -74,32 +73,34 @@ def rows(monkeypatch: pytest.MonkeyPatch) -> Any:
     return lambda run: Rows(page(run, origin=origin))
 
 
-def test_cards_show_request_and_cost(run: Trajectory, rows: Any):
-    cards = {name: texts for name, *texts in rows(run).cards}
+def test_cards_show_request_and_cost(priced: Trajectory, rows: Any):
+    cards = {name: texts for name, *texts in rows(priced).cards}
     assert list(cards) == ["Scene", "Engine", "Tolerance", "Error", "Cost", "Date", "Command"]
     name, remark = cards["Scene"]
     assert name == f"40 grains, {STRIKE.label}"
     said = r"Strike number (\S+); linear theory is off by (\S+) % of the largest velocity\."
     number, off = map(float, re.fullmatch(said, remark).groups())
-    assert number == pytest.approx(run.scene.strike_number, rel=5e-3)
-    linear = simulate(run.scene, "modes")
-    error = np.abs(run.velocity - linear.velocity).max() / np.abs(run.velocity).max()
+    assert number == pytest.approx(priced.scene.strike_number, rel=5e-3)
+    linear = simulate(priced.scene, "modes")
+    error = np.abs(priced.velocity - linear.velocity).max() / np.abs(priced.velocity).max()
     assert off == pytest.approx(100 * error, rel=0.05)
-    assert cards["Engine"] == ["native", f"solves Eq. (1) {run.cost.integrator}"]
-    assert cards["Tolerance"] == ["1e-06", "largest relative error asked for"]
+    assert cards["Engine"] == ["native", f"solves Eq. (1) {priced.cost.integrator}"]
+    assert cards["Tolerance"] == ["1e-09", "largest relative error asked for"]
     assert cards["Error"] == ["0.003", "estimated: 0.003 (equation) + 2e-05 (solver)"]
     assert cards["Cost"] == ["1.88 s", "1234 steps of 2e-08 s, 37 grains computed"]
     assert cards["Date"] == ["yesterday"]
     assert cards["Command"] == ["lmpchain run"]
 
 
-def test_facts_agree_with_the_run(run: Trajectory, rows: Any):
-    facts = {key: value for key, value in (row for row in rows(run).rows if len(row) == 2)}
+def test_facts_agree_with_the_run(priced: Trajectory, rows: Any):
+    facts = {key: value for key, value in (row for row in rows(priced).rows if len(row) == 2)}
     assert facts["chain"] == "40 grains, top free, bottom fixed, exponent 1.5"
     assert facts["gravity and load"] == "9.81 m/s², 0 N"
     assert facts["excitation"] == "impulse: velocity 0.001 m/s"
     assert facts["recorded"] == "40 grains at 121 times up to 6e-05 s"
-    fastest, farthest = (max(abs(x) for x in a.flat) for a in (run.velocity, run.displacement))
+    fastest, farthest = (
+        max(abs(x) for x in a.flat) for a in (priced.velocity, priced.displacement)
+    )
     assert facts["largest velocity"] == f"{fastest:.6g} m/s"
     assert facts["largest displacement"] == f"{farthest:.6g} m"
     cost = {
@@ -115,20 +116,20 @@ def test_facts_agree_with_the_run(run: Trajectory, rows: Any):
     }
     assert cost.items() <= facts.items()
     profile = Profile(velocity=[1e-3, *[0.0] * 39])
-    other = replace(run, scene=run.scene.replace(excitation=profile))
+    other = replace(priced, scene=priced.scene.replace(excitation=profile))
     facts = {key: value for key, value in (row for row in rows(other).rows if len(row) == 2)}
     assert facts["excitation"] == "profile: velocity of 40 values"
 
 
-def test_a_title_names_chain_excitation_duration_and_engine(run: Trajectory):
+def test_a_title_names_chain_excitation_duration_and_engine(priced: Trajectory):
     label = STRIKE.label
-    assert title(run) == f"40 grains, g = 9.81 m/s², {label}, 60 µs, native"
+    assert title(priced) == f"40 grains, g = 9.81 m/s², {label}, 60 µs, native"
     loaded = CHAIN.replace(gravity=0.0, top_load=2.0)
-    other = replace(run, scene=run.scene.replace(chain=loaded, duration=1e-3))
+    other = replace(priced, scene=priced.scene.replace(chain=loaded, duration=1e-3))
     assert title(other) == f"40 grains, no gravity, load 2 N, {label}, 1 ms, native"
 
 
-def test_the_progress_bar_counts_every_part(run: Trajectory, monkeypatch: pytest.MonkeyPatch):
+def test_the_progress_bar_counts_every_part(priced: Trajectory, monkeypatch: pytest.MonkeyPatch):
     steps: list[Any] = []
 
     class Bar:
@@ -152,22 +153,22 @@ def test_the_progress_bar_counts_every_part(run: Trajectory, monkeypatch: pytest
     }
     monkeypatch.setattr(document, "PANELS", empty)
     monkeypatch.setattr(document, "ProgressBar", Bar)
-    page(run, progress=True)
+    page(priced, progress=True)
     names = ["The wave in space and time", *empty, "Fits"]
     expected = [each for name in names for each in (name, 1)]
     assert steps == [(len(names), "report", " parts", True), *expected, "over"]
     steps.clear()
-    page(run)
+    page(priced)
     assert not steps[0][3]
 
 
 def test_a_page_is_written_atomically(
-    run: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    priced: Trajectory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(document, "PANELS", {})
-    write(run, tmp_path / "page.html", origin={"date": "yesterday", "command": "é"})
+    write(priced, tmp_path / "page.html", origin={"date": "yesterday", "command": "é"})
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert text == page(run, origin={"date": "yesterday", "command": "é"})
+    assert text == page(priced, origin={"date": "yesterday", "command": "é"})
     assert os.listdir(tmp_path) == ["page.html"]
 
 
@@ -294,21 +295,21 @@ def test_equal_arrays_are_stored_once():
     assert 3 * one["velocity"][1] == pytest.approx(three["velocity"][1])
 
 
-def test_the_live_view_draws_the_arrival_of_a_weak_wave(run: Trajectory):
+def test_the_live_view_draws_the_arrival_of_a_weak_wave(priced: Trajectory):
     """The time is sqrt(m / k) per contact from the struck grain, if weak waves travel."""
 
     def arrival(scene: Scene) -> Any:
-        return live_view._law(replace(run, scene=scene), np.arange(1, 41))
+        return live_view._law(replace(priced, scene=scene), np.arange(1, 41))
 
-    chain = run.scene.chain
+    chain = priced.scene.chain
     stiffness = 1.5 * chain.contact_constants * np.sqrt(chain.equilibrium_overlap)
     slow = np.sqrt(chain.masses[0] / stiffness)
-    third = arrival(run.scene.replace(excitation=Impulse(velocity=1e-3, grain=3)))
+    third = arrival(priced.scene.replace(excitation=Impulse(velocity=1e-3, grain=3)))
     assert len(third) == 40
     assert third[2] == 0.0
     assert third[9] == pytest.approx(slow[2:9].sum(), rel=1e-9)
     assert third[0] == pytest.approx(slow[:2].sum(), rel=1e-9)
-    first = arrival(run.scene)
+    first = arrival(priced.scene)
     assert np.diff(first)[1:] == pytest.approx(slow[1:], rel=1e-9)
     walled = chain.replace(top="wall")
     wall = Scene(
@@ -316,9 +317,9 @@ def test_the_live_view_draws_the_arrival_of_a_weak_wave(run: Trajectory):
     )
     assert np.diff(arrival(wall))[1:].shape == (38,)
     assert arrival(wall)[0] == 0.0
-    profile = run.scene.replace(excitation=Profile(velocity=[1e-3, *[0.0] * 39]))
+    profile = priced.scene.replace(excitation=Profile(velocity=[1e-3, *[0.0] * 39]))
     assert arrival(profile) is None
-    empty = run.scene.replace(chain=chain.replace(gravity=0.0, bottom="free"))
+    empty = priced.scene.replace(chain=chain.replace(gravity=0.0, bottom="free"))
     assert arrival(empty) is None
 
 

@@ -49,12 +49,6 @@ def strike(grains: int, velocity: float, duration: float, samples: int, **chain:
 
 
 @pytest.fixture(scope="module")
-def run() -> Trajectory:
-    """Return a weak wave in a column that it has not crossed."""
-    return simulate(strike(40, 1e-3, 60e-6, 121), "native", 1e-9)
-
-
-@pytest.fixture(scope="module")
 def hard() -> Trajectory:
     """Return a strike that opens contacts of a short column."""
     return simulate(strike(8, 0.3, 60e-6, 601), "native", 1e-9)
@@ -67,11 +61,11 @@ def vacuum() -> Trajectory:
     return simulate(scene, "native", 1e-8)
 
 
-def reached(run: Trajectory) -> tuple[int, int]:
+def reached(wave: Trajectory) -> tuple[int, int]:
     """Return the first and the last grain that a picture shows."""
-    largest = np.abs(run.velocity).max(0)
-    there = run.grains[largest > 1e-3 * largest.max()]
-    return max(there.min() - MARGIN, 1), min(there.max() + MARGIN, run.grains.max())
+    largest = np.abs(wave.velocity).max(0)
+    there = wave.grains[largest > 1e-3 * largest.max()]
+    return max(there.min() - MARGIN, 1), min(there.max() + MARGIN, wave.grains.max())
 
 
 def amount(text: str) -> float:
@@ -84,10 +78,10 @@ def curve(ax: Any, place: int) -> np.ndarray:
     return np.array(ax.lines[place].get_xydata())
 
 
-def force(run: Trajectory) -> np.ndarray:
+def force(wave: Trajectory) -> np.ndarray:
     """Return the forces of all contacts above rest, (T, N-1) N, by Hertz's law."""
-    chain = run.scene.chain
-    overlap = chain.equilibrium_overlap - np.diff(run.displacement)
+    chain = wave.scene.chain
+    overlap = chain.equilibrium_overlap - np.diff(wave.displacement)
     at_rest = chain.equilibrium_overlap**1.5
     return chain.contact_constants * (np.maximum(overlap, 0.0) ** 1.5 - at_rest)
 
@@ -112,13 +106,13 @@ def test_a_picture_is_an_svg_of_its_size_without_a_date():
     assert "opacity: 0" in background or "fill: none" in background
 
 
-def test_many_points_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any):
+def test_many_points_become_pixels(draw: Any, wave: Trajectory, monkeypatch: Any):
     """The pictures are sharp at 200 dots per inch."""
-    shown = np.flatnonzero(np.any(run.displacement != 0, 0)).size
+    shown = np.flatnonzero(np.any(wave.displacement != 0, 0)).size
     size = min(shown + MARGIN, 40)
     for limit, pixels in ((size, False), (size - 1, True)):
         monkeypatch.setattr(panels, "PANEL_LIMITS", panels.PANEL_LIMITS._replace(markers=limit))
-        axes = draw("waveforms", run).axes
+        axes = draw("waveforms", wave).axes
         assert axes[0].lines[0].get_rasterized() == pixels
         assert not axes[0].lines[1].get_rasterized()
 
@@ -126,9 +120,9 @@ def test_many_points_become_pixels(draw: Any, run: Trajectory, monkeypatch: Any)
 # --- the wave
 
 
-def test_the_wave_is_shown_at_its_position(draw: Any, run: Trajectory):
-    picture = draw("wave", run)
-    first, last = reached(run)
+def test_the_wave_is_shown_at_its_position(draw: Any, wave: Trajectory):
+    picture = draw("wave", wave)
+    first, last = reached(wave)
     assert 10 < last < 40
     assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
     text = f"Velocity of grains {first} to {last} over time: downward red, upward blue."
@@ -136,17 +130,17 @@ def test_the_wave_is_shown_at_its_position(draw: Any, run: Trajectory):
     assert picture.map
 
 
-def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
-    picture = draw("waveforms", run)
+def test_waveforms_are_velocities_at_three_times(draw: Any, wave: Trajectory):
+    picture = draw("waveforms", wave)
     above, apart = picture.axes
-    linear = simulate(run.scene, "chebyshev").velocity
-    largest = np.abs(run.velocity).max()
-    difference = (run.velocity - linear) / largest
+    linear = simulate(wave.scene, "chebyshev").velocity
+    largest = np.abs(wave.velocity).max()
+    difference = (wave.velocity - linear) / largest
     shades = set()
     for place, (row, time) in enumerate(((30, "15 µs"), (60, "30 µs"), (120, "60 µs"))):
         grain, velocity = curve(above, 2 * place).T
         columns = grain.astype(int) - 1
-        assert np.array_equal(velocity, run.velocity[row, columns])
+        assert np.array_equal(velocity, wave.velocity[row, columns])
         assert above.lines[2 * place].get_label() == time
         assert above.lines[2 * place].get_linestyle() == "None"
         theory = curve(above, 2 * place + 1)
@@ -160,7 +154,7 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
         assert all(line.get_linewidth() == 1 for line in above.lines[2 * place + 1 : 2 * place + 2])
         shades |= same
     assert len(shades) == 3
-    first, last = reached(run)
+    first, last = reached(wave)
     assert above.get_xlim() == (first - 0.5, last + 0.5)
     assert apart.get_xlim() == above.get_xlim()
     assert above.get_ylabel() == "velocity downward"
@@ -173,7 +167,7 @@ def test_waveforms_are_velocities_at_three_times(draw: Any, run: Trajectory):
         "30 µs",
         "60 µs",
     ]
-    peak = np.abs(run.velocity[-1])
+    peak = np.abs(wave.velocity[-1])
     place = f"grain {peak.argmax() + 1}, {si(peak.max(), 'm/s', 1)}"
     head = f"At the end the motion is largest at {place}. "
     assert picture.caption.startswith(head)
@@ -206,12 +200,12 @@ def travel(chain: Chain, source: int) -> np.ndarray:
     return passed - passed[source - 1]
 
 
-def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
-    picture = draw("arrival", run)
+def test_the_front_is_drawn_against_depth_and_time(draw: Any, wave: Trajectory):
+    picture = draw("arrival", wave)
     height, time = picture.axes
     depth, peak = curve(height, 0).T
     grains = (depth + 0.5).astype(int)
-    largest = np.abs(run.velocity).max(0)
+    largest = np.abs(wave.velocity).max(0)
     assert grains.tolist() == list(range(2, grains[-1] + 1))
     assert len(grains) > 10
     assert depth.tolist() == (grains - 0.5).tolist()
@@ -245,15 +239,15 @@ def test_the_front_is_drawn_against_depth_and_time(draw: Any, run: Trajectory):
 
     grain, arrival = curve(time, 0).T
     assert grain.tolist() == grains.tolist()
-    later = [np.abs(run.velocity[:, n - 1]).argmax() for n in grains]
-    assert arrival == pytest.approx(1e6 * run.time[later], abs=0.6)  # Samples are 0.5 µs apart.
+    later = [np.abs(wave.velocity[:, n - 1]).argmax() for n in grains]
+    assert arrival == pytest.approx(1e6 * wave.time[later], abs=0.6)  # Samples are 0.5 µs apart.
     there, expected = curve(time, 1).T
     assert there.tolist() == grains.tolist()
     assert np.diff(expected) == pytest.approx(
-        1e6 * np.diff(travel(run.scene.chain, 1)[grains - 1]), rel=0.02
+        1e6 * np.diff(travel(wave.scene.chain, 1)[grains - 1]), rel=0.02
     )
     # Half a contact is added.
-    assert expected[0] == pytest.approx(1e6 * travel(run.scene.chain, 1)[1], rel=0.6)
+    assert expected[0] == pytest.approx(1e6 * travel(wave.scene.chain, 1)[1], rel=0.6)
     assert time.get_xlabel() == "grain, from the top"
     assert time.get_ylabel() == "arrival (µs)"
     said = [text.get_text() for text in time.get_legend().get_texts()]
@@ -323,16 +317,16 @@ def test_grains_are_equal_to_nine_digits(key: str):
         assert (law(strike(9, 1e-3, 1e-5, 3, **{key: values}))[0] is not None) == known
 
 
-def test_a_front_travels_downward(run: Trajectory):
+def test_a_front_travels_downward(wave: Trajectory):
     """A front passes at least six grains, and nine of ten in order."""
     from lmpchain.measure import front
 
-    sine = run.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
+    sine = wave.scene.replace(excitation=Force(amplitude=1e-3, frequency=1e4))
     with pytest.raises(InputError, match="excitation: sends no single front"):
-        front_below(replace(run, scene=sine))
-    whole = front.track(run)
+        front_below(replace(wave, scene=sine))
+    whole = front.track(wave)
     below = whole.between(2, 37)
-    assert np.array_equal(front_below(run).time, below.time)
+    assert np.array_equal(front_below(wave).time, below.time)
 
     def front_of(times: np.ndarray, error: float = 0.0) -> front.Front:
         grains = np.arange(2, 2 + times.size)
@@ -340,7 +334,7 @@ def test_a_front_travels_downward(run: Trajectory):
         with pytest.MonkeyPatch.context() as patch:
             passing = front.Front("velocity", grains, 1e-3 * grains, *columns)
             patch.setattr(front, "track", lambda run: passing)
-            return front_below(run)
+            return front_below(wave)
 
     onward = np.arange(21.0)
     for back, ok in ((2, True), (3, False)):  # Number of the twenty steps that go backward.
@@ -365,22 +359,22 @@ def test_a_front_travels_downward(run: Trajectory):
 # --- spectra, contacts, energy
 
 
-def test_the_dispersion_is_that_of_the_moving_grains(draw: Any, run: Trajectory):
-    picture = draw("dispersion", run)
-    first, last = extent(crop(run))
+def test_the_dispersion_is_that_of_the_moving_grains(draw: Any, wave: Trajectory):
+    picture = draw("dispersion", wave)
+    first, last = extent(crop(wave))
     assert picture.caption.startswith(f"Spectrum of grains {first} to {last} over wavenumber")
-    result = spectrum.dispersion(run, first, last)
+    result = spectrum.dispersion(wave, first, last)
     # For a wave exp(i q n - i w t), Newton's law is m w^2 = 4 k sin(q/2)^2, at most 4 k.
-    chain = run.scene.chain
+    chain = wave.scene.chain
     middle = result.grain[1]
     stiff = chain.linear_stiffness[middle - 2 : middle].mean()
     edge = np.sqrt(4 * stiff / chain.masses[0]) / (2 * np.pi)
     assert result.relation[1].max() == pytest.approx(edge, rel=1e-2)
 
 
-def test_the_spectrum_states_its_maximum(draw: Any, run: Trajectory, vacuum: Trajectory):
-    picture = draw("spectra", run)
-    first, last = reached(run)
+def test_the_spectrum_states_its_maximum(draw: Any, wave: Trajectory, vacuum: Trajectory):
+    picture = draw("spectra", wave)
+    first, last = reached(wave)
     assert picture.axes[0].get_ylim() == (last + 0.5, first - 0.5)
     assert picture.map
     text = (
@@ -388,19 +382,19 @@ def test_the_spectrum_states_its_maximum(draw: Any, run: Trajectory, vacuum: Tra
         r"The line is the local cut-off frequency\."
     )
     strongest = amount(re.fullmatch(text, picture.caption)[1])
-    size = np.abs(np.fft.rfft(run.velocity, axis=0))
-    step = run.time[1]
-    frequency = np.fft.rfftfreq(run.time.size, step)
+    size = np.abs(np.fft.rfft(wave.velocity, axis=0))
+    step = wave.time[1]
+    frequency = np.fft.rfftfreq(wave.time.size, step)
     expected = frequency[np.unravel_index(size.argmax(), size.shape)[0]]
-    assert strongest == pytest.approx(expected, abs=1 / run.time[-1])
+    assert strongest == pytest.approx(expected, abs=1 / wave.time[-1])
     empty = draw("spectra", vacuum).caption
     assert re.fullmatch(r"Velocity spectrum of every grain, strongest at \S+ \S*Hz\.", empty)
 
 
 def test_contacts_state_their_largest_force_and_number_of_openings(
-    draw: Any, run: Trajectory, hard: Trajectory
+    draw: Any, wave: Trajectory, hard: Trajectory
 ):
-    for t in (run, hard):
+    for t in (wave, hard):
         picture = draw("forces", t)
         change = np.abs(force(t)).max(0)
         pattern = (
@@ -448,25 +442,25 @@ def test_one_opening_is_one_time(draw: Any, hard: Trajectory):
     assert draw("forces", short).caption.endswith("Contacts open 1 time.")
 
 
-def test_the_energy_is_that_of_the_strike_with_little_drift(draw: Any, run: Trajectory):
-    picture = draw("balance", run)
+def test_the_energy_is_that_of_the_strike_with_little_drift(draw: Any, wave: Trajectory):
+    picture = draw("balance", wave)
     pattern = (
         r"Energy relative to rest\. "
         r"Drift: change not explained by work done on the chain, at most (\S+) of the "
         r"largest energy, (.+)\."
     )
     drift, largest = re.fullmatch(pattern, picture.caption).groups()
-    given = run.scene.chain.masses[0] * 1e-3**2 / 2
+    given = wave.scene.chain.masses[0] * 1e-3**2 / 2
     assert amount(largest) == pytest.approx(given, rel=1e-3)
     assert float(drift) < 1e-8
     assert not picture.map
-    worse = replace(run, velocity=run.velocity * np.linspace(1.0, 1.5, run.time.size)[:, None])
+    worse = replace(wave, velocity=wave.velocity * np.linspace(1.0, 1.5, wave.time.size)[:, None])
     said = re.fullmatch(pattern, draw("balance", worse).caption)
-    kinetic = 0.5 * (run.scene.chain.masses[:-1] * run.velocity[:, :-1] ** 2).sum(1)
-    more = kinetic * (np.linspace(1.0, 1.5, run.time.size) ** 2 - 1)
+    kinetic = 0.5 * (wave.scene.chain.masses[:-1] * wave.velocity[:, :-1] ** 2).sum(1)
+    more = kinetic * (np.linspace(1.0, 1.5, wave.time.size) ** 2 - 1)
     assert float(said[1]) == pytest.approx(more.max() / (given + more).max(), rel=0.05)
     assert amount(said[2]) == pytest.approx((given + more).max(), rel=0.05)
 
 
-def test_lines_are_distinguished_from_zero(draw: Any, run: Trajectory):
-    assert draw("waveforms", run).axes[1].lines[3].get_color() == COLOURS["vermilion"]
+def test_lines_are_distinguished_from_zero(draw: Any, wave: Trajectory):
+    assert draw("waveforms", wave).axes[1].lines[3].get_color() == COLOURS["vermilion"]

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, Scene, simulate
+from lmpchain import Chain, Displacement, Drive, Impulse, InputError, Profile, simulate
 from lmpchain.engines.linear.model_error import expected_error
 from lmpchain.scene.base import Excitation
 
@@ -22,15 +23,11 @@ WEAK: dict[str, Excitation] = {
 every = pytest.mark.parametrize("excitation", WEAK.values(), ids=WEAK)
 
 
-def scene_of(excitation: Excitation, chain: Chain = CHAIN) -> Scene:
-    return Scene(chain=chain, excitation=excitation, duration=1e-4, samples=201)
-
-
 @every
 def test_the_motion_of_springs_has_the_stated_size(excitation: Excitation) -> None:
     springs = Chain(**CHAIN.given() | {"exponent": 1.0})
     once, thrice = (
-        simulate(scene_of(e, springs), engine="native", tolerance=1e-9)
+        simulate(scene_of(springs, e, 1e-4, 201), engine="native", tolerance=1e-9)
         for e in (excitation, excitation.scaled(3))
     )
     for single, triple in (
@@ -43,7 +40,7 @@ def test_the_motion_of_springs_has_the_stated_size(excitation: Excitation) -> No
 
 @every
 def test_energy_is_conserved_unless_work_is_done(excitation: Excitation) -> None:
-    run = simulate(scene_of(excitation), engine="native", tolerance=1e-9)
+    run = simulate(scene_of(CHAIN, excitation, 1e-4, 201), engine="native", tolerance=1e-9)
     energy = CHAIN.excess_energy(run.displacement, run.velocity)
     assert (np.ptp(energy) > 1e-3 * energy.max()) == excitation.does_work
     still = run.velocity[:, : excitation.driven], run.displacement[:, : excitation.driven]
@@ -59,7 +56,7 @@ def test_the_input_of_a_harmonic_drive_is_bounded() -> None:
     for sign in (1, -1):
         for frequency in (2e3, 3e4, CHAIN.band_edge / 8):
             drive = Drive(amplitude=sign * 1e-13, frequency=frequency)
-            run = simulate(scene_of(drive), engine="modes", tolerance=1e-4)
+            run = simulate(scene_of(CHAIN, drive, 1e-4, 201), engine="modes", tolerance=1e-4)
             closer = CHAIN.contacts.closer(run.displacement)
             energy = closer**2 @ stiffness / 2 + run.velocity[:, 1:] ** 2 @ masses[1:] / 2
             bound = np.array([drive.energy_norm(CHAIN, t) for t in run.time])
@@ -70,7 +67,9 @@ def test_the_sign_of_a_drive_does_not_change_the_error_of_linear_theory() -> Non
     """A negative bound would make linear theory exact; it once occurred for upward drives."""
     for amplitude in (1e-12, 2e-9):
         down, up = (
-            expected_error(scene_of(Drive(amplitude=sign * amplitude, frequency=1e4)))
+            expected_error(
+                scene_of(CHAIN, Drive(amplitude=sign * amplitude, frequency=1e4), 1e-4, 201)
+            )
             for sign in (1, -1)
         )
         assert 0 < down <= 1

@@ -3,14 +3,14 @@
 import warnings
 
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 
-from lmpchain import GLASS, Chain, Impulse, Impurity, Profile, Scene, plan, simulate, sweep
+from lmpchain import GLASS, Impurity, Profile, plan, simulate, sweep
 from lmpchain.cli import main
 
-CHAIN = Chain(grains=5, diameter=1e-3)
-SPRINGS = Chain(
-    grains=3, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3
-)
+CHAIN = column(5)
+SPRINGS = column(3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 3)
 
 
 def said(make) -> list[str]:
@@ -20,24 +20,13 @@ def said(make) -> list[str]:
     return [str(warning.message) for warning in caught]
 
 
-def struck(chain: Chain, velocity: float, duration: float = 1e-5) -> Scene:
-    return Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration)
-
-
 @pytest.mark.parametrize(
     ("make", "begin", "number"),
     [
-        (lambda: Chain(grains=5, diameter=1.0), "diameter: ", "1 m is wide"),
-        (lambda: Chain(grains=2, diameter=[1e-3, 5.0]), "diameter: ", "5 m is wide"),
-        (
-            lambda: Chain(grains=5, diameter=1e-3, gravity=0.0, top_load=30.0),
-            "diameter: ",
-            "by 0.012 of the diameter",
-        ),
         (lambda: struck(CHAIN, 1e-3, 7200.0), "duration: ", "7200 s is long"),
-        (lambda: struck(CHAIN, 20.0), "velocity: ", "by 0.012 of the diameter"),
+        (lambda: struck(CHAIN, 20.0, 1e-5), "velocity: ", "by 0.012 of the diameter"),
         (
-            lambda: struck(SPRINGS, 6e3),
+            lambda: struck(SPRINGS, 6e3, 1e-5),
             "velocity: ",
             "6e+03 m/s, faster than sound in its material, 5.06e+03 m/s",
         ),
@@ -54,34 +43,24 @@ def test_the_sound_speed_is_that_of_the_grain_material():
     slow = {"density": 1e4, "youngs_modulus": 1e4, "poissons_ratio": 0.2}  # 1 m/s.
     assert GLASS.sound_speed == pytest.approx(5055, abs=1)
     odd = SPRINGS.replace(impurity=[Impurity(grain=2, mass=1e-20)])
-    soft = Chain(
-        grains=4,
-        diameter=1e-3,
-        gravity=0.0,
-        material=["glass", "glass", slow, "glass"],
-        bottom="free",
-    )
+    soft = column(4, gravity=0.0, material=["glass", "glass", slow, "glass"], bottom="free")
     for chain, speeds, grains in (
         (odd, [0, 2.0, 0], 0),
         (soft, [2.0] * 4, 1),
         (soft, [0.5] * 4, 0),
     ):
-        texts = said(
-            lambda c=chain, v=speeds: Scene(chain=c, excitation=Profile(velocity=v), duration=1e-6)
-        )
+        texts = said(lambda c=chain, v=speeds: scene_of(c, Profile(velocity=v), 1e-6))
         assert sum("grain 3 moves at 2 m/s, faster than sound" in text for text in texts) == grains
 
 
 def test_usual_values_cause_no_warning():
-    assert not said(lambda: struck(Chain(grains=120, diameter=1e-3), 8.57e-3, 1.0))
-    assert not said(
-        lambda: struck(Chain(grains=120, diameter=1e-3, exponent=1.0, top_load=1e-2), 1e-3)
-    )
+    assert not said(lambda: struck(column(120), 8.57e-3, 1.0))
+    assert not said(lambda: struck(column(120, exponent=1.0, top_load=1e-2), 1e-3, 1e-5))
 
 
 def test_the_warning_is_given_once():
     def work():
-        scene = struck(CHAIN, 20.0)
+        scene = struck(CHAIN, 20.0, 1e-5)
         plan(scene)
         simulate(scene, "native")
 
@@ -89,9 +68,7 @@ def test_the_warning_is_given_once():
 
 
 def test_the_command_line_warns_once(tmp_path, capsys):
-    Scene(chain=CHAIN, excitation=Impulse(velocity=1e-3), duration=1e-5).to_toml(
-        tmp_path / "s.toml"
-    )
+    struck(CHAIN, 1e-3, 1e-5).to_toml(tmp_path / "s.toml")
     text = (tmp_path / "s.toml").read_text().replace("0.001", "0.5", 1)
     (tmp_path / "s.toml").write_text(text)
     assert main(["run", str(tmp_path / "s.toml"), "-o", str(tmp_path / "s.nc")]) == 0
@@ -101,7 +78,7 @@ def test_the_command_line_warns_once(tmp_path, capsys):
 
 
 def test_a_sweep_warns_once(tmp_path):
-    swept = {"scene": struck(CHAIN, 1e-3), "keep": ["peak_velocity"], "tolerance": 1e-2}
+    swept = {"scene": struck(CHAIN, 1e-3, 1e-5), "keep": ["peak_velocity"], "tolerance": 1e-2}
     grid = {"excitation.velocity": [20.0, 22.0, 25.0]}
     (text,) = said(lambda: sweep(swept | {"grid": grid}, tmp_path))
     assert text.startswith("velocity: a contact is compressed by 0.012 of the diameter")
@@ -109,8 +86,8 @@ def test_a_sweep_warns_once(tmp_path):
 
 @pytest.mark.parametrize(("turn", "number"), [(9.9, 0), (10.1, 1)])
 def test_contacts_that_are_rigid_dashpots_cause_a_warning(turn: float, number: int):
-    frequency = struck(CHAIN, 1e-3).fastest_motion
+    frequency = struck(CHAIN, 1e-3, 1e-5).fastest_motion
     damped = CHAIN.replace(damping={"viscoelastic": turn / frequency})
-    texts = said(lambda: struck(damped, 1e-3))
+    texts = said(lambda: struck(damped, 1e-3, 1e-5))
     rigid = f"A omega is {turn:.2g}, so that contacts act as rigid dashpots"
     assert sum(rigid in text for text in texts) == number

@@ -1,16 +1,16 @@
 """Scenes of users' LAMMPS runs: each scene moves like its dump."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input
+from helpers.independent_integrators import distance
+from helpers.own_inputs import COLUMN, INPUTS, LEVEL, TAPERED, run_input, silent_lammps
 
 from lmpchain import InputError, Scene, Trajectory, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines import Native
-from lmpchain.scene.lammps_column import RunOptions, Understood
+from lmpchain.scene.lammps_column import RunOptions
 from lmpchain.trajectory.lammps_dump import scene_of_run
 
 UNITS = {"cgs": "cgs", "dimer": "micro", "springs": "nano"}
@@ -26,18 +26,13 @@ def glass() -> RunOptions:
     return RunOptions(young=6.2e9, poisson=0.2, timestep=1e-7)
 
 
-def scene_of(understood: Understood) -> Scene:
-    return Scene(**understood.fields)
-
-
 def difference(dump: Path, scene: Scene, step: float, units: str | None = None) -> float:
     """Return the relative distance of a native run with the same steps from a dump."""
     there = Trajectory.from_dump(dump, scene, units=units)
     method = "lagged-verlet" if scene.chain.damped else "verlet"
     here = simulate(scene, Native(method, step=step))
     assert here.cost.steps == there.cost.steps
-    pairs = [(here.displacement, there.displacement), (here.velocity, there.velocity)]
-    return max(float(np.abs(a - b).max() / np.abs(a).max()) for a, b in pairs)
+    return distance(there, here)
 
 
 @pytest.mark.parametrize("name", INPUTS)
@@ -45,11 +40,11 @@ def test_a_scene_moves_as_the_input_and_its_dump(name: str, tmp_path: Path):
     """Native steps differ from LAMMPS steps by the rounding of its positions."""
     dump = run_input(tmp_path, INPUTS[name])
     step = STEPS.get(name, 1e-7)
-    both = scene_of(scene_of_run([dump, tmp_path / "in.own"]))
+    both = Scene(**scene_of_run([dump, tmp_path / "in.own"]).fields)
     assert difference(dump, both, step, UNITS.get(name)) < 2e-8
     if name in SETTLED:
         return
-    alone = scene_of(scene_of_run([tmp_path / "in.own"]))
+    alone = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     assert difference(dump, alone, step, UNITS.get(name)) < 2e-8
     assert (alone.samples, alone.chain.grains) == (both.samples, both.chain.grains)
 
@@ -96,7 +91,7 @@ CASES: dict[str, tuple[str, RunOptions, str | None]] = {
 def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
     text, options, units = CASES[name]
     dump = run_input(tmp_path, text)
-    scene = scene_of(scene_of_run([dump], options, units))
+    scene = Scene(**scene_of_run([dump], options, units).fields)
     assert difference(dump, scene, 1e-7, units) < 2e-8
     # The force at rest below the first grain, by hand.
     load = {"column": 0.0, "level": 5e8 * 1e-5**1.5, "tapered": 0.0, "cgs": 10.0}[name]
@@ -109,7 +104,7 @@ def test_a_dump_alone_gives_gravity_and_load(name: str, tmp_path: Path):
 def test_any_axis_and_either_direction(tmp_path: Path):
     """Axes are exchanged and reversed, but the scene is the same."""
     run_input(tmp_path, LEVEL)
-    first = scene_of(scene_of_run([tmp_path / "in.own"]))
+    first = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     turned = LEVEL
     for n in range(12):
         x = 0.00999 * n
@@ -117,7 +112,7 @@ def test_any_axis_and_either_direction(tmp_path: Path):
     turned = turned.replace("-0.01 0.2 -0.01 0.01 -0.01 0.01", "-0.01 0.01 -0.01 0.01 -0.2 0.01")
     turned = turned.replace("hit set 0.1 0 0", "hit set 0 0 -0.1")
     dump = run_input(tmp_path, turned)
-    second = scene_of(scene_of_run([tmp_path / "in.own"]))
+    second = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
     assert second.chain.grains == first.chain.grains
     assert second.excitation.initial(second.chain)[1] == pytest.approx(
         first.excitation.initial(first.chain)[1]
@@ -140,7 +135,7 @@ def test_a_dump_that_begins_during_a_wave(tmp_path: Path):
     dump = run_input(tmp_path, text)
     part = frames_from(dump, 6)
     understood = scene_of_run([part], options, units)
-    scene = scene_of(understood)
+    scene = Scene(**understood.fields)
     assert dict(understood.facts)["load"].startswith("10 N (from 6 overlaps")
     assert scene.chain.top_load == pytest.approx(10.0, rel=1e-7)
     # Grains count as at rest up to 1e-6 of the wave.
@@ -192,9 +187,9 @@ velocity all set 0 0 0
     options = RunOptions(young=6.2e9, poisson=0.2, timestep=1e-8)
     understood = scene_of_run([dump], options)
     assert dict(understood.facts)["bottom"].startswith("a wall of the grains' material is assumed")
-    assert scene_of(understood).chain.gravity == 9.81
+    assert Scene(**understood.fields).chain.gravity == 9.81
     # The position of the wall is not in the dump: grain N is assumed at rest on it.
-    assert difference(dump, scene_of(understood), 1e-8) < 2e-6
+    assert difference(dump, Scene(**understood.fields), 1e-8) < 2e-6
 
 
 def test_a_dump_with_few_digits_is_refused(tmp_path: Path):
@@ -237,16 +232,7 @@ def test_missing_information_is_requested(tmp_path: Path):
         with pytest.raises(InputError, match=f"{min(given)}: is in .*leave it out"):
             scene_of_run([tmp_path / "in.own"], RunOptions(**given))
     known = RunOptions(young=SOFT * 1e10, poisson=0.3, density=7800.0, diameter=1e-2, timestep=1e-7)
-    assert difference(dump, scene_of(scene_of_run([bare], known)), 1e-7) < 2e-8
-
-
-def instance(text: str) -> Any:
-    """Return a LAMMPS instance after these commands."""
-    from lammps import lammps
-
-    lmp = lammps(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
-    lmp.commands_string(text)
-    return lmp
+    assert difference(dump, Scene(**scene_of_run([bare], known).fields), 1e-7) < 2e-8
 
 
 def alike(one: Scene, other: Scene) -> bool:
@@ -270,9 +256,8 @@ def before_the_run(text: str) -> str:
 def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
     text = INPUTS[name]
     (tmp_path / "in.own").write_text(text, encoding="utf-8")
-    expected = scene_of(scene_of_run([tmp_path / "in.own"]))
-    lmp = instance(before_the_run(text))
-    try:
+    expected = Scene(**scene_of_run([tmp_path / "in.own"]).fields)
+    with silent_lammps(before_the_run(text)) as lmp:
         recording = {"duration": expected.duration, "samples": expected.samples}
         scene = Scene.from_lammps(lmp, input=tmp_path / "in.own", **recording)
         assert alike(scene, expected)
@@ -284,14 +269,11 @@ def test_an_instance_gives_the_scene_of_its_input(name: str, tmp_path: Path):
         assert alone.chain.contact_constants == pytest.approx(expected.chain.contact_constants)
         assert alone.chain.top_load == pytest.approx(expected.chain.top_load)
         assert alone.excitation == expected.excitation
-    finally:
-        lmp.close()
 
 
 def test_an_instance_without_a_load_fix_has_no_load():
     text = before_the_run(LEVEL).replace("id 1 12", "id 12")
-    lmp = instance(text)
-    try:
+    with silent_lammps(text) as lmp:
         scene = Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
         assert (scene.chain.top, scene.chain.top_load, scene.chain.gravity) == ("free", 0.0, 0.0)
         # The overlaps of 1e-5 m push the grains apart.
@@ -306,15 +288,14 @@ def test_an_instance_without_a_load_fix_has_no_load():
         lmp.command("pair_style gran/hooke 1e5 NULL 0 NULL 0 0")
         with pytest.raises(InputError, match="has pair_style gran/hooke, whose effect"):
             Scene.from_lammps(lmp, young=SOFT * 1e10, poisson=0.3, duration=1e-4)
-    finally:
-        lmp.close()
 
 
 def test_an_instance_without_grains_or_motion_is_refused():
     with pytest.raises(InputError, match=r"lmp: must be a lammps\.lammps object \(got 3\)"):
         Scene.from_lammps(3, duration=1e-4)
-    lmp = instance("units si\natom_style sphere\nregion b block 0 1 0 1 0 1\ncreate_box 1 b")
-    try:
+    with silent_lammps(
+        "units si\natom_style sphere\nregion b block 0 1 0 1 0 1\ncreate_box 1 b"
+    ) as lmp:
         with pytest.raises(InputError, match="has no grains"):
             Scene.from_lammps(lmp, duration=1e-4)
         lmp.commands_string("create_atoms 1 single .5 .5 .5\ncreate_atoms 1 single .5 .5 .6")
@@ -322,5 +303,3 @@ def test_an_instance_without_grains_or_motion_is_refused():
             Scene.from_lammps(lmp, duration=1e-4)
         with pytest.raises(InputError, match="matrial: is not an option"):
             Scene.from_lammps(lmp, duration=1e-4, matrial="steel")
-    finally:
-        lmp.close()

@@ -22,6 +22,10 @@ def uniform(grains: int = 400, **keys: object) -> Chain:
     return Chain(**SPRINGS | {"grains": grains} | keys)
 
 
+def packet_at(grain: int, omega: float, width: float, amplitude: float) -> Packet:
+    return Packet(frequency=omega / (2 * np.pi), width=width, grain=grain, amplitude=amplitude)
+
+
 def middle(t, part: slice = slice(None)) -> Array:
     """Return the mean position of the energy over time, in grains."""
     found = energy.shares(t)
@@ -36,9 +40,7 @@ def test_a_packet_travels_with_the_group_velocity(q: float, engine: str):
     chain = uniform()
     omega = 2 / chain.time_scale * np.sin(q / 2)
     width = 20.0
-    packet = Packet(
-        frequency=omega / (2 * np.pi), width=width, grain=140, amplitude=1e-6 * chain.length_scale
-    )
+    packet = packet_at(140, omega, width, 1e-6 * chain.length_scale)
     speed = np.cos(q / 2) / chain.time_scale
     scene = Scene(chain=chain, excitation=packet, duration=100 / speed, samples=11)
     place = middle(simulate(scene, engine, 1e-9))
@@ -58,7 +60,7 @@ def test_velocities_and_strains_are_samples_of_one_wave(q: float, width: float):
     chain = uniform(460)
     omega = 2 / chain.time_scale * np.sin(q / 2)
     amplitude = 1e-6 * chain.length_scale
-    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=230, amplitude=amplitude)
+    packet = packet_at(230, omega, width, amplitude)
     u, v = packet.initial(chain)
     x = np.arange(1, 461) - 230.0
     near = np.abs(x) < 8.9 * width
@@ -85,9 +87,7 @@ def test_the_upward_part_is_negligible(width: float, most: float):
     """The upward part is the tail of exp(-(q width)^2 / 2) beyond q = 1."""
     chain = uniform(500)
     omega = 2 / chain.time_scale * np.sin(0.5)
-    packet = Packet(
-        frequency=omega / (2 * np.pi), width=width, grain=200, amplitude=1e-6 * chain.length_scale
-    )
+    packet = packet_at(200, omega, width, 1e-6 * chain.length_scale)
     scene = Scene(chain=chain, excitation=packet, duration=150 * chain.time_scale, samples=2)
     found = energy.shares(simulate(scene, "modes"))
     up = found.part(1, 170)[-1] / found.part(1, 500)[-1]
@@ -102,9 +102,7 @@ def test_a_packet_under_gravity():
     """The upward part is small for local wave numbers, and the arrival follows the travel time."""
     chain = Chain(grains=900, diameter=1e-3, bottom="wall")
     omega = 0.8 * np.sqrt(chain.linear_stiffness[300] / chain.masses[0])
-    packet = Packet(
-        frequency=omega / (2 * np.pi), width=20.0, grain=300, amplitude=1e-7 * chain.length_scale
-    )
+    packet = packet_at(300, omega, 20.0, 1e-7 * chain.length_scale)
     local = np.sqrt(chain.linear_stiffness[299:] / chain.masses[0])
     group = local * np.sqrt(1 - (omega / (2 * local)) ** 2)
     late = np.cumsum(1 / group)
@@ -126,9 +124,7 @@ def test_reflection_and_transmission(engine: str):
     plain = uniform(600)
     chain = uniform(600, impurity=[{"grain": odd, "mass": 1.8 * plain.masses[0]}])
     omega = 2 / plain.time_scale * np.sin(q0 / 2)
-    packet = Packet(
-        frequency=omega / (2 * np.pi), width=width, grain=170, amplitude=1e-4 * plain.length_scale
-    )
+    packet = packet_at(170, omega, width, 1e-4 * plain.length_scale)
     scene = Scene(
         chain=chain, excitation=packet, duration=260 / np.cos(q0 / 2) * plain.time_scale, samples=2
     )
@@ -156,7 +152,7 @@ def test_energy_flows_evenly_through_an_uneven_chain():
     width = 20.0
     middle = 190
     amplitude = 1e-9
-    packet = Packet(frequency=omega / (2 * np.pi), width=width, grain=middle, amplitude=amplitude)
+    packet = packet_at(middle, omega, width, amplitude)
     u, v = packet.initial(chain)
     place = np.linspace(1, 400, 399 * 20 + 1)
     across = (place - 200.5) / 199.5

@@ -1,12 +1,13 @@
 """Messages about faulty scene files and tables, word for word, and the content of valid ones."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of, struck
+from helpers.faults import faults
 
-from lmpchain import GLASS, Chain, Impulse, Impurity, InputError, Material, Profile, Scene
+from lmpchain import GLASS, Chain, Impurity, Material, Profile, Scene
 
 CHAIN = {"grains": 3, "diameter": 1e-3}
 IMPULSE = {"kind": "impulse", "velocity": 1e-6}
@@ -14,39 +15,34 @@ RECORDING = {"duration": 1e-5, "samples": 3}
 GOOD = {"chain": CHAIN, "excitation": IMPULSE, "recording": RECORDING}
 
 
-def faults(tables: dict[str, Any], folder: Path | None = None) -> list[tuple[str, str]]:
-    with pytest.raises(InputError) as caught:
-        Scene.from_dict(tables, folder)
-    return caught.value.faults
-
-
 def test_missing_or_wrong_sections() -> None:
-    assert faults({}) == [
+    assert faults(Scene.from_dict, {}) == [
         (key, f"is missing; add a [{key}] table") for key in ("chain", "excitation", "recording")
     ]
-    assert faults(GOOD | {"recording": 3}) == [("recording", "must be a table, [recording]")]
-    ((key, text),) = faults(GOOD | {"chains": {}})
+    assert faults(Scene.from_dict, GOOD | {"recording": 3}) == [
+        ("recording", "must be a table, [recording]")
+    ]
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chains": {}})
     assert key == "chains"
     assert text.startswith("unknown section")
     assert "chain" in text.partition(";")[0]
     assert text.endswith("; the sections are chain, excitation, recording")
     kinds = "impulse | displacement | profile | packet | riemann | drive | force"
-    assert faults(GOOD | {"excitation": {"velocity": 1e-6}}) == [
+    assert faults(Scene.from_dict, GOOD | {"excitation": {"velocity": 1e-6}}) == [
         ("excitation.kind", f"is missing; {kinds}")
     ]
-    ((key, text),) = faults(GOOD | {"excitation": {"knid": "impulse", "velocity": 1e-6}})
+    ((key, text),) = faults(
+        Scene.from_dict, GOOD | {"excitation": {"knid": "impulse", "velocity": 1e-6}}
+    )
     assert (key, "is unknown" in text) == ("excitation.kind", True)
-    ((key, text),) = faults(GOOD | {"excitation": IMPULSE | {"kind": "implse"}})
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"excitation": IMPULSE | {"kind": "implse"}})
     assert (key, "impulse" in text) == ("excitation.kind", True)
 
 
 HEADER = "{path} must have a header with some of material, diameter, mass"
 TABLES = {
     "no such column": ("diametre\n1e-3\n", HEADER),
-    "a strange column": (
-        "diameter,colour\n1e-3,2\n",
-        HEADER,
-    ),
+    "a strange column": ("diameter,colour\n1e-3,2\n", HEADER),
     "a column twice": ("diameter,diameter\n1,2\n", HEADER),
     "grains alone": ("grain\n1\n", HEADER),
     "a short line": (
@@ -72,25 +68,29 @@ TABLES = {
 def test_a_faulty_table_is_named_with_its_line(table: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "grains.csv"
     path.write_text(table)
-    ((key, text),) = faults(GOOD | {"chain": {"file": "grains.csv"}}, tmp_path)
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": {"file": "grains.csv"}}, tmp_path)
     assert key == "chain.file"
     assert text.startswith(said.format(path=path))
 
 
 def test_missing_or_unnamed_tables(tmp_path: Path) -> None:
-    ((key, text),) = faults(GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
+    ((key, text),) = faults(Scene.from_dict, GOOD | {"chain": {"file": "none.csv"}}, tmp_path)
     assert (key, text) == (
         "chain.file",
         f"{tmp_path / 'none.csv'} cannot be read as CSV: No such file or directory",
     )
-    assert faults(GOOD | {"chain": {"file": 3}}, tmp_path) == [
+    assert faults(Scene.from_dict, GOOD | {"chain": {"file": 3}}, tmp_path) == [
         ("chain.file", "must be the name of a CSV file")
     ]
     without = "a scene without a folder cannot name a file: give the numbers themselves"
-    assert faults(GOOD | {"chain": {"file": "grains.csv"}}) == [("chain.file", without)]
+    assert faults(Scene.from_dict, GOOD | {"chain": {"file": "grains.csv"}}, None) == [
+        ("chain.file", without)
+    ]
     (tmp_path / "grains.csv").write_text("diameter,mass\n1e-3,1e-6\n2e-3,2e-6\n")
     for twice in ("diameter", "masses"):
-        found = faults(GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path)
+        found = faults(
+            Scene.from_dict, GOOD | {"chain": {"file": "grains.csv", twice: [1e-3, 1e-3]}}, tmp_path
+        )
         key = "mass" if twice == "masses" else twice
         assert found == [(f"chain.{key}", "is in the file already; remove it from one of them")]
 
@@ -132,9 +132,7 @@ def test_tables_fill_the_fields_of_their_columns(tmp_path: Path) -> None:
 def test_invalid_toml_is_named_by_its_path(text: bytes, said: str, tmp_path: Path) -> None:
     path = tmp_path / "scene.toml"
     path.write_bytes(text)
-    with pytest.raises(InputError) as caught:
-        Scene.from_toml(path)
-    ((key, message),) = caught.value.faults
+    ((key, message),) = faults(Scene.from_toml, path)
     assert key == str(path)
     assert said in message
 
@@ -144,9 +142,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
         (tmp_path / "none.toml", "there is no such file"),
         (tmp_path, "cannot be read: "),
     ):
-        with pytest.raises(InputError) as caught:
-            Scene.from_toml(path)
-        ((key, message),) = caught.value.faults
+        ((key, message),) = faults(Scene.from_toml, path)
         assert key == str(path)
         assert message.startswith(said)
 
@@ -161,9 +157,7 @@ def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None
         bottom="wall",
         impurity=[Impurity(grain=2, mass=1e-5)],
     )
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=np.float64(1e-6)), duration=1e-5, grains=[1, 3]
-    )
+    scene = struck(chain, np.float64(1e-6), 1e-5, grains=[1, 3])
     tables = scene.to_dict()
     plain = {"density": 1000.0, "youngs_modulus": 1e9, "poissons_ratio": 0.3}
     assert tables["chain"]["material"][:2] == ["glass", plain]
@@ -174,7 +168,7 @@ def test_tables_of_a_scene_contain_plain_values_and_names_of_materials() -> None
     assert tables["excitation"] == {"kind": "impulse", "velocity": 1e-6}
     assert tables["recording"] == {"duration": 1e-5, "grains": [1, 3]}
     start = Profile(velocity=[0.0, 1e-6, 0.0])
-    assert Scene(chain=chain, excitation=start, duration=1e-5).to_dict()["excitation"] == {
+    assert scene_of(chain, start, 1e-5).to_dict()["excitation"] == {
         "kind": "profile",
         "velocity": [0.0, 1e-6, 0.0],
     }

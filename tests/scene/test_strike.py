@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of
 
 from lmpchain import (
-    PTFE,
-    STEEL,
     Chain,
     Displacement,
     Drive,
@@ -107,7 +107,7 @@ def test_first_overlaps_agree_with_pairs_of_bodies(
 @pytest.mark.parametrize(("strike", "ends"), CASES)
 def test_facts_about_a_strike_agree_with_the_whole_chain(strike: Any, ends: dict[str, Any]) -> None:
     chain = chain_of(ends)
-    scene = Scene(chain=chain, excitation=strike, duration=1e-5)
+    scene = scene_of(chain, strike, 1e-5)
     energy = np.inf if strike.does_work else chain.excess_energy(*scene.initial())
     assert scene.energy == pytest.approx(energy, rel=1e-14)
     u, v = (np.abs(x[: chain.movable]) for x in strike.largest(chain))
@@ -134,7 +134,7 @@ def test_facts_about_a_strike_agree_with_the_whole_chain(strike: Any, ends: dict
 def test_too_hard_a_strike_names_the_contact_and_its_compression(grain: int) -> None:
     """The energy v^2 / 2 times the reduced mass gives (2/5) K depth^(5/2); grain 9 is fixed."""
     rubber = Material(density=1000, youngs_modulus=1e5, poissons_ratio=0.49)
-    chain = Chain(grains=9, material=rubber, diameter=1e-3, gravity=0.0)
+    chain = column(9, material=rubber, gravity=0.0)
     inertia = chain.masses[0] * (1 if grain == 8 else 0.5)
     depth = (1.25 * inertia * 3.0**2 / chain.contact_constants[0]) ** 0.4
     message = (
@@ -142,16 +142,16 @@ def test_too_hard_a_strike_names_the_contact_and_its_compression(grain: int) -> 
         "more gently"
     )
     with pytest.raises(InputError, match=re.escape(message)):
-        Scene(chain=chain, excitation=Impulse(velocity=3.0, grain=grain), duration=1e-5)
+        scene_of(chain, Impulse(velocity=3.0, grain=grain), 1e-5)
     least = 3.0 * (0.1 / (depth / 1e-3)) ** 1.25
-    Scene(chain=chain, excitation=Impulse(velocity=0.999 * least, grain=grain), duration=1e-5)
+    scene_of(chain, Impulse(velocity=0.999 * least, grain=grain), 1e-5)
     with pytest.raises(InputError, match=r"more than 0\.1"):
-        Scene(chain=chain, excitation=Impulse(velocity=1.001 * least, grain=grain), duration=1e-5)
+        scene_of(chain, Impulse(velocity=1.001 * least, grain=grain), 1e-5)
 
 
 def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
     """A picture of a long chain shows the moving grains and their neighbours."""
-    many = Chain(grains=20_000, diameter=1e-3, bottom="wall")
+    many = column(20_000, bottom="wall")
     wide = np.zeros(20_000)
     wide[[99, 101]] = 1e-4
     for strike, first, last in (
@@ -171,7 +171,7 @@ def test_surroundings_are_the_grains_that_move_and_their_neighbours() -> None:
         inside = overlaps[1:-1] if last < 20_000 else overlaps[1:]
         assert contact == first + int(np.argmax(inside))
         assert relative == pytest.approx(inside.max() / 1e-3, rel=1e-12)
-    few = scene.replace(chain=Chain(grains=10_000, diameter=1e-3), excitation=strike)
+    few = scene.replace(chain=column(10_000), excitation=strike)
     assert few._surroundings == (1, few)
 
 
@@ -185,7 +185,7 @@ def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
             )._remarks()
         )
 
-    chain = Chain(grains=9, diameter=1e-3, gravity=0.0)
+    chain = column(9, gravity=0.0)
     depth = (1.25 * chain.masses[0] / 2 * 1.0**2 / chain.contact_constants[0]) ** 0.4 / 1e-3
     limit = (0.01 / depth) ** 1.25
     assert not remarks(chain, Impulse(velocity=0.999 * limit, grain=4))
@@ -197,9 +197,7 @@ def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
     )
     (text,) = remarks(chain, Force(grain=4, amplitude=300.0, frequency=1.0))
     assert text.startswith("kind: a contact is compressed by ")
-    soft = Chain(
-        grains=9, diameter=1e-3, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 9
-    )
+    soft = column(9, gravity=0.0, exponent=1.0, top_load=1e-3, masses=[1e-20] * 9)
     sound = np.sqrt(62e9 / 2426)
     assert not remarks(soft, Impulse(velocity=0.999 * sound, grain=4))
     (text,) = remarks(soft, Profile(velocity=sound * np.array([0, 0, 1.001, 0, 1.2, 0, 0, 0, 0])))
@@ -208,31 +206,8 @@ def test_hits_beyond_hertz_and_faster_than_sound_cause_remarks() -> None:
         "m/s"
     )
     assert text == f"velocity: {fast}"
-    pressed = Chain(grains=9, diameter=1e-3, gravity=0.0, top_load=30.0)
+    pressed = column(9, gravity=0.0, top_load=30.0)
     assert pressed.contacts.overlap.max() > 1e-5
     assert not remarks(pressed, Impulse(velocity=1e-3))
-    steep = Chain(grains=9, diameter=1e-3, gravity=0.0, exponent=2.0)
+    steep = column(9, gravity=0.0, exponent=2.0)
     assert not remarks(steep, Impulse(velocity=20.0))
-
-
-def test_materials_differ_from_grain_to_grain() -> None:
-    """The sound speed of the moving grain is used, not the slowest one."""
-    chain = Chain(
-        grains=4,
-        material=[STEEL, PTFE, STEEL, STEEL],
-        diameter=1e-3,
-        gravity=0.0,
-        exponent=1.0,
-        top_load=1e-3,
-        masses=[1e-20] * 4,
-    )
-    between = 2 * PTFE.sound_speed
-    assert PTFE.sound_speed < between < STEEL.sound_speed
-    for grain, count in ((1, 0), (2, 1), (3, 0)):
-        scene = {
-            "chain": chain,
-            "excitation": Impulse(velocity=between, grain=grain),
-            "duration": 1e-5,
-            "samples": 3,
-        }
-        assert len(list(make_unchecked(Scene, **scene)._remarks())) == count

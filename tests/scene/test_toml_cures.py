@@ -23,7 +23,7 @@ samples = 11
 """
 
 
-def scene_of(folder: Path, text: str, mark: bytes = b"") -> Scene:
+def scene_in(folder: Path, text: str, mark: bytes = b"") -> Scene:
     """Return the scene of a file with this text, after some bytes."""
     file = folder / "scene.toml"
     file.write_bytes(mark + text.encode())
@@ -31,10 +31,10 @@ def scene_of(folder: Path, text: str, mark: bytes = b"") -> Scene:
 
 
 def test_a_byte_order_mark_is_allowed(tmp_path: Path):
-    scene = scene_of(tmp_path, TEXT)
-    assert scene_of(tmp_path, TEXT, b"\xef\xbb\xbf") == scene
+    scene = scene_in(tmp_path, TEXT)
+    assert scene_in(tmp_path, TEXT, b"\xef\xbb\xbf") == scene
     windows = TEXT.replace("\n", "\r\n")
-    assert scene_of(tmp_path, windows, b"\xef\xbb\xbf") == scene
+    assert scene_in(tmp_path, windows, b"\xef\xbb\xbf") == scene
 
 
 SLIPS = [
@@ -79,13 +79,13 @@ SLIPS = [
 @pytest.mark.parametrize(("before", "after", "message"), SLIPS)
 def test_a_slip_is_rejected_with_its_remedy(tmp_path: Path, before: str, after: str, message: str):
     with pytest.raises(InputError) as refusal:
-        scene_of(tmp_path, TEXT.replace(before, after, 1))
+        scene_in(tmp_path, TEXT.replace(before, after, 1))
     assert refusal.match(message.removeprefix("^") if "line" in message else message)
     assert "digit" not in str(refusal.value) or "digit" in message
 
 
 def test_options_that_an_engine_does_not_have(tmp_path: Path):
-    scene = scene_of(tmp_path, TEXT)
+    scene = scene_in(tmp_path, TEXT)
     with pytest.raises(InputError, match=r"^step: the engine modes has no such option; it has no"):
         simulate(scene, "modes", step=1e-8)
     with pytest.raises(InputError, match=r"^engin: .* \(did you mean 'engine'\?\)"):

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 from data.make_traces import EXAMPLE, hammer, vibrometer
-from helpers.instrument_files import push
+from helpers.faults import faults
+from helpers.instrument_files import TIME, push, rows
 from scipy.interpolate import PchipInterpolator
 
 from lmpchain import Chain, Drive, Force, InputError, Profile, Scene, simulate
@@ -19,14 +20,6 @@ from lmpchain.cli import main
 from lmpchain.design import Traces
 
 DATA = Path(__file__).parents[1] / "data"
-# A smooth push that begins before t = 0, for tests of a trigger.
-TIME = np.arange(-20, 61) * 1e-6
-
-
-def rows(*columns: np.ndarray, form: str = "{:.9e}", between: str = ",") -> str:
-    """Return columns as lines of text."""
-    lines = (between.join(form.format(x) for x in row) for row in zip(*columns, strict=True))
-    return "\n".join(lines) + "\n"
 
 
 def lvm(column: bool) -> str:
@@ -118,10 +111,7 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         "Vertical Scale,CH1:0.5\nModel Number,SDS1202\nSource,CH1\nSecond,Volt\n" + POINTS,
         {"scale": 1.0},
     ),
-    "Rigol, with times": (
-        "Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS,
-        {"scale": 1.0},
-    ),
+    "Rigol, with times": ("Time(s),CH1(V),t0 =-6.0e-05, tInc = 2e-08,\n" + POINTS, {"scale": 1.0}),
     "Rohde and Schwarz": ("in s,CH1 in V\n" + POINTS, {"scale": 1.0}),
     "Tektronix, names": (
         "Model,MSO4034\nFirmware Version,2.48\n\nPoint Format,Y,\nHorizontal Units,S,\n"
@@ -139,10 +129,7 @@ LAYOUTS: dict[str, tuple[str, dict[str, Any]]] = {  # Each layout contains the s
         "-1\t0.5e-3\n0\t0.25e-3\n1\t0.75e-3\n2\t1e-3\n",
         {},
     ),
-    "Hantek, counted": (
-        "nr,time,ch1\n0,-1e-06,0.5\n1,0,0.25\n2,1e-06,0.75\n3,2e-06,1\n",
-        {},
-    ),
+    "Hantek, counted": ("nr,time,ch1\n0,-1e-06,0.5\n1,0,0.25\n2,1e-06,0.75\n3,2e-06,1\n", {}),
     "Excel": ("sep=;\nt / us;F_mN\n-1,0;500\n0,0;250\n1,0;750,0\n2,0;1000\n", {}),
     "values alone": ("0.5\n0.25\n0.75\n1\n", {"columns": 1, "time_scale": 1e-6, "trigger": 1e-6}),
 }
@@ -241,12 +228,7 @@ REFUSED = {  # Content of the file, options, key, and a part of the message.
     "too many columns": ("t,A\n0,1\n1,2\n", {"columns": [1, 2, 3]}, "columns", "must name 2"),
     "volts": ("t,A (V)\n0,1\n1,2\n", {}, "scale", "give it in N for each V"),
     "counts": ("t,A [counts]\n0,1\n1,2\n", {}, "scale", "for each counts"),
-    "times in volts": (
-        "time (V),force\n0,1\n1,2\n",
-        {},
-        "time_scale",
-        "not a unit of time",
-    ),
+    "times in volts": ("time (V),force\n0,1\n1,2\n", {}, "time_scale", "not a unit of time"),
     "another time unit": (
         "t (ms),F\n0,1\n1,2\n",
         {"time_scale": 1e-6},
@@ -286,9 +268,7 @@ def test_files_without_required_information_are_rejected(
 ):
     path = tmp_path / "scope.csv"
     path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        Force(grain=1, file=path, **options)
-    ((fault, message),) = caught.value.faults
+    ((fault, message),) = faults(Force, grain=1, file=path, **options)
     assert fault == key
     assert said in message
 

@@ -154,13 +154,13 @@ def test_no_integral_exceeds_the_largest(cycles: float | None) -> None:
 @pytest.mark.parametrize("rate", [1e6, 5e6, 25e6])
 @pytest.mark.parametrize(("holds", "noise"), [(False, 0.0), (False, 1e-3), (True, 0.0)])
 def test_points_denser_than_the_motion_are_bounded_by_their_spectrum(
-    rate: float, holds: bool, noise: float
+    rng: np.random.Generator, rate: float, holds: bool, noise: float
 ) -> None:
     """A Hann burst of n cycles has the frequencies f - f/n, f and f + f/n, and side lobes."""
     frequency, cycles = 2e4, 5
     times = np.arange(int(1e-3 * rate)) / rate
     values = Waveform.sine(2.0, frequency, cycles).at(times)
-    values = values + noise * np.random.default_rng(3).normal(size=times.size)
+    values = values + noise * rng.normal(size=times.size)
     # The slopes of a monotone curve oscillate from point to point.
     wave = Waveform.through(times, values, "spline" if holds else "pchip", holds)
     highest = 2 * np.pi * frequency * (1 + 1 / cycles)

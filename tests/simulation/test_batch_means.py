@@ -52,9 +52,8 @@ def test_intervals_of_long_correlations_are_not_too_narrow(memory: float):
 
 
 @pytest.mark.slow
-def test_intervals_of_correlations_over_two_stretches_cover():
+def test_intervals_of_correlations_over_two_stretches_cover(rng):
     """Correlations that are small by chance must not make intervals too narrow."""
-    rng = np.random.default_rng(7)
     averages = [estimate(sequences(np.exp(-1 / 16), 1, 8, rng).mean(-1)) for _ in range(8000)]
     known = [average for average in averages if average.batches]
     assert len(known) / len(averages) > 0.9
@@ -62,9 +61,8 @@ def test_intervals_of_correlations_over_two_stretches_cover():
 
 
 @pytest.mark.slow
-def test_intervals_of_oscillations_cover():
+def test_intervals_of_oscillations_cover(rng):
     """Successive batches of a damped oscillation have opposite signs."""
-    rng = np.random.default_rng(8)
     size = 2000, BATCHING.stretches * 8
     radius, angle = 0.98, 0.5
     swings = lfilter([1.0], [1.0, -2 * radius * np.cos(angle), radius**2], rng.normal(size=size))
@@ -81,9 +79,8 @@ def test_a_random_walk_has_no_interval():
     assert average.half_width == np.inf
 
 
-def test_the_standard_error_agrees_with_the_sequence():
+def test_the_standard_error_agrees_with_the_sequence(rng):
     """The variance of the mean of n values of AR(1) is (1 + a) / (1 - a) / n."""
-    rng = np.random.default_rng(5)
     memory, per_stretch = 0.9, 64
     errors = [estimate(sequences(memory, 1, per_stretch, rng).mean(-1)).error for _ in range(400)]
     exact = (1 + memory) / (1 - memory) / (BATCHING.stretches * per_stretch)
@@ -96,8 +93,7 @@ def test_a_constant_has_no_error():
     assert average[:4] == (3.0, 0.0, 0.0, 32)
 
 
-def test_correlation_of_neighbours_is_unbiased():
-    rng = np.random.default_rng(6)
+def test_correlation_of_neighbours_is_unbiased(rng):
     rows = [correlation_of_neighbours(rng.normal(size=(1, 64))) for _ in range(2000)]
     assert abs(np.mean(rows)) < 4 / np.sqrt(64 * 2000)
 
@@ -116,9 +112,10 @@ def test_a_correlation_with_a_known_walk_is_removed():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("stretches", "share"), [(3, 0.9), (5, 0.7)])
-def test_few_cosines_cover_correlations_over_several_stretches(stretches: int, share: float):
+def test_few_cosines_cover_correlations_over_several_stretches(
+    rng: np.random.Generator, stretches: int, share: float
+):
     """Intervals that exist because correlations are small by chance cover slightly less."""
-    rng = np.random.default_rng(9)
     memory = np.exp(-1 / (8 * stretches))
     averages = [estimate(sequences(memory, 1, 8, rng).mean(-1)) for _ in range(4000)]
     known = [average for average in averages if average.batches]

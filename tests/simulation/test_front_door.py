@@ -271,7 +271,7 @@ def test_a_folder_used_by_another_process_is_left_unchanged(tmp_path, small_bloc
     stopped(folder)
     monkeypatch.setattr(run_folder, "INTERVALS", run_folder.INTERVALS._replace(lock_s=0.0))
     with FileLock(folder / ".lock"):
-        with pytest.raises(InputError, match="another process is running here"):
+        with pytest.raises(InputError, match=r"running here; wait for it, or stop it$"):
             resume(folder)
         with pytest.raises(InputError, match="another process is running here"):
             remove(folder)

@@ -4,11 +4,12 @@ from itertools import product
 
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of, stirred
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of, stirred
 from helpers.thinned import thinned
 from scipy.optimize import minimize_scalar
 
-from lmpchain import Chain, Displacement, Impulse, Scene, engines, simulate
+from lmpchain import Displacement, Impulse, Scene, engines, simulate
 from lmpchain.engines import Native
 from lmpchain.simulation.accumulation import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
@@ -28,12 +29,17 @@ pytestmark = pytest.mark.filterwarnings("ignore:Eq. ")
 def springs(seed: int, samples: int = 3) -> Scene:
     """Return three unequal grains on closed springs between walls, moved in any way."""
     rng = np.random.default_rng(seed)
-    chain = Chain(
-        grains=3, diameter=1e-3, gravity=0.0, top_load=10.0, exponent=1.0, top="wall",
+    chain = column(
+        3,
+        gravity=0.0,
+        top_load=10.0,
+        exponent=1.0,
+        top="wall",
         bottom="wall",
-        masses=rng.uniform(1, 3, 3) * 1e-6, contact_constants=rng.uniform(1, 3, 2) * 1e7,
+        masses=rng.uniform(1, 3, 3) * 1e-6,
+        contact_constants=rng.uniform(1, 3, 2) * 1e7,
         wall_constants=rng.uniform(1, 3, 2) * 1e7,
-    )  # fmt: skip
+    )
     start = stirred(chain, 1e-3, 1e-3 / chain.band_edge, seed)
     duration = rng.uniform(20, 40) / chain.band_edge
     return scene_of(chain, start, duration, samples, quantities=ASKED)
@@ -164,11 +170,10 @@ def test_errors_of_accumulated_quantities_include_that_of_the_run(steps):
 
 
 def test_grains_that_start_fastest_or_never_move_have_no_arrival():
-    chain = Chain(grains=30, diameter=1e-3)
-    scene = scene_of(
-        chain, Impulse(velocity=1e-4), 3e-5, 2, quantities=["arrival_time", "peak_velocity"]
-    )
-    gathered = simulate(scene, "native", 1e-8).gathered
+    chain = column(30)
+    gathered = run(
+        chain, Impulse(velocity=1e-4), 3e-5, 2, 1e-8, quantities=["arrival_time", "peak_velocity"]
+    ).gathered
     assert np.isnan(gathered["arrival_time"][0])  # This grain is struck.
     assert np.isnan(gathered["arrival_time"][-1])
     assert gathered["arrival_time"][1] > 0
@@ -190,7 +195,7 @@ def test_a_hertzian_contact_of_a_weak_wave_has_the_force_of_its_law():
 
     They agree where the wave is weak.
     """
-    chain = Chain(grains=20, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    chain = column(20, gravity=0.0, top_load=1e-2)
     strike = Impulse(velocity=1e-5 * chain.length_scale / chain.time_scale)
     scene = scene_of(chain, strike, 8 * chain.time_scale, 2, quantities=["force:2"])
     native, modes = (
@@ -245,14 +250,14 @@ def test_a_released_grain_is_nearest_at_the_start():
 
     Of a grain that is pushed into its contact and let go.
     """
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, top_load=10.0)
-    scene = scene_of(
+    chain = column(2, gravity=0.0, top_load=10.0)
+    gathered = run(
         chain,
         Displacement(displacement=1e-2 * chain.length_scale),
         1 / chain.band_edge,
         2,
+        1e-9,
         quantities=["peak_force:1", "peak_displacement"],
-    )
-    gathered = simulate(scene, "native", 1e-9).gathered
+    ).gathered
     assert gathered["peak_force:1"] == pytest.approx(10.0 * 1.01**1.5, rel=1e-9)
     assert gathered["peak_displacement"][0] == pytest.approx(1e-2 * chain.length_scale, rel=1e-9)

@@ -27,14 +27,13 @@ from helpers.child_processes import (
     until,
     write,
 )
+from helpers.example_chains import column
 from helpers.example_scenes import paper, scene_of
 from helpers.kill_moments import kill_moments
 
 from lmpchain import (
-    Chain,
     EngineUnavailable,
     Impulse,
-    Scene,
     Trajectory,
     engines,
     laws,
@@ -52,10 +51,10 @@ from lmpchain.simulation.folder_files import is_run
 from lmpchain.simulation.run_folder import status
 from lmpchain.util import files, mpi
 
-CHAIN = Chain(grains=200, diameter=1e-3)
+CHAIN = column(200)
 STRIKE = Impulse(velocity=8.57e-3)
-SHORT = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-4, samples=13)
-SMALL = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.05), 2e-5, 9)
+SHORT = scene_of(CHAIN, STRIKE, 1e-4, 13)
+SMALL = scene_of(column(12), Impulse(velocity=0.05), 2e-5, 9)
 
 # --- kills at every change of the disk
 
@@ -82,7 +81,7 @@ def breakdown(monkeypatch: pytest.MonkeyPatch):
         return candidate.with_steps(Steps(1, 1, longer))
 
     monkeypatch.setattr(time_stepping.TimeSteppingEngine, "propose", choose)
-    scene = Scene(chain=SMALL.chain, excitation=SMALL.excitation, duration=1.5e-4, samples=13)
+    scene = scene_of(SMALL.chain, SMALL.excitation, 1.5e-4, 13)
     return scene, engines.Native("verlet"), 1e-3
 
 
@@ -97,10 +96,10 @@ def fallback(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(linear, "expected_error", lambda _: 0.0)
     monkeypatch.setattr(time_stepping, "seconds", lambda *_: 1.0)
     monkeypatch.setattr(linear, "seconds", lambda *_: 1e-6)
-    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-3)
+    chain = column(6, gravity=0.0, top_load=1e-3)
     strike = Impulse(velocity=0.1 * chain.length_scale / chain.time_scale)
     return (
-        Scene(chain=chain, excitation=strike, duration=30.0 * chain.time_scale, samples=11),
+        scene_of(chain, strike, 30.0 * chain.time_scale, 11),
         "auto",
         1e-6,
     )
@@ -213,7 +212,7 @@ def test_ranks_name_no_shared_memory_and_end_with_their_launcher(tmp_path: Path)
 
     A name in /dev/shm, or a rank whose launcher was killed with all that watches it.
     """
-    scene = Scene(chain=CHAIN, excitation=STRIKE, duration=1.0, samples=20001)
+    scene = scene_of(CHAIN, STRIKE, 1.0, 20001)
     mark = {"MARK": str(tmp_path), "TMPDIR": str(tmp_path / "scratch")}
     (tmp_path / "scratch").mkdir()
     words = ["run", write(scene, tmp_path), "-o", f"{tmp_path}/run/", *FIXED, *TWO]
@@ -273,9 +272,9 @@ def test_files_of_killed_runs_are_removed(tmp_path: Path, monkeypatch: pytest.Mo
 
 # --- kills at random moments
 
-LONGER = Scene(chain=CHAIN, excitation=STRIKE, duration=1e-3, samples=1001)
+LONGER = scene_of(CHAIN, STRIKE, 1e-3, 1001)
 # The middle grain moves up, across the border between two ranks.
-FEW = scene_of(Chain(grains=31, diameter=1e-3), Impulse(velocity=-0.05, grain=16), 5e-5, 61)
+FEW = scene_of(column(31), Impulse(velocity=-0.05, grain=16), 5e-5, 61)
 VERLET = ["--engine", "lammps", "--integrator", "verlet"]
 FIXED = [*VERLET, "--step", "1e-7", "--diameter", "physical"]
 FREE = [*VERLET, "--tolerance", "3e-3"]

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
-    Chain,
     Damping,
-    Impulse,
     Law,
     Scene,
     Stopped,
@@ -31,11 +31,9 @@ HARDER = Law("k*max(o, 0)**1.5*(1 + c*o)", k=1e9, c=1e5)
 KINKED = Law("k*(max(o, 0) + r*min(o, 0))", k=1e5, r=0.3)
 
 
-def scene_of(law: Law, **options: Any) -> Scene:
-    fields = {"grains": N, "diameter": 1e-3, "top_load": 0.01, "law": law}
-    excitation = Impulse(velocity=0.2)
-    chain = Chain(**fields | options)
-    return Scene(chain=chain, excitation=excitation, duration=2e-4, samples=41)
+def hit(law: Law, **options: Any) -> Scene:
+    chain = column(**{"grains": N, "top_load": 0.01, "law": law} | options)
+    return struck(chain, 0.2, 2e-4, 41)
 
 
 def same(one: lmpchain.Trajectory, two: lmpchain.Trajectory) -> bool:
@@ -49,7 +47,7 @@ def test_a_stopped_run_ends_with_the_same_bits(
     law: Law, damped: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = {"damping": Damping(viscoelastic=1e-7, drag=100.0)} if damped else {}
-    scene = scene_of(law, **options)
+    scene = hit(law, **options)
     whole = simulate(scene, "native", 1e-8)
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)
     stops = 0
@@ -70,7 +68,7 @@ def test_a_stopped_run_ends_with_the_same_bits(
 
 def test_a_saved_run_and_its_scene_are_read(tmp_path: Path) -> None:
     parameters = np.linspace(1e4, 1e5, N - 1).tolist()
-    scene = scene_of(HARDER.replace(c=parameters))
+    scene = hit(HARDER.replace(c=parameters))
     run = simulate(scene, "native", 1e-6)
     run.save(tmp_path / "run.nc")
     again = lmpchain.Trajectory.load(tmp_path / "run.nc")
@@ -82,20 +80,18 @@ def test_a_saved_run_and_its_scene_are_read(tmp_path: Path) -> None:
 
 
 BATCHES = {
-    "parameters": [scene_of(HARDER.replace(c=c)) for c in (0.0, 1e5, 1e6)],
-    "constants": [scene_of(HARDER.replace(k=k)) for k in (1e9, 2e9)],
+    "parameters": [hit(HARDER.replace(c=c)) for c in (0.0, 1e5, 1e6)],
+    "constants": [hit(HARDER.replace(k=k)) for k in (1e9, 2e9)],
     "one for each contact": [
-        scene_of(HARDER.replace(c=c)) for c in (1e5, np.linspace(1e4, 1e6, N - 1).tolist())
+        hit(HARDER.replace(c=c)) for c in (1e5, np.linspace(1e4, 1e6, N - 1).tolist())
     ],
     "pulls": [
-        scene_of(laws.toda(b=b, k=1e5), gravity=0.0, top_load=0.0, top="wall", bottom="wall")
+        hit(laws.toda(b=b, k=1e5), gravity=0.0, top_load=0.0, top="wall", bottom="wall")
         for b in (1e5, 2e5, 4e5)
     ],
-    "kinks of their own": [scene_of(KINKED.replace(r=r)) for r in (0.3, 0.6)]
-    + [scene_of(Law("k*(o + max(o - e, 0))", k=1e5, e=e)) for e in (1e-7, 6e-7)],
-    "damped": [
-        scene_of(KINKED.replace(r=r), damping=Damping(viscoelastic=1e-7)) for r in (0.3, 0.6)
-    ],
+    "kinks of their own": [hit(KINKED.replace(r=r)) for r in (0.3, 0.6)]
+    + [hit(Law("k*(o + max(o - e, 0))", k=1e5, e=e)) for e in (1e-7, 6e-7)],
+    "damped": [hit(KINKED.replace(r=r), damping=Damping(viscoelastic=1e-7)) for r in (0.3, 0.6)],
 }
 
 
@@ -123,13 +119,13 @@ def test_scenes_with_other_parameters_form_one_batch() -> None:
 
 @pytest.mark.parametrize("law", [HARDER, KINKED], ids=["harder", "kinked"])
 def test_threads_do_not_change_the_bits(law: Law) -> None:
-    scene = scene_of(law, grains=600)
+    scene = hit(law, grains=600)
     one, two = (simulate(scene, Native(threads=threads), tolerance=1e-6) for threads in (1, 2))
     assert same(one, two)
 
 
 def test_a_sweep_varies_a_parameter(tmp_path: Path) -> None:
-    scene = scene_of(HARDER)
+    scene = hit(HARDER)
     values = [1e4, 1e5, 1e6]
     table = lmpchain.sweep(
         {"scene": scene.to_dict(), "grid": {"chain.law.c": values}, "keep": ["peak_velocity"]},

@@ -1,14 +1,14 @@
 """A list of scenes in one call: results, order, errors and refusals."""
 
-from functools import partial
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import smooth, struck
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, smooth, struck
+from helpers.independent_integrators import distance, extended_reference
 
 from lmpchain import (
-    Chain,
     Drive,
     Impulse,
     InputError,
@@ -19,7 +19,9 @@ from lmpchain import (
 )
 from lmpchain.engines import Native
 
-short = partial(struck, grains=12, duration=2e-5)
+
+def short(velocity: float, **chain: Any) -> Scene:
+    return struck(column(**{"grains": 12} | chain), velocity, 2e-5, 11)
 
 
 def test_results_are_in_order_with_the_bits_of_single_runs():
@@ -48,15 +50,13 @@ def test_a_sine_beside_sampled_drives_is_computed_as_alone():
 
     Those of a scene, not those of another in its batch.
     """
-    chain = Chain(grains=6, diameter=1e-3, top_load=0.1)
+    chain = column(6, top_load=0.1)
     duration = 30 / chain.band_edge
     height = 0.1 * chain.length_scale
     times = np.linspace(0, 1.01 * duration, 5)
     points = Drive(times=times, displacement=height * np.sin(times * chain.band_edge / 5))
     drives = points, Drive(amplitude=height, frequency=points.fastest / (20 * np.pi))
-    scenes = [
-        Scene(chain=chain, excitation=drive, duration=duration, samples=3) for drive in drives
-    ]
+    scenes = [scene_of(chain, drive, duration, 3) for drive in drives]
     engine = Native("dop853")
     candidates = [engine.propose(scene, 1e-6).steps for scene in scenes]
     assert candidates[0] == candidates[1]
@@ -75,7 +75,7 @@ def test_the_estimate_covers_the_error():
     ]
     for t in simulate_many(scenes, 1e-7):
         u, v, _ = extended_reference(t.scene)
-        error = relative_error(np.asarray(t.displacement), np.asarray(t.velocity), u, v)
+        error = distance((np.asarray(t.displacement), np.asarray(t.velocity)), (u, v))
         assert error <= t.error_estimate.total + 1e-10
         assert t.error_estimate.total <= 1e-7
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.example_scenes import paper, scene_of
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.independent_integrators import distance, extended_reference
 from helpers.thinned import thinned
 from helpers.trial_scenes import trial_scene
 
@@ -91,7 +91,7 @@ def over_the_cheapest(scene: Scene, tolerance: float, truth: Reference) -> float
     for proposal in plan.candidates:
         if proposal.cost_s < max(0.05, 20 * plan.expected_cost_s):
             seconds, t = cpu_time(scene, proposal.engine, tolerance)
-            true = relative_error(t.displacement, t.velocity, truth.displacement, truth.velocity)
+            true = distance(t, truth)
             if true <= tolerance or proposal.engine == plan.engine:
                 took[proposal.engine] = seconds
     chosen = took[plan.engine]
@@ -131,9 +131,8 @@ def test_the_cost_of_a_driven_chain_does_not_depend_on_distant_grains():
 def test_a_weak_strike_is_solved_by_linear_theory_within_its_error():
     """At 1 um/s the model error is 1.36e-3; long runs use linear theory if this is enough."""
     weak = Scene.from_toml(SCENES / "weak.toml")
-    u, v, _ = extended_reference(weak)
     t = simulate(weak, "chebyshev", 0.5)
-    off = relative_error(t.displacement, t.velocity, u, v)
+    off = distance(t, extended_reference(weak))
     assert off == pytest.approx(1.36e-3, rel=0.01, abs=0)
     # For such a short run the native engine is cheapest.
     assert lmpchain.plan(weak, 1e-2).engine == "native"
@@ -177,8 +176,7 @@ def test_a_plan_with_a_wrong_expectation_is_repeated(
     assert len(told) == 1
     assert (t.engine, t.equation) == ("native", 1)
     assert t.provenance["redone"] == str(told[0].message)
-    u, v, _ = extended_reference(scene)
-    assert relative_error(t.displacement, t.velocity, u, v) < 1e-6
+    assert distance(t, extended_reference(scene)) < 1e-6
     with pytest.warns(UserWarning, match="run again"):
         kept = simulate(scene, folder=tmp_path / "run")
     assert (kept.engine, kept.equation) == ("native", 1)
@@ -235,9 +233,7 @@ def test_linear_engines_omit_grains_outside_the_light_cone():
     part = simulate(scene, "chebyshev", 0.1)
     whole = simulate(some, "native", 1e-9)
     assert part.displacement.shape == whole.displacement.shape
-    assert (
-        relative_error(part.displacement, part.velocity, whole.displacement, whole.velocity) < 1e-5
-    )
+    assert distance(part, whole) < 1e-5
 
 
 def test_table_and_json(tmp_path: Path, capsys):
@@ -280,10 +276,10 @@ def test_the_expected_cost_in_lammps(capsys: pytest.CaptureFixture[str]):
     assert plan.engine == "lammps"
     assert plan.expected_cost_s == min(each.cost_s for each in plan.candidates)
     assert (plan.step, plan.integrator) == (kinds["rkn6"].step, "rkn6")
-    u, v, _ = extended_reference(plan_scene())
+    truth = extended_reference(plan_scene())
     for kind, each in kinds.items():
         t = simulate(plan_scene(), lmpchain.engines.Native(kind, each.step))
-        assert relative_error(t.displacement, t.velocity, u, v) <= each.solver_error <= 1e-4
+        assert distance(t, truth) <= each.solver_error <= 1e-4
     words = ["plan", str(SCENES / "fig5_1g.toml"), "--engine", "lammps"]
     assert main([*words, "--tolerance", "1e-4"]) == 0
     said = capsys.readouterr().out

@@ -13,14 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray
-from filelock import FileLock
 from helpers.child_processes import COMMAND, at_work, finish, same, start, write
-from helpers.example_scenes import paper, scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
+from helpers.faults import fault_keys
+from helpers.independent_integrators import distance
 from helpers.thinned import thinned
 
 import lmpchain
 from lmpchain import (
-    Chain,
     Impulse,
     InputError,
     Profile,
@@ -36,10 +37,8 @@ from lmpchain.cli.command_line import main
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.simulation.run_folder import status
 
-SCENE = scene_of(
-    Chain(grains=30, diameter=1e-3), Impulse(velocity=1e-4), 2e-4, 301, grains=[1, 30, 7]
-)
-LONG = scene_of(Chain(grains=2000, diameter=1e-3), Impulse(velocity=8.57e-3), 1.0, 10001)
+SCENE = scene_of(column(30), Impulse(velocity=1e-4), 2e-4, 301, grains=[1, 30, 7])
+LONG = scene_of(column(2000), Impulse(velocity=8.57e-3), 1.0, 10001)
 
 
 @pytest.fixture(scope="module")
@@ -152,8 +151,8 @@ def test_the_log_of_lammps(integrator: str, tmp_path: Path):
 def test_a_missed_tolerance_is_stored_and_repeated(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ):
-    chain = Chain(grains=12, diameter=1e-3)
-    strong = Scene(chain=chain, excitation=Impulse(velocity=0.05), duration=3e-3, samples=51)
+    chain = column(12)
+    strong = struck(chain, 0.05, 3e-3, 51)
     arguments = [
         "run",
         str(write(strong, tmp_path)),
@@ -328,9 +327,7 @@ def test_invalid_folders_are_rejected(
     ],
 )
 def test_wrong_input_leaves_no_folder(options: dict, key: str, tmp_path: Path):
-    with pytest.raises(InputError) as caught:
-        simulate(SCENE, folder=tmp_path / "run", **options)
-    assert [fault for fault, _ in caught.value.faults] == [key]
+    assert fault_keys(simulate, SCENE, folder=tmp_path / "run", **options) == [key]
     assert os.listdir(tmp_path) == []
 
 
@@ -341,20 +338,6 @@ def test_an_empty_folder_can_be_used(tmp_path: Path):
         == 0
     )
     assert status(tmp_path / "run")["state"] == "finished"
-
-
-@pytest.mark.slow
-def test_one_process_at_a_time(tmp_path: Path):
-    folder = tmp_path / "run"
-    with pytest.raises(Stopped):
-        simulate(SCENE, "native", folder=folder, max_wall=1e-9)
-    with FileLock(folder / ".lock"):
-        before = contents(folder)
-        code, said = finish("resume", folder)
-        assert contents(folder) == before
-    assert code == 2
-    assert said == f"error: {folder}: another process is running here; wait for it, or stop it\n"
-    assert resume(folder).velocity.shape == (301, 3)
 
 
 @pytest.mark.parametrize("said", ["Infinity", "NaN", "-1e999"])
@@ -390,8 +373,8 @@ def test_a_full_disk(limit: int, tmp_path: Path):
 
     One line, what is done is kept, and it goes on where there is room.
     """
-    chain = Chain(grains=100, diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=8.57e-3), duration=2e-3, samples=2001)
+    chain = column(100)
+    scene = struck(chain, 8.57e-3, 2e-3, 2001)
     words = [
         "run",
         str(write(scene, tmp_path)),
@@ -462,7 +445,7 @@ def test_a_stopped_run_loads_with_its_current_estimate(
     Later samples make it unknown.
     """
     monkeypatch.setattr(stepping_run, "BLOCK_S", 1e-9)  # Four samples per block.
-    scene = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=1e-4), 6e-5, 61)
+    scene = scene_of(column(12), Impulse(velocity=1e-4), 6e-5, 61)
     truth = simulate(scene, "native", 1e-12)
     with pytest.raises(Stopped):
         simulate(scene, engines.Native(step=1e-6), folder=tmp_path / "run", max_wall=1e-9)
@@ -472,11 +455,7 @@ def test_a_stopped_run_loads_with_its_current_estimate(
         part = Trajectory.load(tmp_path / "run")
         done = part.time.size
         assert 1 < done < 61
-        off = max(
-            np.abs(getattr(part, name)[:] - getattr(truth, name)[:done]).max()
-            / np.abs(getattr(truth, name)[:done]).max()
-            for name in ("displacement", "velocity")
-        )
+        off = distance(part, (truth.displacement[:done], truth.velocity[:done]))
         assert off <= part.error_estimate.total < 100 * off
     about = json.loads((tmp_path / "run" / "trajectory.zarr" / "zarr.json").read_text())
     about["attributes"]["error_so_far"]["samples"] -= 1  # As if samples had been added since.

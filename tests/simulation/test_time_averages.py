@@ -19,7 +19,7 @@ def vacuum(grains: int, exponent: float = 1.5, **others) -> Chain:
     return Chain(**size, gravity=0, exponent=exponent, **ends, **others)
 
 
-def struck(chain: Chain, seed: int = 1) -> Scene:
+def warm(chain: Chain, seed: int = 1) -> Scene:
     """Return a scene with a total velocity of 1 m/s, distributed at random."""
     speeds = np.random.default_rng(seed).normal(size=chain.grains)
     speeds[chain.movable :] = 0.0
@@ -43,7 +43,7 @@ def beta(grains: int, exponent: float) -> tuple[float, float]:
 @pytest.mark.parametrize(("grains", "exponent"), [(38, 1.5), (30, 2.5)])
 def test_kinetic_energy_of_beads_between_walls_is_microcanonical(grains: int, exponent: float):
     """The mean is exact for any motion (virial theorem), the variance only in equilibrium."""
-    scene = struck(vacuum(grains, exponent))
+    scene = warm(vacuum(grains, exponent))
     mean, variance = beta(grains, exponent)
     found = averages(scene, ["kinetic_energy"], time=0.3, tolerance=1e-3)
     assert found.mean["kinetic_energy"] / scene.energy == pytest.approx(mean, rel=1e-3)
@@ -71,7 +71,7 @@ def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
     name = "kinetic_energy:3"
     covered = 0
     for seed in range(1000):
-        scene = struck(chain, seed)
+        scene = warm(chain, seed)
         low, high = averages(scene, [name], time=0.1, tolerance=6e-4).interval[name]
         covered += low < 5 / 9 * scene.energy / 24 < high
     # The standard deviation of the coverage of a thousand intervals is 0.7 %.
@@ -79,7 +79,7 @@ def test_94_to_96_percent_of_1000_intervals_of_chains_cover():
 
 
 def test_temperature_and_equipartition():
-    scene = struck(vacuum(20))
+    scene = warm(vacuum(20))
     names = ["temperature", "kinetic_energy", "potential_energy", "equipartition", "velocity:7"]
     found = averages(scene, names, time=0.3, tolerance=1e-3)
     mean = found.mean
@@ -114,9 +114,9 @@ def test_a_linear_chain_has_the_averages_of_its_mode():
 
 
 @pytest.mark.parametrize("number", [0, 1, 4, 5])
-def test_forces_agree_with_those_of_measure(number: int):
+def test_forces_agree_with_those_of_measure(rng: np.random.Generator, number: int):
     chain = Chain(grains=5, diameter=1e-3, top="wall", bottom="wall")
-    displacement, velocity = 1e-9 * np.random.default_rng(1).normal(size=(2, 3, 5))
+    displacement, velocity = 1e-9 * rng.normal(size=(2, 3, 5))
     force = observable(chain, f"force:{number}").measure(displacement, velocity)
     closer = chain.contacts.closer(displacement)[:, number]
     change = chain.contacts.of(number).force_change(closer)
@@ -124,9 +124,9 @@ def test_forces_agree_with_those_of_measure(number: int):
 
 
 @pytest.mark.parametrize("number", [1, 4])
-def test_quantities_of_a_grain_are_those_of_its_number(number: int):
+def test_quantities_of_a_grain_are_those_of_its_number(rng: np.random.Generator, number: int):
     chain = Chain(grains=5, diameter=1e-3)  # The last grain is held.
-    displacement, velocity = np.random.default_rng(1).normal(size=(2, 3, 5))
+    displacement, velocity = rng.normal(size=(2, 3, 5))
     energy = chain.masses[number - 1] * velocity[:, number - 1] ** 2 / 2
     for name, expected in (
         ("displacement", displacement[:, number - 1]),
@@ -146,7 +146,7 @@ def test_equipartition_is_largest_if_one_grain_has_all_energy():
 
 
 def test_copies_agree_with_a_single_run():
-    scene = struck(vacuum(10))
+    scene = warm(vacuum(10))
     one, four = (
         averages(scene, ["force:5"], time=time, tolerance=1e-3, copies=copies)
         for time, copies in ((0.4, 1), (0.1, 4))
@@ -167,7 +167,7 @@ def test_copies_that_stay_together_are_rejected():
 
 
 def test_a_short_time_has_no_interval_and_states_the_remedy():
-    scene = struck(vacuum(20))
+    scene = warm(vacuum(20))
     with pytest.warns(UserWarning, match=r"too short for an interval of equipartition.*try time="):
         found = averages(scene, ["equipartition"], time=1e-4, tolerance=1e-2)
     assert found.interval["equipartition"] == (-math.inf, math.inf)
@@ -177,7 +177,7 @@ def test_a_short_time_has_no_interval_and_states_the_remedy():
 
 
 def test_an_interval_of_the_fewest_batches_is_marked():
-    scene = struck(vacuum(10), 1)
+    scene = warm(vacuum(10), 1)
     with pytest.warns(UserWarning, match=r"has only 4 independent batches; .*: try time="):
         averages(scene, ["kinetic_energy:3"], time=5e-4, tolerance=6e-4)
     with warnings.catch_warnings():
@@ -186,7 +186,7 @@ def test_an_interval_of_the_fewest_batches_is_marked():
 
 
 def test_the_step_depends_on_the_tolerance():
-    scene = struck(vacuum(8))
+    scene = warm(vacuum(8))
     loose, tight = (
         averages(scene, ["kinetic_energy"], time=0.02, tolerance=tolerance)
         for tolerance in (1e-2, 1e-5)
@@ -201,11 +201,11 @@ def test_an_unreachable_tolerance_names_the_call(monkeypatch):
     monkeypatch.setattr(time_averages, "AVERAGING", patience)
     monkeypatch.setattr(time_averages, "ENERGY_ERRORS", hopeful)
     with pytest.raises(lmpchain.ToleranceNotMet, match=r"ask lmpchain\.averages for a larger"):
-        averages(struck(vacuum(8)), ["kinetic_energy"], time=0.02, tolerance=1e-7)
+        averages(warm(vacuum(8)), ["kinetic_energy"], time=0.02, tolerance=1e-7)
 
 
 def test_results_are_tables_and_pictures(tmp_path):
-    found = averages(struck(vacuum(8)), ["force:3", "kinetic_energy"], time=0.02, tolerance=1e-3)
+    found = averages(warm(vacuum(8)), ["force:3", "kinetic_energy"], time=0.02, tolerance=1e-3)
     frame = found.to_dataframe()
     assert list(frame["quantity"]) == ["force:3", "kinetic_energy"]
     assert frame["mean"][0] == found.mean["force:3"]

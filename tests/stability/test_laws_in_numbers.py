@@ -11,7 +11,8 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck_in_units
 from matplotlib.figure import Figure
 from scipy import stats
 
@@ -51,12 +52,11 @@ def trend(error: Any, duration: float = 2.0) -> tuple[float, float]:
     return EnergyError(np.linspace(0.0, duration, len(error)), np.asarray(error), 1.0).trend()
 
 
-def test_the_interval_of_a_trend_covers_in_99_of_100_draws() -> None:
+def test_the_interval_of_a_trend_covers_in_99_of_100_draws(rng: np.random.Generator) -> None:
     """White noise, whose slope has the standard deviation sqrt(12 / n) / T.
 
     T of 48 degrees is 2.68 at 99 %.
     """
-    rng = np.random.default_rng(4)
     size = 250
     draws = np.array(
         [trend(0.3 * np.linspace(0, 2, size) + rng.normal(size=size)) for _ in range(300)]
@@ -68,9 +68,10 @@ def test_the_interval_of_a_trend_covers_in_99_of_100_draws() -> None:
     assert np.mean(widths) == pytest.approx(stats.t.ppf(0.995, 48) * deviation, rel=0.04)
 
 
-def test_the_interval_of_a_trend_is_wider_for_correlated_stretches() -> None:
+def test_the_interval_of_a_trend_is_wider_for_correlated_stretches(
+    rng: np.random.Generator,
+) -> None:
     """An autoregressive sequence with r = 0.6 counts as a quarter of its length."""
-    rng = np.random.default_rng(5)
     hits = 0
     plain = 0
     for _ in range(200):
@@ -85,10 +86,10 @@ def test_the_interval_of_a_trend_is_wider_for_correlated_stretches() -> None:
     assert hits > 0.94 * 200
 
 
-def test_a_drift_that_slows_down_is_not_a_correlation() -> None:
+def test_a_drift_that_slows_down_is_not_a_correlation(rng: np.random.Generator) -> None:
     """The trend of a parabola is its regression line, with the standard error of the residuals."""
     time = np.linspace(0.0, 2.0, 50)
-    noise = 1e-3 * np.random.default_rng(6).normal(size=50)
+    noise = 1e-3 * rng.normal(size=50)
     rate, width = trend(time - 0.2 * time**2 + noise)
     line = stats.linregress(time, time - 0.2 * time**2 + noise)
     assert rate == pytest.approx(0.6, abs=1e-3)
@@ -145,10 +146,8 @@ def test_energies_are_followed_for_a_number_of_periods_of_the_band_edge() -> Non
 # --- predictability
 
 
-def column(grains: int, number: float, **keys: Any) -> Scene:
-    chain = Chain(**{"grains": grains, "diameter": 1e-3} | keys)
-    speed = number * chain.length_scale / chain.time_scale
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=1e-3, samples=101)
+def struck_column(grains: int, number: float, **keys: Any) -> Scene:
+    return struck_in_units(column(grains, **keys), number, 1.0).replace(duration=1e-3)
 
 
 def test_the_reflection_time_agrees_with_a_pulse_in_an_unloaded_chain() -> None:
@@ -185,24 +184,24 @@ def test_amplification_is_predicted_within_the_measured_limits() -> None:
         (10, 499, True),
         (10, 501, False),
     ):
-        assert amplifies(column(grains, number)) is known, (grains, number)
-    inner = column(10, 100)
+        assert amplifies(struck_column(grains, number)) is known, (grains, number)
+    inner = struck_column(10, 100)
     assert not amplifies(
         inner.replace(excitation=Impulse(velocity=inner.excitation.velocity, grain=2))
     )
-    assert not amplifies(column(10, 100, exponent=1.6))
+    assert not amplifies(struck_column(10, 100, exponent=1.6))
 
 
 def test_predicted_times_count_decades_from_the_rounding_error() -> None:
-    scene = column(10, 100)
+    scene = struck_column(10, 100)
     assert predicted_time(scene, 1e-14) == pytest.approx(0.0, abs=1e-18)
     assert predicted_time(scene, 1e-4) == pytest.approx(10 / growth_rate(scene), rel=1e-12)
-    longer = column(10, 100, gravity=1.0)
+    longer = struck_column(10, 100, gravity=1.0)
     shorter = reflection_time(scene) / reflection_time(longer)
     assert growth_rate(longer) / growth_rate(scene) == pytest.approx(shorter, rel=1e-12)
     rise = [
         growth_rate(s) * reflection_time(s)
-        for s in (column(10, 100), column(20, 100), column(40, 100))
+        for s in (struck_column(10, 100), struck_column(20, 100), struck_column(40, 100))
     ]
     # The law is 1 - exp(-N / const).
     assert (rise[1] / rise[0] - 1) ** 2 == pytest.approx((rise[2] / rise[1] - 1), rel=1e-9)
@@ -248,7 +247,7 @@ def test_the_deepest_overlap_is_that_of_all_energy_in_one_contact() -> None:
 
 
 def test_strike_numbers_at_the_limit_of_linear_theory() -> None:
-    scene = column(20, 0.01).replace(duration=5e-5)
+    scene = struck_column(20, 0.01).replace(duration=5e-5)
     assert strike_number_where(0.03, scene) == pytest.approx(
         strike_number_at(0.03, "package"), rel=1e-14
     )
@@ -279,7 +278,7 @@ def test_strike_numbers_at_the_limit_of_linear_theory() -> None:
 
 @pytest.mark.parametrize("number", [1e-4, 30.0])
 def test_floors_are_those_of_engines_at_omega_h_of_0_3(number: float) -> None:
-    scene = column(12, number)
+    scene = struck_column(12, number)
     steps = 100 * math.ceil(1e-5 * scene.highest_frequency / 0.3)
     speed = abs(scene.excitation.velocity)
     for options, engine in (

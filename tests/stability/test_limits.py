@@ -8,6 +8,7 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.convergence import slope
 from helpers.thinned import thinned
 from laws import limits
 
@@ -16,10 +17,6 @@ from lmpchain.chain.bounds import LIMITS
 from lmpchain.stability.linear_theory import linear_law
 from lmpchain.stability.pre_run import deepest
 from lmpchain.theory import bessel, dyson
-
-
-def slope(x: np.ndarray, y: np.ndarray) -> float:
-    return float(np.polyfit(np.log(x), np.log(y), 1)[0])
 
 
 @pytest.mark.parametrize("exponent", [1.5, 2.0])

@@ -7,16 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers.example_scenes import random_scene, scene_of
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.convergence import slope
+from helpers.example_chains import column
+from helpers.example_scenes import random_scene, scene_of, struck, struck_in_units
+from helpers.independent_integrators import distance, extended_reference
 from helpers.thinned import thinned
 from helpers.whole_runs import blocks_of
 
 from lmpchain import (
-    Chain,
     Displacement,
     Drive,
-    Impulse,
     InputError,
     Scene,
     ToleranceNotMet,
@@ -39,22 +39,11 @@ from lmpchain.stability.roundoff import floor, measured_floor
 HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
 
 
-def column(grains, strike, tau, samples=11, gravity=9.81):
-    """Return a column struck with this strike number, for `tau` units of time."""
-    chain = Chain(grains=grains, material="glass", diameter=1e-3, gravity=gravity)
-    speed = strike * chain.length_scale / chain.time_scale
-    return scene_of(chain, Impulse(velocity=speed), tau * chain.time_scale, samples, grains="all")
-
-
 def agitated(grains, strike, reflections, samples=201, gravity=9.81):
     """Return such a column for this number of reflections of the pulse."""
-    scene = column(grains, strike, 1.0, 2, gravity)
+    scene = struck_in_units(column(grains, gravity=gravity), strike, 1.0, 2)
     duration = reflections * reflection_time(scene)
-    return Scene(chain=scene.chain, excitation=scene.excitation, duration=duration, samples=samples)
-
-
-def slope(x, y):
-    return np.polyfit(np.log(x), np.log(y), 1)[0]
+    return scene_of(scene.chain, scene.excitation, duration, samples)
 
 
 # Rounding.
@@ -66,14 +55,13 @@ def test_the_measured_floor_is_the_error_of_the_run(options):
 
     Then it is all the error there is.
     """
-    scene = column(8, 1e-4, 6)
+    scene = struck_in_units(column(8), 1e-4, 6, 11)
     steps = 10 * math.ceil(scene.duration / 10 * scene.highest_frequency / 0.3)
     t = simulate(
         scene,
         Lammps("rkn6", step=scene.duration / steps * (1 + 1e-9), diameter=options["diameter"]),
     )
-    u, v, _ = extended_reference(scene)
-    true = relative_error(t.displacement, t.velocity, u, v)
+    true = distance(t, extended_reference(scene))
     assert measured_floor(scene, **options) == pytest.approx(true, rel=0.02, abs=0)
 
 
@@ -83,8 +71,8 @@ def test_the_measured_floor_is_the_error_of_the_run(options):
 )
 def test_round_off_floors_fall_as_the_strike_grows(options, weakest, strongest):
     strikes = np.logspace(weakest, strongest, 7)
-    found = [measured_floor(column(8, s, 6), **options) for s in strikes]
-    law = [floor(column(8, s, 6), **options) for s in strikes]
+    found = [measured_floor(struck_in_units(column(8), s, 6, 11), **options) for s in strikes]
+    law = [floor(struck_in_units(column(8), s, 6, 11), **options) for s in strikes]
     assert slope(strikes, found) == pytest.approx(-1, abs=0.05)
     assert slope(strikes, law) == pytest.approx(-1, abs=0.05)
 
@@ -99,26 +87,31 @@ STRIKES = [(3, 1e-7), (10, 1e-3), (40, 1e-5), (40, 1.0), (20, 30.0)]
 def test_the_law_predicts_the_floor(options: dict[str, Any], strike: tuple[int, float]):
     """The law holds over eleven decades of floors."""
     grains, strike_number = strike
-    scene = column(grains, strike_number, 1.2 * grains ** (5 / 6))
+    scene = struck_in_units(column(grains), strike_number, 1.2 * grains ** (5 / 6), 11)
     assert 1 / 6 < measured_floor(scene, **options) / floor(scene, **options) < 6
 
 
 def test_the_exact_force_has_one_floor_for_all_strikes():
     found = [
-        measured_floor(column(10, strike, 8), force="exact") for strike in (1e-9, 1e-6, 1e-3, 1.0)
+        measured_floor(struck_in_units(column(10), strike, 8, 11), force="exact")
+        for strike in (1e-9, 1e-6, 1e-3, 1.0)
     ]
     assert max(found) < 3e-14
-    assert measured_floor(column(10, 1e-9, 8), force="plain") > 1e6 * max(found)
+    assert measured_floor(struck_in_units(column(10), 1e-9, 8, 11), force="plain") > 1e6 * max(
+        found
+    )
 
 
 def test_the_automatic_force_uses_the_plain_one_where_it_is_accurate():
-    assert floor(column(10, 1e-6, 8)) == floor(column(10, 1e-6, 8), force="exact")
-    strong = column(10, 10.0, 8)
+    assert floor(struck_in_units(column(10), 1e-6, 8, 11)) == floor(
+        struck_in_units(column(10), 1e-6, 8, 11), force="exact"
+    )
+    strong = struck_in_units(column(10), 10.0, 8, 11)
     assert floor(strong) == floor(strong, force="plain") < 1.1 * floor(strong, force="exact")
 
 
 def test_the_floor_of_a_displaced_chain():
-    chain = Chain(grains=10, diameter=1e-3)
+    chain = column(10)
     scene = scene_of(
         chain,
         Displacement(displacement=1e-3 * chain.length_scale, grain=3),
@@ -130,12 +123,12 @@ def test_the_floor_of_a_displaced_chain():
 
 
 def test_long_columns_are_measured_where_the_wave_is():
-    scene = column(3000, 1e-3, 10)
+    scene = struck_in_units(column(3000), 1e-3, 10, 11)
     assert 1 / 6 < measured_floor(scene, "lammps") / floor(scene, "lammps") < 6
 
 
 def test_scenes_without_a_rounding_floor_are_rejected():
-    scene = column(5, 1e-3, 2)
+    scene = struck_in_units(column(5), 1e-3, 2, 11)
     for function in (floor, measured_floor):
         with pytest.raises(InputError, match=r"native \| lammps"):
             function(scene, engine="chebyshev")
@@ -147,8 +140,7 @@ def test_scenes_without_a_rounding_floor_are_rejected():
 
 
 @pytest.mark.soak
-def test_the_law_on_random_scenes():
-    rng = np.random.default_rng(11)
+def test_the_law_on_random_scenes(rng):
     ratios = []
     while len(ratios) < 120:
         scene = random_scene(rng, (1.0, 1.5, 1.5))
@@ -201,7 +193,7 @@ def test_growth_agrees_with_extended_precision_over_many_decades():
 
 
 def test_a_gentle_wave_does_not_amplify():
-    scene = column(10, 1e-3, 300, samples=31)
+    scene = struck_in_units(column(10), 1e-3, 300, 31)
     _, apart = growth(scene)
     assert apart.max() < 1e-12
     assert predictability_time(scene, 1e-9) == math.inf
@@ -251,9 +243,9 @@ def test_double_precision_runs_are_wrong_beyond_the_predictability_horizon():
 
 
 def test_a_reflection_time_requires_a_strike():
-    chain = Chain(grains=5, diameter=1e-3, exponent=2.0)
+    chain = column(5, exponent=2.0)
     with pytest.raises(InputError, match=r"exponent 1\.5"):
-        reflection_time(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5))
+        reflection_time(struck(chain, 1e-3, 1e-5))
 
 
 # Early refusal.
@@ -313,8 +305,7 @@ def test_solvable_scenes_are_not_rejected():
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
-def test_no_solvable_random_scene_is_rejected():
-    rng = np.random.default_rng(3)
+def test_no_solvable_random_scene_is_rejected(rng):
     refused = 0
     for _ in range(60):
         try:

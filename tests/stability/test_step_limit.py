@@ -6,17 +6,20 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.convergence import slope
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.independent_integrators import extended_reference
 from laws.openings import drift, errors_through_openings, order_through_openings
 from scipy.linalg import eigvalsh_tridiagonal
 
-from lmpchain import Chain, Displacement, Drive, Impulse, Profile, Scene, engines, patterns
+from lmpchain import Chain, Displacement, Drive, Profile, Scene, engines, patterns
 from lmpchain.benchmark.reference import Reference
 from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.stability.step_limit import blow_up, energy_error, limit, struck_frequency, suspect
 from lmpchain.theory.modes import eigenmodes
 
-LOADED = Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-3)
+LOADED = column(12, gravity=0.0, top_load=1e-3)
 LONG = {"rkn4": 400, "rkn6": 2000}  # Number of periods, because growth beyond the limit is slow.
 every = pytest.mark.parametrize("integrator", METHODS)
 soak = pytest.mark.soak
@@ -26,9 +29,8 @@ def speed(chain: Chain) -> float:
     return chain.length_scale / chain.time_scale
 
 
-def struck(chain: Chain, number: float, periods: float = 100) -> Scene:
-    impulse = Impulse(velocity=number * speed(chain))
-    return Scene(chain=chain, excitation=impulse, duration=periods * 2 * np.pi / chain.band_edge)
+def struck_for_periods(chain: Chain, number: float, periods: float = 100) -> Scene:
+    return struck(chain, number * speed(chain), periods * 2 * np.pi / chain.band_edge)
 
 
 # --- the longest step
@@ -36,10 +38,10 @@ def struck(chain: Chain, number: float, periods: float = 100) -> Scene:
 
 def fastest_mode(periods: float) -> Scene:
     """Return a chain that oscillates in its highest mode, too weakly to stiffen."""
-    chain = Chain(grains=6, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    chain = column(6, gravity=0.0, top_load=1e-2)
     shape = np.append(eigenmodes(chain).shape[:, -1], 0.0)
     start = Profile(displacement=1e-2 * chain.length_scale * shape / np.abs(shape).max())
-    return Scene(chain=chain, excitation=start, duration=periods * 2 * np.pi / chain.band_edge)
+    return scene_of(chain, start, periods * 2 * np.pi / chain.band_edge)
 
 
 @pytest.mark.parametrize(
@@ -67,8 +69,8 @@ def test_the_first_unstable_band_is_narrow(integrator: str) -> None:
     method = METHODS[integrator]
     assert method.growth(suspect(integrator)) > 1.0004
     assert method.growth(1.02 * method.stability_limit) == 1
-    found = blow_up(struck(LOADED, 1.0), integrator)
-    assert found > 1.25 * limit(struck(LOADED, 1.0), integrator)
+    found = blow_up(struck_for_periods(LOADED, 1.0), integrator)
+    assert found > 1.25 * limit(struck_for_periods(LOADED, 1.0), integrator)
 
 
 def stiffest(scene: Scene) -> float:
@@ -87,18 +89,14 @@ def stiffest(scene: Scene) -> float:
     return float(np.sqrt(highest))
 
 
-COLUMN = Chain(grains=20, diameter=1e-3)
+COLUMN = column(20)
 CHAINS = {  # Chain, strike number, and largest deviation of the law.
     "weak": (LOADED, 0.1, 0.01),
     "medium": (LOADED, 10, 0.03),
     "strong": (LOADED, 1e3, 0.03),
     "column, medium": (COLUMN, 30, 0.03),
     "column, strong": (COLUMN, 1e4, 0.03),
-    "exponent 2": (
-        Chain(grains=12, diameter=1e-3, gravity=0.0, top_load=1e-2, exponent=2.0),
-        30,
-        0.05,
-    ),
+    "exponent 2": (column(12, gravity=0.0, top_load=1e-2, exponent=2.0), 30, 0.05),
     "dimer": (
         patterns.periodic(12, 4.76e-3, ["steel", "ptfe"], gravity=0, top_load=2.38),
         10,
@@ -111,11 +109,11 @@ CHAINS = {  # Chain, strike number, and largest deviation of the law.
 def test_the_frequency_of_a_struck_chain(case: tuple[Chain, float, float]) -> None:
     chain, number, off = case
     periods = 30 if number < 1 else 8
-    quick = Scene(
-        chain=chain,
-        excitation=Impulse(velocity=number * speed(chain)),
-        duration=periods * 2 * np.pi / struck_frequency(struck(chain, number)),
-        samples=30 * periods + 1,
+    quick = struck(
+        chain,
+        number * speed(chain),
+        periods * 2 * np.pi / struck_frequency(struck_for_periods(chain, number)),
+        30 * periods + 1,
     )
     assert struck_frequency(quick) == pytest.approx(stiffest(quick), rel=off, abs=0)
 
@@ -125,8 +123,8 @@ def test_the_frequency_of_two_grains_pressed_together() -> None:
 
     All the energy is in one contact, delta K o^(delta-1) (1/m + 1/m) with K o^(5/2) / (5/2) = E.
     """
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, bottom="free")
-    scene = Scene(chain=chain, excitation=Displacement(displacement=1e-8), duration=1e-5)
+    chain = column(2, gravity=0.0, bottom="free")
+    scene = scene_of(chain, Displacement(displacement=1e-8), 1e-5)
     stiffness = 1.5 * chain.contact_constants[0] * np.sqrt(1e-8)
     assert struck_frequency(scene) == pytest.approx(
         np.sqrt(2 * stiffness / chain.masses[0]), rel=1e-12, abs=0
@@ -134,16 +132,13 @@ def test_the_frequency_of_two_grains_pressed_together() -> None:
 
 
 def test_the_frequency_of_a_driven_chain_is_that_of_the_drive_or_the_band_edge() -> None:
-    scene = Scene(chain=LOADED, excitation=Drive(amplitude=1e-9, frequency=1e6), duration=1e-5)
+    scene = scene_of(LOADED, Drive(amplitude=1e-9, frequency=1e6), 1e-5)
     assert struck_frequency(scene) == scene.highest_frequency
 
 
 def test_the_step_is_unlimited_if_nothing_moves() -> None:
-    chain = Chain(grains=3, diameter=1e-3, gravity=0.0)
-    assert (
-        limit(Scene(chain=chain, excitation=Impulse(velocity=0.0), duration=1e-5), "verlet")
-        == np.inf
-    )
+    chain = column(3, gravity=0.0)
+    assert limit(struck(chain, 0.0, 1e-5), "verlet") == np.inf
 
 
 @pytest.mark.parametrize("number", [1e-2, 1.0, 1e2, 1e4])
@@ -153,7 +148,7 @@ def test_the_step_is_unlimited_if_nothing_moves() -> None:
 def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
     integrator: str, least: float, number: float
 ) -> None:
-    scene = struck(LOADED, number)
+    scene = struck_for_periods(LOADED, number)
     assert least < blow_up(scene, integrator) / limit(scene, integrator) < 1.03
 
 
@@ -161,7 +156,7 @@ def test_the_longest_step_falls_as_the_strike_stiffens_the_chain(
 @pytest.mark.parametrize("integrator", engines.Lammps.integrators)
 @pytest.mark.parametrize("number", [1e-2, 10])
 def test_both_engines_break_down_at_the_same_step(integrator: str, number: float) -> None:
-    scene = struck(LOADED, number)
+    scene = struck_for_periods(LOADED, number)
     assert blow_up(scene, integrator, "lammps") == pytest.approx(
         blow_up(scene, integrator), rel=0.02, abs=0
     )
@@ -170,12 +165,12 @@ def test_both_engines_break_down_at_the_same_step(integrator: str, number: float
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 def test_in_the_vacuum_the_step_scales_with_the_energy(exponent: float) -> None:
     """The law h ~ E^(-(delta-1)/(2 delta+2)) is exact, because there is no other time scale."""
-    chain = Chain(grains=12, diameter=1e-3, gravity=0.0, exponent=exponent)
+    chain = column(12, gravity=0.0, exponent=exponent)
     speeds = np.array([1e-4, 1e-2]) if exponent == 1.5 else np.array([1e-2, 0.1])
     found = []
     predicted = []
     for v in speeds:
-        alone = Scene(chain=chain, excitation=Impulse(velocity=v), duration=1e-6)
+        alone = struck(chain, v, 1e-6)
         scene = Scene(**alone.given() | {"duration": 500 / alone.highest_frequency})
         found.append(blow_up(scene, "verlet"))
         predicted.append(limit(scene, "verlet"))
@@ -193,11 +188,11 @@ def hot(number: float, grains: int = 4) -> Scene:
     More of them may keep their energy in one place for 1e5 steps and then let go: a trend in a
     million that is none.
     """
-    chain = Chain(grains=grains, diameter=1e-3, gravity=0.0, top_load=1e-2)
+    chain = column(grains, gravity=0.0, top_load=1e-2)
     speeds = (
         np.append(np.random.default_rng(1).normal(size=grains - 1), 0.0) * number * speed(chain)
     )
-    return Scene(chain=chain, excitation=Profile(velocity=speeds), duration=1e-3)
+    return scene_of(chain, Profile(velocity=speeds), 1e-3)
 
 
 STEPS = {"verlet": (0.02, 0.2), "rkn4": (0.05, 0.12), "rkn6": (0.2, 0.4), "kahan-li6": (0.1, 0.3),
@@ -212,10 +207,8 @@ def test_the_energy_error_has_the_order_of_the_method(integrator: str) -> None:
         energy_error(scene, integrator, reach / scene.chain.band_edge, 100, 201)
         for reach in np.geomspace(*STEPS[integrator], 5)
     ]
-    slope = np.polyfit(
-        np.log([run.step for run in runs]), np.log([run.error.std() for run in runs]), 1
-    )[0]
-    assert slope == pytest.approx(METHODS[integrator].order, abs=0.05)
+    order = slope([run.step for run in runs], [run.error.std() for run in runs])
+    assert order == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
 @pytest.mark.slow
@@ -261,15 +254,11 @@ def opening(exponent: float) -> tuple[Scene, Reference, float]:
     velocity, duration = {1.5: (8.57e-3, 60e-6), 1.25: (8.57e-3, 30e-6), 2.0: (1.0, 60e-6)}[
         exponent
     ]
-    chain = Chain(grains=30, diameter=1e-3, exponent=exponent)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=velocity), duration=duration, samples=21)
+    chain = column(30, exponent=exponent)
+    scene = struck(chain, velocity, duration, 21)
     u, v, own = extended_reference(scene)
     assert (chain.contacts.overlap + chain.contacts.closer(u))[:, 1:-1].min() < 0
     return scene, Reference(scene.time, u, v, own, "extrapolated"), own
-
-
-def slope(counts: np.ndarray, errors: np.ndarray) -> float:
-    return -float(np.polyfit(np.log(counts), np.log(errors), 1)[0])
 
 
 @pytest.mark.parametrize(
@@ -291,7 +280,7 @@ def test_equal_steps_have_the_order_of_the_opening(integrator: str, exponent: fl
         scene, integrator, counts, truth, runs=150 if integrator == "dop853" else 40
     )
     assert errors.min() > 10 * own
-    assert slope(counts, errors) == pytest.approx(
+    assert -slope(counts, errors) == pytest.approx(
         order_through_openings(integrator, exponent), abs=0.05
     )
 
@@ -302,7 +291,7 @@ def test_adaptive_steps_keep_the_order(integrator: str) -> None:
     counts = np.array([70, 100, 140, 200, 280, 400, 560])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=1)
     assert errors.min() > 20 * own  # And above rounding errors.
-    assert slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
+    assert -slope(counts, errors) == pytest.approx(METHODS[integrator].order, abs=0.05)
 
 
 @pytest.mark.parametrize("integrator", ["rkn6", "kahan-li8", "dop853"])
@@ -312,4 +301,4 @@ def test_adaptive_steps_are_of_order_6_or_better(integrator: str) -> None:
     counts = np.array([50, 70, 100, 140] if integrator == "dop853" else [70, 100, 140, 200])
     errors = errors_through_openings(scene, integrator, counts, truth, adaptive=True, runs=20)
     assert errors.min() > 10 * own
-    assert slope(counts, errors) > 6
+    assert -slope(counts, errors) > 6

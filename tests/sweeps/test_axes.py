@@ -6,17 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.faults import fault_keys, faults
 from scipy import stats
 
 from lmpchain import InputError
 from lmpchain.sweeps import axes as module
 from lmpchain.sweeps.axes import Axis, GrainLaw, Normal, Uniform, make_axes, make_law
-
-
-def faults(parts: dict[str, Any]) -> list[tuple[str, str]]:
-    with pytest.raises(InputError) as caught:
-        make_axes(parts)
-    return caught.value.faults
 
 
 def test_a_grid_has_an_axis_for_each_key():
@@ -55,12 +50,15 @@ def test_coordinates_are_numbers_or_texts():
 def test_cases_have_equal_numbers_of_values():
     (axis,) = make_axes({"list": {"chain.gravity": (1.0, 2.0), "chain.top": ["free", "wall"]}})
     assert (axis.name, axis.length) == ("case", 2)
-    told = faults({"list": {"chain.gravity": [1.0, 2.0], "chain.top": ["free"]}})
+    told = faults(make_axes, {"list": {"chain.gravity": [1.0, 2.0], "chain.top": ["free"]}})
     assert told == [("list.chain.top", "must have 2 values, as many as chain.gravity (got 1)")]
     nothing = "is empty: name a key, such as chain.gravity = [1.62, 9.81]"
-    assert faults({"grid": {}}) == [("grid", nothing)]
-    assert faults({"grid": {"chain.gravity": []}})[0][1] == "must be a list of one or more values"
-    assert faults({"grid": [1]}) == [("grid", "must be a table, [grid]")]
+    assert faults(make_axes, {"grid": {}}) == [("grid", nothing)]
+    assert (
+        faults(make_axes, {"grid": {"chain.gravity": []}})[0][1]
+        == "must be a list of one or more values"
+    )
+    assert faults(make_axes, {"grid": [1]}) == [("grid", "must be a table, [grid]")]
 
 
 def test_a_hypercube_is_reproducible_from_its_seed():
@@ -85,7 +83,7 @@ def test_a_hypercube_is_reproducible_from_its_seed():
     )
     assert [one.key for one in each.arrays] == ["chain.diameter"]
     missing = "name a key, such as chain.gravity = {low = 1.0, high = 10.0}"
-    assert faults({"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
+    assert faults(make_axes, {"random": {"draws": 2, "seed": 3}}) == [("random", missing)]
 
 
 def test_realisations_have_random_contacts_if_an_order_is_given():
@@ -111,7 +109,7 @@ def test_the_number_of_scenes_is_limited_to_a_million(monkeypatch: pytest.Monkey
     monkeypatch.setattr(module, "MOST_SCENES", 6)
     grid = {"chain.gravity": [1.0, 2.0], "chain.exponent": [1.5, 2.0, 3.0]}
     assert len(make_axes({"grid": grid})) == 2
-    told = faults({"grid": grid | {"chain.exponent": [1.5] * 4}})
+    told = faults(make_axes, {"grid": grid | {"chain.exponent": [1.5] * 4}})
     assert told == [("grid", "8 scenes are too many: sweep at most 6")]
 
 
@@ -120,7 +118,7 @@ def test_the_number_of_scenes_is_limited_to_a_million(monkeypatch: pytest.Monkey
 )
 def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
     ranges = {"chain.gravity": {"low": 1.0, "high": 2.0}}
-    keys = [key for key, _ in faults({"random": table["random"] | ranges})]
+    keys = fault_keys(make_axes, {"random": table["random"] | ranges})
     assert keys == [
         f"random.{key}"
         for key, value in table["random"].items()
@@ -131,20 +129,21 @@ def test_numbers_of_draws_and_seeds_have_limits(table: dict[str, Any]):
 
 def test_keys_must_belong_to_a_scene_and_be_unique():
     keys = "keys begin with chain, excitation, recording, as chain.gravity does"
-    (fault,) = faults({"grid": {"chian.gravity": [1.0]}})
+    (fault,) = faults(make_axes, {"grid": {"chian.gravity": [1.0]}})
     assert fault == ("chian.gravity", f"is not a key of a scene (did you mean 'chain'?); {keys}")
-    (fault,) = faults({"grid": {"disorder.m": [1.0]}})
+    (fault,) = faults(make_axes, {"grid": {"disorder.m": [1.0]}})
     assert fault[0] == "disorder.m"
     grid = {"chain.gravity": [1.0]}
     cases = {"chain.gravity": [2.0]}
-    assert faults({"grid": grid, "list": cases}) == [("chain.gravity", "is swept twice")]
+    assert faults(make_axes, {"grid": grid, "list": cases}) == [("chain.gravity", "is swept twice")]
     overlap = faults(
-        {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}}
+        make_axes,
+        {"grid": {"chain.material.density": [1.0]}, "list": {"chain.material": ["glass"]}},
     )
     assert overlap == [("chain.material", "overlaps chain.material.density: sweep one of them")]
     # One key begins like the other, but is a different key.
     make_axes({"grid": {"chain.top": ["free"], "chain.top_load": [1.0]}})
-    (fault,) = faults({})
+    (fault,) = faults(make_axes, {})
     assert fault == ("grid", "nothing is swept: add a table [grid], [list], [random], [disorder]")
 
 

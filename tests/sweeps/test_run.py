@@ -11,6 +11,8 @@ from types import ModuleType
 from typing import Any, ClassVar
 
 import pytest
+from helpers.example_sweeps import SCENE
+from helpers.faults import faults
 
 from lmpchain import Chain, Impulse, InputError, Scene, sweep
 from lmpchain.sweeps import run, store, tasks
@@ -19,11 +21,6 @@ from lmpchain.sweeps.results import find_recorded, make_labels
 from lmpchain.sweeps.run import Here
 from lmpchain.sweeps.tasks import count_scenes
 
-SCENE: dict[str, Any] = {
-    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
-    "excitation": {"kind": "impulse", "velocity": 1e-4},
-    "recording": {"duration": 5e-6, "samples": 3},
-}
 GRAVITIES = [float(n) for n in range(1, 8)]
 ASKED = {"scene": SCENE, "grid": {"chain.gravity": GRAVITIES}, "keep": ["wall_force"]}
 
@@ -139,9 +136,9 @@ def test_an_executor_has_a_limited_number_of_tasks(
 
 @pytest.mark.parametrize("workers", [0, -1, True, 1.0, "2", None])
 def test_workers_are_counted_from_1(workers: Any, tmp_path: Path):
-    with pytest.raises(InputError) as caught:
-        sweep(ASKED, tmp_path, workers=workers)
-    assert caught.value.faults == [("workers", f"must be a whole number from 1 (got {workers!r})")]
+    assert faults(sweep, ASKED, tmp_path, workers=workers) == [
+        ("workers", f"must be a whole number from 1 (got {workers!r})")
+    ]
 
 
 def test_warnings_are_given_once_for_all_scenes(tmp_path: Path):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
+from helpers.example_sweeps import SCENE
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.sweeps import store
@@ -21,12 +22,6 @@ from lmpchain.sweeps.store import (
     whole_parts,
     write_part,
 )
-
-SCENE: dict[str, Any] = {
-    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
-    "excitation": {"kind": "impulse", "velocity": 1e-4},
-    "recording": {"duration": 5e-6, "samples": 3},
-}
 
 
 def laid(count: int, batch: int, **shapes: tuple[int, ...]) -> StoreLayout:

@@ -20,8 +20,10 @@ import pytest
 import tomli_w
 from filelock import FileLock
 from helpers.child_processes import PATIENCE, until
-from helpers.example_scenes import scene_of
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.example_sweeps import contents, done, long_sweep
+from helpers.faults import faults
 from helpers.thinned import thinned
 
 import lmpchain.sweeps.run as run
@@ -104,11 +106,8 @@ def test_a_grid_is_every_combination(tmp_path):
     assert found.sizes == {"chain.gravity": 3, "excitation.velocity": 2, "time": 11, "grain": 12}
     for gravity in GRAVITIES:
         for speed in speeds:
-            chain = Chain(grains=12, diameter=1e-3, gravity=gravity)
-            alone = simulate(
-                Scene(chain=chain, excitation=Impulse(velocity=speed), duration=2e-5, samples=11),
-                "native",
-            )
+            chain = column(12, gravity=gravity)
+            alone = simulate(struck(chain, speed, 2e-5, 11), "native")
             here = found.sel({"chain.gravity": gravity, "excitation.velocity": speed})
             assert np.array_equal(here.velocity, alone.velocity)
             assert np.array_equal(here.displacement, alone.displacement)
@@ -151,9 +150,7 @@ def test_a_list_is_run_case_by_case(tmp_path):
     assert found["chain.material"].values.tolist() == ["glass", "steel", "ptfe"]
     assert found["chain.diameter"].values.tolist() == [1e-3, 2e-3, 3e-3]
     chain = Chain(grains=12, material="steel", diameter=2e-3)
-    alone = simulate(
-        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native"
-    )
+    alone = simulate(struck(chain, 1e-4, 2e-5, 11), "native")
     assert np.array_equal(found.velocity[1], alone.velocity)
 
 
@@ -162,7 +159,7 @@ def test_realisations_agree_with_the_disordered_chain(tmp_path):
     strong = SHORT | {"excitation": {"kind": "impulse", "velocity": 0.02}}
     found = sweep(chains(12, scene=strong, grid={"disorder.m": [2, 30]}, tolerance=1e-8), tmp_path)
     assert found.velocity.dims == ("disorder.m", "realisation", "time", "grain")
-    ordered = scene_of(Chain(grains=12, diameter=1e-3), Impulse(velocity=0.02), 2e-5, 11)
+    ordered = scene_of(column(12), Impulse(velocity=0.02), 2e-5, 11)
     for m in (2, 30):
         for index in (0, 11):
             alone = simulate(realisation(ordered, m, 1, index), "native", 1e-8)
@@ -213,9 +210,9 @@ def test_numbers_of_every_grain_are_drawn(tmp_path, bottom, keys):
 
 def test_a_packet_depends_on_each_chain():
     """The packet follows from the masses and stiffnesses of each chain, and so does its energy."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=0, top_load=1, top="wall", bottom="wall")
+    chain = column(60, gravity=0, top_load=1, top="wall", bottom="wall")
     packet = Packet(frequency=2e4, width=2, grain=30, amplitude=1e-9)
-    scene = Scene(chain=chain, excitation=packet, duration=2e-5)
+    scene = scene_of(chain, packet, 2e-5)
     plan = read_sweep({"scene": scene, "disorder": {"m": 20, "seed": 1, "realisations": 3}})
     made = scenes(plan, 0, 3, together=True)
     assert [each.energy for each in made] == [plan.scene((number,)).energy for number in range(3)]
@@ -264,10 +261,8 @@ def test_material_and_impurity_keys(tmp_path):
     found = sweep({"scene": scene, "grid": grid}, tmp_path)
     material = {"density": 2426.0, "youngs_modulus": 6e10, "poissons_ratio": 0.2}
     odd = [{"grain": 3, "mass": 1e-6}, {"grain": 5, "mass": 1e-6, "diameter": 2e-3}]
-    chain = Chain(grains=12, diameter=1e-3, material=material, impurity=odd)
-    alone = simulate(
-        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11), "native"
-    )
+    chain = column(12, material=material, impurity=odd)
+    alone = simulate(struck(chain, 1e-4, 2e-5, 11), "native")
     assert np.array_equal(found.velocity[1, 1], alone.velocity)
 
 
@@ -337,10 +332,8 @@ def test_scenes_with_different_recordings(tmp_path):
     assert found.velocity.dims == ("case", "sample", "grain")
     assert found.grain.values.tolist() == [2, 3, 4, 7]
     assert np.array_equal(found.time[0], [0, 5e-6, 1e-5, np.nan, np.nan], equal_nan=True)
-    chain = Chain(grains=12, diameter=1e-3)
-    alone = simulate(
-        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5, samples=3), "native"
-    )
+    chain = column(12)
+    alone = simulate(struck(chain, 1e-4, 1e-5, 3), "native")
     assert np.array_equal(found.velocity[0, :3, [0, 3]], alone.velocity[:, [1, 6]])
     assert np.isnan(found.velocity[0, 3:]).all()
     assert np.isnan(found.velocity[0, :, [1, 2]]).all()
@@ -389,8 +382,8 @@ def test_arrays_are_read_on_use(tmp_path):
 def test_other_engines(tmp_path, engine, workers):
     asked = {"scene": SHORT, "engine": engine, "grid": {"chain.gravity": GRAVITIES}}
     found = sweep(asked, tmp_path, workers=workers)
-    chain = Chain(grains=12, diameter=1e-3, gravity=24.8)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=2e-5, samples=11)
+    chain = column(12, gravity=24.8)
+    scene = struck(chain, 1e-4, 2e-5, 11)
     with pytest.warns() if engine == "chebyshev" else contextmanager(lambda: (yield))():
         alone = simulate(scene, engine)
     assert np.array_equal(found.velocity[2], alone.velocity)
@@ -500,9 +493,7 @@ def test_other_engines(tmp_path, engine, workers):
 )
 def test_invalid_sweeps_are_rejected_before_the_run(tmp_path, wrong, keys):
     """All faults are reported at once, each under its key."""
-    with pytest.raises(InputError) as caught:
-        sweep({"scene": SHORT} | wrong, tmp_path / "out")
-    assert {key for key, _ in caught.value.faults} == keys
+    assert {key for key, _ in faults(sweep, {"scene": SHORT} | wrong, tmp_path / "out")} == keys
     assert not (tmp_path / "out").exists()
 
 

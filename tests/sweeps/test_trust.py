@@ -11,15 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_sweeps import SCENE
 
 from lmpchain import InputError, load_sweep, sweep
 from lmpchain.sweeps.store import part_of, write_part
 
-SCENE: dict[str, Any] = {
-    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
-    "excitation": {"kind": "impulse", "velocity": 1e-4},
-    "recording": {"duration": 5e-6, "samples": 3},
-}
 ASKED = {
     "scene": SCENE,
     "grid": {"chain.gravity": [1.0, 2.0, 3.0]},

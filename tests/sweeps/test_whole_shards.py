@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_sweeps import SCENE
 from helpers.thinned import thinned
 
 from lmpchain import InputError, load_sweep, sweep
@@ -19,11 +20,6 @@ from lmpchain.cli.command_line import main
 from lmpchain.sweeps import store, tasks
 from lmpchain.util import files
 
-SCENE: dict[str, Any] = {
-    "chain": {"grains": 6, "material": "glass", "diameter": 1e-3},
-    "excitation": {"kind": "impulse", "velocity": 1e-4},
-    "recording": {"duration": 5e-6, "samples": 3},
-}
 ASKED = {
     "scene": SCENE,
     "grid": {"chain.gravity": [1.0, 2.0, 2.5, 3.0, 4.0]},

@@ -154,9 +154,8 @@ def period_of(masses, constants, first: int, last: int, most: int) -> int:
     return 1
 
 
-def test_periods_of_repeating_chains():
+def test_periods_of_repeating_chains(rng):
     """Random patterns with up to two faults, between random grains."""
-    rng = np.random.default_rng(3)
     periods = []
     for _ in range(150):
         grains = rng.integers(4, 24)

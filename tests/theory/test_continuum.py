@@ -477,13 +477,6 @@ def test_steps_of_the_solver(monkeypatch):
     assert times == pytest.approx(expected, rel=1e-14)
 
 
-def test_explicit_depths_and_travel_times():
-    assert continuum.chi(10.0) == pytest.approx(1.2 * 10 ** (5 / 6), rel=1e-14)
-    assert continuum.depth(10.0) == pytest.approx((50 / 6) ** 1.2, rel=1e-14)
-    assert continuum.chi(10.0, 3.0) == pytest.approx(1.5 * 10 ** (2 / 3), rel=1e-14)
-    assert (float(continuum.chi(0.0)), float(continuum.depth(0.0))) == (0.0, 0.0)
-
-
 @pytest.mark.parametrize("delta", [1.0, 1.5])
 def test_impulse_of_the_first_grain_starts_at_the_top(delta: float):
     phi, speed = continuum.impulse_of_grain([1, 2], 0.0, delta)

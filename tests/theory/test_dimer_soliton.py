@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.faults import faults
 from helpers.independent_theory import derivatives
 
 import lmpchain
@@ -266,9 +267,7 @@ def test_picture():
     ],
 )
 def test_refusals(call, key: str, message: str):
-    with pytest.raises(InputError) as raised:
-        call()
-    ((where, text),) = raised.value.faults
+    ((where, text),) = faults(call)
     assert where == key
     assert message in text
 

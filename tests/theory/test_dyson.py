@@ -59,15 +59,15 @@ def test_the_printed_form_preserves_the_compliance(m: int):
 
 
 @pytest.fixture(scope="module")
-def column() -> tuple[np.ndarray, np.ndarray]:
+def summands() -> tuple[np.ndarray, np.ndarray]:
     """Return kappa_n and velocities at tau = 15 of 60 grains under gravity, struck at the top."""
     kappa = np.arange(1, 61) ** (1 / 3)
     return kappa, np.append(bessel.finite(kappa[:-1], np.arange(1, 60), 1, 15.0), 0.0)
 
 
-def test_sum_as_printed(column):
+def test_sum_as_printed(summands):
     """The source is the same sum by an independent code, with four digits."""
-    kappa, velocity = column
+    kappa, velocity = summands
     published = {1: 0.1523, 3: 0.0258, 5: -0.0241, 100: -0.0380, 1e4: -0.3604}
     found = dyson.average(velocity, kappa, list(published))
     assert found == pytest.approx(list(published.values()), abs=5e-5)
@@ -75,9 +75,9 @@ def test_sum_as_printed(column):
     assert sums == pytest.approx([9.78, 3.40, 39.9], rel=2e-3)
 
 
-def test_sum_for_large_m(column):
+def test_sum_for_large_m(summands):
     """The sum diverges as sqrt(m / 2 pi); normalised it converges to the velocity of grain 1."""
-    kappa, velocity = column
+    kappa, velocity = summands
     m = 1e4
     assert dyson.average(velocity, kappa, m) == pytest.approx(
         np.sqrt(m / 2 / np.pi) * velocity[0], rel=1e-5
@@ -88,8 +88,8 @@ def test_sum_for_large_m(column):
     assert velocity[0] == pytest.approx(-0.009035, abs=5e-7)
 
 
-def test_sum_broadcasts(column):
-    kappa, velocity = column
+def test_sum_broadcasts(summands):
+    kappa, velocity = summands
     times = np.stack([velocity, 2 * velocity])
     table = dyson.average(times, kappa, np.array([[1], [2], [5]]))
     assert table.shape == (3, 2)

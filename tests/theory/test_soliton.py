@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
@@ -163,9 +164,7 @@ def test_struck_is_the_inverse_of_solve():
 @pytest.mark.parametrize("load", [0.0, 2.0])
 def test_on_a_chain(load: float, downward: bool):
     """Energy and momentum of the chain, and every overlap, are compared in SI units."""
-    chain = Chain(
-        grains=120, diameter=1e-3, gravity=0.0, top_load=load, material="steel", bottom="fixed"
-    )
+    chain = column(120, gravity=0.0, top_load=load, material="steel", bottom="fixed")
     wave = solve(speed=1.3) if load else solve(velocity=0.02)
     profile = wave.on(chain, 60.3, downward)
     u, v = profile.initial(chain)
@@ -383,7 +382,7 @@ CHAIN = {"grains": 40, "diameter": 1e-3, "gravity": 0.0}
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN, exponent=2.0), 20), "chain"),
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN, top_load=1.0), 20), "top_load"),
         (lambda: solve(speed=2.0).on(Chain(**CHAIN), 20), "top_load"),
-        (lambda: solve(velocity=1.0).on(Chain(grains=40, diameter=1e-3), 20), "gravity"),
+        (lambda: solve(velocity=1.0).on(column(40), 20), "gravity"),
         (lambda: solve(velocity=1.0).on(Chain(**CHAIN), 2), "grain"),
         (
             lambda: solve(velocity=1.0).on(

@@ -441,12 +441,11 @@ def test_widths_of_bumps_with_a_flat_top(kind: int, sign: float):
 
 
 @pytest.mark.parametrize("kind", [hermite.VELOCITY, hermite.DISPLACEMENT])
-def test_fronts_of_random_signals_agree_with_dense_samples(kind: int):
+def test_fronts_of_random_signals_agree_with_dense_samples(rng: np.random.Generator, kind: int):
     """Fronts and their widths agree with dense samples of random signals.
 
     The front is the first maximum above a fraction of the largest. Its width spans many intervals.
     """
-    rng = np.random.default_rng(17)
     clear = 0
     for number in range(60):
         signal = bumps(rng)

@@ -2,20 +2,14 @@
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
-from lmpchain import Chain, Drive, Scene
+from lmpchain import Drive
 from lmpchain.trajectory.accumulator import STILL, Accumulator, largest_force, viscous_contact
 from lmpchain.trajectory.between.maxima import Window
 
-CHAIN = Chain(
-    grains=4,
-    diameter=1e-3,
-    top="wall",
-    bottom="wall",
-    top_load=0.02,
-    damping={"viscoelastic": 3e-8},
-)
+CHAIN = column(4, top="wall", bottom="wall", top_load=0.02, damping={"viscoelastic": 3e-8})
 OMEGA = 2e6
 STEP = 0.1 / OMEGA
 REST = float(CHAIN.contacts.overlap[2])
@@ -47,11 +41,10 @@ def test_the_largest_force_of_a_known_motion_is_within_its_error(size: float, ph
     assert closing == pytest.approx(expected[1], rel=0, abs=1e-4 * amplitude * OMEGA)
 
 
-def test_the_approach_of_a_contact_is_relative_to_both_bodies():
+def test_the_approach_of_a_contact_is_relative_to_both_bodies(rng):
     """The upper body of contact 0 is the moving wall; the lower wall is at rest."""
     drive = Drive(grain=0, amplitude=1e-8, frequency=3e4)
-    scene = Scene(chain=CHAIN, excitation=drive, duration=2e-5, samples=9)
-    rng = np.random.default_rng(3)
+    scene = scene_of(CHAIN, drive, 2e-5, 9)
     u, v = rng.normal(size=(2, 4, 4))
     column = np.array([STILL, 0, 1, 2, 3, STILL])
     known = np.ones(6, dtype=bool)
@@ -67,9 +60,8 @@ def test_the_approach_of_a_contact_is_relative_to_both_bodies():
 
 
 @pytest.mark.parametrize("tracked", ["velocity", "displacement"])
-def test_fronts_start_from_the_first_sample_of_their_field(tracked: str):
+def test_fronts_start_from_the_first_sample_of_their_field(rng: np.random.Generator, tracked: str):
     scene = scene_of(CHAIN, Drive(grain=0, amplitude=1e-9, frequency=3e4), 2e-5, 9)
-    rng = np.random.default_rng(4)
     u, v = rng.normal(size=(2, 9, 4))
     column = np.array([STILL, 0, 1, 2, 3, STILL])
     grains = np.arange(1, 5)

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.faults import faults
 
-from lmpchain import Chain, Displacement, Impulse, InputError, Scene, Trajectory
+from lmpchain import Chain, Displacement, Impulse, Scene, Trajectory
 from lmpchain.trajectory.dump_frames import is_dump
 
 CHAIN = Chain(grains=5, material="glass", diameter=[1e-3, 1.2e-3, 1e-3, 0.8e-3, 1e-3])
@@ -58,9 +59,7 @@ def dump(
 
 def fault(path: Path, scene: Scene = SCENE, *more: Any) -> str:
     """Return the message with which a dump is rejected."""
-    with pytest.raises(InputError) as caught:
-        Trajectory.from_dump(path, scene, *more)
-    ((key, why),) = caught.value.faults
+    ((key, why),) = faults(Trajectory.from_dump, path, scene, *more)
     assert key in (str(path), "axis")
     return why
 
@@ -199,6 +198,8 @@ def test_missing_columns(tmp_path: Path):
     text = dump(path).read_text()
     path.write_text(text.replace("\n5\nITEM: BOX", "\nfive\nITEM: BOX"))
     assert fault(path) == "ITEM: NUMBER OF ATOMS must be a whole number (got five): write it anew"
+    path.write_text(text.rpartition(" ")[0] + " high\n")
+    assert "cannot be read as a dump" in fault(path)
     path.write_text(text[:-1])
     assert fault(path) == "is cut short within a line: run LAMMPS to its end"
     path.write_text("\n" + text)

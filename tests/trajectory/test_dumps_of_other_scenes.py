@@ -211,10 +211,7 @@ CHANGES: dict[str, tuple[Callable[[list[Frame]], None], str]] = {
     "other order": (lambda frames: [f.columns.reverse() for f in frames] and None, ""),
     "with its times": (timed(2e-7), ""),
     "with later times": (timed(2e-7, start=3.0), "samples of the scene|^$"),
-    "with times of half the length": (
-        timed(1e-7),
-        "1e-07 s apart by .* scene are 2e-07",
-    ),
+    "with times of half the length": (timed(1e-7), "1e-07 s apart by .* scene are 2e-07"),
     "with times in us": (timed(0.2), "0.2 s apart by ITEM: TIME or .* scene are 2e-07"),
     "with times a little longer": (timed(2.001e-7), "apart by ITEM: TIME.*set the duration of"),
     "with a word as time": (odd_times, "ITEM: TIME must be a number of seconds .got noon."),

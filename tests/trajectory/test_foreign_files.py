@@ -16,22 +16,20 @@ import numcodecs
 import numpy as np
 import pytest
 from helpers.child_processes import finish
+from helpers.example_chains import column
+from helpers.example_scenes import struck
+from helpers.faults import faults
 from helpers.seals import seal_anew
 from numcodecs.abc import Codec
 
-from lmpchain import Chain, Impulse, InputError, Scene, Stopped, Trajectory, resume, simulate
+from lmpchain import InputError, Stopped, Trajectory, resume, simulate
 from lmpchain.cli.command_line import main
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.report.document import origin
 from lmpchain.simulation import folder_files
 from lmpchain.util.files import seal
 
-SCENE = Scene(
-    chain=Chain(grains=12, material="glass", diameter=1e-3),
-    excitation=Impulse(velocity=1e-5),
-    duration=2e-5,
-    samples=41,
-)
+SCENE = struck(column(12, material="glass"), 1e-5, 2e-5, 41)
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +45,7 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def run(originals: Path, tmp_path: Path) -> Path:
+def run_folder(originals: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(originals / "run", tmp_path / "run"))
 
 
@@ -58,9 +56,7 @@ def stopped(originals: Path, tmp_path: Path) -> Path:
 
 def refused(path: Path, capsys: pytest.CaptureFixture[str]) -> str:
     """Return the one line with which all readers reject a file."""
-    with pytest.raises(InputError) as caught:
-        Trajectory.load(path)
-    ((key, why),) = caught.value.faults
+    ((key, why),) = faults(Trajectory.load, path)
     assert key == str(path)
     capsys.readouterr()
     for words in (["fit", str(path)], ["report", str(path), "-o", str(path.parent / "new.html")]):
@@ -100,11 +96,11 @@ numcodecs.register_codec(Unpickling)
 @pytest.mark.parametrize("codec", ["pickle", Unpickling.codec_id])
 @pytest.mark.parametrize("kind", ["filters", "compressor"])
 def test_no_pickle_of_a_store_is_opened(
-    run: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, codec: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
     """The store of Zarr version 2 has a filter that executes the content of its chunks."""
-    mark = run.parent / "mark"
-    store = run / "trajectory.zarr"
+    mark = run_folder.parent / "mark"
+    store = run_folder / "trajectory.zarr"
     about = json.loads((store / "zarr.json").read_text())["attributes"]
     shutil.rmtree(store)
     fields = {"displacement": (41, 12), "velocity": (41, 12), "time": (41,), "grain": (12,)}
@@ -128,13 +124,16 @@ def test_no_pickle_of_a_store_is_opened(
         dimensions = ["time", "grain"] if len(shape) == 2 else [name]
         (store / name / ".zattrs").write_text(json.dumps({"_ARRAY_DIMENSIONS": dimensions}))
         (store / name / ".".join("0" * len(shape))).write_bytes(pickle.dumps(Trap(mark)))
-    assert "Zarr format 3" in refused(run, capsys)
+    assert "Zarr format 3" in refused(run_folder, capsys)
     assert not mark.exists()
 
 
-def changed(run: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
+def changed(run_folder: Path, name: str, change: Callable[[dict[str, Any]], None]) -> None:
     """Change the metadata of an array in its own file, or also in the consolidated metadata."""
-    for path, where in ((run / "trajectory.zarr" / name, None), (run / "trajectory.zarr", name)):
+    for path, where in (
+        (run_folder / "trajectory.zarr" / name, None),
+        (run_folder / "trajectory.zarr", name),
+    ):
         about = json.loads((path / "zarr.json").read_text())
         change(about["consolidated_metadata"]["metadata"][name] if where else about)
         (path / "zarr.json").write_text(json.dumps(about))
@@ -182,25 +181,28 @@ CHANGES: dict[str, tuple[str, Callable[[dict[str, Any]], None]]] = {
 
 @pytest.mark.parametrize("change", CHANGES)
 def test_a_store_with_another_layout_is_rejected_unopened(
-    run: Path, change: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    run_folder: Path,
+    change: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ):
     import xarray
     import zarr
 
-    changed(run, *CHANGES[change])
+    changed(run_folder, *CHANGES[change])
     for library, opening in ((xarray, "open_dataset"), (zarr, "open_group"), (zarr, "open_array")):
         monkeypatch.setattr(library, opening, lambda *_, **__: pytest.fail("it was opened"))
-    refused(run, capsys)
+    refused(run_folder, capsys)
 
 
 def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
-    run: Path, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, capsys: pytest.CaptureFixture[str]
 ):
-    path = run / "trajectory.zarr" / "time" / "c" / "0"
+    path = run_folder / "trajectory.zarr" / "time" / "c" / "0"
     content = bytearray(path.read_bytes())
     content[4:8] = (2**31 - 17).to_bytes(4, "little")  # Number of bytes that Blosc should allocate.
     path.write_bytes(content)
-    assert "more numbers than it" in refused(run, capsys)
+    assert "more numbers than it" in refused(run_folder, capsys)
 
 
 @pytest.mark.parametrize(
@@ -208,19 +210,19 @@ def test_a_chunk_that_declares_more_than_it_contains_is_rejected(
 )
 @pytest.mark.parametrize("kind", ["link", "pipe"])
 def test_nothing_outside_a_run_folder_is_read_or_written(
-    run: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
+    run_folder: Path, where: str, kind: str, capsys: pytest.CaptureFixture[str]
 ):
-    path = run / where
-    outside = run.parent / "outside"
+    path = run_folder / where
+    outside = run_folder.parent / "outside"
     os.rename(path, outside)
     before = {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
     if kind == "link":
         path.symlink_to(outside)
     else:
         os.mkfifo(path)
-    refused(run, capsys)
-    assert main(["resume", str(run)]) == 2
-    assert capsys.readouterr().err.startswith(f"error: {run}: ")
+    refused(run_folder, capsys)
+    assert main(["resume", str(run_folder)]) == 2
+    assert capsys.readouterr().err.startswith(f"error: {run_folder}: ")
     assert before == {p: p.read_bytes() for p in outside.rglob("*") if p.is_file()}
 
 

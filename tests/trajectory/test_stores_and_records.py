@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 import zarr
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
-from lmpchain import Chain, Impulse, InputError, Scene
+from lmpchain import InputError, Scene
 from lmpchain.trajectory import zarr_store
 from lmpchain.trajectory.record import (
     Block,
@@ -22,13 +24,7 @@ from lmpchain.trajectory.record import (
 )
 from lmpchain.trajectory.zarr_store import Writer, file_shapes, usable
 
-SCENE = Scene(
-    chain=Chain(grains=1000, diameter=1e-3),
-    excitation=Impulse(velocity=1e-3),
-    duration=4e-6,
-    samples=500,
-    grains=list(range(1, 1001)),
-)
+SCENE = struck(column(1000), 1e-3, 4e-6, 500, grains=list(range(1, 1001)))
 ROWS = 208  # Samples of a thousand grains that fill a chunk of about 100 KB, in multiples of 16.
 RNG = np.random.default_rng(5)
 U, V = RNG.normal(size=(2, 1, 500, 1000))

@@ -21,7 +21,7 @@ print(kept.twice(21), sum(kept.twice.stats.cache_hits.values()))
 """
 
 
-def run(folder: Path, *limit: str, **variables: str) -> tuple[str, str]:
+def call_in_new_process(folder: Path, *limit: str, **variables: str) -> tuple[str, str]:
     """Call the function in a separate process; return its output and its warnings."""
     words = [sys.executable, "-c", SCRIPT]
     done = subprocess.run(
@@ -70,31 +70,31 @@ SLOW = [("empty", "nbi"), ("cut", "nbc"), ("one bit", "nbc")]  # The others are 
     ],
 )
 def test_damaged_files_are_recompiled(damage: str, suffix: str, folder: Path):
-    assert run(folder) == ("42 0", "")
-    assert run(folder) == ("42 1", "")
+    assert call_in_new_process(folder) == ("42 0", "")
+    assert call_in_new_process(folder) == ("42 1", "")
     (path,) = (folder / "cache").rglob(f"*.{suffix}")
     path.write_bytes(DAMAGE[damage](path.read_bytes()))
-    said, complaints = run(folder)
+    said, complaints = call_in_new_process(folder)
     # A changed bit of an index may be in its version, or in an unused name.
     assert said == "42 0" or (damage, suffix) == ("one bit", "nbi")
     if (damage, suffix) != ("one bit", "nbi"):
         assert str(path) in complaints
         assert "set NUMBA_CACHE_DIR" in complaints
-    run(folder)
-    assert run(folder) == ("42 1", "")
+    call_in_new_process(folder)
+    assert call_in_new_process(folder) == ("42 1", "")
 
 
 @pytest.mark.slow
 def test_a_full_disk_caches_nothing_and_warns(folder: Path):
-    said, complaints = run(folder, "ulimit -f 0")
+    said, complaints = call_in_new_process(folder, "ulimit -f 0")
     assert said == "42 0"
     assert f"{folder}/cache" in complaints
     assert "File too large" in complaints
-    assert run(folder) == ("42 0", "")
+    assert call_in_new_process(folder) == ("42 0", "")
 
 
 def test_kernels_run_only_compiled(folder: Path):
-    said, complaints = run(folder, NUMBA_DISABLE_JIT="1")
+    said, complaints = call_in_new_process(folder, NUMBA_DISABLE_JIT="1")
     assert said == "42 0"
     assert "NUMBA_DISABLE_JIT is ignored" in complaints
 

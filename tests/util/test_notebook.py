@@ -34,7 +34,7 @@ LOADED = {"diameter": 1e-3, "gravity": 0.0, "top_load": 1.0}
 
 
 @pytest.fixture(scope="module")
-def run() -> Trajectory:
+def wave() -> Trajectory:
     return simulate(SCENE, "native", 1e-8)
 
 
@@ -74,14 +74,14 @@ class Seen(HTMLParser):
         ("summary", "energy of all modes"),
     ],
 )
-def test_a_notebook_shows_a_table_and_a_picture(run: Trajectory, name: str, said: str):
+def test_a_notebook_shows_a_table_and_a_picture(wave: Trajectory, name: str, said: str):
     made: dict[str, Callable[[], Any]] = {
         "chain": lambda: CHAIN,
         "scene": lambda: SCENE,
         "plan": lambda: lmpchain.plan(SCENE),
-        "trajectory": lambda: run,
-        "front": lambda: front.track(run),
-        "summary": lambda: summary(run),
+        "trajectory": lambda: wave,
+        "front": lambda: front.track(wave),
+        "summary": lambda: summary(wave),
     }
     value = made[name]()
     seen = Seen(value._repr_html_())
@@ -132,8 +132,8 @@ def test_markup_in_values_is_escaped():
     assert any("<script>alert(1)</script>" in text for text in Seen(html).texts)
 
 
-def test_a_table_contains_the_docstring_texts(run: Trajectory):
-    texts = Seen(energy.ledger(run)._repr_html_()).texts
+def test_a_table_contains_the_docstring_texts(wave: Trajectory):
+    texts = Seen(energy.ledger(wave)._repr_html_()).texts
     assert texts[texts.index("time") + 2] == "Times, s"
 
 
@@ -173,11 +173,11 @@ def test_every_plot_has_ax_and_returns_axes():
         ), kind
 
 
-def test_pictures_are_known_to_pyplot_and_given_axes_are_not_replaced(run: Trajectory):
-    ax = run.plot()
+def test_pictures_are_known_to_pyplot_and_given_axes_are_not_replaced(wave: Trajectory):
+    ax = wave.plot()
     assert pyplot.get_fignums() == [ax.figure.number]
-    assert run.plot(ax=ax) is ax
-    assert front.track(run).plot(ax) is ax
+    assert wave.plot(ax=ax) is ax
+    assert front.track(wave).plot(ax) is ax
     assert len(pyplot.get_fignums()) == 1
 
 
@@ -234,8 +234,8 @@ def all_drawn(t: Trajectory) -> dict[str, Callable[..., Any]]:
 
 
 @pytest.mark.slow
-def test_four_pictures_fit_a_page_of_7_by_5_inches(run: Trajectory, tmp_path: Path):
-    every = all_drawn(run)
+def test_four_pictures_fit_a_page_of_7_by_5_inches(wave: Trajectory, tmp_path: Path):
+    every = all_drawn(wave)
     names = list(every)
     faults = []
     for first in range(0, len(names), 4):

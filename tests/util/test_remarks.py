@@ -7,17 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
-from lmpchain import Chain, Impulse, Scene, simulate
+from lmpchain import simulate
 from lmpchain.util.remarks import warn, warnings_aside
 
 # This wave is far from linear, so Eq. (3) warns of its error.
-STRONG = Scene(
-    chain=Chain(grains=6, diameter=1e-3),
-    excitation=Impulse(velocity=0.1),
-    duration=2e-5,
-    samples=5,
-)
+STRONG = struck(column(6), 0.1, 2e-5, 5)
 
 
 def in_threads(work: Callable[[int], Any], count: int = 8) -> None:

@@ -27,7 +27,7 @@ SCENE = Scene(chain=CHAIN, excitation=Impulse(velocity=0.1), duration=8e-5, samp
 
 
 @pytest.fixture(scope="module")
-def run():
+def damped():
     return simulate(SCENE, engine="native")
 
 
@@ -35,94 +35,94 @@ def columns(result: Tabular) -> list[str]:
     return list(result.to_dataframe().columns)
 
 
-def test_a_trajectory_is_a_table_with_all_digits(run, tmp_path: Path):
-    run.to_csv(tmp_path / "run.csv")
-    frame = run.to_dataframe()
+def test_a_trajectory_is_a_table_with_all_digits(damped, tmp_path: Path):
+    damped.to_csv(tmp_path / "run.csv")
+    frame = damped.to_dataframe()
     assert frame.shape == (161, 25)
-    assert columns(run)[:3] == ["time [s]", "displacement_1 [m]", "displacement_2 [m]"]
-    np.testing.assert_array_equal(frame["velocity_7 [m/s]"], run.velocity[:, 6])
+    assert columns(damped)[:3] == ["time [s]", "displacement_1 [m]", "displacement_2 [m]"]
+    np.testing.assert_array_equal(frame["velocity_7 [m/s]"], damped.velocity[:, 6])
     again = pandas.read_csv(tmp_path / "run.csv", float_precision="round_trip")
     pandas.testing.assert_frame_equal(again, frame, check_exact=True)
     assert [path.name for path in tmp_path.iterdir()] == ["run.csv"]
 
 
-def test_written_tables_are_read_unchanged(run, tmp_path: Path):
+def test_written_tables_are_read_unchanged(damped, tmp_path: Path):
     path = tmp_path / "trace.csv"
-    table = traces.gather(run, force=[5, "wall"], velocity=[3, 5], above_rest=True)
+    table = traces.gather(damped, force=[5, "wall"], velocity=[3, 5], above_rest=True)
     table.to_csv(path)
     measured = Traces.from_csv(path, [5], field="force")
-    np.testing.assert_array_equal(measured.time, run.time)
-    np.testing.assert_array_equal(measured.values[:, 0], contact.sensor(run, 5).change)
+    np.testing.assert_array_equal(measured.time, damped.time)
+    np.testing.assert_array_equal(measured.values[:, 0], contact.sensor(damped, 5).change)
     speeds = Traces.from_csv(path, [3, 5])
-    np.testing.assert_array_equal(speeds.values, run.velocity[:, [2, 4]])
+    np.testing.assert_array_equal(speeds.values, damped.velocity[:, [2, 4]])
     wall = Force(grain=1, file=path, columns=["time", "change_force_wall"])
-    np.testing.assert_array_equal(wall.times, run.time)
-    np.testing.assert_array_equal(wall.force, contact.contacts(run, [12]).change[:, 0])
+    np.testing.assert_array_equal(wall.times, damped.time)
+    np.testing.assert_array_equal(wall.force, contact.contacts(damped, [12]).change[:, 0])
     # The reader of traces also reads this file.
     speeds.to_csv(path)
     np.testing.assert_array_equal(Traces.from_csv(path, [3, 5]).values, speeds.values)
-    contact.contacts(run, [4]).to_csv(path)
+    contact.contacts(damped, [4]).to_csv(path)
     change = Traces.from_csv(path, [4], field="contact").values[:, 0]
-    np.testing.assert_array_equal(change, contact.contacts(run, [4]).change[:, 0])
+    np.testing.assert_array_equal(change, contact.contacts(damped, [4]).change[:, 0])
 
 
 @pytest.mark.parametrize("named", [{}, {"columns": ["time", "change_force_4"]}])
-def test_a_force_on_a_grain_is_not_read_as_a_contact_force(run, tmp_path: Path, named):
+def test_a_force_on_a_grain_is_not_read_as_a_contact_force(damped, tmp_path: Path, named):
     """A fit must not compare the force on a grain with a contact force."""
     path = tmp_path / "trace.csv"
-    traces.gather(run, force=[4], above_rest=True).to_csv(path)
+    traces.gather(damped, force=[4], above_rest=True).to_csv(path)
     with pytest.raises(InputError, match="change_force_4 is the force of a grain"):
         Traces.from_csv(path, [4], field="contact", **named)
     with pytest.raises(InputError, match="not change_force_5"):
         Traces.from_csv(path, [5], field="force", **named)
-    contact.contacts(run, [4]).to_csv(path)
+    contact.contacts(damped, [4]).to_csv(path)
     with pytest.raises(
         InputError, match="of a contact, including its value at rest, not change_contact_4"
     ):
         Traces.from_csv(path, [4], field="contact", columns=["time", "force_contact_4"])
     # The force of a wall equals the force of its contact.
-    traces.gather(run, force=["wall"], above_rest=True).to_csv(path)
+    traces.gather(damped, force=["wall"], above_rest=True).to_csv(path)
     change = Traces.from_csv(path, [12], field="contact", columns=["time", "change_force_wall"])
-    np.testing.assert_array_equal(change.values, contact.contacts(run, [12]).change)
+    np.testing.assert_array_equal(change.values, contact.contacts(damped, [12]).change)
 
 
-def test_traces_agree_with_the_measurements(run):
+def test_traces_agree_with_the_measurements(damped):
     frame = traces.gather(
-        run, force=[5, "wall", "top"], displacement=[1], energy=True
+        damped, force=[5, "wall", "top"], displacement=[1], energy=True
     ).to_dataframe()
-    np.testing.assert_array_equal(frame["force_5 [N]"], contact.sensor(run, 5).force)
-    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(run))
-    np.testing.assert_array_equal(frame["force_top [N]"], contact.wall_force(run, "top"))
-    np.testing.assert_array_equal(frame["displacement_1 [m]"], run.displacement[:, 0])
-    ledger = energy.ledger(run)
+    np.testing.assert_array_equal(frame["force_5 [N]"], contact.sensor(damped, 5).force)
+    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(damped))
+    np.testing.assert_array_equal(frame["force_top [N]"], contact.wall_force(damped, "top"))
+    np.testing.assert_array_equal(frame["displacement_1 [m]"], damped.displacement[:, 0])
+    ledger = energy.ledger(damped)
     np.testing.assert_array_equal(frame["energy_dissipated [J]"], ledger.dissipated)
     np.testing.assert_array_equal(frame["energy_total [J]"], ledger.total)
 
 
-def test_missing_places(run):
+def test_missing_places(damped):
     with pytest.raises(InputError, match="velocity: grain 13 was not recorded"):
-        traces.gather(run, velocity=[13])
+        traces.gather(damped, velocity=[13])
     with pytest.raises(InputError, match="force: grain 0 does not exist"):
-        traces.gather(run, force=[0])
+        traces.gather(damped, force=[0])
     with pytest.raises(InputError, match="force: must be grains or wall, top, bottom"):
-        traces.gather(run, force=["side"])  # type: ignore[list-item]
+        traces.gather(damped, force=["side"])  # type: ignore[list-item]
     with pytest.raises(InputError, match="choose at least one force"):
-        traces.gather(run)
+        traces.gather(damped)
 
 
-def test_every_result_is_a_table(run, tmp_path: Path):
+def test_every_result_is_a_table(damped, tmp_path: Path):
     wave = np.linspace(0.1, 3.0, 7)
     cell = bands.Cell([1.0, 3.0], [1.0, 1.0])
     results = {
-        "time [s],force_3 [N],change_force_3 [N]": contact.sensor(run, 3),
-        "time [s],overlap_contact_2 [m]": contact.contacts(run, [2]),
-        "time [s],kinetic [J]": energy.ledger(run),
-        "time [s],of_contact_0 [J]": energy.losses(run),
-        "time [s],kinetic_1 [J]": energy.shares(run),
-        "grain,depth [m],time [s],amplitude [m/s]": front.track(run),
-        "frequency [Hz],amplitude_1 [m/s/Hz]": spectrum.spectrum(run),
-        "frequency [Hz],amplitude_-": spectrum.dispersion(run, 1, 12),
-        "frequency [rad/s],energy [J]": fit.fit_modes(run),
+        "time [s],force_3 [N],change_force_3 [N]": contact.sensor(damped, 3),
+        "time [s],overlap_contact_2 [m]": contact.contacts(damped, [2]),
+        "time [s],kinetic [J]": energy.ledger(damped),
+        "time [s],of_contact_0 [J]": energy.losses(damped),
+        "time [s],kinetic_1 [J]": energy.shares(damped),
+        "grain,depth [m],time [s],amplitude [m/s]": front.track(damped),
+        "frequency [Hz],amplitude_1 [m/s/Hz]": spectrum.spectrum(damped),
+        "frequency [Hz],amplitude_-": spectrum.dispersion(damped, 1, 12),
+        "frequency [rad/s],energy [J]": fit.fit_modes(damped),
         "wavenumber,frequency_1 [rad/s],frequency_2 [rad/s]": bands.branches(cell, wave),
         "frequency [rad/s],wavenumber,amplitude_reflected_real": scattering.transmission(
             CHAIN.replace(top="free", bottom="fixed", damping=None), [1e4, 2e4]
@@ -151,8 +151,8 @@ def test_results_with_a_picture_are_tables():
     assert drawn == set()
 
 
-def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    run.save(tmp_path / "run.nc")
+def test_the_command_exports(damped, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    damped.save(tmp_path / "run.nc")
     path = tmp_path / "trace.csv"
     command = ["export", str(tmp_path / "run.nc"), "-o", str(path)]
     chosen = ["--contact-force", "10,wall", "--velocity", "5", "--displacement", "5", "--energies"]
@@ -166,7 +166,7 @@ def test_the_command_exports(run, tmp_path: Path, capsys: pytest.CaptureFixture[
         "velocity_5 [m/s]",
         "displacement_5 [m]",
     ]
-    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(run))
+    np.testing.assert_array_equal(frame["force_wall [N]"], contact.wall_force(damped))
     assert main(command) == 0
     assert pandas.read_csv(path).shape == (161, 25)
     for words, said in (
@@ -189,7 +189,7 @@ def test_a_run_folder_is_exported(tmp_path: Path):
     assert len(path.read_text().splitlines()) == 162
 
 
-def test_an_unwritable_file_is_preserved(run, tmp_path: Path):
+def test_an_unwritable_file_is_preserved(damped, tmp_path: Path):
     with pytest.raises(InputError, match="is a folder"):
-        run.to_csv(tmp_path)
+        damped.to_csv(tmp_path)
     assert not list(tmp_path.iterdir())

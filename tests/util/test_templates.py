@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.faults import faults
 
 from lmpchain import InputError
 from lmpchain.errors import did_you_mean, not_among
@@ -24,9 +25,7 @@ from lmpchain.util.templates import render, render_text
 
 
 def fault(text: str, **values: Any) -> str:
-    with pytest.raises(InputError) as caught:
-        render_text(text, "template", **values)
-    ((key, message),) = caught.value.faults
+    ((key, message),) = faults(render_text, text, "template", **values)
     assert key == "template"
     return message
 
@@ -48,9 +47,7 @@ def test_tags_leave_no_empty_lines():
 def test_errors_of_a_template_name_its_values():
     message = fault("{{ b }} {{ c }}", b=1, a=2)
     assert message == "there is no placeholder 'c'; there are a, b, version"
-    with pytest.raises(InputError) as caught:
-        render_text("{{ z }} {{ c }}", "template")
-    assert [each for _, each in caught.value.faults] == [
+    assert [each for _, each in faults(render_text, "{{ z }} {{ c }}", "template")] == [
         f"there is no placeholder {name!r}; there are version" for name in "cz"
     ]
     assert fault("a\n{% if %}").startswith("line 2 is not valid Jinja2: ")

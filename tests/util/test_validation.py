@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pytest
+from helpers.faults import faults
 from pydantic import Field
 
 from lmpchain import Chain, Impulse, InputError, Scene
@@ -65,12 +66,6 @@ class Given(Checked):
     first: Real
     second: Real
     third: Real = 3.0
-
-
-def faults(**fields: Any) -> list[tuple[str, str]]:
-    with pytest.raises(InputError) as caught:
-        Sample(**fields)
-    return caught.value.faults
 
 
 LARGEST = sys.float_info.max
@@ -156,22 +151,22 @@ ONE_OR_MANY = "must be a number or a list of numbers"
     ],
 )
 def test_each_fault_is_described_in_plain_text(field: str, value: Any, message: str):
-    assert faults(**{field: value}) == [(field, message)]
+    assert faults(Sample, **{field: value}) == [(field, message)]
 
 
 def test_all_faults_are_reported_at_once():
-    told = dict(faults(positive=0, counts=3, end="open", share=2))
+    told = dict(faults(Sample, positive=0, counts=3, end="open", share=2))
     assert list(told) == ["counts", "positive", "share", "end"]
     keys = ", ".join(Sample.model_fields)
     assert told["counts"] == f"unknown key (did you mean 'count'?); the keys here are {keys}"
-    assert faults(real=2.5) == [("real", "must not be above below")]
-    assert faults(real=2.5, colour=1)[0][0] == "colour"
-    assert [key for key, _ in faults(real=2.5, colour=1)] == ["colour", "real"]
+    assert faults(Sample, real=2.5) == [("real", "must not be above below")]
+    assert faults(Sample, real=2.5, colour=1)[0][0] == "colour"
+    assert [key for key, _ in faults(Sample, real=2.5, colour=1)] == ["colour", "real"]
 
 
 def test_faults_of_a_nested_value_have_its_key():
-    assert faults(inner={"size": 0}) == [("inner.size", "must be above 0 (got 0)")]
-    assert faults(inner={}) == [("inner.size", "is missing; add it")]
+    assert faults(Sample, inner={"size": 0}) == [("inner.size", "must be above 0 (got 0)")]
+    assert faults(Sample, inner={}) == [("inner.size", "is missing; add it")]
     with pytest.raises(InputError) as caught:
         Given()
     missing = "is missing; add it"

@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
+from helpers.independent_integrators import distance
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import lmpchain
-from lmpchain import Chain, Damping, Drive, Impulse, InputError, Law, Scene
+from lmpchain import Damping, Drive, Impulse, InputError, Law, Scene
 from lmpchain.engines import Native
 from lmpchain.measure import energy
 
@@ -28,7 +31,7 @@ def stiffness(o: Any, k: Any, p: Any) -> Any:
 
 C = 2e6  # The second term is as large as the first at an overlap of 0.5 um.
 LAW = Law("k*max(o, 0)**1.5*(1 + c*o)", c=C)
-COLUMN = Chain(grains=8, diameter=1e-3, law=LAW, bottom="wall", top_load=0.02)
+COLUMN = column(8, law=LAW, bottom="wall", top_load=0.02)
 SCENES = {
     # Contacts stay closed, are opened by a strong strike, or only touch at rest.
     "weak": (COLUMN, Impulse(velocity=2e-5)),
@@ -42,11 +45,6 @@ SCENES = {
         Impulse(velocity=0.1),
     ),
 }
-
-
-def scene_of(name: str) -> Scene:
-    chain, excitation = SCENES[name]
-    return Scene(chain=chain, excitation=excitation, duration=3e-5, samples=11)
 
 
 def at_rest(constant: float, carried: float) -> float:
@@ -121,14 +119,9 @@ def reference(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return u, v
 
 
-def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) -> float:
-    found = run.displacement, run.velocity
-    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in zip(found, true, strict=True))
-
-
 @pytest.fixture(scope="module")
 def truths() -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    return {name: reference(scene_of(name)) for name in SCENES}
+    return {name: reference(scene_of(*SCENES[name], 3e-5, 11)) for name in SCENES}
 
 
 CASES = [(name, "auto", 1e-8) for name in SCENES]
@@ -140,20 +133,22 @@ CASES += [(name, kind, 1e-4) for name in ("weak", "strong") for kind in ("verlet
 def test_a_new_law_meets_its_tolerance(
     name: str, integrator: str, tolerance: float, truths: dict[str, Any]
 ) -> None:
-    run = lmpchain.simulate(scene_of(name), Native(integrator=integrator), tolerance=tolerance)
-    off = true_error(run, truths[name])
+    run = lmpchain.simulate(
+        scene_of(*SCENES[name], 3e-5, 11), Native(integrator=integrator), tolerance=tolerance
+    )
+    off = distance(run, truths[name])
     assert off < 3 * run.error_estimate.total + 3e-12
     assert run.error_estimate.total < tolerance
 
 
 def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None:
-    scene = scene_of("strong")
+    scene = scene_of(*SCENES["strong"], 3e-5, 11)
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
     ledger = energy.ledger(run)
     assert ledger.total == pytest.approx(scene.energy, rel=1e-7)
-    weak = scene_of("weak")
+    weak = scene_of(*SCENES["weak"], 3e-5, 11)
     run = lmpchain.simulate(weak, "modes", tolerance=0.9)
-    assert true_error(run, truths["weak"]) < run.error_estimate.total
+    assert distance(run, truths["weak"]) < run.error_estimate.total
 
 
 @pytest.mark.parametrize(
@@ -164,11 +159,6 @@ def test_measures_and_linear_engines_use_the_law(truths: dict[str, Any]) -> None
     ],
 )
 def test_functions_for_powers_only_reject_the_law_by_name(refused: Any, message: str) -> None:
-    scene = Scene(
-        chain=Chain(grains=8, diameter=1e-3, law=LAW),
-        excitation=Impulse(velocity=1e-4),
-        duration=1e-5,
-        samples=11,
-    )
+    scene = struck(column(8, law=LAW), 1e-4, 1e-5, 11)
     with pytest.raises(InputError, match=message):
         refused(scene)

@@ -4,9 +4,10 @@ from math import asinh, log, pi, sinh, sqrt
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of, struck
 
 import lmpchain
-from lmpchain import Chain, Impulse, Law, Profile, Scene, laws
+from lmpchain import Chain, Impulse, Law, Profile, laws
 from lmpchain.engines import Native
 
 B, K = 1e5, 1e3  # In 1/m and N/m.
@@ -44,7 +45,7 @@ def test_flaschkas_integrals_are_conserved_for_100_periods() -> None:
     slowest = pi / np.sin(pi / 2 / (grains + 1)) * unit  # Longest period of weak waves, s.
     # The strike is as fast as a wave: bonds are stretched by more than 1 / b.
     strike = Impulse(velocity=1 / (B * unit), grain=3)
-    scene = Scene(chain=chain, excitation=strike, duration=100 * slowest, samples=51)
+    scene = scene_of(chain, strike, 100 * slowest, 51)
     run = lmpchain.simulate(scene, "native", tolerance=1e-11)
     states = zip(run.displacement * B, run.velocity * (B * unit), strict=True)
     integrals = np.array([flaschka(u, v) for u, v in states])
@@ -95,7 +96,7 @@ def test_a_collision_of_two_toda_solitons() -> None:
     n = np.arange(1, grains + 1, dtype=float)
     place, rate = solitons(n, 0.0, starts)
     start = Profile(displacement=(place - place[-1]) / B, velocity=rate / (B * unit))
-    scene = Scene(chain=chain, excitation=start, duration=later * unit, samples=2)
+    scene = scene_of(chain, start, later * unit, 2)
     run = lmpchain.simulate(scene, "native", tolerance=1e-11)
     exact = solitons(n, later, starts)[0]
     off = run.displacement[-1] * B - (exact - exact[-1])
@@ -126,11 +127,11 @@ def fput(duration: float, step: float | None = None) -> tuple[np.ndarray, np.nda
     chain = Chain(grains=31, **WALLS, law=laws.fput(0.25 * K / size, k=K))
     unit = sqrt(chain.masses[0] / K)
     engine = Native("verlet", step=step * unit * (1 + 1e-9)) if step else Native()
-    scene = Scene(
-        chain=chain,
-        excitation=Profile(displacement=size * SINE),
-        duration=duration * unit,
-        samples=round(duration / (step or 1.0)) + 1,
+    scene = scene_of(
+        chain,
+        Profile(displacement=size * SINE),
+        duration * unit,
+        round(duration / (step or 1.0)) + 1,
     )
     run = lmpchain.simulate(scene, engine, tolerance=1e-8)
     number = np.arange(1, 32)
@@ -174,9 +175,7 @@ def test_a_bilinear_oscillator(ratio: float) -> None:
     stretched = pressed * sqrt(ratio)
     speed = 1e-3
     period = pi / pressed + pi / stretched
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=speed), duration=10 * period, samples=401
-    )
+    scene = struck(chain, speed, 10 * period, 401)
     run = lmpchain.simulate(scene, "native", tolerance=1e-10)
     phase = run.time % period
     later = phase > pi / pressed
@@ -199,6 +198,6 @@ def test_newtons_cradle(grains: int, speeds: list[float]) -> None:
     """Grains that touch separate with the speeds of Hinch and Saint-Jean (1999)."""
     law = Law("k*max(o, 0)**1.5", k=1e9)
     chain = Chain(grains=grains, **ROW, bottom="free", law=law)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=5e-3, samples=3)
+    scene = struck(chain, 0.1, 5e-3, 3)
     run = lmpchain.simulate(scene, "native", tolerance=1e-9)
     assert run.velocity[-1] / 0.1 == pytest.approx(speeds, abs=1.5e-8)

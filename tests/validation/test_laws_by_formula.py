@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers.example_scenes import struck
+from helpers.independent_integrators import distance
 from helpers.thinned import thinned
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import lmpchain
-from lmpchain import Chain, Impulse, InputError, Law, Profile, Scene, laws
+from lmpchain import Chain, InputError, Law, Profile, Scene, laws
 
 ROW = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
 N = ROW["grains"]
@@ -63,12 +65,6 @@ CASES: dict[str, tuple[dict[str, Any], float, float, Callable[[Any], Any]]] = {
 }
 
 
-def scene_of(case: str) -> Scene:
-    options, speed, duration, _ = CASES[case]
-    chain = Chain(**ROW | options)
-    return Scene(chain=chain, excitation=Impulse(velocity=speed), duration=duration, samples=21)
-
-
 def reference(scene: Scene, force: Callable[[Any], Any]) -> tuple[np.ndarray, np.ndarray]:
     """Return displacements and velocities, (T, N) each, with short steps across kinks."""
     chain = scene.chain
@@ -102,16 +98,12 @@ def reference(scene: Scene, force: Callable[[Any], Any]) -> tuple[np.ndarray, np
     return run.y[:N].T, run.y[N:].T
 
 
-def true_error(run: lmpchain.Trajectory, true: tuple[np.ndarray, np.ndarray]) -> float:
-    found = run.displacement, run.velocity
-    return max(np.abs(a - b).max() / np.abs(b).max() for a, b in zip(found, true, strict=True))
-
-
 @pytest.mark.parametrize("case", thinned(CASES, 2))
 def test_the_estimate_covers_the_error_for_any_law(case: str) -> None:
-    scene = scene_of(case)
+    options, speed, duration, _ = CASES[case]
+    scene = struck(Chain(**ROW | options), speed, duration, 21)
     run = lmpchain.simulate(scene, "native", tolerance=1e-8)
-    off = true_error(run, reference(scene, CASES[case][3]))
+    off = distance(run, reference(scene, CASES[case][3]))
     assert off < 3 * run.error_estimate.total + 3e-12
     assert run.error_estimate.total < 1e-8
 

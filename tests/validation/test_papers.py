@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import run, scene_of, struck
 from helpers.thinned import thinned
 
 import lmpchain
-from lmpchain import Chain, Damping, Drive, Impulse, Riemann, Scene, Trajectory, laws, simulate
+from lmpchain import Chain, Damping, Drive, Impulse, Riemann, Trajectory, laws, simulate
 from lmpchain.measure import (
     echo,
     energy,
@@ -35,8 +37,7 @@ def train() -> Trajectory:
     """Simulate the dispersive shock of a piston."""
     chain = Chain(grains=600, top="wall", bottom="wall", **BEADS)
     piston = Drive(shape="piston", velocity=0.07, rise=2e-4, grain=0)
-    scene = Scene(chain=chain, excitation=piston, duration=9e-3, samples=1601)
-    return simulate(scene, "native", 1e-5)
+    return run(chain, piston, 9e-3, 1601, 1e-5)
 
 
 @cache
@@ -45,16 +46,7 @@ def opening() -> Trajectory:
     chain = Chain(grains=600, top="free", bottom="wall", **BEADS)
     less = -0.5 * float(chain.equilibrium_overlap[0]) / 9.5e-3
     step = Riemann(velocity=(0, 0), strain=(less, 0), grain=350)
-    return simulate(
-        Scene(chain=chain, excitation=step, duration=4e-3, samples=1601), "native", 1e-5
-    )
-
-
-def struck(chain: Chain, velocity: float = 1e-3, duration: float = 2e-4) -> Trajectory:
-    """Simulate a chain whose first grain is struck."""
-    excitation = Impulse(velocity=velocity)
-    scene = Scene(chain=chain, excitation=excitation, duration=duration, samples=401)
-    return simulate(scene, "native", 1e-8)
+    return simulate(scene_of(chain, step, 4e-3, 1601), "native", 1e-5)
 
 
 def shares() -> Row:
@@ -67,8 +59,8 @@ def shares() -> Row:
 
 def bands() -> Row:
     """Compare the sum of the energies of wavenumber bands with the energy of the chain."""
-    chain = Chain(grains=60, diameter=1e-3, gravity=0.0, top_load=1.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=3e-5, samples=2)
+    chain = column(60, gravity=0.0, top_load=1.0)
+    scene = struck(chain, 1e-4, 3e-5, 2)
 
     def share(t: Trajectory) -> float:
         return float(wavenumbers.bands(t).energy[-1].sum() / energy.ledger(t).total[-1])
@@ -116,7 +108,7 @@ def dispersion() -> Row:
     fastest = 2 * np.sqrt(chain.linear_stiffness[0] / chain.masses[0])
     frequency = 0.6 * float(fastest) / (2 * np.pi)
     drive = Drive(amplitude=1e-9, frequency=frequency)
-    scene = Scene(chain=chain, excitation=drive, duration=50 / frequency)
+    scene = scene_of(chain, drive, 50 / frequency)
     found = lmpchain.dispersion(scene, [frequency], [1e-10])
     return float(found.phase[0, 0]), 2 * np.arcsin(0.6), 3 * float(found.phase_error[0, 0])
 
@@ -126,8 +118,7 @@ def diode() -> Row:
     diameter = np.repeat([1e-2, 6e-3], 15)
     chain = Chain(grains=30, diameter=diameter, material="steel", gravity=0.0, top_load=10.0)
     tone = Drive(amplitude=1e-8, frequency=2000.0)
-    scene = Scene(chain=chain, excitation=tone, duration=2e-2, samples=2001)
-    found = spectrum.spectrum(simulate(scene, "native", 1e-8), window="hann")
+    found = spectrum.spectrum(run(chain, tone, 2e-2, 2001, 1e-8), window="hann")
     peak = float(found.frequency[found.amplitude[:, 4].argmax()])
     return peak, 2000.0, 60.0
 
@@ -135,7 +126,7 @@ def diode() -> Row:
 def gradient() -> Row:
     """Compare the derivative of an energy with respect to a mass with central differences."""
     chain = Chain(grains=10, diameter=5e-3, material="steel", gravity=0.0, top_load=10.0)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-2), duration=5e-5, samples=51)
+    scene = struck(chain, 1e-2, 5e-5, 51)
     peak = lmpchain.design.PeakForce(5)
     found = lmpchain.design.gradient(scene, peak, ["masses"], 1e-9)["masses"][3]
 
@@ -153,7 +144,7 @@ def gradient() -> Row:
 def impact() -> Row:
     """Compare the speed of a hard impact under gravity with that of its solitary wave."""
     chain = Chain(grains=40, material="steel", diameter=5e-3)
-    found = flight.time_of_flight(struck(chain, 1.0, 2.5e-4), 5, 12).speed
+    found = flight.time_of_flight(run(chain, Impulse(velocity=1.0), 2.5e-4, 401, 1e-8), 5, 12).speed
     wave = lmpchain.theory.soliton.solve(1.5, velocity=0.68163).speed
     scale = (chain.contact_constants[0] / chain.masses[0]) ** 0.4
     return float(found), float(wave * scale * 5e-3), 1.0
@@ -162,15 +153,14 @@ def impact() -> Row:
 def reflected() -> Row:
     """Compare the energy of an echo from a wall with that of the solitary wave before."""
     beads = Chain(grains=40, material="steel", diameter=5e-3, gravity=0.0, bottom="wall")
-    strike = Scene(chain=beads, excitation=Impulse(velocity=0.1), duration=9e-4, samples=1201)
-    return float(echo.find(simulate(strike), grain=15).share), 1.0, 0.01
+    return float(echo.find(simulate(struck(beads, 0.1, 9e-4, 1201)), grain=15).share), 1.0, 0.01
 
 
 def balance(law: lmpchain.Law, **keys: float) -> Row:
     """Compare the energy of a chain with a law by formula with that at the start."""
     chain = Chain(grains=12, diameter=5e-3, material="steel", gravity=0.0, law=law, **keys)
-    run = struck(chain, 1e-2, 1e-4)
-    total = energy.ledger(run).total
+    beads = run(chain, Impulse(velocity=1e-2), 1e-4, 401, 1e-8)
+    total = energy.ledger(beads).total
     return float(total[-1] / total[0]), 1.0, 1e-6
 
 
@@ -197,8 +187,7 @@ def bilinear() -> Row:
         damping=Damping(drag=200.0),
     )
     tone = Drive(amplitude=1e-7, frequency=100.0)
-    scene = Scene(chain=chain, excitation=tone, duration=0.6, samples=1801)
-    run = simulate(scene, "native", 1e-8)
+    run = simulate(scene_of(chain, tone, 0.6, 1801), "native", 1e-8)
     first, later = power.through(run, 1), power.through(run, 4)
     assert np.mean(first.power) > np.mean(later.power) > 0
     return balance(laws.bilinear(0.5, k=1e5), bottom="free")
@@ -214,8 +203,7 @@ def apparent_mass() -> Row:
     damping = Damping(viscoelastic=4e-6)
     chain = Chain(grains=6, material="steel", diameter=1e-2, bottom="wall", damping=damping)
     shaker = Drive(end="bottom", amplitude=1e-10, frequency=500.0)
-    scene = Scene(chain=chain, excitation=shaker, duration=0.4, samples=4801)
-    found = harmonic.drive_point(simulate(scene, "native", 1e-9))
+    found = harmonic.drive_point(run(chain, shaker, 0.4, 4801, 1e-9))
     linear = -found.linear / (2 * np.pi * 500.0) ** 2
     slack = 1e3 * (found.apparent_mass_error + 1e-8 * abs(linear))
     return 1e3 * abs(found.apparent_mass), 1e3 * abs(linear), slack
@@ -224,7 +212,7 @@ def apparent_mass() -> Row:
 def chaos() -> Row:
     """Compare the sum of the Lyapunov spectrum of a chain with 0, that of Hamiltonian motion."""
     chain = Chain(grains=4, diameter=5e-3, gravity=0.0, top="wall", bottom="wall")
-    scene = Scene(chain=chain, excitation=Impulse(velocity=0.1), duration=0.02)
+    scene = struck(chain, 0.1, 0.02)
     found = lmpchain.orbits.chaos_of(scene)
     return float(found.exponent.sum() / found.exponent[0]), 0.0, 1e-6
 

@@ -8,12 +8,14 @@ from math import gamma, pi, sqrt
 import numpy as np
 import pytest
 from helpers import extrapolated_midpoint
+from helpers.example_chains import column
+from helpers.example_scenes import scene_of, struck
 from helpers.taylor_series import FINEST, reference, solve
 from helpers.thinned import thinned
 from scipy.optimize import brentq
 from validation.random_trials import FAMILIES, LONGEST, draw, table, trial
 
-from lmpchain import Chain, Drive, Impulse, Scene
+from lmpchain import Drive
 
 slow = pytest.mark.slow
 TRIALS = {
@@ -33,11 +35,9 @@ TRIALS = {
 
 @slow
 def test_the_reference_solves_a_harmonic_oscillator():
-    chain = Chain(grains=2, diameter=1e-3, exponent=1.0, gravity=0.0, top_load=1.0)
+    chain = column(2, exponent=1.0, gravity=0.0, top_load=1.0)
     omega = sqrt(chain.linear_stiffness[0] / chain.masses[0])
-    scene = Scene(
-        chain=chain, excitation=Impulse(velocity=1e-6), duration=1000 / omega, samples=101
-    )
+    scene = struck(chain, 1e-6, 1000 / omega, 101)
     found, error = reference(scene, 1e-19)
     exact = np.cos(omega * scene.time.astype(np.longdouble))
     assert error < 1e-14
@@ -50,14 +50,14 @@ def test_the_reference_solves_a_harmonic_oscillator():
 @pytest.mark.parametrize("delta", [1.0, 1.25, 1.5, 2.0, 3.0])
 def test_the_reference_solves_a_collision(delta):
     """Two equal grains exchange their velocities in the time given by the energy integral."""
-    chain = Chain(grains=2, diameter=1e-3, gravity=0.0, exponent=delta, bottom="free")
+    chain = column(2, gravity=0.0, exponent=delta, bottom="free")
     mass = chain.masses[0] / 2
     constant = chain.contact_constants[0]
     speed = 1e-3
     power = 1 / (delta + 1)
     deepest = ((delta + 1) * mass * speed**2 / (2 * constant)) ** power
     lasts = 2 * deepest / speed * sqrt(pi) * gamma(1 + power) / gamma(0.5 + power)
-    ends = Scene(chain=chain, excitation=Impulse(velocity=speed), duration=lasts, samples=3)
+    ends = struck(chain, speed, lasts, 3)
     found, error = reference(ends, 1e-19)
     assert error < 1e-14
     np.testing.assert_allclose(
@@ -87,7 +87,7 @@ def test_the_reference_solves_a_push_by_a_wall():
 
     Springs, so the motion is known.
     """
-    chain = Chain(grains=1, diameter=1e-3, gravity=0.0, exponent=1.0, top="wall", bottom="free")
+    chain = column(1, gravity=0.0, exponent=1.0, top="wall", bottom="free")
     own = sqrt(chain.wall_constants[0] / chain.masses[0])
     size = 1e-8
     rate = own / 2
@@ -104,9 +104,7 @@ def test_the_reference_solves_a_push_by_a_wall():
     )
     assert v(parts) > size * rate  # The wall never catches up.
     sine = Drive(amplitude=size, frequency=rate / (2 * pi), grain=0)
-    found, error = reference(
-        Scene(chain=chain, excitation=sine, duration=30 / rate, samples=2), 1e-15
-    )
+    found, error = reference(scene_of(chain, sine, 30 / rate, 2), 1e-15)
     end = 30 / rate
     assert error < 1e-12
     assert found.velocity[-1, 0] == pytest.approx(v(parts), rel=1e-9)

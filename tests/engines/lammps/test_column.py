@@ -8,7 +8,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
 from helpers.standalone_lammps import small
 
 from lmpchain import (
@@ -20,7 +21,6 @@ from lmpchain import (
     Impulse,
     InputError,
     RunFailed,
-    Scene,
     ToleranceNotMet,
     simulate,
 )
@@ -45,17 +45,17 @@ UNLIKE = Chain(
 )
 
 
-def column(excitation=None, gauge: float = 0.0, style: str = "granular", **chain) -> LammpsColumn:
+def lammps_column(
+    excitation=None, gauge: float = 0.0, style: str = "granular", **chain
+) -> LammpsColumn:
     made = UNLIKE.replace(**chain)
     excitation = excitation or Impulse(velocity=1e-3, grain=2)
-    return LammpsColumn(
-        Scene(chain=made, excitation=excitation, duration=1e-5, samples=3), gauge, style
-    )
+    return LammpsColumn(scene_of(made, excitation, 1e-5, 3), gauge, style)
 
 
 def test_every_gap_is_within_the_skin_and_every_grain_within_the_box():
     for excitation in (None, Displacement(displacement=-1e-3), Displacement(displacement=2e-6)):
-        made = column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
+        made = lammps_column(excitation, gravity=0.0, top_load=0.0, top="free", bottom="free")
         z, _ = made.start
         gaps = z[:-1] - z[1:] - (made.diameters[:-1] + made.diameters[1:]) / 2
         assert made.skin >= max(gaps.max(), 0) + 0.2 * made.diameters.max()
@@ -72,8 +72,8 @@ def test_each_kind_of_contact_below_each_type_is_looked_for_once(monkeypatch):
     compared = []
     same = Contact.same
     monkeypatch.setattr(Contact, "same", lambda *pair: compared.append(pair) or same(*pair))
-    chain = Chain(grains=3000, material=["steel", "ptfe", "ptfe"] * 1000, diameter=1e-3)
-    made = LammpsColumn(Scene(chain=chain, excitation=Impulse(velocity=1e-3), duration=1e-5), 0.0)
+    chain = column(3000, material=["steel", "ptfe", "ptfe"] * 1000)
+    made = LammpsColumn(struck(chain, 1e-3, 1e-5), 0.0)
     stiffness = {pair: found.stiffness for pair, found in made._types_and_contacts[1].items()}
     pairs = [tuple(sorted(pair)) for pair in zip(made.types, made.types[1:], strict=False)]
     np.testing.assert_allclose(

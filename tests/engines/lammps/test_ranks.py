@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.child_processes import busy, ended, processes, until
+from helpers.example_chains import column
 from helpers.example_scenes import scene_of
 
 from lmpchain import (
@@ -33,9 +34,7 @@ from lmpchain.util import mpi
 
 MPIEXEC = mpi.launcher()
 # The strike is beside the border between two ranks, and the wave crosses the border.
-MIDDLE = scene_of(
-    Chain(grains=60, material="glass", diameter=1e-3), Impulse(velocity=8.57e-4, grain=29), 4e-5, 9
-)
+MIDDLE = scene_of(column(60, material="glass"), Impulse(velocity=8.57e-4, grain=29), 4e-5, 9)
 LOADED = Chain(grains=30, material="steel", diameter=5e-3, top_load=5.0, bottom="wall")
 SCENES = {
     "strike in the middle": MIDDLE,
@@ -56,9 +55,7 @@ SCENES = {
         Chain(grains=40, diameter=1e-3 * 0.97 ** np.arange(40)), Impulse(velocity=1e-3), 3e-5, 5
     ),
 }
-ENDLESS = scene_of(
-    Chain(grains=200, material="glass", diameter=1e-3), Impulse(velocity=1e-5, grain=100), 1.0, 101
-)
+ENDLESS = scene_of(column(200, material="glass"), Impulse(velocity=1e-5, grain=100), 1.0, 101)
 
 
 def same(one: Trajectory, other: Trajectory) -> bool:
@@ -99,7 +96,7 @@ def test_three_ranks_and_the_gauge_diameter():
 
 @pytest.mark.slow
 def test_more_ranks_than_grains_are_rejected():
-    scene = scene_of(Chain(grains=2, diameter=1e-3), Impulse(velocity=1e-4), 1e-5, 3)
+    scene = scene_of(column(2), Impulse(velocity=1e-4), 1e-5, 3)
     with pytest.raises(InputError, match="ranks: must be at most one per grain"):
         simulate(scene, "lammps", ranks=3)
     for wrong in (0, -1, 2.0, True):

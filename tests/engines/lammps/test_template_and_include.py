@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers.command_output import SCENE, keys, names
-from helpers.independent_integrators import relative_error
+from helpers.independent_integrators import distance
 from helpers.standalone_lammps import lmp, small
 from helpers.thinned import thinned
 
@@ -132,7 +132,7 @@ def test_an_include_that_changes_the_motion_causes_an_error():
     Path("my.include").write_text("fix drag all viscous 1e-3\n")
     t = simulate(small(), engine=Lammps(**VERLET | {"step": 1e-8}, include="my.include"))
     native = simulate(small(), "native", 1e-9)
-    error = relative_error(t.displacement, t.velocity, native.displacement, native.velocity)
+    error = distance(t, native)
     assert t.error_estimate.total == pytest.approx(error, rel=0.1)
     assert error > 1e-3
 

@@ -5,18 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.example_chains import column
+from helpers.example_scenes import struck
 
-from lmpchain import Chain, Damping, Impulse, InputError, Scene, Stopped, resume, simulate
+from lmpchain import Damping, InputError, Stopped, resume, simulate
 from lmpchain.engines import Lammps
 from lmpchain.engines.lammps.stepper import LammpsStepper
 from lmpchain.engines.stepping import time_stepping as stepping_run
 
-SCENE = Scene(
-    chain=Chain(grains=8, diameter=1e-3, damping=Damping(viscoelastic=1e-8)),
-    excitation=Impulse(velocity=1e-3),
-    duration=2e-5,
-    samples=41,
-)
+SCENE = struck(column(8, damping=Damping(viscoelastic=1e-8)), 1e-3, 2e-5, 41)
 INCLUDE = """compute   energy all ke   # with a comment
 variable  twice equal 2.0*c_energy
 fix       average all ave/time 1 1 5 c_energy v_twice &
