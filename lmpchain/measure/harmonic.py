@@ -224,7 +224,7 @@ def wave(
     u, _ = motion(trajectory, numbers)
     omega = 2 * np.pi * drive.frequency
     motion_error = SQUARE * motion_of(trajectory).known_error("displacement")
-    whole, later, rough = _amplitudes(trajectory.time, u, omega, window)
+    whole, later, rough, _ = _amplitudes(trajectory.time, u, omega, window)
     count = _steady(whole, later, motion_error)
     if count < FEWEST_GRAINS + 2 * size:
         few = f"{count} of the chosen grains move steadily, fewer than {FEWEST_GRAINS + 2 * size}"
@@ -305,7 +305,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     part = known.known_error("displacement") / max(known.sampled[0], 1e-300)
     if isinstance(drive, Force):
         # The waveform is a sine.
-        force = [np.full(1, -1j * drive.amplitude)] * 3
+        force = [np.full(1, -1j * drive.amplitude)] * len(moved)
         off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
     else:
         pushed = force_above_rest(trajectory, body)
@@ -313,14 +313,17 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
         mass = float(chain.masses[body - 1]) if 1 <= body <= chain.grains else 0.0
         inertia = mass * omega**2
         force = [each - inertia * u for each, u in zip(force, moved, strict=True)]
-        moved = [np.full(1, -1j * drive.amplitude)] * 3
+        moved = [np.full(1, -1j * drive.amplitude)] * len(force)
         size = float(np.abs(pushed).max())
         off = 2 * part * SQUARE * size / max(abs(force[0][0]), 1e-300)
-    whole, later, rough = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
+    ratios = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
+    whole, later, rough, earlier = ratios
     linear = complex(np.nan, np.nan)
     if chain.linearisable:
         linear = drive_stiffness(chain, drive)
-    error = LEFT * abs(later - whole) + abs(rough - whole) + off * abs(whole)
+    # A transient that hardly decays, or turns, changes little from one window to another.
+    change = LEFT * abs(later - whole) + abs(later - earlier)
+    error = change + abs(rough - whole) + off * abs(whole)
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
 
@@ -365,16 +368,21 @@ def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force,
 
 
 def _amplitudes(time: Array, signals: Array, omega: float, window: int) -> list[Complex]:
-    """Return amplitudes (G,) in the window, in its later half, and with every second sample."""
+    """Return amplitudes (G,) in the window, its halves and every second sample.
 
-    def amplitude(size: int, stride: int) -> Complex:
-        samples = slice(len(time) - size - 1, None, stride)
+    The order is: in the window, in its later half, with every second sample, in the earlier half.
+    """
+
+    def amplitude(size: int, stride: int = 1, end: int = len(time)) -> Complex:
+        samples = slice(end - size - 1, end, stride)
         t = time[samples]
         shape = np.sin(np.pi * (t - t[0]) / (t[-1] - t[0])) ** 8
         turned: Complex = (shape * np.exp(-1j * omega * t)) @ signals[samples]
         return 2 * turned / shape.sum()
 
-    return [amplitude(*each) for each in ((window, 1), (window // 2, 1), (window, 2))]
+    half = window // 2
+    earlier = amplitude(half, end=len(time) - half)
+    return [amplitude(window), amplitude(half), amplitude(window, stride=2), earlier]
 
 
 def _choose(

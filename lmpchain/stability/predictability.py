@@ -170,7 +170,8 @@ def growth(
     ToleranceNotMet
         If rounding errors alone exceed `accuracy`, even without growth.
     """
-    proposal = Native("rkn6").propose(scene.reached, accuracy)
+    method = "dop853" if scene.chain.damped else "rkn6"
+    proposal = Native(method).propose(scene.reached, accuracy)
     return scene.time, divergence(scene, proposal, perturbation)
 
 

@@ -51,8 +51,9 @@ def floor(
     Raises
     ------
     InputError
-        If the engine or an option is unknown.
+        If the engine or an option is unknown, or the chain has damping.
     """
+    scene.chain.refuse_damping("the law of round-off")
     cone = scene.reached
     solver = _engine(engine, diameter, force)
     return solver.typical_round_off(cone, _steps(cone), _speed(cone))
@@ -72,6 +73,11 @@ def long_double(scene: Scene) -> tuple[Array, Array]:
         Displacements, m.
     velocity : (T, N) array
         Velocities, m/s.
+
+    Raises
+    ------
+    InputError
+        If the scene is forced or damped, or its chain has a ground or a law by formula.
     """
     cone = scene.reached
     return _integrate(cone, RKN6, _steps(cone))
@@ -109,11 +115,10 @@ def measured_floor(
     Raises
     ------
     InputError
-        If the engine or an option is unknown, if the scene is forced, or if the engine cannot solve
-        it.
+        If the engine or an option is unknown, if the scene is forced or damped, or if the engine
+        cannot solve it.
     """
-    if scene.excitation.does_work:
-        raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")
+    _check_free(scene)
     cone = scene.ungathered.reached
     steps = _steps(cone)
     h = cone.duration / steps * (1 + 1e-9)
@@ -125,6 +130,13 @@ def measured_floor(
         float(np.abs(x - y[:, columns]).max() / np.abs(y).max())
         for x, y in zip((run.displacement, run.velocity), true, strict=True)
     )
+
+
+def _check_free(scene: Scene) -> None:
+    """Raise `InputError` if the motion of a scene is not free and lossless."""
+    scene.chain.refuse_damping("measured round-off")
+    if scene.excitation.does_work:
+        raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")
 
 
 def _engine(
@@ -159,6 +171,7 @@ def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, A
     constant: Any = chain.contacts.constant.astype(Long)
     weight = Long(chain.gravity) * np.cumsum(mass)
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
+    _check_free(scene)
     # For other contact laws, changes of forces are only computed in double precision.
     chain.refuse_ground("measured round-off")
     exponent: Any = Long(chain.law.power_of("measured round-off"))

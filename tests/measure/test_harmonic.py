@@ -308,6 +308,18 @@ def test_errors_cover_the_rest_of_a_transient() -> None:
         assert abs(short.stiffness - long.stiffness) <= short.error + long.error
 
 
+def test_the_error_covers_a_transient_that_hardly_decays() -> None:
+    """The later half of the window changes the stiffness by a fifth of its distance from steady."""
+    damping = {"viscoelastic": 8.31262e-07, "drag": 462.317}
+    chain = Chain(grains=9, top="wall", bottom="wall", damping=damping, **LOADED)
+    push = 0.26 * float(chain.contacts.overlap[0] * chain.contacts.stiffness[0])
+    drive = Force(grain=2, amplitude=push, frequency=0.4832932 * chain.band_edge / 2 / np.pi)
+    short, long = (harmonic.drive_point(driven(chain, drive, count)) for count in (145, 580))
+    assert long.error < 0.01 * abs(long.stiffness)
+    off = abs(short.stiffness - long.stiffness)
+    assert 0.1 * abs(long.stiffness) < off <= short.error
+
+
 def test_pictures_have_labels_and_unsuitable_runs_are_rejected() -> None:
     """The picture has labelled axes; a burst or a few grains give no wavenumber."""
     t = long_run(1.5, 0.02)

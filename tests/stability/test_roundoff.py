@@ -34,7 +34,7 @@ from lmpchain.stability.predictability import (
     predicted_time,
     reflection_time,
 )
-from lmpchain.stability.roundoff import floor, measured_floor
+from lmpchain.stability.roundoff import floor, long_double, measured_floor
 
 HEIGHTS = [{"engine": "lammps", "diameter": kind} for kind in ("physical", "gauge")]
 
@@ -173,8 +173,10 @@ def apart_in_long_double(scene, change):
 
 
 @pytest.mark.slow
-def test_growth_agrees_with_extended_precision():
+@pytest.mark.parametrize("damping", [None, {"drag": 50.0, "viscoelastic": 1e-7}])
+def test_growth_agrees_with_extended_precision(damping):
     scene = agitated(8, 100.0, 5, samples=26)
+    scene = scene.replace(chain=scene.chain.replace(damping=damping))
     times, apart = growth(scene, 1e-11)
     true = apart_in_long_double(scene, 1e-11)
     assert times == pytest.approx(scene.time, abs=0)
@@ -190,6 +192,13 @@ def test_growth_agrees_with_extended_precision_over_many_decades():
     assert true.max() > 1e-6
     compared = slice(1, int(np.argmax(true > 1e-6)))
     assert np.log10(apart[compared]) == pytest.approx(np.log10(true[compared]), abs=0.2)
+
+
+@pytest.mark.parametrize("function", [floor, measured_floor, long_double])
+def test_the_round_off_of_damped_chains_is_not_known(function):
+    damped = column(10, damping={"drag": 50.0})
+    with pytest.raises(InputError, match="round-off does not support damping"):
+        function(struck_in_units(damped, 1e-3, 30, 31))
 
 
 def test_a_gentle_wave_does_not_amplify():

@@ -277,7 +277,9 @@ class TimeSteppingEngine(Engine):
         self.step = step
 
     def methods(self, scene: Scene) -> list[Method]:
-        """Return the methods from which the engine chooses for a scene."""
+        """Return the methods from which the engine chooses for a scene, or raise `InputError`."""
+        if faults := self.refuses(scene):
+            raise InputError(faults)
         methods = methods_of(scene.chain)
         automatic = AUTOMATIC_DAMPED if scene.chain.damped else AUTOMATIC
         names = automatic if self.integrator == "auto" else [self.integrator]
