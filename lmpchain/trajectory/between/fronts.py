@@ -117,6 +117,16 @@ def _earlier(events, when, lowest, late, rules):
 
 
 @compiled
+def _farther(event, front, late, apart, rules):
+    """Return at least the distances of another maximum from the front, with its own errors.
+
+    Heights have a sign, because the two maxima may be on different sides of rest.
+    """
+    other = abs(event.when - front.when) + _spread(event, rules)
+    return max(late, other), max(apart, abs(event.height - front.height) + event.off + rules.error)
+
+
+@compiled
 def _doubt_choice(events, at, late, largest, rules):
     """Return the errors of time and height of a front that follow from other possible fronts.
 
@@ -156,19 +166,20 @@ def _doubt_choice(events, at, late, largest, rules):
     # An earlier maximum may be high enough.
     other = _first(events, lower, 0.0, 0.0)
     if other >= 0 and events[other].when < when:
-        late = max(late, when - events[other].when)
-        apart = max(apart, abs(abs(events[other].height) - top))
+        late, apart = _farther(events[other], front, late, apart, rules)
     end = rules.duration - when
     fall = rules.fall + 2.0 * rules.error
     # This maximum may be too low, or may not decrease enough; then a later one is the front.
     if top < upper or top - front.since <= fall + 2.0 * front.off:
         other = _first(events, upper, fall, 2.0)
-        late = max(late, abs(events[other].when - when) if other >= 0 else end)
-        apart = max(apart, abs(abs(events[other].height) - top) if other >= 0 else largest[HIGH])
+        if other >= 0:
+            late, apart = _farther(events[other], front, late, apart, rules)
+        else:
+            late, apart = max(late, end), top + largest[HIGH]
     for k in range(events.size):
         event = events[k]
         if event.kind == HIDDEN and event.when <= when and event.height >= enough:
-            apart = largest[HIGH]
+            apart = top + largest[HIGH]
             late = max(late, when - event.when, event.until - when if top >= upper else end)
     return late, apart
 
