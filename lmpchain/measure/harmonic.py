@@ -331,6 +331,11 @@ def averaged_periods(recorded: float, periods: int | None, least: int) -> int:
     """Return the number of periods, `least` or more, over which a measure averages.
 
     It is the given number or half of the recorded one, so that the motion becomes steady before.
+
+    Raises
+    ------
+    InputError
+        If the recording has too few periods, or the given number is not from `least` to all.
     """
     most = int(recorded * (1 + 1e-9))
     if periods is None and most // 2 < least:

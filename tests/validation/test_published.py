@@ -89,7 +89,7 @@ def test_speed_of_a_soliton(
         2751,
         tolerance,
         engine,
-        [first, second],
+        grains=[first, second],
     )
     (early, low), (late, high) = (find_peak(t.time, v) for v in t.velocity.T)
     assert low == pytest.approx(high, rel=off), "the pulse must travel without change"
