@@ -136,7 +136,7 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     Raises
     ------
     InputError
-        If the scene is damped or driven, flies apart, or needs more than 2e7 steps.
+        If the scene is damped, driven or at rest, flies apart, or needs more than 2e7 steps.
     RunFailed
         If the motion or a deviation becomes infinite.
 
@@ -165,6 +165,8 @@ def chaos_of(scene: Scene, exponents: int | None = None, seed: int = 0) -> Chaos
     mesh = np.full(math.ceil(steps / turns), 1 / math.ceil(steps / turns))
     state = flow.canonical(*scene.initial())
     begin, _ = flow.energy(state)
+    if not begin > 0:
+        raise InputError.at("excitation", "does not move the chain: strike or displace a grain")
     random = np.random.default_rng(seed).standard_normal((size, count))
     deviation = np.linalg.qr(random)[0]
     # The triangular matrix from t = 0 has normalised columns; the logarithms of their lengths are

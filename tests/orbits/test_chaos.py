@@ -185,6 +185,8 @@ def test_pictures_tables_and_refusals() -> None:
         chaos_of(scene.replace(duration=1e5))
     with pytest.raises(InputError, match="excitation"):
         chaos_of(scene.replace(excitation=Drive(amplitude=1e-9, frequency=1e3)))
+    with pytest.raises(InputError, match="does not move the chain"):
+        chaos_of(struck(chain, 0.0, 1e-3))
     with pytest.raises(InputError, match="damping"):
         chaos_of(scene.replace(chain=chain.replace(damping=Damping(drag=1.0))))
     with pytest.raises(InputError, match="count"):
