@@ -332,6 +332,19 @@ def averaged_periods(recorded: float, periods: int | None, least: int) -> int:
 
     It is the given number or half of the recorded one, so that the motion becomes steady before.
 
+    Parameters
+    ----------
+    recorded : float
+        Number of recorded periods.
+    periods : int, optional
+        Given number of periods.
+    least : int
+        Smallest number of periods for an average.
+
+    Returns
+    -------
+    int
+
     Raises
     ------
     InputError

@@ -155,7 +155,8 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
     mode : int
         Number of the mode, from 1 in the order of frequencies.
     strain : float
-        Largest change of an overlap relative to the overlap at rest.
+        Largest change of an overlap relative to the overlap at rest; for a law by formula,
+        relative to the change at which a wave is no longer weak.
 
     Returns
     -------
@@ -173,7 +174,7 @@ def linear_mode(chain: Chain, mode: int, strain: float = 1e-3) -> tuple[Array, f
     u = np.zeros(chain.grains)
     u[: chain.movable] = modes.shape[:, mode - 1]
     contacts = chain.contacts
-    strains = np.abs(contacts.closer(u))[contacts.pressed] / contacts.overlap[contacts.pressed]
+    strains = np.abs(contacts.closer(u))[contacts.pressed] / contacts.length[contacts.pressed]
     return strain / strains.max() * u, float(2 * np.pi / modes.frequency[mode - 1])
 
 

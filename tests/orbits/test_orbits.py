@@ -11,7 +11,7 @@ from helpers.extended_precision import tangent_map
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from lmpchain import Chain, Drive, Impulse, InputError, Material, Profile, orbits, simulate
+from lmpchain import Chain, Drive, Impulse, InputError, Law, Material, Profile, orbits, simulate
 from lmpchain.engines import Native
 from lmpchain.errors import RunFailed
 from lmpchain.integrators.methods import KAHAN_LI8
@@ -111,6 +111,26 @@ def test_pi_modes_match_quadrature_with_contacts_that_open(load: float, relative
     assert orbit.residual < 1e-13
     assert orbit.error < 1e-11
     assert orbit.displacement[:-1] == pytest.approx(-orbit.displacement[1:], rel=1e-12)
+
+
+def test_a_mode_of_bonds_without_load_matches_quadrature():
+    """One grain between two Toda bonds has the potential energy 2 k (cosh(b x) - 1) / b^2."""
+    law = Law("k*(exp(b*o) - 1)/b", k=1e5, b=1e5)
+    chain = column(1, gravity=0.0, top="wall", bottom="wall", law=law)
+    energy = 2e-5
+    found = orbits.normal_mode(chain, 1, energy)
+    farthest = np.arccosh(1 + energy * 1e5**2 / 2e5) / 1e5
+    # With x = farthest sin(s) the integrand is smooth.
+    quarter, _ = quad(
+        lambda s: (
+            farthest
+            * np.cos(s)
+            / np.sqrt(2 * (energy - 2e5 / 1e5**2 * (np.cosh(1e5 * farthest * np.sin(s)) - 1)))
+        ),
+        *(0.0, np.pi / 2 * (1 - 1e-9)),
+    )
+    assert found.period == pytest.approx(4 * quarter * np.sqrt(chain.masses[0]), rel=1e-8)
+    assert found.period < 0.95 * 2 * np.pi / chain.band_edge
 
 
 def test_a_grain_with_long_flights_between_short_contacts():
