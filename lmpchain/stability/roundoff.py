@@ -133,7 +133,8 @@ def measured_floor(
 
 
 def _check_free(scene: Scene) -> None:
-    """Raise `InputError` if the motion of a scene is not free and lossless."""
+    """Raise `InputError` if a scene has no motion, or one that is not free and lossless."""
+    _speed(scene)
     scene.chain.refuse_damping("measured round-off")
     if scene.excitation.does_work:
         raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")
@@ -161,6 +162,8 @@ def _steps(scene: Scene) -> int:
 def _speed(scene: Scene) -> float:
     """Return an estimate of the largest velocity, m/s."""
     u, v = scene.imposed
+    if not (u or v or scene.chain.compressed):
+        raise InputError.at("excitation", "does not move the chain: strike or displace a grain")
     return max(v, u * scene.highest_frequency) or scene.chain.length_scale / scene.chain.time_scale
 
 

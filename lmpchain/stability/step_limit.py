@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from .. import engines
-from ..errors import RunFailed
+from ..errors import InputError, RunFailed
 from ..integrators.methods import METHODS
 from ..integrators.steps import Steps
 from ..scene.scene import Scene
@@ -291,10 +291,12 @@ def energy_error(
     Raises
     ------
     InputError
-        If the step is not stable at rest.
+        If nothing compresses the chain at rest, or the step is not stable there.
     RunFailed
         If the run breaks down.
     """
+    if not scene.chain.compressed:
+        raise InputError.at("gravity", "a chain without gravity and load has no band edge")
     # This import is local, because the simulation room imports warnings of this room.
     from ..simulation.api import simulate
 

@@ -201,6 +201,12 @@ def test_the_round_off_of_damped_chains_is_not_known(function):
         function(struck_in_units(damped, 1e-3, 30, 31))
 
 
+@pytest.mark.parametrize("function", [floor, measured_floor, long_double])
+def test_a_chain_at_rest_in_a_vacuum_has_no_round_off(function):
+    with pytest.raises(InputError, match="does not move the chain"):
+        function(struck(column(4, gravity=0.0), 0.0, 1e-3, 5))
+
+
 def test_a_gentle_wave_does_not_amplify():
     scene = struck_in_units(column(10), 1e-3, 300, 31)
     _, apart = growth(scene)

@@ -13,7 +13,7 @@ from helpers.independent_integrators import extended_reference
 from laws.openings import drift, errors_through_openings, order_through_openings
 from scipy.linalg import eigvalsh_tridiagonal
 
-from lmpchain import Chain, Displacement, Drive, Profile, Scene, engines, patterns
+from lmpchain import Chain, Displacement, Drive, InputError, Profile, Scene, engines, patterns
 from lmpchain.benchmark.reference import Reference
 from lmpchain.integrators.methods import METHODS, SPLITTINGS
 from lmpchain.stability.step_limit import blow_up, energy_error, limit, struck_frequency, suspect
@@ -243,6 +243,14 @@ def test_a_weak_wave_drifts_like_its_modes(integrator: str, reach: float) -> Non
     (rate, sure) = run.trend()
     assert sure < 0.1 * abs(rate)
     assert rate == pytest.approx(expected, rel=0.02, abs=0)
+
+
+def test_the_energy_of_a_sonic_vacuum_has_no_period():
+    vacuum = scene_of(
+        Chain(grains=4, gravity=0.0, diameter=1e-3), Profile(velocity=[1, 0, 0, 0]), 1e-4
+    )
+    with pytest.raises(InputError, match="has no band edge"):
+        energy_error(vacuum, "rkn6", 1e-8, 10)
 
 
 # --- contacts that open
