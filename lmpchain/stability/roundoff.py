@@ -133,9 +133,10 @@ def measured_floor(
 
 
 def _check_free(scene: Scene) -> None:
-    """Raise `InputError` if a scene has no motion, or one that is not free and lossless."""
+    """Raise `InputError` unless grains move by lossless contacts and gravity alone."""
     _speed(scene)
     scene.chain.refuse_damping("measured round-off")
+    scene.chain.refuse_ground("measured round-off")
     if scene.excitation.does_work:
         raise InputError.at("kind", "the rounding floor cannot be measured for a forced scene")
 
@@ -169,14 +170,13 @@ def _speed(scene: Scene) -> float:
 
 def _integrate(scene: Scene, splitting: Splitting, steps: int) -> tuple[Array, Array]:
     """Return the displacement and velocity, (T, N) m and m/s, by a splitting in long double."""
+    _check_free(scene)
     chain = scene.chain
     mass = chain.masses.astype(Long)
     constant: Any = chain.contacts.constant.astype(Long)
     weight = Long(chain.gravity) * np.cumsum(mass)
     carried = force_at_rest(weight, chain.top_load, chain.load_grain)
-    _check_free(scene)
     # For other contact laws, changes of forces are only computed in double precision.
-    chain.refuse_ground("measured round-off")
     exponent: Any = Long(chain.law.power_of("measured round-off"))
     law = PowerForce(exponent)
     contacts = Contacts.at_rest(constant, np.where(constant > 0, carried, 0), law)

@@ -118,9 +118,10 @@ def _earlier(events, when, lowest, late, rules):
 
 @compiled
 def _farther(event, front, late, apart, rules):
-    """Return at least the distances of another maximum from the front, with its own errors.
+    """Return the errors of time and height, raised to the distances of another maximum.
 
-    Heights have a sign, because the two maxima may be on different sides of rest.
+    The distances include the errors of the other maximum. Heights have a sign, because the two
+    maxima may be on different sides of rest.
     """
     other = abs(event.when - front.when) + _spread(event, rules)
     return max(late, other), max(apart, abs(event.height - front.height) + event.off + rules.error)
