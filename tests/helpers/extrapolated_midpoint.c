@@ -107,26 +107,6 @@ static REAL beyond(const System *s, REAL t, const REAL *y, int *where) {
   return worst;
 }
 
-static REAL closing(const System *s, int c, REAL t, const REAL *y) {
-  REAL x, wall = 0;
-  if (s->acts && s->place < 0) imposed(s, t, &x, &wall);
-  return (c ? y[s->grains + c - 1] : wall) - (c < s->grains ? y[s->grains + c] : 0);
-}
-
-/* Whether an overlap turns on a side that some term does not have, between two near states with the right sides. */
-static int grazes(const System *s, REAL t, REAL h, const REAL *y, const REAL *next, REAL tiny) {
-  for (int i = 0; i < s->terms; i++)
-    for (int c = 0; kinked(s->kind[i]) && c <= s->grains; c++) {
-      if (!s->exists[c]) continue;
-      int n = i * (s->grains + 1) + c;
-      REAL sign = s->side[i][c] ? -s->sign[n] : s->sign[n];
-      REAL rate = sign * closing(s, c, t, y), later = sign * closing(s, c, t + h, next);
-      if (!(rate > 0 && later < 0)) continue;
-      if (sign * (overlap(s, c, t, y) - s->e[n]) + h * rate * rate / (rate - later) / 2 > tiny) return 1;
-    }
-  return 0;
-}
-
 typedef struct {
   REAL y[2 * GRAINS], error, beyond, middle; /* middle: fraction of the step at which a side is first wrong */
   int where;
@@ -147,9 +127,7 @@ static void step_on(const System *s, REAL t, REAL h, const REAL *y, const REAL *
     for (int k = 1; k < parts; k++) {
       if (row == ROWS - 1) {
         int where;
-        if (out->middle > 1 && (beyond(s, t + k * part, now, &where) > tiny ||
-                                grazes(s, t + (k - 1) * part, part, before, now, tiny)))
-          out->middle = (REAL)k / parts;
+        if (out->middle > 1 && beyond(s, t + k * part, now, &where) > tiny) out->middle = (REAL)k / parts;
         for (int i = 0; i < m; i++) peak[i >= n] = fmax(peak[i >= n], fabs(now[i]));
       }
       rates(s, t + k * part, now, at_rest, slope);
