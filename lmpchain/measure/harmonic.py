@@ -12,7 +12,7 @@ for a cell of c grains. A least-squares fit gives cos(k), without a model of the
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -224,7 +224,7 @@ def wave(
     u, _ = motion(trajectory, numbers)
     omega = 2 * np.pi * drive.frequency
     motion_error = SQUARE * motion_of(trajectory).known_error("displacement")
-    whole, later, rough, _ = _amplitudes(trajectory.time, u, omega, window)
+    whole, later, rough, _ = amplitudes(trajectory.time, u, omega, window)
     count = _steady(whole, later, motion_error)
     if count < FEWEST_GRAINS + 2 * size:
         few = f"{count} of the chosen grains move steadily, fewer than {FEWEST_GRAINS + 2 * size}"
@@ -300,7 +300,7 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
     time = trajectory.time
     omega = 2 * np.pi * drive.frequency
     body = drive.grain if isinstance(drive, Force) else drive.body(chain)
-    moved = _amplitudes(time, motion(trajectory, np.array([body]))[0], omega, window)
+    moved = amplitudes(time, motion(trajectory, np.array([body]))[0], omega, window)
     known = motion_of(trajectory)
     part = known.known_error("displacement") / max(known.sampled[0], 1e-300)
     if isinstance(drive, Force):
@@ -309,21 +309,19 @@ def drive_point(trajectory: Trajectory, periods: int | None = None) -> DrivePoin
         off = part * SQUARE * known.sampled[0] / abs(moved[0][0])
     else:
         pushed = force_above_rest(trajectory, body)
-        force = _amplitudes(time, pushed[:, None], omega, window)
+        force = amplitudes(time, pushed[:, None], omega, window)
         mass = float(chain.masses[body - 1]) if 1 <= body <= chain.grains else 0.0
         inertia = mass * omega**2
         force = [each - inertia * u for each, u in zip(force, moved, strict=True)]
         moved = [np.full(1, -1j * drive.amplitude)] * len(force)
         size = float(np.abs(pushed).max())
         off = 2 * part * SQUARE * size / max(abs(force[0][0]), 1e-300)
-    ratios = (complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True))
-    whole, later, rough, earlier = ratios
+    ratios = [complex(f[0] / u[0]) for f, u in zip(force, moved, strict=True)]
+    whole, _, rough, _ = ratios
     linear = complex(np.nan, np.nan)
     if chain.linearisable:
         linear = drive_stiffness(chain, drive)
-    # A transient that hardly decays, or turns, changes little from one window to another.
-    change = LEFT * abs(later - whole) + abs(later - earlier)
-    error = change + abs(rough - whole) + off * abs(whole)
+    error = transient(ratios) + abs(rough - whole) + off * abs(whole)
     return DrivePoint(drive.frequency, whole, float(error), linear)
 
 
@@ -385,10 +383,25 @@ def _window(trajectory: Trajectory, periods: int | None) -> tuple[Drive | Force,
     return drive, int(count * period / step * (1 + 1e-9))
 
 
-def _amplitudes(time: Array, signals: Array, omega: float, window: int) -> list[Complex]:
-    """Return amplitudes (G,) in the window, its halves and every second sample.
+def amplitudes(time: Array, signals: Array, omega: float, window: int) -> list[Complex]:
+    """Return amplitudes at one frequency in the window, its halves and every second sample.
 
-    The order is: in the window, in its later half, with every second sample, in the earlier half.
+    Parameters
+    ----------
+    time : (T,) array
+        Times, s.
+    signals : (T, G) array
+        Signals.
+    omega : float
+        Angular frequency, rad/s.
+    window : int
+        Number of intervals between samples at the end over which the signals are averaged.
+
+    Returns
+    -------
+    list of (G,) complex array
+        Amplitudes a of ``Re(a exp(i w t))`` in the window, in its later half, with every second
+        sample, and in the earlier half.
     """
 
     def amplitude(size: int, stride: int = 1, end: int = len(time)) -> Complex:
@@ -401,6 +414,24 @@ def _amplitudes(time: Array, signals: Array, omega: float, window: int) -> list[
     half = window // 2
     earlier = amplitude(half, end=len(time) - half)
     return [amplitude(window), amplitude(half), amplitude(window, stride=2), earlier]
+
+
+def transient(amplitudes: Sequence[Complex | complex]) -> Array:
+    """Return a bound on what is left of a transient in the amplitudes of a window.
+
+    A transient that hardly decays, or turns, changes little from one window to another.
+
+    Parameters
+    ----------
+    amplitudes : sequence of (G,) complex array
+        Amplitudes, or ratios of them, in the order of `amplitudes`.
+
+    Returns
+    -------
+    (G,) array
+    """
+    whole, later, _, earlier = amplitudes
+    return np.asarray(LEFT * np.abs(later - whole) + np.abs(later - earlier))
 
 
 def _choose(

@@ -21,7 +21,7 @@ from ..util.plotting import COLOURS, Axes, chart, finish, prefixed
 from ..util.tabular import Tabular
 from .bodies import motion
 from .contact import contacts, force_above_rest
-from .harmonic import averaged_periods
+from .harmonic import amplitudes, averaged_periods, transient
 from .motion import motion_of
 
 __dir__ = listed(__name__)
@@ -46,7 +46,8 @@ class Power(Shown, Tabular):
     mean : float
         Mean power over the last `periods` periods of the drive, W.
     error : float
-        Uncertainty of the mean, W: the change from the first to the second half of these periods,
+        Uncertainty of the mean, W: the changes of the mean, and of the force and velocity at the
+        frequency of the drive, between these periods and their halves, by `harmonic.transient`,
         the change with every second sample, and the error of the trajectory.
     periods : int
         Number of periods over which the power is averaged.
@@ -177,10 +178,9 @@ def through(trajectory: Trajectory, contact: int, periods: int | None = None) ->
     _, v = motion(trajectory, np.array([number, number + 1]))
     force = contacts(trajectory, [number]).change[:, 0]
     speed = v.mean(1)
-    mean, error = _mean(time, force * speed, period, count)
     # Force and velocity have similar relative errors.
     part = velocity_error / max(known.sampled[1], 1e-300)
-    error += 2 * part * float(np.abs(force * speed).max())
+    mean, error = _mean(time, force, speed, period, count, part)
     given, given_error = _input(trajectory, drive, count, part)
     linear, linear_input = _linear(chain, drive, number)
     return Power(
@@ -206,12 +206,16 @@ def _check_drive(drive: object) -> Drive | Force:
     raise InputError.at("excitation", f"{rule}, because only then the motion becomes steady")
 
 
-def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, float]:
-    """Return the mean over the last periods, and its error by change and sampling.
+def _mean(
+    time: Array, force: Array, speed: Array, period: float, count: int, part: float
+) -> tuple[float, float]:
+    """Return the mean of a power over the last periods, and its error.
 
     A Hann window over whole periods suppresses harmonics and transients at other frequencies.
+    The relative error of force and speed is `part`.
     """
     end = time[-1]
+    power = force * speed
 
     def mean(stride: int, begin: float, periods: int) -> float:
         # The last sample is included.
@@ -222,9 +226,21 @@ def _mean(time: Array, power: Array, period: float, count: int) -> tuple[float, 
         return float(window @ curve(begin + periods * period * turn)) / turn.size
 
     half = count // 2
-    value = mean(1, end - count * period, count)
-    change = mean(1, end - half * period, half) - mean(1, end - 2 * half * period, half)
-    return value, abs(change) + abs(value - mean(2, end - count * period, count))
+    means = [
+        mean(1, end - count * period, count),
+        mean(1, end - half * period, half),
+        mean(2, end - count * period, count),
+        mean(1, end - 2 * half * period, half),
+    ]
+    window = int(count * period / (time[1] - time[0]) * (1 + 1e-9))
+    signals = np.stack((force, speed), axis=1)
+    signals -= signals[-window:].mean(0)
+    found = amplitudes(time, signals, 2 * np.pi / period, window)
+    size, left = np.abs(found[0]), transient(found)
+    # A transient changes the mean by its products with the steady motion.
+    unsteady = (size[0] * left[1] + size[1] * left[0] + left[0] * left[1]) / 2
+    error = transient(means) + unsteady + abs(means[2] - means[0])
+    return means[0], float(error) + 2 * part * float(np.abs(power).max())
 
 
 def _input(
@@ -235,16 +251,15 @@ def _input(
     try:
         if isinstance(drive, Force):
             _, v = motion(trajectory, np.array([drive.grain]))
-            power = drive.waveform.at(time) * v[:, 0]
+            force = drive.waveform.at(time)
         else:
             body = drive.body(trajectory.scene.chain)
             _, v = motion(trajectory, np.array([body]))
             # The power of inertia vanishes in the mean.
-            power = force_above_rest(trajectory, body) * v[:, 0]
+            force = force_above_rest(trajectory, body)
     except InputError:
         return np.nan, np.nan
-    mean, error = _mean(time, power, 1 / drive.frequency, count)
-    return mean, error + 2 * part * float(np.abs(power).max())
+    return _mean(time, force, v[:, 0], 1 / drive.frequency, count, part)
 
 
 def _linear(chain: Chain, drive: Drive | Force, number: int) -> tuple[float, float]:

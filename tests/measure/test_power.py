@@ -87,6 +87,19 @@ def test_the_steady_state_agrees_with_a_dense_matrix() -> None:
     assert displacements(chain, push)[1:-1] == pytest.approx(expected, rel=1e-10)
 
 
+@pytest.mark.parametrize(("drag", "periods"), [(2.0, 25), (30.0, 60), (6000.0, 23)])
+def test_errors_cover_what_is_left_of_transients(drag: float, periods: int) -> None:
+    """Until a damped chain moves steadily, the errors cover the distance from linear theory."""
+    chain = CHAIN.replace(grains=28, impurity=[], top="wall", damping={"drag": drag})
+    for body, frequency in ((0, 0.7 * FREQUENCY), (1, FREQUENCY), (0, 1.4 * FREQUENCY)):
+        drive = Drive(grain=body, amplitude=1e-13, frequency=frequency)
+        t = run(chain, drive, periods / frequency, 16 * periods + 1, 1e-7)
+        for contact in (3, 20):
+            passed = power.through(t, contact)
+            assert abs(passed.mean - passed.linear) <= passed.error
+            assert abs(passed.input - passed.linear_input) <= passed.input_error
+
+
 def test_the_plot_has_mean_theory_and_share() -> None:
     """The picture has the mean, linear theory and the share."""
     ax = power.through(pushed(1e-4), 100).plot()
