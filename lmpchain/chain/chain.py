@@ -332,11 +332,15 @@ class Chain(ChainPicture, Checked):
         """Whether the force from the ground depends on the time."""
         return self.ground is not None and "t" in self.ground.formula.names
 
-    def refuse_moving_ground(self, what: str) -> None:
-        """Raise `InputError` if the force from the ground depends on the time, or bends at rest."""
+    def refuse_ground_without_modes(self, what: str) -> None:
+        """Raise `InputError` if the force from the ground bends at rest or depends on the time."""
         if self.ground is not None and (self.ground.kinks(0.0) == 0).any():
             cure = "use a native run"
             raise InputError.at("chain.ground", f"{what} does not support a kink at rest: {cure}")
+        self.refuse_moving_ground(what)
+
+    def refuse_moving_ground(self, what: str) -> None:
+        """Raise `InputError` if the force from the ground depends on the time."""
         if self.ground_in_time:
             cure = "leave t out of its formula"
             raise InputError.at(

@@ -105,7 +105,7 @@ class Layer(NamedTuple):
 
 def layer(chain: Chain, end: str, grains: int, cell: int) -> Layer:
     """Return the layer of `grains` grains at the "top" or "bottom" of a chain."""
-    chain.refuse_moving_ground("reflection")
+    chain.refuse_ground_without_modes("reflection")
     ground = chain.ground_stiffness[: chain.movable]
     if (ground < 0).any():
         raise InputError.at("chain.ground", "pushes grains away from rest: no wave is linear")

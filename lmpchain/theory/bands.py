@@ -112,7 +112,7 @@ class Cell:
         stiffness = np.append(chain.linear_stiffness, closing.stiffness)
         # The closing contact has the viscosity of the contact next to it, like a wall contact.
         viscosity = chain.contact_viscosity[1:]
-        chain.refuse_moving_ground("theory of bands")
+        chain.refuse_ground_without_modes("theory of bands")
         damping = {"viscoelastic": viscosity, "drag": chain.drag}
         return cls(chain.masses, stiffness, **damping, ground=chain.ground_stiffness)
 

@@ -165,7 +165,7 @@ def eigenmodes(chain: Chain) -> Eigenmodes:
     message = "carries no force at rest: nothing to linearise without gravity or a top load"
     require(("chain", chain.compressed, message), *unequal_damping(chain))
     chain.refuse_loose("theory of modes")
-    chain.refuse_moving_ground("theory of modes")
+    chain.refuse_ground_without_modes("theory of modes")
     moving = slice(0, chain.movable)
     stiffness = chain.contacts.stiffness[: chain.movable + 1]
     modes = between(stiffness, chain.masses[moving], ground_of(chain)[moving])

@@ -64,7 +64,7 @@ def displacements(chain: Chain, drive: Drive | Force) -> NDArray[np.complex128]:
     >>> abs(answer).round(12).tolist()
     [0.0, 1e-09, 5e-10, 0.0, 0.0]
     """
-    chain.refuse_moving_ground("the steady answer")
+    chain.refuse_ground_without_modes("the steady answer")
     omega = 2 * np.pi * drive.frequency
     stiffness = dynamic_stiffness(chain, omega)
     answer = np.zeros(chain.grains + 2, complex)

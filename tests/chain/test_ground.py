@@ -78,6 +78,7 @@ GROUNDS = {
     "periodic": laws.frenkel_kontorova(1e6, period=1e-8),
     "two wells": Law("b*u**3 - k*u", k=1e5, b=1e22),
     "in time": laws.mathieu(1e6, depth=0.6, frequency=2e5),
+    "on one side": Law("k*max(u, 0)", k=1e6),
 }
 
 
@@ -180,7 +181,7 @@ def work_of(run):
     return make_interp_spline(time, power, 7).antiderivative()(time)
 
 
-CONSERVATIVE = ("spring", "of each grain", "periodic", "two wells")
+CONSERVATIVE = ("spring", "of each grain", "periodic", "two wells", "on one side")
 DAMPINGS = (None, {"drag": 1e4}, {"viscoelastic": 1e-8})
 
 
@@ -206,7 +207,9 @@ def test_the_balance_of_energy_and_momentum(name, acting, damping):
     terms = ledger.kinetic + ledger.contact + ledger.ground + ledger.gravity + ledger.load
     np.testing.assert_allclose(terms, ledger.total, atol=1e-9 * np.abs(ledger.contact).max())
     assert np.abs(ledger.ground).max() > 1e-3 * size
-    assert np.abs(ledger.drive - work_of(run)).max() < 1e-6 * size
+    # A spline through the kink of a power is less accurate.
+    rough = 2e-4 if name == "on one side" and acting == "drive" else 1e-6
+    assert np.abs(ledger.drive - work_of(run)).max() < rough * size
     assert np.abs(ledger.drift).max() <= ledger.drive_error + ledger.dissipated_error + 1e-7 * size
     momentum = np.abs(ledger.momentum).max()
     assert np.abs(ledger.momentum_drift).max() < ledger.impulse_error + 1e-7 * momentum
@@ -292,7 +295,7 @@ def test_functions_without_ground_support_reject_it(name, sprung):
 
 def test_modes_allow_only_springs():
     simulate(struck_on(SPRING, velocity=1e-7), "modes")
-    for name in ("periodic", "two wells", "in time"):
+    for name in ("periodic", "two wells", "in time", "on one side"):
         with pytest.raises(InputError, match="not a linear spring"):
             simulate(struck_on(GROUNDS[name]), "modes")
 
