@@ -34,7 +34,8 @@ def struck_frequency(scene: Scene) -> float:
     sqrt([2 + 2 cos(pi / (n + 1))] k / m). Compared with the eigenfrequencies of the exact motion at
     every moment, for strike numbers from 0.01 to 1e4, the estimate is accurate to 3 % in loaded
     chains and columns of Hertz contacts, and to 7 % for exponent 2. The energy of a forced scene is
-    not known beforehand; `Scene.highest_frequency` is returned in this case.
+    not known beforehand, and that on a ground is not in contacts alone; `Scene.highest_frequency`
+    is returned in these cases.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def struck_frequency(scene: Scene) -> float:
     cone = scene.reached
     chain = cone.chain
     contacts = chain.contacts
-    if cone.excitation.does_work:
+    if cone.excitation.does_work or chain.ground is not None:
         return cone.highest_frequency
     displaced = chain.excess_energy(cone.initial()[0], np.zeros(chain.grains))
     elastic = max(contacts.law.elastic_share * cone.energy, float(displaced))

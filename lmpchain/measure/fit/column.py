@@ -49,10 +49,9 @@ def bottom(grains: int, delta: float) -> tuple[float, float]:
 
 
 def is_uniform(chain: Chain) -> bool:
-    """Return whether the grains of a chain (two or more) and its contacts are equal."""
-    return all(
-        np.ptp(values) <= 1e-9 * values[0] for values in (chain.masses, chain.contact_constants)
-    )
+    """Return whether the grains of a chain and its contacts are equal."""
+    properties = (chain.masses, chain.contact_constants)
+    return all(np.allclose(values, values[:1], rtol=1e-9, atol=0) for values in properties)
 
 
 def strike_at_top(trajectory: Trajectory) -> float:
