@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, get_type_hints
 
-import numpy as np
 import pytest
 from helpers.example_scenes import run
 
