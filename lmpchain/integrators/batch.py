@@ -63,7 +63,8 @@ class ChainBatch:
     plain : list of R bool
         Whether the form of the force has a rounding error of one ulp of the force at rest.
     opening_power : float
-        Exponent of the contact force as a function of the overlap just after a contact closes.
+        Lowest power of the distance to a kink with which a force bends there: of the overlap just
+        after a contact closes, or of the distance to a kink of the force from the ground.
     """
 
     def __init__(
@@ -150,7 +151,8 @@ class ChainBatch:
             np.array([(s.highest_frequency, s.energy, *s.imposed) for s in scenes]),
             (viscosity, drag),
             (self.driven, chain.movable),
-            self.opening_power,
+            # A kink of the force from the ground has a weight of its own.
+            chain.law.onset,
         )
         if formulas:
             self._weigh_kinks(kinks)

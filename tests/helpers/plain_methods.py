@@ -130,6 +130,8 @@ class Motion:
         )
         # Time that selects the branch of the forcing; None for the current time.
         self.inside: Any = None
+        # Force of a ground on every grain, N, as a function of displacements and time.
+        self.ground: Callable[[Array, Any], Array] | None = None
         self.mobile = np.ones(chain.grains, dtype=WIDE)
         self.mobile[chain.movable :] = 0
         if self.driven:
@@ -160,6 +162,8 @@ class Motion:
         pull = force[..., :-1] - force[..., 1:]
         if self.pushed:
             pull[..., self.pushed - 1] += self.course(t, 0, self.inside)
+        if self.ground:
+            pull = pull - self.ground(x, t)
         return self.mobile * pull / self.masses
 
     def seen(self, x: Array, v: Array, t: Any) -> Array:

@@ -14,7 +14,7 @@ from helpers.flying_grains import flying as flying_grains
 from helpers.flying_grains import unlike
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Chain, Drive, Force, Profile, Scene
+from lmpchain import Chain, Drive, Force, Law, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch, name_of
 from lmpchain.integrators.kernels.layout import PAD
 from lmpchain.integrators.kernels.right_hand_side import TILE
@@ -85,6 +85,16 @@ LAWS = {
         flying(pressed(top_load=0.0, exponent=1.0, **BETWEEN), 3.0),
         "auto",
         "spring",
+    ),
+    "loose grains": (
+        flying(pressed(gravity=0.0, load_grain=4, bottom="wall"), 1.0),
+        "auto",
+        "plain square roots",
+    ),
+    "loose grains, weak": (
+        flying(pressed(gravity=0.0, load_grain=4, bottom="wall"), 0.03),
+        "exact",
+        "vectorised power",
     ),
 }
 
@@ -158,9 +168,13 @@ def steps_of(scene: Scene, method: str, steps: int) -> tuple[list[Any], list[int
     return lengths, made
 
 
-def plainly(scene: Scene, method: str, steps: int) -> np.ndarray:
-    """Return the displacement and velocity from plain NumPy, (2, T, N)."""
+def plainly(scene: Scene, method: str, steps: int, ground: Any = None) -> np.ndarray:
+    """Return the displacement and velocity from plain NumPy, (2, T, N).
+
+    `ground` is a function of displacements and time, which returns the force of a ground.
+    """
     motion = Motion(plain.column_of(scene))
+    motion.ground = ground
     (lengths, made) = steps_of(scene, method, steps)
     if method == "dop853":
         states = plain.by_dormand_prince(motion, lengths)
@@ -195,6 +209,38 @@ def test_forced_grains_move_as_in_plain_numpy(name: str, method: str):
     schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
     fields, _ = answer(scene, method, schedule)
     assert distance(fields, plainly(scene, method, STEPS_EACH)) < 2e-13
+
+
+@pytest.mark.parametrize("method", ["verlet", "rkn6", "dop853", "gear4"])
+@pytest.mark.parametrize("acts", [None, "burst of the wall", "burst on grain 1"])
+def test_grains_on_a_ground_move_as_in_plain_numpy(acts: str | None, method: str):
+    """Every grain has a spring of its own, which stiffens in time, also within a step."""
+    scene = acted(acts) if acts else LAWS["springs"][0]
+    rate = 6 / scene.duration
+    springs = np.linspace(0.5, 0.1, GRAINS) * scene.chain.contacts.stiffness.max()
+    law = Law("k*u*(1 + 0.9*tanh(w*t - 3))", k=springs.tolist(), w=rate)
+
+    def ground(x: Any, t: Any) -> Any:
+        return springs * x * (1 + WIDE(0.9) * np.tanh(rate * t - 3))
+
+    on_ground = scene.replace(chain=scene.chain.replace(ground=law))
+    schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    fields, _ = answer(on_ground, method, schedule)
+    true = plainly(scene, method, STEPS_EACH, ground)
+    assert distance(fields, true) < 2e-13
+    assert distance(plainly(scene, method, STEPS_EACH), true) > 0.1
+
+
+@pytest.mark.parametrize("method", ["verlet", "dop853"])
+@pytest.mark.parametrize("law", ["corrected", "vacuum", "touching wall", "loose grains"])
+def test_a_formula_moves_grains_like_the_power_that_it_states(law: str, method: str):
+    """The formula has an exponent of its own in each contact, which is 3/2 everywhere."""
+    scene, *_ = LAWS[law]
+    formula = Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))
+    chain = scene.chain.replace(law=formula)
+    schedule = Steps(STEPS_EACH, 1, scene.duration / 4 / STEPS_EACH, False)
+    fields, _ = answer(scene.replace(chain=chain), method, schedule)
+    assert distance(fields, plainly(scene, method, STEPS_EACH)) < 1e-13
 
 
 @pytest.mark.parametrize("method", ["rkn4", "kahan-li6", "kahan-li8"])
