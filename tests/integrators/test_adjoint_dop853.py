@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 from helpers import taylor_series
 
-from lmpchain import Chain, Damping, Force, Impulse, Scene
+from lmpchain import Chain, Damping, Drive, Force, Impulse, Scene
 from lmpchain.design import KineticEnergy, gradient, parameters
 from lmpchain.design.parameters import changed
-from lmpchain.integrators.differentiation import DIFFERENTIABLE, differentiable
+from lmpchain.integrators import adjoint_dop853
+from lmpchain.integrators.differentiation import DIFFERENTIABLE, AnyRun, differentiable
+from lmpchain.scene.base import Excitation
 
 GRAINS = 6
 CHAIN = Chain(
@@ -57,18 +59,71 @@ def test_gradients_of_damped_chains_agree_with_differences(kind: str):
         assert abs(found[name][GRAIN] - (4 * slopes[0] - slopes[1]) / 3) <= allowed, name
 
 
-@pytest.mark.parametrize("kind", SCENES)
-def test_adjoints_are_transposes_of_tangents(rng: np.random.Generator, kind: str):
-    scene = Scene(chain=CHAIN, excitation=SCENES[kind], duration=8e-6, samples=5)
-    step = 0.5 / scene.highest_frequency
-    grains = np.arange(1, GRAINS + 1)
-    run = differentiable(scene, DIFFERENTIABLE["dop853"], step, 4, grains)
+def runs(chain: Chain, excitation: Excitation, units: float = 6.0) -> Scene:
+    return Scene(chain=chain, excitation=excitation, duration=units / chain.band_edge, samples=5)
+
+
+OVERLAP = float(CHAIN.contacts.overlap.max())
+TONE = {"amplitude": 0.2 * OVERLAP, "frequency": 0.1 * CHAIN.band_edge}
+WALLED = CHAIN.replace(top="wall", exponent=2.0)
+TOUCHING = CHAIN.replace(top="wall", top_load=0.0)
+LOOSE = CHAIN.replace(gravity=0.0, load_grain=3)
+RUNS = {
+    "struck": runs(CHAIN, Impulse(velocity=1e-3, grain=2)),
+    "pushed": runs(CHAIN, Force(grain=3, amplitude=2e-3, frequency=0.1 * CHAIN.band_edge)),
+    "driven": runs(CHAIN, Drive(**TONE)),
+    "driven wall": runs(WALLED, Drive(**TONE, grain=0)),
+    "one viscosity": runs(WALLED.replace(damping={"viscoelastic": 1e-7}), Impulse(velocity=1e-3)),
+    "one viscosity, driven": runs(CHAIN.replace(damping={"viscoelastic": 1e-7}), Drive(**TONE)),
+    "touching wall": runs(TOUCHING, Impulse(velocity=-1e-3)),
+    "loose grains": runs(LOOSE, Impulse(velocity=1e-3)),
+    "long": runs(
+        Chain(
+            grains=300, diameter=1e-3, top_load=0.02, damping={"viscoelastic": 1e-8, "drag": 1e3}
+        ),
+        Impulse(velocity=1e-4, grain=150),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_derivatives_of_runs_agree_with_differences(
+    rng: np.random.Generator, kind: str, monkeypatch: pytest.MonkeyPatch
+):
+    """Tangents are differences of two runs, and adjoints are transposes of tangents."""
+    short = adjoint_dop853.CHECKPOINTS._replace(kept_bytes=1, steps_of_call=5)
+    monkeypatch.setattr(adjoint_dop853, "CHECKPOINTS", short)
+    scene = RUNS[kind]
+    grains = np.array([1, 2, 3, scene.chain.grains // 2, scene.chain.grains])
+
+    def motion(scene: Scene) -> AnyRun:
+        return differentiable(scene, DIFFERENTIABLE["dop853"], scene.duration / 40, 4, grains)
+
+    run = motion(scene)
+    assert run.steps == 40
     weights = rng.standard_normal((2, *run.velocity.shape))
     weights[0] *= scene.highest_frequency
-    inputs = run.pull(*weights)
-    for name in [*NAMES, "velocity", "displacement"] if kind == "struck" else NAMES:
-        back = parameters.pull(scene, inputs, name)
-        u, v = run.push(parameters.push(scene, name, np.eye(back.size)))
-        along = (weights[0] * u).sum((1, 2)) + (weights[1] * v).sum((1, 2))
-        # Both sum the same terms, so that they differ by rounding errors of the largest term.
-        assert np.abs(along - back).max() <= 1e-11 * np.abs(back).max(), name
+    everywhere, within_the_light_cone = (run.pull(*weights, everywhere=x) for x in (True, False))
+    states = ["velocity", "displacement"]
+    moving = np.arange(scene.chain.grains) < scene.chain.movable
+    sizes = {
+        "velocity": moving * np.abs(scene.initial()[1]).max(),
+        "displacement": moving * 0.1 * scene.chain.contacts.overlap.max(),
+        "damping.drag": scene.chain.band_edge,
+    }
+    forced = scene.excitation.does_work
+    for name in [*NAMES, *(["amplitude", "frequency"] if forced else states)]:
+        base = parameters.values(scene, name)
+        # A drag of 0 can only increase.
+        change = sizes.get(name, base) * rng.uniform(-1, name != "damping.drag", base.shape)
+        values = [base - 1e-6 * change, base + (name != "damping.drag") * 1e-6 * change]
+        ends = [motion(changed(scene, {name: value})) for value in values]
+        pushed = np.array(run.push(parameters.push(scene, name, change[None])))[:, 0]
+        steps = (1 + (name != "damping.drag")) * 1e-6
+        for field, order in (("displacement", 0), ("velocity", 1)):
+            slope = (getattr(ends[1], field) - getattr(ends[0], field)) / steps
+            assert np.abs(pushed[order] - slope).max() < 3e-5 * np.abs(slope).max(), name
+        terms = weights * pushed
+        for inputs in [everywhere] if name in states else [everywhere, within_the_light_cone]:
+            along = parameters.pull(scene, inputs, name) @ change
+            assert abs(along - terms.sum()) < 1e-13 * np.abs(terms).sum(), name

@@ -18,6 +18,11 @@ from lmpchain import (
     simulate,
 )
 from lmpchain.engines import Native
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.kernels.layout import PAD
+from lmpchain.integrators.methods import methods_of
+from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 from lmpchain.simulation.many import simulate_many
 from lmpchain.theory import modes
 
@@ -101,11 +106,6 @@ def test_all_execution_modes_give_the_same_bits():
 
 
 def test_a_resumed_run_has_the_same_bits(tmp_path):
-    from lmpchain.integrators.batch import ChainBatch
-    from lmpchain.integrators.methods import methods_of
-    from lmpchain.integrators.stepper import NativeStepper
-    from lmpchain.integrators.steps import Steps
-
     scene = struck(damped_chain(), 3e-2, 6e-5, 10)
     schedule = Steps(7, 1, scene.duration / 9 / 7, adaptive=True)
     for method in methods_of(scene.chain).values():
@@ -140,6 +140,32 @@ def test_a_mode_decays_at_the_exact_rate(viscoelastic, drag):
         np.cos(turn * t.time) + decay / turn * np.sin(turn * t.time)
     )
     assert np.abs(t.displacement / shape - course.real[:, None]).max() < 1e-10
+
+
+@pytest.mark.parametrize("damping", [{"viscoelastic": 3e-8}, {"viscoelastic": 1e-8, "drag": 1e3}])
+def test_a_window_follows_a_damped_wave_in_a_long_chain(damping):
+    """The motion is that of the middle of a short chain, which is computed as a whole."""
+    for method in ("dop853", "verlet", "lagged-verlet"):
+        found = []
+        for grains in (61, 301):
+            strike = Impulse(velocity=1e-2, grain=(grains + 1) // 2)
+            scene = scene_of(damped_chain(grains=grains, damping=damping), strike, 4e-6, 5)
+            schedule = Steps(20, 1, scene.duration / 80)
+            stepper = NativeStepper(
+                ChainBatch([scene]), methods_of(scene.chain)[method], schedule, {}
+            )
+            fields = np.zeros((2, 1, 5, grains))
+            while stepper.sample < 4:
+                stepper.fill(*fields, 0, 4, 3)
+            found.append((fields[:, 0, 1:], stepper.watched[0]))
+        (short, _), (long, state) = found
+        size = np.abs(short).max((1, 2), keepdims=True)
+        assert (np.abs(long[..., 120:181] - short) < 1e-18 * size).all()
+        first, last = (state[name] - PAD for name in ("first", "last"))
+        assert 60 < first < 145
+        assert 155 < last < 240
+        assert not long[..., :first].any()
+        assert not long[..., last:].any()
 
 
 def test_a_motion_that_dies_at_once_has_an_estimate():

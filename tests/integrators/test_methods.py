@@ -182,6 +182,30 @@ def test_half_the_step_doubles_the_number_of_steps():
     assert halved == Steps(6, 2, 5e-10, True, 0.5, True, 1)
 
 
+def test_steps_that_land_on_every_sample_or_are_shorter():
+    own = Steps(7, 3, 1e-9, True, coarse_openings=True, dense=1)
+    assert own.filled == 1
+    assert own._replace(dense=0).filled == 3
+    sampled = own.sampled
+    assert sampled == Steps(3, 1, sampled.step, True, coarse_openings=True)
+    assert sampled.step == pytest.approx(7e-9 / 9, rel=1e-15)
+    shorter = own.shorten(28)
+    assert shorter == Steps(28, 3, shorter.step, True, dense=1)
+    assert shorter.step == pytest.approx(2.5e-10, rel=1e-15)
+
+
+def test_the_longest_step_between_kinks_is_that_of_equal_steps_between_landings(rng):
+    schedule = Steps(4, 2, 0.25, True)
+    begins = np.append(rng.uniform(0, 5, 50), [1.0, 1.0, 1.1, 0.0])
+    ends = np.append(begins[:50] + rng.uniform(0.01, 3, 50), [2.0, 1.2, 1.2, 0.1])
+    expected = []
+    for begin, end in zip(begins, ends, strict=True):
+        landings = [float(n) for n in range(10) if begin < n < end]
+        lengths = np.diff([begin, *landings, end])
+        expected.append((lengths / np.ceil(lengths / 0.25 - 1e-6)).max())
+    assert schedule.longest_between(begins, ends) == pytest.approx(expected, rel=1e-12)
+
+
 # --- the forcing as a function of amplitude and frequency, or of samples
 
 TIMES = np.array([0.0, 1.0, 2.5, 4.0, 6.0]) * 1e-5
@@ -189,6 +213,7 @@ ACTS = {
     "sine": Drive(amplitude=2e-8, frequency=3e4),
     "burst": Force(amplitude=0.2, frequency=6e4, cycles=1.7),
     "half-sine": Force(shape="half-sine", amplitude=0.2, duration=3e-5),
+    "piston": Drive(shape="piston", velocity=2e-3, rise=2e-5),
     "linear": Drive(
         times=TIMES, displacement=np.array([0, 1, -2, 3, 1]) * 1e-8, interpolation="linear"
     ),
@@ -214,19 +239,23 @@ def test_derivatives_of_the_forcing_agree_with_differences(
     """Adjoint and tangent at samples before, between and after the given ones."""
     excitation = ACTS[what]
     course = ImposedCourse(excitation)
-    times = np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9]) * 1e-5
+    times = np.array([0.0, 0.3, 1.0, 1.7, 2.4, 4.4, 5.9, 6.6]) * 1e-5
     samples = excitation.times is not None
-    base = np.array(
-        excitation.displacement if samples else [excitation.amplitude, excitation.frequency or 0.0]
-    )
+    base = [excitation.amplitude, excitation.frequency or 0.0]
+    if samples or what == "piston":
+        base = excitation.displacement if samples else [excitation.velocity]
+    base = np.array(base)
     assert course.size == base.size
     slopes = np.zeros((base.size, times.size))
     for place in range(base.size):
         if samples:  # Both curves are linear in their samples.
             degree = 1 if what == "linear" else 3
-            slopes[place] = make_interp_spline(TIMES, np.eye(5)[place], degree)(times, order)
+            curve = make_interp_spline(TIMES, np.eye(5)[place], degree)
+            # The body keeps its position after the last sample.
+            late = times > TIMES[-1]
+            slopes[place] = np.where(late, (order == 0) * curve(TIMES[-1]), curve(times, order))
         elif place == 0:
-            slopes[place] = excitation.waveform.at(times, order) / excitation.amplitude
+            slopes[place] = excitation.waveform.at(times, order) / base[0]
         elif excitation.frequency:
             h = 1e-4 * excitation.frequency
             end = excitation.waveform.end

@@ -22,7 +22,7 @@ TIME = np.cumsum(RNG.uniform(0.5, 1.5, TIMES))
 U, V = RNG.normal(size=(2, TIMES, GRAINS)) * 0.3
 STIFFNESS, SOFTNESS = RNG.uniform(1, 2, (2, GRAINS + 1))
 MOBILITY = RNG.uniform(0.5, 1, GRAINS)
-LINKS = LinearLinks(STIFFNESS, SOFTNESS, MOBILITY, np.zeros(GRAINS))
+LINKS = LinearLinks(STIFFNESS, SOFTNESS, MOBILITY, RNG.uniform(0, 1, GRAINS))
 WALL = RNG.normal(size=(TIMES, 3)) * 0.2
 PUSH = RNG.normal(size=TIMES)
 RECORDED = np.array([True, False, True, True, False, True])
@@ -44,7 +44,8 @@ def plainly(
         if first == 0:
             bodies[:, 0] = imposed.wall[i]
         force = links.stiffness * (bodies[0, :-1] - bodies[0, 1:])
-        bodies[2, 1:-1] = (force[:-1] - force[1:]) * links.inverse_mass
+        pulled = links.ground * bodies[0, 1:-1]
+        bodies[2, 1:-1] = (force[:-1] - force[1:] - pulled) * links.inverse_mass
         bodies[2, 1 : first + 1] = bodies[2, last + 1 : -1] = 0
         if first <= imposed.grain < last:
             bodies[2, imposed.grain + 1] += imposed.acceleration[i]
