@@ -8,7 +8,10 @@ from lmpchain import Chain, Damping, Drive, Force, Impulse, Scene
 from lmpchain.design import KineticEnergy, gradient, parameters
 from lmpchain.design.parameters import changed
 from lmpchain.integrators import adjoint_dop853
-from lmpchain.integrators.differentiation import DIFFERENTIABLE, AnyRun, differentiable
+from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.differentiation import DIFFERENTIABLE, AnyRun, differentiable, method_for
+from lmpchain.integrators.stepper import NativeStepper
+from lmpchain.integrators.steps import Steps
 from lmpchain.scene.base import Excitation
 
 GRAINS = 6
@@ -127,3 +130,39 @@ def test_derivatives_of_runs_agree_with_differences(
         for inputs in [everywhere] if name in states else [everywhere, within_the_light_cone]:
             along = parameters.pull(scene, inputs, name) @ change
             assert abs(along - terms.sum()) < 1e-13 * np.abs(terms).sum(), name
+
+
+def test_adaptive_steps_are_those_of_the_native_engine(rng: np.random.Generator):
+    """Derivatives at constant steps are transposes of each other, also if contacts open."""
+    chain = LOOSE.replace(damping={"viscoelastic": 1e-8})
+    scene = runs(chain, Impulse(velocity=0.1), 20)
+    grains = np.arange(1, GRAINS + 1)
+    method = DIFFERENTIABLE["dop853"]
+    run = differentiable(scene, method, scene.duration / 40, 4, grains, adaptive=True)
+    schedule = Steps(10, 1, scene.duration / 40, True)
+    stepper = NativeStepper(ChainBatch([scene]), method, schedule, {})
+    fields = np.zeros((2, 1, 5, GRAINS))
+    stepper.fill(*fields, 0, 4, 2**62)
+    assert run.steps == stepper.steps[0] > 60
+    assert np.array_equal(run.displacement[1:], fields[0, 0, 1:])
+    assert np.array_equal(run.velocity[1:], fields[1, 0, 1:])
+    assert run.step <= scene.duration / 40 * (1 + 1e-12)
+    weights = rng.standard_normal((2, *run.velocity.shape))
+    weights[0] *= scene.highest_frequency
+    inputs = run.pull(*weights)
+    for name in ("masses", "contact_constants", "damping.viscoelastic", "velocity"):
+        change = rng.uniform(-1, 1, parameters.values(scene, name).shape)
+        terms = weights * np.array(run.push(parameters.push(scene, name, change[None])))[:, 0]
+        along = parameters.pull(scene, inputs, name) @ change
+        assert abs(along - terms.sum()) < 1e-12 * np.abs(terms).sum(), name
+
+
+def test_gradients_over_a_damping_require_a_method_for_damped_chains():
+    undamped = CHAIN.replace(damping=None)
+    for chain, names, method in (
+        (undamped, ["masses"], "rkn6"),
+        (undamped, ["masses", "damping.drag"], "dop853"),
+        (CHAIN, ["masses"], "dop853"),
+    ):
+        scene = runs(chain, Impulse(velocity=1e-3))
+        assert method_for(scene, names, "rkn6").name == method

@@ -7,7 +7,7 @@ import pytest
 from helpers.example_chains import column
 from helpers.example_scenes import scene_of, struck
 
-from lmpchain import Chain, Displacement, Drive, Force, Impulse, Profile
+from lmpchain import Chain, Displacement, Drive, Force, Impulse, Law, Profile
 from lmpchain.integrators.batch import WINDOW_MIN, ChainBatch, force_form, name_of, series, weakest
 from lmpchain.integrators.kernels.contact_forces import Form
 from lmpchain.integrators.kernels.layout import (
@@ -301,3 +301,47 @@ def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
         assert not np.delete(weight[real], np.arange(PAD - 1, PAD + N)).any()
         slow = np.sqrt(2) * (2 * omega) ** 3
         assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)
+
+
+def test_every_kink_of_a_formula_has_its_distance_and_weight():
+    """The slope of the force jumps at one kink, its curvature at the other."""
+    law = Law("k*o + q*max(o - e, 0) + p*max(o - d, 0)**2", k=1e5, q=3e4, e=1e-7, p=1e12, d=9e-7)
+    made = chains(law=law, top_load=0.05, gravity=0.0)
+    laid = batch(*made, excitation=Impulse(velocity=1e-6))
+    arrays = laid.arrays
+    inside = slice(PAD, PAD + N - 1)
+    for real, chain in enumerate(made):
+        omega = arrays.omega[real]
+        typical, speed = arrays.scale[real]
+        mobility = np.maximum(1 / chain.masses[:-1], np.append(1 / chain.masses[1 : N - 1], 0))
+        apart = chain.equilibrium_overlap[:, None] - [1e-7, 9e-7]
+        assert typical < 1e-3 * np.abs(apart).min()
+        bent = np.array([3e4 * typical, 1e12 * typical**2])
+        changes = omega**2.5 * speed
+        expected = (bent * (typical / np.abs(apart)) ** -1.5 * mobility[:, None] / changes) ** 2
+        # Contacts are found by their kinks: both rows belong to the same contacts.
+        order = np.argsort(np.abs(1 / arrays.opening_length[real, :, PAD + 1] - apart[1, 0]))
+        distances = 1 / arrays.opening_length[real, order, inside].T
+        assert distances == pytest.approx(apart, rel=1e-12)
+        weights = arrays.opening_weight[real, order, inside].T
+        # The bend is a difference of forces, which are rounded.
+        assert weights == pytest.approx(expected, rel=1e-3)
+        reach = np.cbrt(arrays.opening_weight[real]) / (np.sqrt(2) * (2 * omega) ** 3)
+        assert arrays.opening_reach[real] == pytest.approx(reach, rel=1e-13)
+        # The overlap at rest is between the kinks, and nearer to the first one.
+        assert (apart[:, 0] > 0).all()
+        assert (apart[:, 1] < 0).all()
+        nearest = np.where(apart[:, 0] < -apart[:, 1], apart[:, 0], apart[:, 1])
+        assert 1 / arrays.inverse_length[real, inside] == pytest.approx(nearest, rel=1e-12)
+    assert (arrays.least_strain == -1).all()
+    assert arrays.opening_rest == 1
+    smooth = batch(*chains(law=Law("k*o", k=1e5), bottom="fixed")).arrays
+    assert not smooth.opening_weight.any()
+    assert not smooth.inverse_length.any()
+    assert not smooth.least_strain.any()
+
+
+def test_all_grains_on_a_ground_are_in_the_window():
+    laid = batch(column(300, ground=Law("k*u", k=1.0)))
+    _, _, state = laid.place(*(field[None] for field in laid.initial))
+    assert (state["first"][0], state["last"][0]) == (PAD, PAD + 304)

@@ -14,6 +14,7 @@ from scipy.interpolate import make_interp_spline
 
 from lmpchain import Drive, Force, Impulse
 from lmpchain.integrators.batch import ChainBatch
+from lmpchain.integrators.halving import HalvedAnswer, halve
 from lmpchain.integrators.kernels.layout import LEAST_SHARE, STATE
 from lmpchain.integrators.methods import METHODS, SPLITTINGS, Splitting
 from lmpchain.integrators.observed_run import ImposedCourse
@@ -204,6 +205,27 @@ def test_the_longest_step_between_kinks_is_that_of_equal_steps_between_landings(
         lengths = np.diff([begin, *landings, end])
         expected.append((lengths / np.ceil(lengths / 0.25 - 1e-6)).max())
     assert schedule.longest_between(begins, ends) == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("excesses", "most", "best", "calls"),
+    [
+        ([8.0, 2.0, 1.0, 0.1], 9, 1.0, 3),
+        ([8.0, 4.0, 5.0, 6.0, 0.1], 4, 4.0, 4),
+        ([0.5, 0.1], 9, 0.5, 1),
+        ([3.0, 0.1], 1, 3.0, 1),
+    ],
+)
+def test_steps_are_halved_until_the_error_is_allowed(excesses, most, best, calls):
+    """If no result is accurate enough, the best one is returned."""
+    asked = []
+
+    def solve(halvings: int) -> HalvedAnswer[int]:
+        asked.append(halvings)
+        return HalvedAnswer(halvings, excesses[halvings])
+
+    assert halve(solve, most) == HalvedAnswer(excesses.index(best), best)
+    assert asked == list(range(calls))
 
 
 # --- the forcing as a function of amplitude and frequency, or of samples
