@@ -350,9 +350,12 @@ def nearest_kinks(contacts: Contacts) -> Array:
 def _bend(forces: Sequence[Array]) -> Array:
     """Return by how much forces at `SIDES` of a kink bend there, N."""
     far, near, at, after, beyond = forces
-    # Two sides of opposite sign, as of o |o|, have no second difference.
-    odd = beyond - far - 2 * (after - near)
-    return np.maximum(np.abs(far - 2 * at + beyond), 2 * np.abs(odd))  # type: ignore[no-any-return]
+    # The force at a kink that no motion reaches may be infinite.
+    with np.errstate(all="ignore"):
+        even = far - 2 * at + beyond
+        # Two sides of opposite sign, as of o |o|, have no second difference.
+        odd = beyond - far - 2 * (after - near)
+        return np.maximum(np.abs(even), 2 * np.abs(odd))  # type: ignore[no-any-return]
 
 
 def parameter_rows(contacts: Contacts) -> Array:

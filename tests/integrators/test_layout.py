@@ -303,9 +303,25 @@ def test_weights_of_openings_are_ratios_of_accelerations(ends, exponent):
         assert reach[real] == pytest.approx(np.cbrt(weight[real]) / slow, rel=1e-13)
 
 
-def test_every_kink_of_a_formula_has_its_distance_and_weight():
-    """The slope of the force jumps at one kink, its curvature at the other."""
-    law = Law("k*o + q*max(o - e, 0) + p*max(o - d, 0)**2", k=1e5, q=3e4, e=1e-7, p=1e12, d=9e-7)
+LAWS = {
+    # The slope of the force jumps at the first kink, its curvature at the second one.
+    "two kinks": (
+        Law("k*o + q*max(o - e, 0) + p*max(o - d, 0)**2", k=1e5, q=3e4, e=1e-7, p=1e12, d=9e-7),
+        [1e-7, 9e-7],
+        lambda length: np.array([3e4 * length, 1e12 * length**2]),
+    ),
+    # The bend is odd, and counts twice.
+    "odd": (
+        Law("k*o + p*(o - d)*abs(o - d) + p*d**2", k=1e5, p=1e12, d=9e-7),
+        [9e-7],
+        lambda length: np.array([2e12 * length**2]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_every_kink_of_a_formula_has_its_distance_and_weight(name: str):
+    law, places, bend = LAWS[name]
     made = chains(law=law, top_load=0.05, gravity=0.0)
     laid = batch(*made, excitation=Impulse(velocity=1e-6))
     arrays = laid.arrays
@@ -314,13 +330,12 @@ def test_every_kink_of_a_formula_has_its_distance_and_weight():
         omega = arrays.omega[real]
         typical, speed = arrays.scale[real]
         mobility = np.maximum(1 / chain.masses[:-1], np.append(1 / chain.masses[1 : N - 1], 0))
-        apart = chain.equilibrium_overlap[:, None] - [1e-7, 9e-7]
+        apart = chain.equilibrium_overlap[:, None] - places
         assert typical < 1e-3 * np.abs(apart).min()
-        bent = np.array([3e4 * typical, 1e12 * typical**2])
+        bent = bend(typical)
         changes = omega**2.5 * speed
         expected = (bent * (typical / np.abs(apart)) ** -1.5 * mobility[:, None] / changes) ** 2
-        # Contacts are found by their kinks: both rows belong to the same contacts.
-        order = np.argsort(np.abs(1 / arrays.opening_length[real, :, PAD + 1] - apart[1, 0]))
+        order = np.argsort(-1 / arrays.opening_length[real, :, PAD + 1])
         distances = 1 / arrays.opening_length[real, order, inside].T
         assert distances == pytest.approx(apart, rel=1e-12)
         weights = arrays.opening_weight[real, order, inside].T
@@ -328,13 +343,14 @@ def test_every_kink_of_a_formula_has_its_distance_and_weight():
         assert weights == pytest.approx(expected, rel=1e-3)
         reach = np.cbrt(arrays.opening_weight[real]) / (np.sqrt(2) * (2 * omega) ** 3)
         assert arrays.opening_reach[real] == pytest.approx(reach, rel=1e-13)
-        # The overlap at rest is between the kinks, and nearer to the first one.
-        assert (apart[:, 0] > 0).all()
-        assert (apart[:, 1] < 0).all()
-        nearest = np.where(apart[:, 0] < -apart[:, 1], apart[:, 0], apart[:, 1])
+        nearest = np.take_along_axis(apart, np.abs(apart).argmin(1)[:, None], 1)[:, 0]
         assert 1 / arrays.inverse_length[real, inside] == pytest.approx(nearest, rel=1e-12)
-    assert (arrays.least_strain == -1).all()
+        # Contacts of several kinks count as open.
+        assert arrays.least_strain[real] == (-1 if len(places) > 1 else 0)
     assert arrays.opening_rest == 1
+
+
+def test_a_formula_without_a_kink_shortens_no_step():
     smooth = batch(*chains(law=Law("k*o", k=1e5), bottom="fixed")).arrays
     assert not smooth.opening_weight.any()
     assert not smooth.inverse_length.any()
@@ -345,3 +361,15 @@ def test_all_grains_on_a_ground_are_in_the_window():
     laid = batch(column(300, ground=Law("k*u", k=1.0)))
     _, _, state = laid.place(*(field[None] for field in laid.initial))
     assert (state["first"][0], state["last"][0]) == (PAD, PAD + 304)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_kink_that_no_motion_reaches_has_no_weight():
+    """The contacts or grains with s = 0 have none; there the force at the kink is infinite."""
+    law = Law("k*o + c*o**5 + q*max(s*o - e, 0)", k=1e5, q=1e5, c=1e20, s=[0, 1, 1, 1], e=1e-7)
+    (weights,) = batch(column(N, gravity=0.0, law=law)).arrays.opening_weight[0]
+    assert (weights[PAD : PAD + N - 1] > 0).tolist() == [False, True, True, True]
+    law = Law("k*u + c*u**5 + q*max(s*u - e, 0)", k=1e5, q=1e5, c=1e20, s=[0, 1, 1, 1, 1], e=1e-7)
+    (weights,) = batch(column(N, ground=law)).arrays.ground_kinks[0, 1]
+    # The last grain is fixed.
+    assert (weights[PAD : PAD + N] > 0).tolist() == [False, True, True, True, False]
