@@ -280,8 +280,9 @@ def switch(event: Event) -> Orbit:
     equations = curve.equations
     begin = equations.pack(first)
     row = np.zeros(begin.size)
+    # The momenta, which are left out if all grains begin at rest, are negligible.
     inner = direction[: equations.period_at(begin)]
-    row[: inner.size] = inner / np.linalg.norm(inner)
+    row[: inner.size] = inner
     for share in BRANCHING.distances:
         ahead = begin + share * np.linalg.norm(begin[: inner.size]) * row
         beside = plane(ahead, row)

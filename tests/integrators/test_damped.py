@@ -12,6 +12,7 @@ from lmpchain import (
     Drive,
     Force,
     Impulse,
+    Law,
     Profile,
     Scene,
     Trajectory,
@@ -67,6 +68,23 @@ def test_order_of_convergence(damping):
     assert slope(scene, "verlet", counts) == pytest.approx(2, abs=0.05)
     # In fix nve of LAMMPS, forces use the velocities of the previous half step.
     assert slope(scene, "lagged-verlet", counts) == pytest.approx(1, abs=0.05)
+
+
+def test_methods_have_their_orders_on_a_ground_that_changes_in_time():
+    law = Law("k*u*(1 + 0.9*tanh(w*t - 3))", k=1e7, w=3e5)
+    scene = displaced(damped_chain(ground=law))
+
+    def end(integrator: str, count: int) -> np.ndarray:
+        t = simulate(scene, engine=Native(integrator, step=scene.duration / count))
+        return np.concatenate((t.displacement[-1] * scene.highest_frequency, t.velocity[-1]))
+
+    true = end("dop853", 400)
+    size = np.abs(true).max()
+    assert np.abs(end("dop853", 200) - true).max() < 1e-8 * size
+    for integrator, order in (("verlet", 2), ("lagged-verlet", 1)):
+        errors = [np.abs(end(integrator, count) - true).max() for count in (2000, 4000)]
+        assert errors[0] < 0.1 * size
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
 
 
 EXCITATIONS = {

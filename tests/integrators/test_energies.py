@@ -12,7 +12,7 @@ from helpers.flying_grains import unlike
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
-from lmpchain import Chain, Drive, Force, Impulse, Scene
+from lmpchain import Chain, Drive, Force, Impulse, Law, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.methods import methods_of
 from lmpchain.integrators.stepper import NativeStepper
@@ -44,6 +44,10 @@ SCENES = {
         Impulse(velocity=SPEED),
     ),
     "touching wall": (CHAIN.replace(top_load=0.0, top="wall"), Impulse(velocity=SPEED)),
+    "ground": (
+        CHAIN.replace(ground=Law("k*u + b*u**3", k=1e5, b=1e21)),
+        Impulse(velocity=SPEED, grain=2),
+    ),
     "long": (LONG, Impulse(velocity=1e-4, grain=150)),
     "force": (CHAIN, Force(amplitude=1e-3, frequency=0.05 * EDGE, grain=3)),
     "grain 1": (CHAIN, Drive(**TONE)),
