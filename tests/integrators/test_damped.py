@@ -84,7 +84,7 @@ def test_methods_have_their_orders_on_a_ground_that_changes_in_time():
     for integrator, order in (("verlet", 2), ("lagged-verlet", 1)):
         errors = [np.abs(end(integrator, count) - true).max() for count in (2000, 4000)]
         assert errors[0] < 0.1 * size
-        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.05)
+        assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.15)
 
 
 EXCITATIONS = {
