@@ -104,12 +104,15 @@ def score(gap: float, rate: float, bend: float, weight: float, omega: float, cap
     return float(weight * size**1.5 * near**9)
 
 
-def nearness(scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float) -> float:
-    """Return the largest nearness of all contacts, and of all stops of a ground."""
+def nearness(
+    scene: Scene, motion: Motion, x: Any, v: Any, t: Any, cap: float, speed: float
+) -> float:
+    """Return the largest nearness of all contacts, and of all stops of a ground.
+
+    `speed` is the scale of the velocities.
+    """
     chain = scene.chain
-    batch = ChainBatch([scene])
     omega = scene.highest_frequency
-    speed = batch.arrays.scale[0, 1]
     bodies = np.zeros((3, GRAINS + 2))
     bodies[0, 1:-1] = x
     bodies[1, 1:-1] = v
@@ -171,6 +174,7 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
     t = WIDE(0)
     longest = scene.duration / LOOKS / each
     omega = scene.highest_frequency
+    speed = ChainBatch([scene]).arrays.scale[0, 1]
     # The slope of the force from the ground jumps.
     falls = 1 / ((1 if scene.chain.ground else scene.chain.exponent) + 1)
     crossing = OPENING_STEPS.crossing ** (2.5 * falls)
@@ -186,7 +190,7 @@ def adapted(scene: Scene, method: Any, each: int) -> tuple[list[Any], np.ndarray
         ends = [c for c in kinks(scene) if t + 1e-6 * longest < c < end - 1e-6 * longest]
         for until in [*ends, end]:
             while until - t > 1e-9 * longest:
-                near = nearness(scene, motion, x, v, t, cap)
+                near = nearness(scene, motion, x, v, t, cap, speed)
                 h = longest * min(1.0, shortened * near ** (-1 / 14)) if near > 0 else longest
                 step = (until - t) / max(1, np.ceil(float((until - t) / h) - 1e-9))
                 one = motion_of(scene)
