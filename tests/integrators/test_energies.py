@@ -44,6 +44,10 @@ SCENES = {
         Impulse(velocity=SPEED),
     ),
     "touching wall": (CHAIN.replace(top_load=0.0, top="wall"), Impulse(velocity=SPEED)),
+    "formula": (
+        CHAIN.replace(law=Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))),
+        Drive(**TONE, grain=0),
+    ),
     "ground": (
         CHAIN.replace(ground=Law("k*u + b*u**3", k=1e5, b=1e21)),
         Impulse(velocity=SPEED, grain=2),
@@ -87,9 +91,9 @@ def powers(scene: Scene, u: Array, v: Array, slopes: Array) -> Array:
         bodies[:, 0], speeds[:, 0] = excitation.waveform.at(scene.time), slopes
     overlap = np.maximum(contacts.overlap + bodies[:, :-1] - bodies[:, 1:], 0.0)
     closing = speeds[:, :-1] - speeds[:, 1:]
-    stiffness = chain.exponent * contacts.constant * overlap ** (chain.exponent - 1)
+    stiffness = 1.5 * contacts.constant * np.sqrt(overlap)
     viscous = chain.contact_viscosity * stiffness * closing
-    force = contacts.constant * overlap**chain.exponent - contacts.force + viscous
+    force = contacts.constant * overlap**1.5 - contacts.force + viscous
     free = (np.arange(chain.grains) < chain.movable) & (
         np.arange(chain.grains) >= excitation.driven
     )

@@ -8,7 +8,7 @@ from helpers import plain_methods as plain
 from helpers.flying_grains import flying, unlike
 from helpers.plain_methods import WIDE, Motion
 
-from lmpchain import Drive, Profile, Scene
+from lmpchain import Drive, Law, Profile, Scene
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels import tangent
 from lmpchain.integrators.kernels.layout import PAD
@@ -25,6 +25,7 @@ LAWS: dict[str, dict[str, Any]] = {
     "springs": {"exponent": 1.0, **BETWEEN},
     "touching wall": {"top_load": 0.0, **BETWEEN},
     "touching wall, 2": {"top_load": 0.0, "exponent": 2.0, **BETWEEN},
+    "formula": BETWEEN,
     "vacuum": {"top_load": 0.0, "gravity": 0.0, **BETWEEN},
     "vacuum, 3": {"top_load": 0.0, "gravity": 0.0, "exponent": 3.0, **BETWEEN},
     "driven": {"drive": 1},
@@ -51,9 +52,14 @@ def flying_or_driven(law: str) -> Scene:
 @pytest.mark.parametrize("law", LAWS)
 def test_deviations_grow_as_differences_of_two_runs(law: str):
     scene = flying_or_driven(law)
-    motion = Motion(plain.column_of(scene))
+    base = plain.column_of(scene)
+    motion = Motion(base)
     moving = np.flatnonzero(motion.mobile)
     steps = FRACTIONS * scene.duration
+    if law == "formula":
+        # The formula states the power 3/2.
+        formula = Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))
+        scene = scene.replace(chain=scene.chain.replace(law=formula))
     batch = ChainBatch([scene], "exact")
     inverse_mass = batch.arrays.inverse_mass[0]
     assert inverse_mass[PAD + moving] == pytest.approx(1 / scene.chain.masses[moving], rel=1e-15)
@@ -84,7 +90,7 @@ def test_deviations_grow_as_differences_of_two_runs(law: str):
         for column, grain in enumerate(moving):
             many[0][column, grain] += sign * CHANGE * WIDE(unit[0])
             many[1][moving.size + column, grain] += sign * CHANGE * WIDE(unit[1])
-        other = Motion(plain.column_of(scene)._replace(displacement=many[0], velocity=many[1]))
+        other = Motion(base._replace(displacement=many[0], velocity=many[1]))
         if driven:
             each = [WIDE(h) for h in steps]
         states.append(plain.by_splitting(other, RKN4, each))
