@@ -46,6 +46,8 @@ LAWS = {
     "touching wall, strong": (flying(3.0, top_load=0.0, **BETWEEN), Way.PLAIN),
     "touching wall": (flying(0.05, top_load=0.0, **BETWEEN), Way.HERTZ),
     "touching wall, 2": (flying(2.0, top_load=0.0, exponent=2.0, **BETWEEN), Way.OTHER),
+    "loose grains, strong": (flying(3.0, gravity=0.0, load_grain=3, bottom="wall"), Way.PLAIN),
+    "loose grains": (flying(0.05, gravity=0.0, load_grain=3), Way.OTHER),
     "springs": (flying(2.0, exponent=1.0, **BETWEEN), Way.OTHER),
     "5/4": (flying(2.0, exponent=1.25), Way.OTHER),
     "2": (flying(2.0, exponent=2.0, bottom="wall"), Way.OTHER),

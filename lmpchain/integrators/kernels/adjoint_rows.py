@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from numba import types
 
 from ...util.arrays import Array
-from .compiling import apart, by_form, exponential, llvm, logarithm
+from .compiling import apart, by_form, exponential, llvm, logarithm, select
 from .sample_loop import loop
 
 
@@ -172,9 +172,10 @@ def at(typing: Any, array: Any, n: Any) -> Any:
 @loop
 def hertz_power(s, c):
     """Return p for delta = 3/2 without the rounding error of 1 + s."""
-    # One step of Newton's method restores the digits that the root has lost.
+    # One step of Newton's method restores the digits that the root of a weak strain has lost. At
+    # the strains of touching grains, which have no bound, its rounding errors would be larger.
     p = math.sqrt(c + s) - c
-    return p + 0.5 * c * ((s - 2.0 * p) - p * p)
+    return p + select(s < 1.0, 0.5 * c, 0.0) * ((s - 2.0 * p) - p * p)
 
 
 @loop
