@@ -44,6 +44,10 @@ SCENES = {
         Impulse(velocity=SPEED),
     ),
     "touching wall": (CHAIN.replace(top_load=0.0, top="wall"), Impulse(velocity=SPEED)),
+    "loose grains": (
+        CHAIN.replace(gravity=0.0, load_grain=3, top="free"),
+        Impulse(velocity=SPEED),
+    ),
     "formula": (
         CHAIN.replace(law=Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))),
         Drive(**TONE, grain=0),
@@ -137,14 +141,14 @@ def test_recorded_energies_are_integrals_of_the_power(name: str):
     exact = integrated(scene, u, v)
     scale = np.abs(exact).max()
     # Splines lose their order where a contact opens.
-    opens = name == "touching wall"
+    opens = name in ("touching wall", "loose grains")
     assert np.abs(found - exact).max() < (1e-4 if opens else 1e-10) * scale
     assert (np.abs(exact[:, -1]) > 0.1 * scale).sum() == 1 + scene.excitation.does_work
     if not scene.excitation.driven:
         top = scene.excitation.wall.at(scene.time) if scene.excitation.wall else None
         energy = chain.excess_energy(u, v, top)
         balance = energy - energy[0] + found[0] - found[1]
-        assert np.abs(balance).max() < (1e-7 if opens else 1e-12) * scale
+        assert np.abs(balance).max() < (1e-6 if opens else 1e-12) * scale
     for method, order in (("verlet", 2), ("lagged-verlet", 1)):
         errors = [np.abs(recorded(scene, method, n)[2] - exact).max() for n in (2, 4)]
         assert max(errors) < 0.01 * scale
