@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lmpchain import Chain, Drive, Force, Profile, Scene, engines, simulate
+from lmpchain import Chain, Drive, Force, Law, Profile, Scene, engines, simulate
 from lmpchain.engines.stepping import time_stepping as stepping_run
 from lmpchain.integrators.batch import ChainBatch
 from lmpchain.integrators.kernels.layout import LEAST_SHARE
@@ -83,6 +83,12 @@ def test_contacts_that_open_and_close(adaptive: bool):
     scene = noisy()
     u = check_alike(scene, "rkn4", adaptive, several=(3,) if adaptive else SEVERAL)[0][0, -1]
     assert (scene.chain.equilibrium_overlap + u[:-1] - u[1:] < 0).mean() > 0.05
+
+
+def test_a_law_by_formula_and_a_ground_that_changes_in_time():
+    law = Law("k*max(o, 0)**p", p=[1.5] * (GRAINS - 1))
+    ground = Law("k*u*(1 + 0.9*tanh(w*t - 3))", k=[1e5] * GRAINS, w=1e6)
+    check_alike(noisy(law=law, ground=ground), "verlet", False, several=(3,))
 
 
 @pytest.mark.parametrize(
