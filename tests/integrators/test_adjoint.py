@@ -11,6 +11,7 @@ from helpers import plain_methods as plain
 from helpers.flying_grains import flying as flying_grains
 from helpers.flying_grains import unlike
 from helpers.plain_methods import WIDE, Column, Motion
+from helpers.thinned import thinned
 
 from lmpchain import Chain, Drive, Force, Impulse, Profile, Scene
 from lmpchain.integrators import adjoint, adjoint_dop853
@@ -187,8 +188,15 @@ def check_run(
     assert (np.abs(along - expected) <= accuracy * np.maximum(terms, 1e-3 * terms.max())).all()
 
 
-@pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("method", ["verlet", "rkn4"])
+# The quick suite alternates between both methods.
+CASES = [
+    (law, method)
+    for number, law in enumerate(LAWS)
+    for method in (("verlet", "rkn4") if number % 2 else ("rkn4", "verlet"))
+]
+
+
+@pytest.mark.parametrize(("law", "method"), thinned(CASES, 2))
 def test_derivatives_of_flying_grains_agree_with_differences(law: str, method: str):
     scene, kind = LAWS[law]
     check(scene, method, kind, [1, 2, 3, 6] if method == "verlet" else [5, 2])
