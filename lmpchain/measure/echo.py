@@ -7,12 +7,13 @@ sign therefore distinguishes an echo from the outgoing pulse.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from ..errors import InputError
 from ..trajectory.trajectory import Trajectory
@@ -27,6 +28,8 @@ from .flight import arrival
 from .motion import motion_of
 
 __dir__ = listed(__name__)
+
+FINER = 8  # Number of times per sampling interval at which the power is interpolated.
 
 
 class Pulse(NamedTuple):
@@ -67,11 +70,13 @@ class Echo(Shown, Tabular):
     seconds : float
         Time from the first pulse to the next pulse, which travels in the other direction, s.
     error : float
-        Uncertainty of this time by sampling, s.
+        Uncertainty of this time by sampling, s. If the samples do not show which pulses exceed
+        `least`, the error includes the distance to the other pulse.
     distance : float
         Distance at rest from the centre of the grain to the reflector and back, m.
     share, share_error : float
-        Energy of the echo relative to the energy of the first pulse, and its uncertainty.
+        Energy of the echo relative to the energy of the first pulse, and its uncertainty, which
+        includes the same doubt.
     inverted : bool
         Whether compression returns as tension, or tension as compression.
     pulses : list of Pulse
@@ -159,11 +164,11 @@ def find(
     if not 0 < least < 1:
         raise InputError.at("least", f"must be between 0 and 1 (got {least})")
     change = sensor(trajectory, number).change
-    _, velocity = motion(trajectory, np.array([number]))
-    power = change * velocity[:, 0]
+    velocity = motion(trajectory, np.array([number]))[1][:, 0]
     known = motion_of(trajectory)
     part = 2 * known.known_error("velocity") / max(known.sampled[1], 1e-300)
-    pulses = _pulses(trajectory.time, power, change, least, part)
+    power, rough = (_Power(trajectory.time, change, velocity, stride) for stride in (1, 2))
+    pulses = _pulses(power, rough, least, part)
     if len(pulses) < 2:
         passed = f"no echo passes grain {number} (got {len(pulses)} pulses)"
         raise InputError.at("duration", f"{passed}: record longer, or choose a smaller least")
@@ -177,36 +182,81 @@ def find(
     place = int(whole_numbers(end, "reflector"))
     if not 0 <= place <= chain.grains + 1 or place == number:
         raise InputError.at("reflector", f"must be another grain or a wall (got {reflector})")
-    share = abs(back.energy / out.energy)
+    seconds, share = _first_echo(pulses)
+    # The largest sample of a wave reaches at least this fraction of its height.
+    seen = math.cos(min(trajectory.scene.sampling_phase, math.pi) / 2)
+    doubt = np.zeros(2)
+    for curve in (power, rough):
+        for level in (least * seen, least, least / max(seen, least)):
+            other = _first_echo(_pulses(curve, rough, level, part))
+            doubt = np.maximum(doubt, np.abs(np.subtract(other, (seconds, share))))
     return Echo(
         grain=number,
-        seconds=back.time - out.time,
-        error=out.error + back.error,
+        seconds=seconds,
+        error=out.error + back.error + float(doubt[0]),
         distance=2 * _distance(trajectory, number, place),
         share=share,
-        share_error=(back.energy_error + share * out.energy_error) / abs(out.energy),
+        share_error=(back.energy_error + share * out.energy_error) / abs(out.energy)
+        + float(doubt[1]),
         inverted=out.force * back.force < 0,
         pulses=pulses,
         time=trajectory.time,
-        power=power,
+        power=change * velocity,
     )
 
 
-def _pulses(time: Array, power: Array, change: Array, least: float, part: float) -> list[Pulse]:
+def _first_echo(pulses: list[Pulse]) -> tuple[float, float]:
+    """Return the time between the first two pulses, s, and the ratio of their energies.
+
+    Both are infinite if there are fewer pulses.
+    """
+    if len(pulses) < 2:
+        return math.inf, math.inf
+    out, back = pulses[:2]
+    return back.time - out.time, abs(back.energy / out.energy)
+
+
+class _Power:
+    """Power through a grain between the samples, from splines of its two factors.
+
+    Where both factors change sign, the power may be negative for less than a sampling interval.
+
+    Parameters
+    ----------
+    time, change, velocity : (T,) arrays
+        Samples: times, s, force above rest, N, and velocity, m/s.
+    stride : int
+        Distance between the samples that are used.
+    """
+
+    def __init__(self, time: Array, change: Array, velocity: Array, stride: int):
+        samples = np.append(np.arange(0, len(time) - 1, stride), len(time) - 1)
+        # The degree of the splines is odd, and lower for few samples.
+        degree = max(1, min(5, (samples.size - 1) // 2 * 2 - 1))
+        self.force, speed = (
+            make_interp_spline(time[samples], x[samples], degree) for x in (change, velocity)
+        )
+        intervals = FINER * (len(time) - 1)
+        self.time: Array = np.linspace(time[0], time[-1], intervals + 1)
+        self.values: Array = self.force(self.time) * speed(self.time)
+        # Energy that has passed up to each time.
+        self.passed: Array = CubicSpline(self.time, self.values).antiderivative()(self.time)
+
+
+def _pulses(power: _Power, rough: _Power, least: float, part: float) -> list[Pulse]:
     """Return the pulses whose power exceeds a fraction of the largest; `part` is its error."""
-    strong = np.flatnonzero(np.abs(power) > least * np.abs(power).max())
+    time = power.time
+    values = power.values
+    strong = np.flatnonzero(np.abs(values) > least * np.abs(values).max())
     if not strong.size:
         return []
-    signs = np.sign(power[strong])
-    # Strong samples of equal sign form runs, with weak samples between the runs.
+    signs = np.sign(values[strong])
+    # Strong values of equal sign form runs, with weak values between the runs.
     begins = np.append(0, 1 + np.flatnonzero(signs[1:] != signs[:-1]))
     ends = np.append(begins[1:], strong.size) - 1
-    force = CubicSpline(time, change)
-    passed, rough = (_energy_up_to(time, power, stride) for stride in (1, 2))
     pulses = []
     start = 0
-    # Between two samples the energy is stationary at a time up to which the nearer sample's power
-    # counts.
+    # Between two times the energy is stationary at a time up to which the nearer value counts.
     step = time[1] - time[0]
     for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
         low = 0 if number == 0 else int(strong[ends[number - 1]]) + 1
@@ -214,25 +264,22 @@ def _pulses(time: Array, power: Array, change: Array, least: float, part: float)
         high = len(time) if last else int(strong[begins[number + 1]])
         sign = float(signs[begin])
         # The energy that has passed is largest between a pulse and the next one.
-        stop = high - 1 if last else strong[end] + int((sign * passed[strong[end] : high]).argmax())
-        energy = float(passed[stop] - passed[start])
-        error = abs(energy - float(rough[stop] - rough[start])) + part * abs(energy)
-        error += step * (abs(power[start]) + abs(power[stop]))
+        after = sign * power.passed[strong[end] : high]
+        stop = high - 1 if last else int(strong[end] + after.argmax())
+        energy = float(power.passed[stop] - power.passed[start])
+        error = abs(energy - float(rough.passed[stop] - rough.passed[start])) + part * abs(energy)
+        error += step * (abs(values[start]) + abs(values[stop]))
         start = stop
-        values = sign * power[low:high]
+        inside = sign * values[low:high]
         # Otherwise the pulse is not complete.
-        if 0 < values.argmax() < len(values) - 1:
-            peak = arrival(time[low:high], values, "power")
-            there = float(force(peak.time))
-            pulses.append(Pulse(peak.time, peak.error, sign > 0, there, energy, error))
+        if 0 < inside.argmax() < len(inside) - 1:
+            peak = arrival(time[low:high], inside, "power")
+            # The same pulse, from every second sample.
+            other = time[low + int((sign * rough.values[low:high]).argmax())]
+            late = peak.error + abs(float(other) - peak.time)
+            there = float(power.force(peak.time))
+            pulses.append(Pulse(peak.time, late, sign > 0, there, energy, error))
     return pulses
-
-
-def _energy_up_to(time: Array, power: Array, stride: int) -> Array:
-    """Return the energy that has passed up to each sample, (T,) J, from every n-th sample."""
-    samples = np.append(np.arange(0, len(time) - 1, stride), len(time) - 1)
-    energy = CubicSpline(time[samples], power[samples]).antiderivative()
-    return np.asarray(energy(time))
 
 
 def _distance(trajectory: Trajectory, grain: int, place: int) -> float:

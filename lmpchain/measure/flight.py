@@ -168,8 +168,9 @@ def time_of_flight(
         second grain first.
     method : str
         "peak" measures the time between the largest maxima of the two signals. "correlation"
-        measures the shift with the largest correlation. It requires that the force in both grains
-        has returned to its value at rest, which is not the case behind a piston.
+        measures the shift with the largest correlation, and the error then includes the change of
+        this shift if every second sample of the signals is used. It requires that the force in both
+        grains has returned to its value at rest, which is not the case behind a piston.
 
     Returns
     -------
@@ -194,17 +195,35 @@ def time_of_flight(
     else:
         for signal in (one, two):
             _check_passed(signal)
-        # Importing SciPy's signal package takes longer than most measurements.
-        from scipy.signal import correlate
-
-        # The second signal may lag or lead by the whole recording.
-        shifts = np.concatenate((-one.time[:0:-1], one.time))
-        best = arrival(shifts, correlate(two.change, one.change), "correlation of the two forces")
+        best = _lag(one.time, one.change, two.change)
         seconds = best.time
-        error = best.error
+        # The integrals over time depend on the sampling as well. Both results have the same end.
+        last = one.time.size - (one.time.size + 1) % 2
+        fine, coarse = (
+            _lag(one.time[:last:n], one.change[:last:n], two.change[:last:n]) for n in (1, 2)
+        )
+        error = best.error + abs(fine.time - coarse.time)
     depths = trajectory.scene.chain.depths
     distance = abs(float(depths[second - 1] - depths[first - 1]))
     return Flight(abs(second - first), distance, seconds, error)
+
+
+def _lag(time: Array, first: Array, second: Array) -> Arrival:
+    """Return the shift of the second signal with the largest correlation, (T,) each."""
+    # Importing SciPy's signal package takes longer than most measurements.
+    from scipy.signal import correlate
+
+    # The second signal may lag or lead by the whole recording.
+    shifts = np.concatenate((-time[:0:-1], time))
+    # The ends of the common interval count half, as in the trapezoidal rule.
+    ends = np.concatenate(
+        (
+            second[0] * first[:0:-1] + first[-1] * second[:-1],
+            first[0] * second + second[-1] * first[::-1],
+        )
+    )
+    products = correlate(second, first) - ends / 2
+    return arrival(shifts, products, "correlation of the two forces")
 
 
 def _check_passed(signal: Signal) -> None:

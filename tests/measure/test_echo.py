@@ -97,25 +97,31 @@ def test_time_of_flight_agrees_with_an_independent_integration(
 
 
 def test_errors_cover_coarse_sampling(rng: np.random.Generator) -> None:
-    """Times and shares of random strikes at random sampling rates are right within their errors."""
-    covered = []
-    for _ in range(8):
-        load = float(rng.choice([0.0, 10.0]))
+    """Times and energies of echoes in random chains are right within their errors.
+
+    Behind the first pulse there are weak ones, and `least` determines which of them is the echo.
+    """
+    near = []
+    for load in (0.0, 10.0):
         chain = Chain(grains=24, bottom="wall", top_load=load, **BEADS)
         velocity = 10 ** rng.uniform(-2, -1)
         duration = time_of(chain, velocity, 48)
+        chain = chain.replace(diameter=5e-3 * rng.uniform(0.9, 1.1, 24))
         samples = int(rng.integers(150, 500))
         coarse, fine = (
-            echo.find(run(chain, Impulse(velocity=velocity), duration, 1 + size), 8)
-            for size in (samples, 16 * samples)
+            run(chain, Impulse(velocity=velocity), duration, 1 + size)
+            for size in (samples, 8 * samples)
         )
-        covered.append(abs(coarse.seconds - fine.seconds) <= coarse.error)
-        covered.append(abs(coarse.share - fine.share) <= coarse.share_error + fine.share_error)
-        out, back = coarse.pulses[:2]
-        assert coarse.error == pytest.approx(out.error + back.error, rel=1e-12)
-        relative = sum(abs(pulse.energy_error / pulse.energy) for pulse in (out, back))
-        assert coarse.share_error == pytest.approx(coarse.share * relative, rel=1e-12)
-    assert np.mean(covered) >= 0.93
+        for least in np.geomspace(3e-3, 0.1, 4):
+            found, true = (echo.find(t, 8, least=least) for t in (coarse, fine))
+            assert abs(found.seconds - true.seconds) <= found.error + true.error
+            assert abs(found.share - true.share) <= found.share_error + true.share_error
+            near.append(found.error < 0.01 * found.seconds)
+            out, back = found.pulses[:2]
+            assert found.error >= out.error + back.error
+            relative = sum(abs(pulse.energy_error / pulse.energy) for pulse in (out, back))
+            assert found.share_error >= found.share * relative * (1 - 1e-12)
+    assert np.mean(near) > 0.5
 
 
 def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
@@ -133,7 +139,7 @@ def test_a_solitary_wave_comes_back_at_the_exact_speed() -> None:
         expected += 20 / (unit * speed**0.2)
     assert upper.seconds - lower.seconds == pytest.approx(expected, rel=2e-5)
     # The other measure takes the larger of two peaks, here that of the same pulse.
-    assert flight.arrival(t.time, upper.power).time == pytest.approx(upper.pulses[0].time, rel=1e-9)
+    assert flight.arrival(t.time, upper.power).time == pytest.approx(upper.pulses[0].time, rel=1e-7)
 
 
 def test_energy_of_pulses_is_that_of_the_chain() -> None:

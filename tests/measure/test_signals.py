@@ -182,6 +182,19 @@ def test_the_flight_of_a_bump(method: Any):
             time_of_flight(made, first, second, way)  # type: ignore[arg-type]
 
 
+@pytest.mark.parametrize(("load", "bottom", "duration"), [(10.0, "fixed", 70), (1.0, "wall", 80)])
+def test_the_error_of_a_correlation_covers_the_sampling(load: float, bottom: str, duration: int):
+    """Echoes that are cut off by the end of the recording change the integrals over time."""
+    chain = column(24, gravity=0.0, top_load=load, bottom=bottom)
+    flights = []
+    for samples in (201, 1601):
+        t = run(chain, Impulse(velocity=1e-3), duration * chain.time_scale, samples, 1e-9)
+        flights.append(time_of_flight(t, 4, 14, "correlation"))
+    coarse, fine = flights
+    assert abs(coarse.seconds - fine.seconds) <= coarse.error < 0.01 * fine.seconds
+    assert fine.error < 0.1 * coarse.error
+
+
 @pytest.mark.parametrize(("duration", "rise"), [(6e-5, 1.013e-6), (6e-5, 1e-3), (2.2e-5, 1.013e-6)])
 def test_correlation_of_lasting_forces_is_rejected(duration: float, rise: float):
     """Behind a piston both forces persist, so that their correlation has no maximum at the delay.
