@@ -114,6 +114,18 @@ def test_steady_shock_of_a_damped_chain() -> None:
     assert found.leading.speed == pytest.approx(speed, rel=5e-4)
     assert found.behind.overlap == pytest.approx(theory.overlap, rel=1e-4)
     assert found.thickness == pytest.approx(found.predictions["burgers"].height, rel=0.25)
+    # Mass and momentum are both conserved, and the front is the same on both edges.
+    assert found.mass_speed == pytest.approx(speed, rel=5e-4)
+    assert found.momentum_speed == pytest.approx(speed, rel=5e-4)
+    assert found.trailing == found.leading
+    # At the last contact that counts, the front has passed to 95 % or more.
+    assert 0.95 <= found.leading.height / (theory.overlap - OVERLAP) < 1.001
+    assert found.leading.velocity == pytest.approx(0.3 * OVERLAP * SOUND, rel=0.05)
+    # The front is as thick as its steepest slope in time, at this contact, says.
+    jump = theory.overlap - OVERLAP
+    last = np.flatnonzero(found.overlap > OVERLAP + 0.95 * jump)[-1]
+    change = np.diff(found.overlap_then[:, last]) / np.diff(found.moment)
+    assert found.thickness == pytest.approx(speed * jump / change.max(), rel=0.02)
 
 
 @pytest.mark.parametrize("direction", ["down", "up"])
@@ -134,6 +146,29 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
     for edge, speed in ((found.leading, theory.leading), (found.trailing, theory.trailing)):
         assert abs(edge.speed - speed) < 2 * edge.error
         assert edge.speed == pytest.approx(speed, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "strain", "direction", "contacts"),
+    [
+        ((0.07, 0), (0, 0), "down", 60),
+        ((0.07, 0), (0, 0), "up", 30),
+        ((0, -0.07), (0, 0), "up", 60),
+        ((0, 0), (2e-5, 0), "down", 60),
+        ((0, 0), (0, 2e-5), "up", 60),
+    ],
+)
+def test_a_step_is_used_until_waves_from_the_ends_may_arrive(
+    velocity: tuple[float, float], strain: tuple[float, float], direction: str, contacts: int
+) -> None:
+    """A wave from the end behind the step, 60 contacts away, is no faster than the fastest sound.
+
+    If the chain ahead does not rest, a wave from the end ahead meets the wave halfway.
+    """
+    step = Riemann(velocity=velocity, strain=strain, grain=60)
+    found = shock.find(long_run(CHAIN.replace(grains=120, top="free"), step, 100), direction)
+    fastest = GAS.sound(float(found.overlap_then.max()))
+    assert 0.93 * contacts < found.time * fastest <= contacts
 
 
 def long_run(

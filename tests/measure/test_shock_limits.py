@@ -71,6 +71,31 @@ def test_edges_of_a_toda_chain_tend_to_the_exact_ones_like_one_over_time(piston:
     assert theory.height == pytest.approx(LENGTH * exact.height, rel=1e-4)
 
 
+@pytest.mark.parametrize("piston", [0.6, 1.2])
+def test_edges_of_a_young_toda_chain(piston: float):
+    """After 150 grains the errors show the lag of the leading soliton, and cover the others."""
+    exact = toda_chain.exact(piston)
+    wave = toda(piston, 150)
+    speed, error = wave.leading.speed / SOUND, wave.leading.error / SOUND
+    lag = 0.75 / exact.width * exact.leading * 1.2
+    assert (exact.leading - speed) * 150 == pytest.approx(lag, rel=0.15)
+    # Both errors are 0.71 of the distance to the limit, apart from higher orders.
+    missing = LENGTH * exact.height - wave.leading.height
+    assert wave.leading.height_error == pytest.approx(0.71 * missing, rel=0.12)
+    assert error == pytest.approx(0.71 * (exact.leading - speed), rel=0.13)
+    assert abs(wave.trailing.speed / SOUND - exact.trailing) < wave.trailing.error / SOUND < 0.2
+    assert wave.leading.velocity == pytest.approx(2 * piston * LENGTH * SOUND, rel=0.1)
+    # The plateau has the velocity of the piston, and a jump between both conserves mass.
+    away = abs(wave.behind.overlap - OVERLAP - LENGTH * exact.plateau)
+    assert away < wave.behind_error.overlap < 0.05 * LENGTH * exact.plateau
+    assert wave.behind.velocity == pytest.approx(piston * LENGTH * SOUND, rel=1e-3)
+    assert wave.mass_speed == pytest.approx(piston / exact.plateau * SOUND, rel=2e-3)
+    # A sudden push starts at 0, and the wave is as wide as its edges are apart.
+    assert abs(wave.start) < 1e-6 / SOUND
+    apart = (wave.leading.speed - wave.trailing.speed) * wave.time
+    assert wave.thickness == pytest.approx(apart, rel=1e-6)
+
+
 class Excess(NamedTuple):
     """Mach number minus 1 of a leading edge: measured in a long run, and in two theories."""
 
