@@ -186,7 +186,6 @@ def find(trajectory: Trajectory, start: float = 0.0) -> Collision:
     >>> met.head_on, f"{met.shift[0]:.3f}, in Toda's chain {met.toda[0]:.3f}"
     (True, "0.303, in Toda's chain 0.455")
     """
-    trajectory.scene.chain.refuse_ground("a collision of solitary waves")
     chain = trajectory.scene.chain
     check_chain(chain)
     if chain.damped:

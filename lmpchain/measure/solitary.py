@@ -174,7 +174,6 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> T
     >>> f"{train.share[0]:.5f}", bool(abs(train.speed[0] / train.exact_speed[0] - 1) < 1e-5)
     ('0.99366', True)
     """
-    trajectory.scene.chain.refuse_ground("a train of solitary waves")
     chain = trajectory.scene.chain
     _check(trajectory, direction)
     upward = direction == "up"
