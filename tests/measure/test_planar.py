@@ -5,6 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from helpers.thinned import thinned
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.optimize import brentq
 
 from lmpchain import Chain, Drive, InputError, Riemann, Scene, Trajectory, simulate
@@ -46,6 +47,48 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
     assert waves.plot().get_xlabel()
 
 
+def test_waves_are_measured_from_crest_to_crest() -> None:
+    """Distance, speed, crests, troughs and means agree with quintic splines through the overlaps."""
+    t = shock_of(1.5, 0.1)
+    waves = planar.orbits(t)
+    rest = t.scene.chain.equilibrium_overlap
+    overlap = rest + t.displacement[:, :-1] - t.displacement[:, 1:]
+
+    def crests_at(contact: int) -> tuple[BSpline, np.ndarray]:
+        curve = make_interp_spline(t.time, overlap[:, contact - 1], 5)
+        turns = PPoly.from_spline(curve.derivative()).roots(extrapolate=False)
+        tops = turns[curve(turns, 2) < 0]
+        return curve, tops[curve(tops).argmax() :]
+
+    number = waves.contact
+    curve, times = crests_at(number)
+    count = len(waves.orbits)
+    late, early = (crests_at(number + way)[1][: count + 1] for way in (3, -3))
+    begin, end = times[:count], times[1 : count + 1]
+    # A sudden piston of the same final speed would have begun half of its rise later.
+    age = (begin + end) / 2 - t.scene.excitation.rise / 2
+    assert waves.self_similar == pytest.approx((number - 1) / age, rel=1e-3)
+    speed = 6 / (late - early)
+    speed = (speed[1:] + speed[:-1]) / 2
+    uncertain = waves.spacing_error / waves.spacing
+    assert (np.abs(waves.phase_speed / speed - 1) < np.minimum(uncertain, 0.02)).all()
+    assert waves.spacing == pytest.approx(waves.phase_speed * (end - begin), rel=1e-4)
+    heights = curve(times)
+    change = np.abs(np.diff(heights))[:count]
+    size = (heights[1 : count + 1] + heights[:count]) / 2
+    trough = [curve(np.linspace(*ends, 400)).min() for ends in zip(begin, end, strict=True)]
+    mean = [curve.integrate(*ends) for ends in zip(begin, end, strict=True)] / (end - begin)
+    for found, true in ((waves.crest, size), (waves.trough, trough), (waves.mean, mean)):
+        assert found == pytest.approx(np.array(true), rel=1e-4)
+    assert waves.mean_error == pytest.approx(change, rel=0.05)
+    assert (waves.spacing_error >= 0.95 * waves.spacing * change / (size - trough) / 2).all()
+    for orbit, low, high in zip(waves.orbits, waves.trough, waves.crest, strict=True):
+        assert orbit.overlap[[0, -1]] == pytest.approx([high, low], rel=1e-9)
+        assert np.gradient(orbit.overlap, orbit.place)[5:-5] == pytest.approx(
+            orbit.slope[5:-5], rel=2e-2
+        )
+
+
 @pytest.mark.parametrize("exponent", [1.5, 2.0])
 @pytest.mark.parametrize(("speed", "share"), [(1.01, 0.01), (1.03, 0.03), (1.1, 0.1)])
 def test_the_homoclinic_orbit_approaches_the_solitary_wave(
@@ -78,6 +121,12 @@ def test_weak_orbits_are_harmonic() -> None:
         assert orbit is not None
         assert orbit.mean == pytest.approx(1.0, abs=1e-9)
         assert orbit.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (speed**-2 - 1)), rel=1e-6)
+        other = planar._orbit(gas, speed, 1.0 - 1e-5, 1.0 + 1e-5, planar._of_forces)
+        assert other is not None
+        assert other.spacing == pytest.approx(2 * np.pi / np.sqrt(12 * (1 - speed**2)), rel=1e-6)
+        # The wavenumber k of the lattice has the phase speed sin(k / 2) / (k / 2).
+        k = brentq(lambda k, speed=speed: np.sin(k / 2) - speed * k / 2, 1e-3, np.pi)
+        assert orbit.spacing < 2 * np.pi / k < other.spacing
 
 
 def test_only_dispersive_shocks_have_orbits() -> None:

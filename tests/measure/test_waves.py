@@ -106,6 +106,7 @@ def test_noise_scatters_as_the_covariance_says(rng: np.random.Generator, late: T
         ({"top": "wall", "bottom": "wall"}, 15, 1, 40),
         ({"impurity": [{"grain": 30, "diameter": 1.2e-3}]}, 12, 1, 29),
         ({"impurity": [{"grain": 6, "diameter": 1.2e-3}]}, 20, 7, 40),
+        ({"impurity": [{"grain": 40, "mass": 3e-6}], "bottom": "wall"}, 15, 1, 39),
     ],
 )
 def test_values_before_any_echo(more: dict[str, Any], struck: int, first: int, last: int):
