@@ -102,7 +102,12 @@ def test_curves_and_several_quantities_are_those_of_single_runs() -> None:
     assert found["top"].solver_error < 1e-6
     table = found["spectrum"].to_dataframe()
     assert len(table) == 101
-    assert {"x", "mean", "quantile_0.95"} < set(table.columns)
+    low, high = found["spectrum"].interval
+    columns = {"mean": spread.mean(0), "deviation": spread.std(0, ddof=1)}
+    columns |= {"interval_low": low, "interval_high": high}
+    columns |= {f"quantile_{q}": np.quantile(spread, q, axis=0) for q in (0.05, 0.5, 0.95)}
+    for name, values in columns.items():
+        assert table[name].to_numpy() == pytest.approx(values, rel=1e-12)
 
 
 @pytest.mark.slow

@@ -48,7 +48,7 @@ def test_orbits_have_the_spacing_and_mean_of_the_waves(exponent: float, strength
 
 
 def test_waves_are_measured_from_crest_to_crest() -> None:
-    """Distance, speed, crests, troughs and means agree with quintic splines through the overlaps."""
+    """Distances, speeds, crests and means agree with quintic splines through the overlaps."""
     t = shock_of(1.5, 0.1)
     waves = planar.orbits(t)
     rest = t.scene.chain.equilibrium_overlap

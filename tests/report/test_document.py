@@ -15,11 +15,12 @@ from helpers.live_figure import arrays
 from helpers.seals import seal_anew
 
 from lmpchain import Chain, Drive, Impulse, Profile, Scene, Trajectory, simulate
+from lmpchain.measure.front import Front
 from lmpchain.report import document, page, write
 from lmpchain.report import live as live_view
 from lmpchain.report.document import _view, title
 from lmpchain.report.live import crop, extent, figure_numbers
-from lmpchain.report.verdicts import _contacts_verdict
+from lmpchain.report.verdicts import _contacts_verdict, facts
 from lmpchain.trajectory.record import ErrorEstimate
 
 
@@ -372,20 +373,55 @@ def test_a_file_states_its_origin_in_the_history(tmp_path: Path):
     assert document.origin(None) == document.origin(tmp_path / "none") == unknown
 
 
+@pytest.mark.parametrize("order", [1, -1])
+def test_contacts_open_if_grains_separate_by_more_than_their_overlap(order: int):
+    """The grains above a contact rise by a multiple of its overlap, which differs from others."""
+    chain = Chain(grains=6, diameter=1e-3)
+    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=4)
+    still = simulate(scene)
+    # Grain 4 is not recorded, so that the contacts 1, 2 and 5 are known.
+    grains = np.array([1, 2, 3, 5, 6])[::order]
+    assert np.diff(chain.equilibrium_overlap).min() > 0.1 * chain.equilibrium_overlap[0]
+    for contact in (1, 2, 5):
+        for rise, verdict in ((1.01, "1 of 3 open"), (0.99, "none opens")):
+            motion = np.zeros((4, 5))
+            motion[1:3] = -rise * chain.equilibrium_overlap[contact - 1] * (grains <= contact)
+            run = replace(still, grains=grains, displacement=motion)
+            assert _contacts_verdict(run) == verdict
+
+
+GRAINS = np.arange(2, 21)
+DEPTH = 1e-3 * GRAINS
+# The front is slow down to grain 10.
+FRONT = GRAINS, DEPTH, np.cumsum(np.where(GRAINS < 11, 9e-6, 4e-6)), *np.ones((5, 19))
+
+
 @pytest.mark.parametrize(
-    ("displacement", "verdict"),
-    [(-1.5, "1 of 4 open"), (1.5, "1 of 4 open"), (0.5, "none opens"), (-0.5, "none opens")],
+    ("off", "words"),
+    [
+        (0.9e-5, "holds to better than 0.001 % of the largest velocity"),
+        (1.1e-5, "holds to 0.0011 % of the largest velocity"),
+        (0.049, "holds to 4.9 % of the largest velocity"),
+        (0.051, "is off by 5.1 % of the largest velocity"),
+        (1.4, "is off by 140 % of the largest velocity"),
+    ],
 )
-def test_contacts_open_if_grains_separate_by_more_than_their_overlap(
-    displacement: float, verdict: str
-):
-    """Grain 2 moves by a multiple of the overlap at rest, and separates from grain 3 or 1."""
-    chain = Chain(grains=5, diameter=1e-3, gravity=0, top_load=1e-3)
-    scene = Scene(chain=chain, excitation=Impulse(velocity=1e-6), duration=1e-6, samples=2)
-    overlap = chain.equilibrium_overlap
-    assert overlap[0] == pytest.approx(overlap[1], rel=1e-9)
-    motion = np.zeros((2, 5))
-    motion[1, 1] = displacement * overlap[0]
-    run = replace(simulate(scene), displacement=motion)
-    assert _contacts_verdict(run) == verdict
-    assert _contacts_verdict(replace(run, displacement=np.zeros((2, 5)))) == "none opens"
+def test_the_error_of_linear_theory_is_stated(wave: Trajectory, off: float, words: str):
+    linear = replace(wave, velocity=(1 + off) * wave.velocity)
+    front = Front("velocity", *FRONT)
+    stated = dict(facts(wave, linear, front, 1e-9))
+    assert stated["linear theory"] == words
+    assert stated["strike number"] == f"{wave.scene.strike_number:.3g}"
+    # The speed is that of the last ten grains, 250 m/s, not of the first.
+    assert stated["front"] == "reaches grain 20, at 250 m/s"
+    assert stated["largest velocity"] == "1.0 mm/s"
+    assert "above the tolerance" not in stated["estimated error"]
+    error = wave.error_estimate.total
+    missed = dict(facts(wave, None, "none", error / 2))
+    assert f"above the tolerance {error / 2:.2g}".replace("e-0", "e-") in missed["estimated error"]
+    assert missed["linear theory"] == "none of this scene"
+    assert missed["front"] == "none"
+    assert "damping" not in missed
+    damped = wave.scene.chain.replace(damping={"drag": 1.0})
+    dragged = replace(wave, scene=wave.scene.replace(chain=damped))
+    assert dict(facts(dragged, None, "none", 1.0))["damping"] == dragged.scene.damping_remark
