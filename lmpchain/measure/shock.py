@@ -72,7 +72,8 @@ class Edge:
         later half of the measurements.
     height, height_error : float
         Overlap in the leading crest minus the overlap ahead, m, and the change of this height along
-        the way; NaN for a separate trailing edge.
+        the way; NaN for a separate trailing edge. Without a crest, the error is the variation of
+        the plateau and the part of the jump that is still missing.
     velocity : float
         Velocity of grains in the leading crest minus the velocity ahead, m/s.
     """
@@ -322,11 +323,11 @@ def find(trajectory: Trajectory, direction: Literal["down", "up"] = "down") -> S
     behind, behind_error = _plateau(wave, gas, ahead)
     steady = (State(np.nan, np.nan), np.nan)
     if behind.overlap <= ahead.overlap:
-        answer = _rarefaction_edges(wave, gas, ahead, behind)
+        answer = _rarefaction_edges(wave, gas, ahead, behind, behind_error.overlap)
     else:
         steady = gas.rankine_hugoniot(ahead, behind.velocity)
         if chain.damped:
-            answer = _steady_front(wave, ahead, behind)
+            answer = _steady_front(wave, ahead, behind, behind_error.overlap)
             thickness = _thickness(gas, ahead, steady[0], float(chain.contact_viscosity[1]))
             answer.predictions["burgers"] = Edges(steady[1], steady[1], thickness)
         else:
@@ -635,8 +636,13 @@ def _solitary_speed(gas: Medium, ahead: State, velocity: float) -> float:
         return np.nan
 
 
-def _rarefaction_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: State) -> _Answer:
-    """Return both edges, extrapolated from points between them where the sound speed is known."""
+def _rarefaction_edges(
+    wave: TravellingWave, gas: Medium, ahead: State, behind: State, varies: float
+) -> _Answer:
+    """Return both edges, extrapolated from points between them where the sound speed is known.
+
+    `varies` is the variation of the overlap behind, m.
+    """
     sounds = [gas.sound(state.overlap) for state in (ahead, behind)]
     places = []
     times = np.linspace(len(wave.time) // 2, len(wave.time) - 1, 16).astype(int)
@@ -660,7 +666,7 @@ def _rarefaction_edges(wave: TravellingWave, gas: Medium, ahead: State, behind: 
     velocity = behind.velocity - ahead.velocity
     return _Answer(
         "rarefaction",
-        Edge(leading.speed, leading.error, height, 0.0, velocity),
+        Edge(leading.speed, leading.error, height, varies, velocity),
         trailing,
         (leading.speed - trailing.speed) * float(wave.time[-1] - wave.start),
         {"continuum": gas.rarefaction(ahead, behind.overlap)},
@@ -688,8 +694,11 @@ def _thickness(gas: Medium, ahead: State, behind: State, viscosity: float) -> fl
     return np.nan
 
 
-def _steady_front(wave: TravellingWave, ahead: State, behind: State) -> _Answer:
-    """Return the edge at half the jump, and the thickness in grains."""
+def _steady_front(wave: TravellingWave, ahead: State, behind: State, varies: float) -> _Answer:
+    """Return the edge at half the jump, and the thickness in grains.
+
+    `varies` is the variation of the overlap behind, m.
+    """
     jump = behind.overlap - ahead.overlap
     total = wave.reached - wave.source
     # The last contact that the whole front has passed.
@@ -711,5 +720,6 @@ def _steady_front(wave: TravellingWave, ahead: State, behind: State) -> _Answer:
     curve = CubicSpline(samples, signals[:, -1])
     steepest = float(curve.derivative()(np.linspace(0, samples[-1], 8 * samples.size)).max())
     velocity = float((wave.velocity[:, contacts[-1]] - ahead.velocity).max())
-    edge = Edge(speed, error, height, 0.0, velocity)
+    # The whole jump has not reached the last contact yet.
+    edge = Edge(speed, error, height, abs(jump - height) + varies, velocity)
     return _Answer("steady shock", edge, edge, speed * interval / steepest, {})

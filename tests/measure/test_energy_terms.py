@@ -10,7 +10,18 @@ import pytest
 from helpers.example_scenes import run
 from numpy.typing import NDArray
 
-from lmpchain import Chain, Drive, Force, Impulse, InputError, Scene, Trajectory, engines, simulate
+from lmpchain import (
+    Chain,
+    Drive,
+    Force,
+    Impulse,
+    InputError,
+    Law,
+    Scene,
+    Trajectory,
+    engines,
+    simulate,
+)
 from lmpchain.measure import energy
 from lmpchain.measure.energy import EnergyLedger
 from lmpchain.measure.motion import motion_of
@@ -46,7 +57,26 @@ GIVEN = {
             interpolation="spline",
         ),
     ),
+    "a base that moves": (
+        Chain(**UNEVEN, bottom="wall"),
+        Drive(
+            times=[0, 1e-5, 2e-5, 3e-5, 4e-5],
+            displacement=[0, -1e-9, -4e-9, -7e-9, -8e-9],
+            interpolation="spline",
+            end="bottom",
+        ),
+    ),
+    "on a ground": (
+        Chain(**UNEVEN, ground=Law("k*u", k=1e5)),
+        Force(grain=3, amplitude=1e-3, frequency=1e5),
+    ),
 }
+
+
+def base_of(t: Trajectory) -> Array:
+    """Return the displacement of a driven bottom wall, (T,) m; 0 for other ends."""
+    excitation = t.scene.excitation
+    return excitation.waveform.at(t.time, 0) if excitation.from_below else np.zeros(t.time.size)
 
 
 def simulated(name: str, samples: int = 401) -> Trajectory:
@@ -58,7 +88,7 @@ def overlaps(t: Trajectory) -> Array:
     chain = t.scene.chain
     wall = t.scene.excitation.wall
     top = wall.at(t.time, 0) if wall else np.zeros(t.time.size)
-    edged = np.column_stack((top, t.displacement, np.zeros(t.time.size)))
+    edged = np.column_stack((top, t.displacement, base_of(t)))
     return np.where(
         chain.contacts.exists, chain.contacts.overlap + edged[:, :-1] - edged[:, 1:], 0.0
     )
@@ -83,8 +113,14 @@ def test_every_term_and_the_energy_input(name: str):
     assert seen.contact == pytest.approx(contact, rel=1e-9, abs=1e-12 * np.abs(contact).max())
     weight = 9.81 * (u @ chain.masses)
     assert seen.gravity == pytest.approx(-weight, rel=1e-9, abs=1e-13 * np.abs(weight).max())
-    assert seen.load == pytest.approx(-2e-3 * moved, rel=1e-13)
-    terms = seen.kinetic + seen.contact + seen.gravity + seen.load
+    # A driver below carries the load and the weight.
+    base = base_of(t)
+    support = 2e-3 + 9.81 * chain.masses.sum()
+    scale = 1e-13 * support * np.abs(base).max()
+    assert seen.load == pytest.approx(-2e-3 * moved + support * base, rel=1e-13, abs=scale)
+    spring = 1e5 if chain.ground else 0.0
+    assert seen.ground == pytest.approx(spring * (u**2).sum(1) / 2, rel=1e-12)
+    terms = seen.kinetic + seen.contact + seen.ground + seen.gravity + seen.load
     assert seen.total == pytest.approx(terms, rel=1e-9, abs=1e-9 * np.abs(seen.total).max())
     momentum = v @ chain.masses
     assert seen.momentum == pytest.approx(momentum, rel=1e-9, abs=1e-13 * np.abs(momentum).max())

@@ -120,6 +120,8 @@ def test_steady_shock_of_a_damped_chain() -> None:
     assert found.trailing == found.leading
     # At the last contact that counts, the front has passed to 95 % or more.
     assert 0.95 <= found.leading.height / (theory.overlap - OVERLAP) < 1.001
+    missing = abs(found.leading.height - (theory.overlap - OVERLAP))
+    assert 0.99 * missing < found.leading.height_error < 0.06 * found.leading.height
     assert found.leading.velocity == pytest.approx(0.3 * OVERLAP * SOUND, rel=0.05)
     # The front is as thick as its steepest slope in time, at this contact, says.
     jump = theory.overlap - OVERLAP
@@ -142,6 +144,8 @@ def test_a_rarefaction_agrees_with_the_method_of_characteristics(direction: str)
     sides = State(0, OVERLAP), State(0, OVERLAP / 2)
     between = GAS.between(*sides)
     assert found.behind.overlap == pytest.approx(between.overlap, rel=2e-3)
+    away = abs(found.leading.height - (between.overlap - OVERLAP))
+    assert away < found.leading.height_error < 0.02 * OVERLAP
     theory = found.predictions["continuum"]
     for edge, speed in ((found.leading, theory.leading), (found.trailing, theory.trailing)):
         assert abs(edge.speed - speed) < 2 * edge.error
