@@ -40,10 +40,16 @@ def noise(grains: Any = "all", samples: int = 21, **chain: Any) -> Trajectory:
 
 
 @pytest.mark.parametrize(
-    "ends", [{}, {"bottom": "wall"}, {"top": "wall", "bottom": "wall", "exponent": 2.0}]
+    "ends",
+    [
+        {},
+        {"bottom": "wall"},
+        {"top": "wall", "bottom": "wall", "exponent": 2.0},
+        {"bottom": "wall", "damping": {"viscoelastic": 3e-6}},
+    ],
 )
 def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
-    """The overlap is o = eps + phi_n - phi_(n+1), and the force K o^delta, or 0 in a gap."""
+    """The overlap is o = eps + phi_n - phi_(n+1); the force is (1 + A d/dt) K o^delta, or 0."""
     t = noise(**ends)
     chain = t.scene.chain
     seen = contacts(t)
@@ -52,11 +58,16 @@ def test_overlaps_and_forces_of_any_motion(ends: dict[str, Any]):
     n = seen.contact
     overlap = chain.contacts.overlap[n] + u[:, n] - u[:, n + 1]
     force = chain.contacts.constant[n] * np.maximum(overlap, 0) ** chain.exponent
+    closing = v[:, n] - v[:, n + 1]
+    stiffness = (
+        chain.exponent * chain.contacts.constant[n] * np.maximum(overlap, 0) ** (chain.exponent - 1)
+    )
+    force += chain.contact_viscosity[n] * stiffness * closing
     rest = chain.contacts.constant[n] * chain.contacts.overlap[n] ** chain.exponent
     assert n.tolist() == np.flatnonzero(chain.contacts.exists).tolist()
     assert (overlap < 0).any()
     assert seen.overlap == pytest.approx(overlap, rel=1e-9, abs=1e-22)
-    assert seen.closing == pytest.approx(v[:, n] - v[:, n + 1], rel=1e-12)
+    assert seen.closing == pytest.approx(closing, rel=1e-12)
     assert seen.force == pytest.approx(force, rel=1e-9, abs=1e-18)
     assert seen.change == pytest.approx(force - rest, rel=1e-9, abs=1e-15)
     assert np.array_equal(seen.time, t.time)
