@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, NamedTuple, get_args
 
@@ -183,9 +184,12 @@ class PowerLaw(Shown, Tabular):
     order, exponent, factor, correction : float
         Parameters of the law in the first line.
     error : (3,) array
-        Errors of exponent, factor and correction: half the 95 % confidence interval plus the
-        shift when a term in h^(-2 order) is fitted as well. The shift dominates on smooth data. The
-        error is an estimate, not a bound.
+        Errors of exponent, factor and correction: half the 95 % confidence interval plus the larger
+        of two changes, which dominate on smooth data. One is the shift when the term of the next
+        order q is fitted as well. The other is the change when only the deeper half of the grains
+        is fitted, extrapolated to infinite depth: over 1 - r^-q, with the ratio r of the mean
+        depths. The error is an estimate, not a bound. For the width, and for displacements at
+        exponents near 2, it may be too small by a factor of 5.
     """
 
     _units: ClassVar[dict[str, str]] = {"depth": "", "values": ""}
@@ -346,11 +350,15 @@ class CorrectedPower(NamedTuple):
         Half the 95 % confidence intervals; 0 for a given exponent.
     shift : (3,) array
         Change of the values when the next term is fitted as well.
+    remote : (3,) array
+        Change of the values when only the deeper half is fitted, as far as it exceeds the noise,
+        extrapolated to infinite depth.
     """
 
     values: Array
     interval: Array
     shift: Array
+    remote: Array
 
 
 def fit_power(
@@ -397,10 +405,20 @@ def fit_power(
         ) from None
     interval = stats.t.ppf(0.975, x.size - parameters.size) * np.sqrt(np.diag(covariance))
     exact = np.zeros(len(fixed))
+    deeper = slice(-max(FEWEST - 2, x.size // 2), None)
+    remote = np.zeros(parameters.size)
+    with suppress(RuntimeError):
+        below, scatter = optimize.curve_fit(law, x[deeper], y[deeper], parameters)
+        # Noise changes the fit to fewer grains as well, by up to half of its own interval.
+        noise = stats.t.ppf(0.975, x[deeper].size - below.size) * np.sqrt(np.diag(scatter))
+        # The neglected terms decrease with this power of the depth.
+        decrease = np.exp(following * (x.mean() - x[deeper].mean()))
+        remote = np.maximum(np.abs(below - parameters) - noise, 0.0) / (1 - decrease)
     return CorrectedPower(
         values=np.append(fixed, parameters),
         interval=np.append(exact, interval),
         shift=np.append(exact, np.abs(further[:-1] - parameters)),
+        remote=np.append(exact, remote),
     )
 
 
@@ -444,8 +462,10 @@ def asymptotic(
         raise InputError.at(
             "front", f"a fit needs {FEWEST} or more grains (got {depth.size}): record longer"
         )
-    order = 2 / 3 if quantity in ("time", "speed") else 1 / delta - 1 / 3
-    fit = fit_power(depth, values, order, 2 * order, exponent)
+    # A passing front lags behind the continuum. The next term is that of the continuum.
+    passing = quantity in ("time", "speed")
+    order = 2 / 3 if passing else 1 / delta - 1 / 3
+    fit = fit_power(depth, values, order, 1 / delta + 1 / 3 if passing else 2 * order, exponent)
     power, scale, correction = fit.values
     factor = np.exp(scale)
     return PowerLaw(
@@ -454,7 +474,7 @@ def asymptotic(
         values=values,
         unit=_unit_of(quantity, front.field),
         order=order,
-        error=(fit.interval + fit.shift) * [1, factor, 1],
+        error=(fit.interval + np.maximum(fit.shift, fit.remote)) * [1, factor, 1],
         exponent=power,
         factor=factor,
         correction=correction,

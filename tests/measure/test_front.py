@@ -265,12 +265,12 @@ def test_asymptotic_laws(
     free = asymptotic(front, quantity, 1.5)
     fixed = asymptotic(front, quantity, 1.5, power)
     assert free.exponent == pytest.approx(power, abs=2.5e-3)
-    assert free.error[0] < 5e-3
+    assert free.error[0] < 7e-3
     assert np.abs(free.residual).max() < 2e-3
     assert fixed.exponent == power
     assert fixed.error[0] == 0
     if factor:
-        assert abs(free.exponent - power) < 2 * free.error[0]
+        assert abs(free.exponent - power) < free.error[0]
         assert fixed.factor / scale == pytest.approx(factor, rel=5e-3)
     if (field, quantity) == ("velocity", "amplitude"):
         assert fixed.correction == pytest.approx(-0.339, abs=0.05)
@@ -289,7 +289,12 @@ def test_asymptotic_laws_of_other_contacts(delta: float, power: float, factor: f
     free = asymptotic(front, "amplitude", delta)
     assert free.exponent == pytest.approx(power, abs=2e-3)
     assert free.order == pytest.approx(1 / delta - 1 / 3)
-    assert asymptotic(front, "speed", delta).order == pytest.approx(2 / 3)
+    # The front passes at times h^((1 + 1/delta) / 2); the errors cover what deeper grains change.
+    for quantity, limit in (("time", (1 + 1 / delta) / 2), ("speed", (1 - 1 / delta) / 2)):
+        law = asymptotic(front, quantity, delta)
+        assert law.order == pytest.approx(2 / 3)
+        assert abs(law.exponent - limit) < law.error[0] < 0.02
+    assert abs(free.exponent - power) < free.error[0]
     if factor:
         fixed = asymptotic(front, "amplitude", delta, power)
         assert fixed.factor / t.scene.excitation.velocity == pytest.approx(factor, rel=1e-3)

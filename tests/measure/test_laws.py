@@ -67,14 +67,23 @@ def noisy_front(seed: int = 5, noise: float = 1e-3) -> Front:
 @pytest.mark.parametrize("power", [None, -0.28])
 @pytest.mark.parametrize("delta", [1.0, 1.5, 2.0])
 def test_an_asymptotic_law_and_its_errors(delta: float, power: float | None):
-    """The error is half the 95 % interval plus the shift with a term of twice the order."""
+    """The error is half the 95 % interval plus the shift with a term of twice the order.
+
+    If the deeper half differs by more than its noise, its extrapolated change replaces the shift.
+    """
     front = noisy_front()
     order = 1 / delta - 1 / 3
     law = asymptotic(front, "amplitude", delta, power)
     h = front.grain - 0.5
     fitted, error = least_squares(h, -front.amplitude, [order], power)
     further, _ = least_squares(h, -front.amplitude, [order, 2 * order], power)
-    interval = stats.t.ppf(0.975, h.size - fitted.size) * error + np.abs(further[:-1] - fitted)
+    half = slice(-(h.size // 2), None)
+    below, scatter = least_squares(h[half], -front.amplitude[half], [order], power)
+    noise = stats.t.ppf(0.975, h[half].size - fitted.size) * scatter
+    ratio = stats.gmean(h[half]) / stats.gmean(h)
+    remote = np.maximum(np.abs(below - fitted) - noise, 0.0) / (1 - ratio ** (-2 * order))
+    interval = stats.t.ppf(0.975, h.size - fitted.size) * error
+    interval += np.maximum(np.abs(further[:-1] - fitted), remote)
     if power is not None:
         fitted = np.append(power, fitted)
         interval = np.append(0.0, interval)
