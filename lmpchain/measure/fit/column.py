@@ -179,8 +179,8 @@ class ContinuumFit(Fitted, Tabular):
     amplitude : float
         C, in the units of length and time of the scene, for a strike of unit velocity.
     error : float
-        Error of C: half the 95 % confidence interval, plus three times the shift when only the
-        later half of the samples is used. The factor allows for disturbances that fall as 1/tau.
+        Error of C: half the 95 % confidence interval, plus the effect of a disturbance that falls as
+        1/tau, from the shift when only the later half of the samples is used.
     expected : float
         C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz contacts.
     power : float
@@ -317,8 +317,12 @@ def fit_continuum(trajectory: Trajectory, first: int = 10, inside: float = 0.5) 
 
     amplitude, error = regress(np.ones(clock.size, dtype=bool))
     # Corrections fall as 1/tau, so the later half of the samples shows their size.
-    later, _ = regress(clock >= (since + clock.max()) / 2)
-    error = float(stats.t.ppf(0.975, clock.size - 1)) * error + 3 * abs(later - amplitude)
+    late = clock >= (since + clock.max()) / 2
+    later, _ = regress(late)
+    whole, rest = (np.average(1 / clock[part], weights=shape[part] ** 2) for part in (..., late))
+    share = (whole - rest) / whole
+    correction = abs(later - amplitude) / share if share > 0 else 0.0
+    error = float(stats.t.ppf(0.975, clock.size - 1)) * error + correction
     return ContinuumFit(
         amplitude=amplitude,
         error=error,
