@@ -290,7 +290,7 @@ def _line(
     x = x[settled]
     t = t[settled]
     half = x.size // 2
-    slope, intercept = np.polyfit(x - x.mean(), t - t.mean(), 1)
+    slope = np.polyfit(x - x.mean(), t - t.mean(), 1)[0]
     pieces = [
         np.polyfit(x[s] - x.mean(), t[s] - t.mean(), 1)[0] for s in (slice(half), slice(half, None))
     ]
@@ -304,7 +304,8 @@ def _line(
         time=t,
         height=float(passages.height[near].mean()),
         speed=speed,
-        origin=float(x.mean() - intercept * speed),
+        # The line of least squares passes through the mean of the crests.
+        origin=float(x.mean()),
         middle=float(t.mean()),
         off=noise * abs(speed),
         speed_off=speed_off * speed**2,

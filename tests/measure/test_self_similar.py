@@ -39,6 +39,11 @@ def test_a_rarefaction_approaches_the_simple_wave(exponent: float, share: float)
     assert seen.limit[inside] == pytest.approx(fan[inside], rel=1e-9)
     off = np.abs(seen.overlap - seen.limit)
     assert (off[-1] <= seen.error).mean() > 0.97
+    # The error is the largest change since the first profile within 3 % of the leading speed.
+    change = np.abs(seen.overlap[-1] - seen.overlap[0])
+    apart = np.abs(seen.speed[:, None] - seen.speed) / seen.shock.leading.speed
+    least, most = (np.where(apart < reach, change, 0.0).max(1) for reach in (0.027, 0.031))
+    assert ((least <= seen.error) & (seen.error <= most)).all()
     # The stated error is of the order of the departure, not of the wave.
     jump = rest - seen.shock.behind.overlap
     assert np.median(seen.error) < 0.15 * jump

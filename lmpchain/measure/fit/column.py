@@ -179,8 +179,8 @@ class ContinuumFit(Fitted, Tabular):
     amplitude : float
         C, in the units of length and time of the scene, for a strike of unit velocity.
     error : float
-        Error of C: half the 95 % confidence interval, plus the effect of a disturbance that falls as
-        1/tau, from the shift when only the later half of the samples is used.
+        Error of C: half the 95 % confidence interval, plus the effect of a disturbance that falls
+        as 1/tau, from the shift when only the later half of the samples is used.
     expected : float
         C of `lmpchain.theory.continuum.impulse_amplitude`, 1.155137 for Hertz contacts.
     power : float
