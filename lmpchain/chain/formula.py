@@ -425,6 +425,8 @@ def multiply(a: Formula, b: Formula) -> Formula:
             return build("select", one.parts[0], other, ZERO)
         if one.operation == "select" and one.parts[2] is ZERO:
             return build("select", one.parts[0], multiply(one.parts[1], other), ZERO)
+        if one.operation == "select" and one.parts[1] is ZERO:
+            return build("select", one.parts[0], ZERO, multiply(one.parts[2], other))
     return _arithmetic("*", a, b)
 
 
@@ -493,6 +495,13 @@ def parse(text: str) -> Formula:
     for node in formula.walk():
         if node.number is not None and not abs(node.number) <= MAX_NUMBER:
             raise _fault(f"has a number that is too large or undefined: {_short(text)}")
+        if node.operation == "/" and node.parts[1] is ZERO:
+            raise _fault(f"divides by 0: {_short(text)}")
+        base = node.parts[0].number if node.operation == "**" else None
+        if base is not None and base <= 0:
+            raise _fault(
+                f"has a power of the number {_digits(base)}, which is undefined: {_short(text)}"
+            )
     if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
         raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
     return formula
@@ -707,7 +716,9 @@ def _slope_of_power(node: Formula, slopes: list[Formula]) -> Formula:
         lower = power(base, subtract(exponent, ONE))
         total = multiply(multiply(exponent, lower), slopes[0])
     if slopes[1] is not ZERO:
-        total = add(total, multiply(multiply(node, build("log", base)), slopes[1]))
+        slope = multiply(multiply(node, build("log", base)), slopes[1])
+        # A power of 0 stays 0, although the logarithm is infinite.
+        total = add(total, build("select", subtract(base, NEARLY_ZERO), slope, ZERO))
     return total
 
 
@@ -762,19 +773,38 @@ def _change_of_power(
             ends = build("sqrt", after[base])
             slope = divide(changes[0], add(add(ends, root), NEARLY_ZERO))
             factors.append((root, slope, ends))
-        value, change, product = factors[0]
-        for factor, by, end in factors[1:]:
-            change = add(multiply(change, end), multiply(value, by))
-            value = multiply(value, factor)
-            product = multiply(product, end)
-        return change
+        return reduce(_change_of_product, factors)[1]
+    if p is not None and p.is_integer():
+        return _change_of_whole_power((base, changes[0], after[base]), int(p))
     if changes[0] is ZERO:
         return multiply(node, build("expm1", multiply(build("log", base), changes[1])))
-    if changes[1] is not ZERO:
-        return subtract(after[node], node)
-    grows = build("growth", divide(changes[0], base), exponent)
+    by_base = build("growth", divide(changes[0], base), after[exponent])
+    by_exponent = build("expm1", multiply(build("log", base), changes[1]))
+    grows = add(by_base, multiply(by_exponent, add(ONE, by_base)))
     # A base of 0 at rest has no relative change.
     return build("select", subtract(base, NEARLY_ZERO), multiply(node, grows), after[node])
+
+
+# A value, its change, and the changed value.
+Changed = tuple[Formula, Formula, Formula]
+
+
+def _change_of_product(a: Changed, b: Changed) -> Changed:
+    change = add(multiply(a[1], b[2]), multiply(a[0], b[1]))
+    return multiply(a[0], b[0]), change, multiply(a[2], b[2])
+
+
+def _change_of_whole_power(base: Changed, p: int) -> Formula:
+    """Return the change of an integer power other than 0, of a base of either sign, by squaring."""
+    if p < 0:
+        value, change, end = base
+        base = divide(ONE, value), negative(divide(divide(change, value), end)), divide(ONE, end)
+    factors = []
+    for digit in reversed(f"{abs(p):b}"):
+        if digit == "1":
+            factors.append(base)
+        base = _change_of_product(base, base)
+    return reduce(_change_of_product, factors)[1]
 
 
 def _change_across(

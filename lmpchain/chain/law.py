@@ -13,7 +13,7 @@ t         t           time, s, in a ground law
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from typing import Annotated, Any
@@ -70,8 +70,10 @@ VALUES_AT_ONCE = 100_000
 # Largest number of iterations of a solution; bisection alone needs fewer.
 ITERATIONS = 2000
 WIDEN = 1e3  # Largest factor between two values of x.
-# Overlaps, relative to the largest one, at which the largest stiffness is searched.
+# Overlaps, relative to the largest one, at which the largest stiffness is searched. A law that
+# saturates is stiffest at overlaps that may be a tiny part of the largest one.
 PARTS = np.linspace(0.0, 1.0, 33)[1:]
+TINY_PARTS = 2.0 ** np.arange(-48, -5)
 
 
 def _smooth_rule(size: int = 24) -> Array:
@@ -86,7 +88,12 @@ def _smooth_rule(size: int = 24) -> Array:
     return np.array([step, weights / 2 * 140 * t**3 * (1 - t) ** 3])
 
 
-NODES, WEIGHTS = _smooth_rule()
+RULE = _smooth_rule()
+# Integrals by this rule differ from those by `RULE` by about the square root of the error of those.
+CHECK = _smooth_rule(12)
+SETTLED = 3e-6
+# Largest number of parts into which a piece of an integral is divided until both rules agree.
+MOST_PARTS = 256
 
 
 def solve_growing(
@@ -121,6 +128,54 @@ def solve_growing(
         if not reached[known].all():
             reached |= function(np.where(np.isfinite(high), high, new)) >= target
         return np.where(known, np.where(reached, new, np.inf), target)
+
+
+def _pieces(rest: Array, r: Array, kinks: Array) -> Array:
+    """Return the ends of pieces of the interval from 0 to r, ascending, (P+1, ...) m.
+
+    The pieces end at kinks. Pieces far from a kink are longer.
+    """
+    ends: list[Any] = [0 * r, r]
+    for kink in kinks:
+        far = np.abs(rest - kink)
+        ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
+        growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
+        ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
+    return np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
+
+
+def _summed(
+    function: Callable[[Array], Array], ends: Array, rule: Array, parts: int = 1
+) -> tuple[Array, Array]:
+    """Return the integral of a function over all pieces, and that of its absolute value.
+
+    Parameters
+    ----------
+    function : function
+        Function of (n, ...) places.
+    ends : (P+1, ...) array
+        Ends of the pieces, ascending.
+    rule : (2, n) array
+        Nodes and weights from 0 to 1.
+    parts : int
+        Number of equal parts into which each piece is divided.
+    """
+    total = np.zeros(ends.shape[1:])
+    size = np.zeros(ends.shape[1:])
+    nodes = rule.shape[1]
+    count = min(math.ceil(nodes * total.size / VALUES_AT_ONCE) or 1, nodes)
+    groups = np.array_split(rule.reshape(2, -1, *[1] * total.ndim), count, axis=1)
+    for begin, whole in zip(ends[:-1], np.diff(ends, axis=0), strict=True):
+        # Most kinks are outside the interval.
+        if not whole.any():
+            continue
+        width = whole / parts
+        for part in range(parts):
+            for places, weights in groups:
+                values = weights * width * function(begin + (part + places) * width)
+                total = total + values.sum(axis=0)
+                size = size + np.abs(values).sum(axis=0)
+    return total, size
 
 
 class Law(ContactLaw):
@@ -248,40 +303,25 @@ class Law(ContactLaw):
             change = self.kernel.change(rest, r, constant, self.parameters)
         return np.broadcast_to(change, np.broadcast_shapes(np.shape(rest), np.shape(r)))
 
-    def _integral(
-        self, rest: Array, r: Array, constant: Array, kinks: Array | None = None
-    ) -> Array:
-        """Return the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
+    def _integral(self, rest: Array, r: Array, constant: Array, kinks: Array) -> Array:
+        """Return an estimate of the integral of F(rest + s) - F(rest) over s from 0 to r, J."""
         rest, r, constant = np.broadcast_arrays(rest, r, constant)
-        total = np.zeros(r.shape)
-        for s, weights in self._nodes(rest, r, constant, kinks):
-            total = total + (weights * self._change(rest, s, constant)).sum(axis=0)
-        return np.sign(r) * total
+        pieces = _pieces(rest, r, kinks)
+        return np.sign(r) * _summed(lambda s: self._change(rest, s, constant), pieces, RULE)[0]
 
-    def _nodes(
-        self, rest: Array, r: Array, constant: Array, kinks: Array | None = None
-    ) -> Iterator[tuple[Array, Array]]:
-        """Yield quadrature nodes s between 0 and r, and their weights, (n, ...).
-
-        The interval is divided into pieces that end at kinks, by default those for this constant.
-        Pieces far from a kink are longer.
-        """
-        ends: list[Any] = [0 * r, r]
-        for kink in self.kinks(constant) if kinks is None else kinks:
-            far = np.abs(rest - kink)
-            ratio = np.max(np.abs(r) / np.where(far > 0, far, np.inf), initial=1.0)
-            growth = GROWTH ** np.arange(1, 1 + int(min(math.log(ratio, GROWTH), MOST_PIECES))) - 1
-            ends += [kink - rest, *(np.sign(r) * far * times for times in growth)]
-        places = np.sort(np.clip(ends, np.minimum(r, 0), np.maximum(r, 0)), axis=0)
-        count = math.ceil(NODES.size * r.size / VALUES_AT_ONCE) or 1
-        rule = np.stack((NODES, WEIGHTS)).reshape(2, -1, *[1] * r.ndim)
-        groups = np.array_split(rule, min(count, NODES.size), axis=1)
-        for begin, width in zip(places[:-1], np.diff(places, axis=0), strict=True):
-            # Most kinks are outside the interval.
-            if not width.any():
-                continue
-            for nodes, weights in groups:
-                yield begin + nodes * width, weights * width
+    def _exact_integral(
+        self, force: Callable[[Array], Array], rest: Array, r: Array, constant: Array
+    ) -> Array:
+        """Return the integral of a force over s from 0 to r, J, accurate unless it oscillates."""
+        pieces = _pieces(rest, r, self.kinks(constant))
+        parts = 1
+        with np.errstate(all="ignore"):
+            while True:
+                total, size = _summed(force, pieces, RULE, parts)
+                check, _ = _summed(force, pieces, CHECK, parts)
+                if parts == MOST_PARTS or not (np.abs(total - check) > SETTLED * size).any():
+                    return np.sign(r) * total
+                parts *= 2
 
     def force_change(self, contacts: RestingContacts, r: Array) -> Array:
         """Return the change of force for a change r of the overlap, (..., N+1) N."""
@@ -292,7 +332,8 @@ class Law(ContactLaw):
 
         It is the integral of the change of force over r.
         """
-        return self._integral(contacts.overlap, r, contacts.constant)
+        rest, r, constant = np.broadcast_arrays(contacts.overlap, r, contacts.constant)
+        return self._exact_integral(lambda s: self._change(rest, s, constant), rest, r, constant)
 
     def squeezed_by(self, contacts: RestingContacts, force: Any) -> Any:
         """Return the increase of overlaps under an additional force, m."""
@@ -344,7 +385,7 @@ class Law(ContactLaw):
 
     def _filled(self, function: Any, overlap: Any, constant: Any) -> Any:
         """Return the values of a function, broadcast to overlaps, constants and parameters."""
-        constant = self._constant(constant)
+        constant = np.asarray(self._constant(constant))[()]
         overlap = np.asarray(overlap)[()]
         shape = np.broadcast_shapes(*map(np.shape, (overlap, constant, *self.parameters)))
         with np.errstate(all="ignore"):
@@ -573,13 +614,16 @@ class Law(ContactLaw):
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
         """Return the largest stiffness at any overlap up to this size, N/m."""
-        parts = np.append(-PARTS, PARTS) if self.pulls else PARTS
-        values = self.stiffness(np.multiply.outer(parts, overlap), constant)
-        bends = [
-            np.where((np.abs(kink) < overlap) & (kink != 0), self.stiffness(kink, constant), 0.0)
-            for kink in self.kinks(constant)
-        ]
-        return np.nanmax([*values, *bends], axis=0)
+        overlap = np.minimum(overlap, SIZES[-1])
+        # Below an infinite stiffness, smaller overlaps would be stiffer without limit.
+        parts = PARTS if self.onset < 1 else np.append(TINY_PARTS, PARTS)
+        largest = self.stiffness(overlap, constant)
+        for part in [*parts, *-parts] if self.pulls else parts:
+            largest = np.fmax(largest, self.stiffness(part * overlap, constant))
+        for kink in self.kinks(constant):
+            inside = (np.abs(kink) < overlap) & (kink != 0)
+            largest = np.fmax(largest, np.where(inside, self.stiffness(kink, constant), 0.0))
+        return largest
 
     def approach(self, energy: Any, constant: Any) -> Any:
         """Return the largest change of overlap at which a contact stores this energy, m.
@@ -639,10 +683,9 @@ class Law(ContactLaw):
             overlap.shape, np.shape(constant), *map(np.shape, self.parameters)
         )
         overlap, constant = (np.broadcast_to(x, shape) for x in (overlap, constant))
-        total = np.zeros(shape)
-        for places, weights in self._nodes(np.zeros(shape), overlap, constant):
-            total += (weights * self.force(places, constant)).sum(axis=0)
-        return (np.sign(overlap) * total)[()]
+        return self._exact_integral(
+            lambda o: self.force(o, constant), np.zeros(shape), overlap, constant
+        )[()]
 
     def lepton(
         self,
@@ -823,7 +866,8 @@ def _number(key: str, value: Any) -> float | tuple[float, ...]:
 
 
 def _array(value: float | tuple[float, ...]) -> float | Array:
-    return read_only(np.array(value)) if isinstance(value, tuple) else value
+    # Python raises an error if it divides by a float of 0, where NumPy returns infinity.
+    return read_only(np.array(value)) if isinstance(value, tuple) else np.float64(value)
 
 
 def _shown(value: float | tuple[float, ...]) -> str:

@@ -490,12 +490,15 @@ def find_reached(scene: SceneFacts) -> tuple[int, int]:
     d grains away by at most the modified Bessel function I_2d(W t), with W^2 = 4 k_max / m_min.
     This bound holds however the stiffness varies, because all terms of the series of the bounding
     solution are positive. The energy above rest gives an upper bound on the stiffness of contacts.
-    A driven chain and a chain on a ground have no such bound, and their light cone is the whole
-    chain. A drag does not change the bound; viscous contacts have the bound of `_damped_distance`.
+    A driven chain, a chain on a ground and contacts that are infinitely stiff at a kink have no
+    such bound, and their light cone is the whole chain. A drag does not change the bound; viscous
+    contacts have the bound of `_damped_distance`.
     """
     chain = scene.chain
     grains = chain.grains
     if not math.isfinite(scene.energy) or grains < CUT.shortest or chain.ground is not None:
+        return 1, grains
+    if chain.law.onset < 1:
         return 1, grains
     top, bottom = scene.excitation.reach(chain)
     # The stiffest contact within reach determines the reach, so the range is doubled until it

@@ -16,7 +16,7 @@ from lmpchain.chain.materials import GLASS, PTFE, STEEL, Kinds, Material, kinds
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
 STRAINS = np.array([-3.0, -1.5, -1.0, -0.99, -0.5, -0.03, -0.019, -1e-5, -1e-12, 0.0])
-STRAINS = np.append(STRAINS, [1e-14, 1e-7, 0.0199, 0.0201, 0.3, 1.0, 50.0])
+STRAINS = np.append(STRAINS, [1e-14, 1e-7, 0.0199, 0.0201, 0.3, 1.0, 50.0, 1e6])
 
 
 def by_formulas(exponent: float) -> Law:
@@ -95,6 +95,8 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
         )
     assert contacts.overlap_bound(np.inf).tolist() == [np.inf, 0.0, np.inf]
     assert contacts.bend == pytest.approx([exponent - 1, 0.0, 0.0], abs=1e-15)
+    power = Contacts.at_rest(contacts.constant, contacts.force, PowerForce(exponent))
+    assert power.bend == pytest.approx([exponent - 1, 0.0, 0.0], rel=1e-14)
     o = np.array([1e-9, 2e-8])
     largest = law.largest_stiffness(o, 3e9)
     assert largest == pytest.approx(PowerForce(exponent).stiffness(o, 3e9))
@@ -365,3 +367,25 @@ def test_a_selection_of_contacts_keeps_its_parameters(numbers: Any) -> None:
     assert np.array_equal(
         contacts.of(numbers).force_at(overlap[numbers]), contacts.force_at(overlap)[numbers]
     )
+
+
+LENGTH = 1e-6
+STIFFEST = [
+    ("k*L*tanh(o/L)", lambda o: 1.0),
+    ("k*L*log(1 + max(0, o)/L)", lambda o: 1.0),
+    ("k*(max(o, 0) + 3*min(o, 0))", lambda o: 3.0),
+    ("k*(o + 0.5*o**3/L**2)", lambda o: 1 + 1.5 * (o / LENGTH) ** 2),
+    ("k*(o + 8*(max(o - L, 0) - max(o - 1.001*L, 0)))", lambda o: 1 + 8.0 * (o > LENGTH)),
+    ("k*(max(o, 0) - min(1, max(0, 1 + o/L))*1e-9)", lambda o: 1.0),
+    ("k*max(o, 0)**3/L**2", lambda o: 3 * (o / LENGTH) ** 2),
+]
+
+
+@pytest.mark.parametrize(("text", "exact"), STIFFEST)
+def test_the_largest_stiffness_may_be_that_of_a_small_overlap(text: str, exact: Any) -> None:
+    law = Law(text, **({"L": LENGTH} if "L" in text else {}))
+    for overlap in LENGTH * np.array([0.3, 1.5, 40.0, 1e4]):
+        assert law.largest_stiffness(overlap, 1e3) == pytest.approx(1e3 * exact(overlap))
+    # The overlap has no bound.
+    if "**3" not in text:
+        assert law.largest_stiffness(np.inf, 1e3) == pytest.approx(1e3 * exact(np.inf))

@@ -1,14 +1,18 @@
 """Laws as formulas: evaluation, printing, and rejected formulas."""
 
+import math
 import pickle
 import time
+from types import SimpleNamespace
 from typing import Any
 
+import mpmath as mp
 import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from lmpchain import Chain, InputError, Law
+from lmpchain import Chain, InputError, Law, laws
+from lmpchain.chain.contact_law import Contacts
 from lmpchain.chain.formula import parse
 
 LAWS = [
@@ -29,8 +33,22 @@ LAWS = [
     ("k*cos(o)*o**2", {"k": 1.0}),
     ("-o**2 - (-o)**2 + 2**-o/3*(4 - (o - 1))", {}),
     ("sqrt(4 + o)*o", {}),
+    ("tanh(2*o - 1) - 3*log(3 + 2*o) + 1/(3*o - 5)", {}),
+    ("o**3*exp(0.5*o) + exp(o)**2*o + o**2*cos(2*o - 1) - o*sin(1 - 3*o)", {}),
+    ("o**2*sqrt(3 + 2*o) - o**2/(3 + o)**3 + (o**2 - 1)**3/4 + (2*o - 3)**2*o", {}),
+    ("(o + 1)**25 - 2*abs(o)**2.5 + min(o, 0.1)*max(o, -0.3)", {}),
+    ("k*step(c)*o + step(-c) + max(0.2, c)*step(o - c)", {"k": 2.0, "c": 0.5}),
+    ("o*(exp(0.5) - log(2) + sin(1) - cos(1) + tanh(1)*sqrt(2)/abs(-3))", {}),
+    ("o*(max(1, 2) - min(3, 4)*step(-1) + 2**0.5 - step(0.3) - step(0))", {}),
+    ("o*tanh(o)", {}),
+    ("o*log(3 + o)", {}),
+    ("exp(o**2)*o", {}),
+    ("sin(o)*tanh(o)", {}),
+    ("tanh(o)**2", {}),
+    ("o**13*exp(o)", {}),
+    ("sqrt(o + 1)/(o - 2)", {}),
 ]
-UNKNOWN_ENERGY = ("-o**2 - (-o)**2 + 2**-o/3*(4 - (o - 1))",)
+UNKNOWN_ENERGY = (LAWS[15][0], *(text for text, _ in LAWS[-7:]))
 PLACES = np.array([-0.7, -0.1, 0.05, 0.3, 0.9])
 LEPTON = {"max": max, "min": min, "abs": abs, "step": lambda x: float(x >= 0)}
 LEPTON |= {key: getattr(np, key) for key in ("exp", "log", "sin", "cos", "tanh", "sqrt")}
@@ -83,6 +101,7 @@ def test_parameters_may_be_given_for_each_contact() -> None:
     expected = 1e6 * np.float64(1e-6) ** np.array([1.5, 1.3, 0.6])
     assert law.force(1e-6) == pytest.approx(expected, rel=1e-14)
     assert law.energy(1e-6) == pytest.approx(expected * 1e-6 / [2.5, 2.3, 1.6], rel=1e-10)
+    assert law.onset == 0.6
     assert law.lepton("force", contact=2) == "(1000000.0*(max((-r),0.0)^0.6))"
     assert law == law.replace(k=1e6) != law.replace(k=2e6)
     assert len({law, law.replace(), law.replace(n=2)}) == 2
@@ -100,8 +119,9 @@ def test_a_wall_has_the_constant_of_the_contact_next_to_it() -> None:
 # Formulas are separated by | and by line ends.
 WRONG = """a*o|k*o)|__import__('os')|o.real|o[0]|k*o+force|u*o|3|o if o else 1|lambda: 0|9**9**9*o
 1e999*o|o^2|sin*o|max(o)|o+1j|True*o|None|nan*o|ö*o|o;o|o\nk|f(o)|exp(o, o)|exp(x=o)|max(*[o])|o@o
-o//2|o%2|o and o|not o|~o|o<0|[o]|{o}|(o,o)|"o"|b"o"|f"{o}"|...|o:=1|__o*o|o**1e200|print(o)|eval(o)
-exec(o)|open(o)|getattr(o, o)|o.__class__|globals()|().__class__|o if|yield o|await o|import os|o=1
+o/0|(-2)**o|0**o|o//2|o%2|o and o|not o|~o|o<0|[o]|{o}|(o,o)|"o"|b"o"|f"{o}"|...|o:=1|__o*o
+o**1e200|print(o)|eval(o)|exec(o)|open(o)|getattr(o, o)|o.__class__|globals()|().__class__|o if
+yield o|await o|import os|o=1
 1_0e400*o|0x10*o*'a'|o&o|o|||1/0*o|0/0*o|log(-1)*o|sqrt(-1)*o|(-1)**0.5*o|o is o
 select(o,1,2)|where(o)|o!r|o->o|o:o|0o7*o or 1|k*o if 1 else 2""".replace("\n", "|").split("|")
 WRONG = [text for text in WRONG if text not in ("", "o")]
@@ -150,3 +170,206 @@ def test_invalid_formulas_are_rejected_at_once(text: str) -> None:
 def test_wrong_parameters_are_named(parameters: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         Law("k*o*c", **parameters)
+
+
+EXACT = {key: getattr(mp, key) for key in ("exp", "log", "sin", "cos", "tanh", "sqrt")}
+EXACT |= {"max": max, "min": min, "abs": abs, "step": lambda x: mp.mpf(x >= 0)}
+# The language of variables of LAMMPS; the parser of LAMMPS has no other conditional function.
+LAMMPS = {key: getattr(math, key) for key in ("exp", "sin", "cos", "sqrt")}
+LAMMPS |= {"abs": abs, "ln": math.log, "ternary": lambda c, a, b: a if c else b}
+FORMULAS = """o**5 - o|-o**3|(o - 2)**-3|(2*o + 3)**7|(o - 0.07)**2|max(o, 0)**0.6|max(0, o)**0.6
+max(o, 0)**3.5|2**o|(2 + o)**(o - 3)|max(0, o)**(1 + o)|3**(2*o)/(4 - o)|sqrt(2 + o)|exp(-2*o)
+log(2 + o)|sin(3*o)|cos(3*o - 1)|tanh(2*o)|(1 + o)*(2 - o)|o/(2 + o)**2|1/(o - 4)|-(o - 0.3)
+step(o - 0.2)|step(o)*(o + 1)|max(o, 0.2)|min(0.2, o)|max(0.3, 2*o)*min(2*o, o - 1)|abs(o - 0.2)
+abs(o)*o|abs(max(o, 0) - 0.4)|max(o, 0)**1.5*(1 + 3*o)|max(max(o, -0.4), 3*o, 2*o + 0.02)
+0.1*min(o, -o) - 2*-o|step(0.2 - o)*exp(o)|sqrt(3 + max(o, 0)*o)|tanh(o)**2 - log(3 - o)*o
+sin(step(o) + o)"""
+
+
+@pytest.mark.parametrize("text", FORMULAS.replace("\n", "|").split("|"))
+def test_values_slopes_and_changes_equal_those_in_40_digits(text: str) -> None:
+    """The relative accuracy of a change of force does not depend on the size of the change."""
+    law = Law(text)
+    lammps = law.formula.lammps.replace("^", "**")
+    changes = [1e-17, -1e-11, 0.021, 0.34, -0.37, -1.2]
+    with mp.workdps(40):
+
+        def exact(overlap: float, change: Any = 0) -> Any:
+            return eval(text, EXACT | {"o": mp.mpf(overlap) + change})
+
+        values = [exact(o) for o in PLACES]
+        h = mp.mpf("1e-12")
+        slopes = [(exact(o, h) - exact(o, -h)) / (2 * h) for o in PLACES]
+        differences = [[float(exact(o, r) - exact(o)) for r in changes] for o in PLACES]
+    assert law.force(PLACES) == pytest.approx(np.array(values, float), rel=1e-13)
+    assert law.stiffness(PLACES) == pytest.approx(np.array(slopes, float), rel=1e-12)
+    for o, value in zip(PLACES.tolist(), values, strict=True):
+        assert eval(lammps, LAMMPS | {"o": o}) == pytest.approx(float(value), rel=1e-13)
+    rest = SimpleNamespace(overlap=PLACES[:, None], constant=1.0)
+    found = law.force_change(rest, np.array(changes))
+    # The slopes of some formulas are 0 or almost 0 at one of the places.
+    assert found == pytest.approx(np.array(differences), rel=3e-12, abs=1e-30)
+
+
+SHAPES = [  # Onset, and whether contacts pull and bond.
+    ("max(o, 0)**1.5*(1 + 3*o)", 1.5, False, False),
+    ("max(o, 0)**0.6", 0.6, False, False),
+    ("max(o, 0)**3 + max(o - 1e-3, 0)**2", 2.0, False, False),
+    ("max(o, 0)**2.7", 2.7, False, False),
+    ("max(o, 0)**3", 3.0, False, False),
+    ("max(o, 0)**7", 4.0, False, False),  # Smoother than every method needs.
+    ("step(o)*(1 + o)", 0.0, False, False),
+    ("step(o)*o", 1.0, False, False),
+    ("exp(o) - 1", 1.5, True, True),
+    ("o - o**2 + o**3", 1.5, True, True),
+    ("max(o, 0) + 0.3*min(o, 0)", 1.0, True, False),  # It rests at a kink.
+    ("o**3", 1.5, True, False),
+    ("o + max(o + 0.2, 0)**2.5", 2.5, True, True),
+    ("max(o, 0)**1.5 - 1e-3*min(1, max(0, 1 + 20*o))", 1.0, True, True),
+    ("abs(o - 0.2)*o + min(o, 0.5)", 1.0, True, True),
+]
+
+
+@pytest.mark.parametrize(("text", "onset", "pulls", "bonds"), SHAPES)
+def test_the_shape_of_a_law_follows_from_its_formula(
+    text: str, onset: float, pulls: bool, bonds: bool
+) -> None:
+    law = Law(text)
+    assert (law.onset, law.pulls, law.bonds) == (onset, pulls, bonds)
+    # Every contact counts.
+    scaled = Law(f"c*({text})", c=[2.0, 1.0, 3.0])
+    assert (scaled.onset, scaled.pulls, scaled.bonds) == (onset, pulls, bonds)
+
+
+K = 1e4
+WIDTH = 1e-6
+CLOSED = np.array([1e-9, 3e-7, 2e-6])  # Overlaps, m.
+STRETCHED = -CLOSED
+# Laws of the literature, their forces, and places.
+LITERATURE = [
+    (laws.hertz, {}, lambda o: K * o**1.5, CLOSED),
+    (laws.hertz, {}, lambda o: 0 * o, STRETCHED),
+    (laws.power, {"exponent": 2.5}, lambda o: K * o**2.5, CLOSED),
+    (laws.fput, {}, lambda o: K * o, STRETCHED),
+    (laws.fput, {"alpha": 3e9, "beta": 2e15}, lambda o: K * o - 3e9 * o**2 + 2e15 * o**3, CLOSED),
+    (laws.toda, {"b": 1e6}, lambda o: K * np.expm1(1e6 * o) / 1e6, STRETCHED),
+    (laws.bilinear, {"tension": 0.3}, lambda o: 0.3 * K * o, STRETCHED),
+    (laws.bilinear, {"tension": 0.3}, lambda o: K * o, CLOSED),
+    (laws.softening, {"length": WIDTH}, lambda o: K * WIDTH * np.tanh(o / WIDTH), STRETCHED),
+    (laws.dmt, {"pull": 1e-6, "reach": 1e-6}, lambda o: K * o**1.5 - 1e-6, CLOSED),
+    (
+        *(laws.dmt, {"pull": 1e-6, "reach": WIDTH}),
+        *(lambda o: -1e-6 * np.maximum(1 + o / WIDTH, 0), STRETCHED),
+    ),
+    (
+        *(laws.bistable, {"a": 1e-6, "b": 3e-6}),
+        *(lambda o: K * o * (1 + o / 1e-6) * (1 + o / 3e-6), STRETCHED),
+    ),
+    (laws.klein_gordon, {}, lambda u: K * u, STRETCHED),
+    (laws.klein_gordon, {"beta": 1e15}, lambda u: K * u + 1e15 * u**3, STRETCHED),
+    (
+        *(laws.frenkel_kontorova, {"period": 1.7e-6}),
+        *(lambda u: K * np.sin(2 * np.pi * u / 1.7e-6) * 1.7e-6 / (2 * np.pi), CLOSED),
+    ),
+    (laws.mathieu, {"depth": 0.4, "frequency": 1e3}, lambda u: 1.4 * K * u, CLOSED),
+]
+
+
+@pytest.mark.parametrize(("law", "parameters", "force", "places"), LITERATURE)
+def test_laws_of_the_literature(law: Any, parameters: Any, force: Any, places: Any) -> None:
+    given = law(**parameters, k=K)
+    assert given.force(places) == pytest.approx(force(places), rel=1e-9, abs=1e-30)
+    if not given.of_ground:
+        # Without k, the constants are those of the chain.
+        own = law(**parameters)
+        assert own.force(places, K).tolist() == given.force(places).tolist()
+        assert own.given_constant is None
+        assert given.given_constant.tolist() == [K]
+
+
+def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
+    """Bounded, exponential, bilinear, adhesive, cubic and bistable contacts."""
+    force = np.array([1e-7, 2e-3, 9e-3])
+    tanh, toda, adhesive = laws.softening(WIDTH, K), laws.toda(2e6, K), laws.dmt(1e-5, WIDTH, K)
+    assert tanh.overlap(force) == pytest.approx(WIDTH * np.arctanh(force / (K * WIDTH)), rel=1e-13)
+    assert toda.overlap(-force / 2) == pytest.approx(np.log1p(-1e6 * force / K) / 2e6, rel=1e-11)
+    assert adhesive.overlap(force) == pytest.approx(((force + 1e-5) / K) ** (2 / 3), rel=1e-13)
+    assert adhesive.overlap(-5e-6) == pytest.approx((5e-6 / K) ** (2 / 3), rel=1e-13)
+    cubic = laws.fput(-3e9, 2e15, K)
+    roots = [np.roots([2e15, 3e9, K, -f]) for f in force]
+    real = [float(x[np.argmin(np.abs(x.imag))].real) for x in roots]
+    assert cubic.overlap(force) == pytest.approx(real, rel=1e-9)
+    with pytest.raises(InputError, match=r"has no equilibrium under 0\.011 N"):
+        tanh.overlap(0.011)
+    with pytest.raises(InputError, match="has 2 equilibria under 0 N"):
+        Law("k*(o + L)*o*(o - L)/L**2", k=K, L=WIDTH).overlap(0.0)
+    with pytest.raises(InputError, match="has no equilibrium under -2e-05 N"):
+        adhesive.overlap(-2e-5)
+    # An energy in a closed contact or in a bond; the longer way counts.
+    energy = np.array([1e-18, 1e-9, 1e-6])
+    with mp.workdps(30):
+        cosh = [WIDTH * mp.acosh(mp.exp(e / (K * WIDTH**2))) for e in energy.tolist()]
+        # exp(-x) - 1 + x = y has the solution y + 1 + W(-exp(-y - 1)).
+        ys = [mp.mpf(e) * mp.mpf(2e6) ** 2 / K for e in energy.tolist()]
+        stretch = [(y + 1 + mp.lambertw(-mp.exp(-y - 1))).real / 2e6 for y in ys]
+    assert tanh.approach(energy, K) == pytest.approx(np.array(cosh, float), rel=1e-5)
+    assert toda.approach(energy, K) == pytest.approx(np.array(stretch, float), rel=1e-5)
+    for tension, softer in ((0.3, 0.3), (3.0, 1.0)):
+        bilinear = laws.bilinear(tension, K)
+        expected = np.sqrt(2 * energy / (softer * K))
+        assert bilinear.approach(energy, K) == pytest.approx(expected, rel=1e-12)
+    assert laws.hertz(K).approach(energy, K) == pytest.approx((2.5 * energy / K) ** 0.4, rel=1e-12)
+    # Beyond its largest force, nothing holds a contact.
+    pressed = Contacts.at_rest(np.array([K]), np.array([4e-3]), tanh).of(0)
+    more = WIDTH * (np.arctanh(0.9) - np.arctanh(0.4))
+    assert pressed.squeezed_by(5e-3) == pytest.approx(more, rel=1e-12)
+    assert pressed.squeezed_by(7e-3) == np.inf
+    # A contact whose force decreases anywhere may receive any energy from others.
+    for law, bounded in ((tanh, True), (adhesive, False)):
+        contacts = Contacts.at_rest(np.array([K]), np.array([4e-3]), law)
+        assert np.isfinite(contacts.approach_bound(1e-12)).all() == bounded
+
+
+def test_only_the_powers_of_the_package_replace_a_formula() -> None:
+    for exponent in (1, 1.5, 2.7, 3):
+        assert Law(f"k*max(o, 0)**{exponent}").as_exponent == exponent
+    others = [
+        "k*max(o, 0)**0.9",
+        "k*max(o, 0)**3.1",
+        "k*max(o, 0)**p",
+        "k*max(0, o)",
+        "max(o, 0)*k",
+    ]
+    others += ["k*max(o, 0)*o", "k*max(o, 1e-9)", "max(o, 0)**2", "k + max(o, 0)", "2*max(o, 0)"]
+    for text in others:
+        assert Law(text, **({"p": 1.5} if "p" in text else {})).as_exponent is None
+    assert Law("k*max(o, 0)**1.5", k=1.0).as_exponent is None
+
+
+def test_energies_of_large_overlaps_are_exact() -> None:
+    """The force changes over lengths that may be a small part of the overlap."""
+    x = np.array([1.0, 3.0, 30.0, 100.0, 300.0])
+    unit = K * WIDTH**2
+    bent = Law("k*(o + 0.5*sin(b*o)/b)", k=K, b=1 / WIDTH)
+    for law, energy in (
+        (laws.softening(WIDTH, K), x + np.log1p(np.exp(-2 * x)) - np.log(2)),
+        (laws.toda(1 / WIDTH, K), np.expm1(x) - x),
+        (laws.toda(-1 / WIDTH, K), np.expm1(-x) + x),
+        (bent, x**2 / 2 + 0.5 * (1 - np.cos(x))),
+        (Law("k*o/sqrt(1 + (b*o)**2)", k=K, b=1 / WIDTH), np.sqrt(1 + x**2) - 1),
+    ):
+        assert law.energy(x * WIDTH) == pytest.approx(unit * energy, rel=1e-7)
+        loose = Contacts.at_rest(np.array([K]), np.zeros(1), law)
+        assert loose.energy(x[:, None] * WIDTH)[:, 0] == pytest.approx(unit * energy, rel=1e-7)
+
+
+@pytest.mark.parametrize("text", ["o/d", "o*(1/d)", "k*o*d**-1", "k*o*d**-0.7", "k*o*log(d)"])
+@pytest.mark.parametrize("zero", [0, 0.0, [1.0, 0.0]])
+def test_a_parameter_of_0_under_a_fraction_gives_no_equilibrium(text: str, zero: Any) -> None:
+    law = Law(text, d=zero)
+    assert not np.isfinite(law.force(1e-6, 1e3)).all()
+    with pytest.raises(InputError, match=r"law: has no equilibrium|law: is infinitely stiff"):
+        _ = Chain(grains=3, diameter=1e-3, law=law)
+    ground = Law(text.replace("o", "u").replace("lug", "log").replace("k*", ""), d=zero)
+    with pytest.raises(InputError, match=r"ground\.force: has no finite stiffness"):
+        Chain(grains=2, diameter=1e-3, top_load=1.0, gravity=0.0, ground=ground)

@@ -21,6 +21,7 @@ from lmpchain import (
     Profile,
     Scene,
     engines,
+    laws,
     simulate,
 )
 from lmpchain.scene.facts import find_reached
@@ -45,6 +46,12 @@ SCENES = {
         60e-6,
     ),
     "random": (random_column(600, 3), Impulse(velocity=1e-3), 60e-6),
+    # The strike compresses contacts until they are soft, but the front passes stiff contacts.
+    "saturating": (
+        column(600, gravity=0.0, top_load=9e-5, law=laws.softening(1e-9, k=1e5)),
+        Impulse(velocity=0.02, grain=300),
+        60e-6,
+    ),
 }
 
 
@@ -162,10 +169,12 @@ def test_recorded_grains_of_a_cone_keep_their_positions():
         assert scene.reached is cone.scene
 
 
-def test_a_drive_is_not_cut():
+def test_motions_of_unlimited_speed_are_not_cut():
+    """A drive may have any energy, and a contact that opens may be infinitely stiff."""
     drive = Drive(amplitude=1e-9, frequency=1e4)
-    scene = scene_of(column(600), drive, 1e-5)
-    assert find_reached(scene) == (1, 600)
+    stiff = column(600, law=laws.power(0.6, k=1e3))
+    for chain, excitation in ((column(600), drive), (stiff, Impulse(velocity=1e-6))):
+        assert find_reached(scene_of(chain, excitation, 1e-6)) == (1, 600)
 
 
 def test_a_million_grains_take_the_memory_of_few():
