@@ -98,6 +98,9 @@ def test_any_law_knows_how_far_an_energy_goes(exponent: float) -> None:
     power = Contacts.at_rest(contacts.constant, contacts.force, PowerForce(exponent))
     assert power.bend == pytest.approx([exponent - 1, 0.0, 0.0], rel=1e-14)
     o = np.array([1e-9, 2e-8])
+    curvature = exponent * (exponent - 1) * 3e9 * o ** (exponent - 2)
+    for each in (law, PowerForce(exponent)):
+        assert each.curvature(o, 3e9) == pytest.approx(curvature, rel=1e-13)
     largest = law.largest_stiffness(o, 3e9)
     assert largest == pytest.approx(PowerForce(exponent).stiffness(o, 3e9))
 
