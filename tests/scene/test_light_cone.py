@@ -46,6 +46,11 @@ SCENES = {
         60e-6,
     ),
     "random": (random_column(600, 3), Impulse(velocity=1e-3), 60e-6),
+    "viscous": (
+        column(600, exponent=1.0, damping={"viscoelastic": 2e-8}),
+        Impulse(velocity=1e-3, grain=300),
+        1e-6,
+    ),
     # The strike compresses contacts until they are soft, but the front passes stiff contacts.
     "saturating": (
         column(600, gravity=0.0, top_load=9e-5, law=laws.softening(1e-9, k=1e5)),
@@ -123,6 +128,32 @@ def test_the_cone_is_as_wide_as_springs_require(x: float):
     wide[[899, 1099]] = 1e-6
     first, last = find_reached(scene_of(few, Profile(velocity=wide), x / edge))
     assert away <= 900 - first == last - 1100 <= away + 1
+
+
+@pytest.mark.parametrize("x", [0.03, 1.0, 20.0])
+@pytest.mark.parametrize("viscosity", [1e-2, 0.3, 10.0])
+def test_the_cone_of_viscous_springs_is_as_wide_as_their_laplace_transform(
+    x: float, viscosity: float
+):
+    """The motion d grains away is at most s exp(s t) q^d, q + 1/q + 2 = s^2 / (1 + A s)."""
+    springs = column(20_000, gravity=0.0, top_load=1e-3, exponent=1.0)
+    rate = np.sqrt(springs.contact_constants[0] / springs.masses[0])
+    chain = springs.replace(damping={"viscoelastic": viscosity / rate})
+    _, last = find_reached(scene_of(chain, Impulse(velocity=1e-6, grain=10_000), x / rate))
+
+    def log_of_bound(log_s: float, d: int) -> float:
+        s = np.exp(log_s)
+        decay = np.arccosh(max(s**2 / (1 + viscosity * s) / 2 - 1, 1.0))
+        return float(s * x + log_s - d * decay)
+
+    def least(d: int) -> float:
+        return min(log_of_bound(log_s, d) for log_s in np.linspace(-3, 14, 5000))
+
+    away = last - 10_000
+    # Two grains more than needed are computed.
+    assert away >= 10
+    assert least(away - 2) <= np.log(1e-22)
+    assert away == 10 or least(away - 4) > np.log(1e-22)
 
 
 def test_short_chains_and_wide_cones_are_not_cut():
