@@ -48,6 +48,8 @@ class RestingContacts(Protocol):
     def exists(self) -> NDArray[np.bool_]: ...  # noqa: D102
     @property
     def pressed(self) -> NDArray[np.bool_]: ...  # noqa: D102
+    @property
+    def length(self) -> Array: ...  # noqa: D102
 
 
 @dataclass(frozen=True)
@@ -144,6 +146,14 @@ class ContactLaw(ABC):
         It is the overlap at rest: the contact opens if its overlap decreases by this length.
         """
         return contacts.overlap
+
+    def hardening(self, contacts: RestingContacts, strain: float) -> float:
+        """Return the largest relative change of the mean stiffness at a strain; 0 for a power law.
+
+        The factors of the model error of linear theory were measured for power laws, and include
+        this change.
+        """
+        return 0.0
 
     def force(self, overlap: Any, constant: Any) -> Any:
         """Return the force at an overlap, 0 if the contact is open, N."""

@@ -605,12 +605,36 @@ class Law(ContactLaw):
         with np.errstate(all="ignore"):
             k = self.stiffness(contacts.overlap, constant)
             bend = np.abs(self.curvature(contacts.overlap, constant)) / k
-            step = 1e-3 * np.fmin(length, np.fmin(1 / bend, LONGEST))
-            ends = [self.curvature(contacts.overlap + side * step, constant) for side in (-1, 1)]
-            twist = np.sqrt(np.abs(ends[1] - ends[0]) / (4 * step * k))
+            third = _third_derivative(self.formula, tuple(self.names))
+            twist = np.sqrt(np.abs(third(contacts.overlap, constant, self.parameters)) / (2 * k))
             # Below a kink, fractional powers of the distance to it also change the stiffness.
             far = FAR if len(kinks) else 1.0
-            return np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
+            length = np.fmin(length, far * np.fmin(1 / bend, 1 / twist))
+            if (length < LONGEST).all() or "o" not in self.formula.derivative("o").names:
+                return length
+            # Only higher derivatives change the stiffness, as in o + o**5 at o = 0.
+            for size in LONGEST * 2.0 ** -np.arange(1, 60):
+                for side in (-size, size):
+                    change = np.abs(self.stiffness(contacts.overlap + side, constant) - k)
+                    length = np.where(2 * change > k, np.minimum(length, size), length)
+            return length
+
+    def hardening(self, contacts: RestingContacts, strain: float) -> float:
+        """Return the largest relative change of the mean stiffness over ``eps - r ... eps + r``.
+
+        In symmetric contacts, it changes the frequency of waves although the stiffness has no slope
+        at rest. The change r is at most the strain times `length`. If the result is smaller for
+        smaller r, it is at least proportional to r^2.
+        """
+        largest = 0.0
+        for part in (0.25, 0.5, 1.0):
+            r = part * strain * contacts.length
+            with np.errstate(all="ignore"):
+                ends = [self._change(contacts.overlap, x, contacts.constant) for x in (-r, r)]
+                change = np.abs((ends[1] - ends[0]) / (2 * r * contacts.stiffness) - 1)
+            change = np.where(contacts.pressed & (change > 16 * EPSILON), change, 0.0)
+            largest = max(largest, float(change.max()) / part**2)
+        return largest
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
         """Return the largest stiffness at any overlap up to this size, N/m."""
@@ -825,6 +849,13 @@ def _derived(formula: Formula) -> tuple[Formula, Formula, Formula]:
     # An infinite stiffness times a constant of 0 would be NaN.
     stiffness = build("select", negative(name("k")), ZERO, force.derivative("o"))
     return force, stiffness, stiffness.derivative("o")
+
+
+@cache
+def _third_derivative(formula: Formula, names: tuple[str, ...]) -> Callable[..., Any]:
+    """Return a function of (o, k, p) for the third derivative of the force, N/m3."""
+    arguments = {key: f"p[{n}]" for n, key in enumerate(names)}
+    return _derived(formula)[2].derivative("o").function("o, k, p", NUMPY, arguments)
 
 
 def _misfits(

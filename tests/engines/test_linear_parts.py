@@ -9,7 +9,7 @@ from helpers.example_chains import column
 from helpers.example_scenes import scene_of, stirred, struck
 from helpers.independent_integrators import distance
 
-from lmpchain import Chain, Drive, Force, Impulse, Packet, Profile, Scene, simulate
+from lmpchain import Chain, Drive, Force, Impulse, Law, Packet, Profile, Scene, simulate
 from lmpchain.engines import Bessel, Chebyshev, Continuum, Modes
 from lmpchain.engines.linear import model_error
 from lmpchain.engines.linear.model_error import Resonance
@@ -425,3 +425,31 @@ def test_the_model_error_of_a_wave_train():
     error = distance(answer, exact)
     assert 1e-3 < error < 1e-2
     assert error <= answer.error_estimate.model < 4 * error
+
+
+# Contacts that harden or soften on both sides of the rest alike, in N/m and m.
+SYMMETRIC = {
+    "cubic": Law("k*(o + o**3/L**2)", k=1e5, L=1e-6),
+    "quintic": Law("k*(o + o**5/L**4)", k=1e5, L=1e-6),
+    "saturating": Law("k*L*tanh(o/L)", k=1e5, L=1e-6),
+    "inflected": Law("k*((o - L)**3/L**2 + 0.3*o)", k=1e5, L=1e-6),  # The load compresses it by L.
+}
+
+
+@pytest.mark.parametrize("name", SYMMETRIC)
+def test_the_model_error_includes_contacts_without_a_slope_of_the_stiffness(name: str) -> None:
+    load, end = (0.03, "free") if name == "inflected" else (0.0, "wall")
+    law = SYMMETRIC[name]
+    chain = Chain(
+        grains=20, diameter=1e-2, gravity=0.0, top_load=load, law=law, top=end, bottom="wall"
+    )
+    assert np.abs(chain.contacts.bend).max() < 1e-6
+    assert chain.contacts.length[1:] == pytest.approx(np.full(20, 1e-6), rel=0.7)
+    for speed in (3e-4, 3e-3):
+        strike = Impulse(velocity=speed, grain=5)
+        scene = scene_of(chain, strike, 60 * chain.time_scale, 31)
+        run = simulate(scene, "modes", tolerance=0.99)
+        error = distance(run, simulate(scene, "native", tolerance=1e-9))
+        assert min(error, 0.5) <= run.error_estimate.model <= 12 * error
+        # The engine is chosen by an error that is expected before a run.
+        assert model_error.expected_error(scene) >= min(error, 0.5)

@@ -17,6 +17,9 @@ Therefore two waves of frequencies a and b force every mode at a + b and |a - b|
 frequency w responds with the amplitude force / (2 w) times min(t, 2 / |w - a - b|). In a chain of
 many grains these many responses have random phases. In a chain of few grains, modes may be in
 resonance by chance, and then a response grows in time.
+
+Contacts that harden or soften on both sides of the rest alike, as springs with a cubic force, have
+c = 0. They change the frequency of waves in proportion to the square of the strain.
 """
 
 from __future__ import annotations
@@ -238,8 +241,10 @@ class PhaseError:
         ground = np.array(chain.ground_stiffness)
         self._links = LinearLinks(contacts.stiffness, 1 / length, inverse_mass, ground)
         self._excess = excess(scene)
+        self._viscous = _viscous_factor(scene)
         self._excitation = scene.excitation
         self._grain = first_moved(scene) - 1
+        self._contacts = contacts
         self._fastest = scene.linear_frequency
         # A little more than half of the time between two close evaluations.
         near = 0.6 / LOOKS.resolved / self._fastest
@@ -300,11 +305,11 @@ class PhaseError:
 
     @property
     def scattered(self) -> float:
-        """Error of waves that do not form a long train: the largest of three parts.
+        """Error of waves that do not form a long train: the largest of four parts.
 
         The error saturates below 1, because two unrelated waves differ by about their size.
         """
-        error = max(self.shifted, self.resonant, self.strayed)
+        error = max(self.shifted, self.resonant, self.strayed, self.detuned)
         return error / (1 + error)
 
     @property
@@ -327,6 +332,20 @@ class PhaseError:
         sums = self.sums
         walk = sums.largest_strain + math.sqrt(self._frequency * sums.squared_strain)
         return FACTORS.strays * self._excess * walk * self._begun
+
+    @property
+    def detuned(self) -> float:
+        """Error of the frequency by contacts that harden or soften on both sides alike.
+
+        Twice the relative change of the frequency is at most that of the mean stiffness, which is
+        proportional to the square of the strain or grows faster.
+        """
+        sums = self.sums
+        if not sums.largest_strain:
+            return 0.0
+        contacts = self._contacts
+        hardening = self._viscous * contacts.law.hardening(contacts, sums.largest_strain)
+        return hardening * self._frequency * sums.squared_strain / (2 * sums.largest_strain**2)
 
     @property
     def steepens(self) -> float:
@@ -397,7 +416,10 @@ def expected_error(scene: Scene) -> float:
     # Strains in phase accumulate in proportion to omega t, others to its square root.
     walk = 1 + (radians if in_phase(scene) else math.sqrt(radians))
     strains = excess(scene) * scene.linear_strain * walk
-    return min(1.0, FACTORS.doubt * FACTORS.strays * strains)
+    contacts = scene.chain.contacts
+    hardening = _viscous_factor(scene) * contacts.law.hardening(contacts, scene.linear_strain)
+    detuned = hardening * radians / 2
+    return min(1.0, max(FACTORS.doubt * FACTORS.strays * strains, detuned))
 
 
 def excess(scene: Scene) -> float:
@@ -406,8 +428,12 @@ def excess(scene: Scene) -> float:
     With viscosity, the quadratic part of the force, (1 + A d/dt) s^2, is larger than s^2 by the
     factor |1 + i A omega|.
     """
-    turn = scene.chain.damping.longest_time * scene.linear_frequency
-    return math.hypot(1.0, turn) * float(np.abs(scene.chain.contacts.bend).max())
+    return _viscous_factor(scene) * float(np.abs(scene.chain.contacts.bend).max())
+
+
+def _viscous_factor(scene: Scene) -> float:
+    """Return |1 + i A omega|, the factor by which viscosity enlarges a change of the force."""
+    return math.hypot(1.0, scene.chain.damping.longest_time * scene.linear_frequency)
 
 
 def in_phase(scene: Scene) -> bool:
