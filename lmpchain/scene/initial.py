@@ -225,6 +225,9 @@ class Packet(Excitation):
             yield "grain", f"must be a grain that moves, 1 to {chain.movable} (got {self.grain})"
         elif chain.loose_grains:
             yield "chain.load_grain", f"a packet requires a linear chain, but {chain.loose}"
+        elif chain.ground is not None:
+            cure = "leave it out, or give a profile"
+            yield "chain.ground", f"a packet does not support a force from the ground: {cure}"
         elif not chain.compressed:
             yield "kind", "there are no linear waves without gravity and load: give a top_load"
         else:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lmpchain import Chain, Packet, Profile, Scene, simulate
+from lmpchain import Chain, Law, Packet, Profile, Scene, simulate
 from lmpchain.measure import energy
 
 Array = NDArray[np.float64]
@@ -195,6 +195,13 @@ def test_a_packet_that_does_not_fit_is_rejected():
     vacuum = Chain(grains=101, diameter=1e-3, gravity=0.0)
     assert faults(vacuum) == [
         ("kind", "there are no linear waves without gravity and load: give a top_load")
+    ]
+    grounded = chain.replace(ground=Law("k*u", k=1e3))
+    assert faults(grounded) == [
+        (
+            "chain.ground",
+            "a packet does not support a force from the ground: leave it out, or give a profile",
+        )
     ]
     assert not faults(frequency=0.9999 * limit)
     heavy = uniform(101, impurity=[{"grain": 61, "mass": 2 * chain.masses[0]}])
