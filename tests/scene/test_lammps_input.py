@@ -322,6 +322,9 @@ def test_bonds_need_neighbours_and_one_law(tmp_path: Path):
         row.replace("1 1 2", "2 1 2"): "has no readable bond_coeff for type 2",
         f'{row}\nbond_coeff 1 0.01 "r^2 + __import__(1)"': "has a formula that is not understood",
         f'{row}\nbond_coeff 1 0.01 "r^2 + q"': "has a formula with q, which is not defined",
+        f'{row}\nbond_coeff 1 0.01 "r^2^2"': "has a power of a power: add brackets",
+        f'{row}\nbond_coeff 1 0.01 "3; q=2*r"': "does not define a contact law: depends on neither",
+        f'{row}\nbond_coeff 1 0.01 "r/0"': "has a formula that is not understood: divides by 0",
         f"{row}\npair_style granular": "acts in addition to bonds",
     }
     for bonds, message in cases.items():
