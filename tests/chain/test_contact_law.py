@@ -11,7 +11,14 @@ from helpers.example_scenes import struck
 
 from lmpchain import Chain, Impurity, InputError, Law, Scene
 from lmpchain.chain.bounds import LIMITS, bounds, least_compression
-from lmpchain.chain.contact_law import Contacts, PowerForce, dynamical_matrix, together
+from lmpchain.chain.contact_law import (
+    Contacts,
+    PowerForce,
+    dynamical_matrix,
+    pair_slopes,
+    pair_value,
+    together,
+)
 from lmpchain.chain.materials import GLASS, PTFE, STEEL, Kinds, Material, kinds
 
 EXPONENTS = (1.0, 1.3, 1.5, 2.0, 3.0)
@@ -171,6 +178,15 @@ def test_contacts_of_many_chains_are_rows() -> None:
         assert np.array_equal(getattr(rows, name), [getattr(one, name), getattr(other, name)])
         assert np.array_equal(getattr(alone, name), [getattr(one, name)])
     assert rows.law == PowerForce(1.5)
+
+
+def test_values_of_pairs_and_their_slopes() -> None:
+    """The value of a and b is a b / (a + b), with the logarithmic slopes b and a over a + b."""
+    a = np.array([2.0, 3.0, np.inf, 5.0])
+    assert pair_value(a) == pytest.approx([6 / 5, 3.0, 5.0], rel=1e-15)
+    upper, lower = pair_slopes(a[[0, 1, 3]])
+    assert upper == pytest.approx([3 / 5, 5 / 8], rel=1e-15)
+    assert lower == pytest.approx([2 / 5, 3 / 8], rel=1e-15)
 
 
 def test_contacts_above_a_fixed_grain() -> None:

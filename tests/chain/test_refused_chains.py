@@ -49,6 +49,9 @@ def test_a_theory_names_the_property_that_it_does_not_support(
 ) -> None:
     assert faults(getattr(chain, check), "x") == [(key, message)]
     getattr(PLAIN, check)("x")
+    # The stiffness of a ground that changes in time is that at t = 0.
+    moving = PLAIN.replace(ground=laws.mathieu(1e5, 0.1, 1000.25))
+    assert moving.ground_stiffness.tolist() == pytest.approx([1.1e5] * 9, rel=1e-14)
     # A ground that is smooth and constant does not move.
     PLAIN.replace(ground=Law("k*u", k=1e5)).refuse_moving_ground("x")
 
