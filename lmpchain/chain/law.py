@@ -638,21 +638,29 @@ class Law(ContactLaw):
 
     def largest_stiffness(self, overlap: Any, constant: Any) -> Any:
         """Return the largest stiffness at any overlap up to this size, N/m."""
-        overlap = np.minimum(overlap, SIZES[-1])
+        largest = self._stiffest(overlap, constant)
+        if self.pulls:
+            largest = np.fmax(largest, self._stiffest(-overlap, constant))
+        return largest
+
+    def _stiffest(self, end: Any, constant: Any) -> Any:
+        """Return the largest stiffness between overlap 0 and an overlap of either sign, N/m."""
+        end = np.clip(end, -SIZES[-1], SIZES[-1])
         # Below an infinite stiffness, smaller overlaps would be stiffer without limit.
         parts = PARTS if self.onset < 1 else np.append(TINY_PARTS, PARTS)
-        largest = self.stiffness(overlap, constant)
-        for part in [*parts, *-parts] if self.pulls else parts:
-            largest = np.fmax(largest, self.stiffness(part * overlap, constant))
+        largest = self.stiffness(end, constant)
+        for part in parts:
+            largest = np.fmax(largest, self.stiffness(part * end, constant))
         for kink in self.kinks(constant):
-            inside = (np.abs(kink) < overlap) & (kink != 0)
+            inside = (kink * np.sign(end) > 0) & (np.abs(kink) < np.abs(end))
             largest = np.fmax(largest, np.where(inside, self.stiffness(kink, constant), 0.0))
         return largest
 
     def approach(self, energy: Any, constant: Any) -> Any:
-        """Return the largest change of overlap at which a contact stores this energy, m.
+        """Return the change of overlap at which a contact stores this energy, m.
 
-        The energy is measured from rest without a load.
+        It is that of a closing contact, or of a stretched one if that is longer and stiffer. The
+        energy is measured from rest without a load.
         """
         energy, constant = np.broadcast_arrays(energy, constant)
         rest = np.zeros(energy.shape)
@@ -662,7 +670,9 @@ class Law(ContactLaw):
         # An attraction that ends or decreases may store less energy at any stretch of the contact.
         if not (self.pulls and self._shape[1]):
             return closed
-        return np.maximum(closed, self._extent(energy, constant, rest, -1.0))
+        stretched = self._extent(energy, constant, rest, -1.0)
+        stiffer = self._stiffest(-stretched, constant) > self._stiffest(closed, constant)
+        return np.where(stiffer, np.maximum(closed, stretched), closed)
 
     def approach_bound(self, contacts: RestingContacts, energy: Any) -> Any:
         """Return an upper bound on the change of overlaps from rest, m.

@@ -9,9 +9,10 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
+from helpers.example_scenes import scene_of
 from scipy.integrate import quad
 
-from lmpchain import Chain, InputError, Law, laws
+from lmpchain import Chain, Impulse, InputError, Law, laws, simulate
 from lmpchain.chain.contact_law import Contacts
 from lmpchain.chain.formula import parse
 
@@ -305,19 +306,22 @@ def test_overlaps_under_a_force_and_an_energy_have_closed_forms() -> None:
         Law("k*(o + L)*o*(o - L)/L**2", k=K, L=WIDTH).overlap(0.0)
     with pytest.raises(InputError, match="has no equilibrium under -2e-05 N"):
         adhesive.overlap(-2e-5)
-    # An energy in a closed contact or in a bond; the longer way counts.
+    # The overlap at which a contact stores an energy, and the stretch of a bond that is stiffer.
     energy = np.array([1e-18, 1e-9, 1e-6])
-    with mp.workdps(30):
+    with mp.workdps(40):
         cosh = [WIDTH * mp.acosh(mp.exp(e / (K * WIDTH**2))) for e in energy.tolist()]
-        # exp(-x) - 1 + x = y has the solution y + 1 + W(-exp(-y - 1)).
+        # exp(x) - 1 - x = y has the solutions x = -y - 1 - W(-exp(-y - 1)).
         ys = [mp.mpf(e) * mp.mpf(2e6) ** 2 / K for e in energy.tolist()]
-        stretch = [(y + 1 + mp.lambertw(-mp.exp(-y - 1))).real / 2e6 for y in ys]
+        closing = [(-y - 1 - mp.lambertw(-mp.exp(-y - 1), -1)).real / 2e6 for y in ys]
+        opening = [(y + 1 + mp.lambertw(-mp.exp(-y - 1))).real / 2e6 for y in ys]
     assert tanh.approach(energy, K) == pytest.approx(np.array(cosh, float), rel=1e-5)
-    assert toda.approach(energy, K) == pytest.approx(np.array(stretch, float), rel=1e-5)
-    for tension, softer in ((0.3, 0.3), (3.0, 1.0)):
+    assert toda.approach(energy, K) == pytest.approx(np.array(closing, float), rel=1e-8)
+    assert laws.toda(-2e6, K).approach(energy, K) == pytest.approx(
+        np.array(opening, float), rel=1e-5
+    )
+    for tension in (0.3, 3.0):
         bilinear = laws.bilinear(tension, K)
-        expected = np.sqrt(2 * energy / (softer * K))
-        assert bilinear.approach(energy, K) == pytest.approx(expected, rel=1e-12)
+        assert bilinear.approach(energy, K) == pytest.approx(np.sqrt(2 * energy / K), rel=1e-12)
     assert laws.hertz(K).approach(energy, K) == pytest.approx((2.5 * energy / K) ** 0.4, rel=1e-12)
     # Beyond its largest force, nothing holds a contact.
     pressed = Contacts.at_rest(np.array([K]), np.array([4e-3]), tanh).of(0)
@@ -373,3 +377,35 @@ def test_a_parameter_of_0_under_a_fraction_gives_no_equilibrium(text: str, zero:
     ground = Law(text.replace("o", "u").replace("lug", "log").replace("k*", ""), d=zero)
     with pytest.raises(InputError, match=r"ground\.force: has no finite stiffness"):
         Chain(grains=2, diameter=1e-3, top_load=1.0, gravity=0.0, ground=ground)
+
+
+def test_hardening_on_both_sides_is_that_of_the_mean_stiffness() -> None:
+    """The mean stiffness over -r ... r of k (o + o^3 / L^2) is k (1 + r^2 / L^2)."""
+    cubic = Law("k*(o + o**3/L**2)", k=K, L=WIDTH)
+    contacts = Contacts.at_rest(np.array([K, 0.0, K]), np.zeros(3), cubic)
+    # The second derivative of the stiffness, 6 k / L^2, changes it by k within L / sqrt(3).
+    assert contacts.length[[0, 2]] == pytest.approx(WIDTH / np.sqrt(3), rel=1e-12)
+    for strain in (1e-3, 0.3):
+        assert cubic.hardening(contacts, strain) == pytest.approx(strain**2 / 3, rel=1e-9)
+    assert cubic.hardening(contacts, 1e-12) == 0.0
+    # A higher power changes the stiffness by half of its value at 5 x^4 = 0.5.
+    quintic = Law("k*(o + o**5/L**4)", k=K, L=WIDTH)
+    alone = Contacts.at_rest(np.array([K]), np.zeros(1), quintic)
+    assert 0.5 <= alone.length.item() / (0.1**0.25 * WIDTH) <= 2.0
+    r = 0.5 * alone.length.item() / WIDTH
+    assert quintic.hardening(alone, 0.5) == pytest.approx(r**4, rel=1e-9)
+    springs = Contacts.at_rest(np.array([K]), np.zeros(1), Law("k*o", k=K))
+    assert (springs.length.item(), springs.law.hardening(springs, 0.5)) == (1.0, 0.0)
+
+
+def test_a_bond_that_is_stretched_far_does_not_shorten_the_steps() -> None:
+    """A contact of Toda's chain stores the energy of a strike in a long stretch, but is soft."""
+    law = laws.toda(1 / WIDTH, K)
+    ends = {"top": "wall", "bottom": "wall", "gravity": 0.0}
+    chain = Chain(grains=8, diameter=1.0, law=law, masses=np.full(8, 1e-3), **ends)
+    rate = np.sqrt(K / 1e-3)
+    scene = scene_of(chain, Impulse(velocity=10 * WIDTH * rate, grain=4), 10 / rate, 5)
+    run = simulate(scene, "native", tolerance=1e-6)
+    assert run.cost.steps < 2000
+    energy = chain.excess_energy(run.displacement, run.velocity)
+    assert energy == pytest.approx(np.full(5, scene.energy), rel=1e-5)
