@@ -120,6 +120,11 @@ class ContactLaw(ABC):
         """Whether contacts are stiff at rest without any load, because they also pull."""
         return False
 
+    @property
+    def grows(self) -> bool:
+        """Whether the force decreases at no overlap."""
+        return True
+
     def of(self, numbers: Any) -> ContactLaw:
         """Return the law of a selection of contacts, with their parameters."""
         return self

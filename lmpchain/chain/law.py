@@ -75,6 +75,11 @@ WIDEN = 1e3  # Largest factor between two values of x.
 PARTS = np.linspace(0.0, 1.0, 33)[1:]
 TINY_PARTS = 2.0 ** np.arange(-48, -5)
 
+# Overlaps at which the largest force of a law that decreases is searched, and sections around it.
+SCANNED = 1001
+GOLDEN_SECTIONS = 40
+GOLDEN = (math.sqrt(5) - 1) / 2
+
 
 def _smooth_rule(size: int = 24) -> Array:
     """Return nodes from 0 to 1 and weights of a quadrature rule, (2, size).
@@ -516,6 +521,11 @@ class Law(ContactLaw):
         return self._shape[0]
 
     @property
+    def grows(self) -> bool:
+        """Whether the force decreases at no overlap."""
+        return self._shape[1]
+
+    @property
     def bonds(self) -> bool:
         """Whether contacts are stiff at rest without any load."""
         return self._shape[2]
@@ -691,6 +701,35 @@ class Law(ContactLaw):
         if self.pulls:
             bound = np.maximum(bound, self._extent(given, constant, rest, -1.0))
         return bound
+
+    def largest_force(self, first: float, closest: float, constant: float) -> tuple[float, float]:
+        """Return the largest force of one contact in a motion, and an upper bound on it, N.
+
+        The motion passes all overlaps from the first to the closest one, and perhaps smaller ones.
+        The law has the parameters of this contact.
+
+        Parameters
+        ----------
+        first, closest : float
+            Overlap at t = 0, and the largest overlap of the motion, m.
+        constant : float
+            Constant of the contact.
+        """
+        kinks = self.kinks(constant).ravel()
+        inside = kinks[(first < kinks) & (kinks < closest)]
+        places = np.union1d(np.linspace(first, closest, SCANNED), inside)
+        values = np.ravel(self.force(places, constant))
+        best = int(np.nanargmax(values))
+        largest = float(values[best])
+        low, high = places[max(best - 1, 0)], places[min(best + 1, places.size - 1)]
+        # Golden sections find the maximum between two neighbouring places.
+        for _ in range(GOLDEN_SECTIONS):
+            left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
+            forces = [float(np.ravel(self.force(x, constant))[0]) for x in (left, right)]
+            largest = max(largest, *forces)
+            low, high = (low, right) if forces[0] > forces[1] else (left, high)
+        everywhere, possible = self._sampled(constant)
+        return largest, max(largest, float(possible[everywhere <= closest].max(initial=-np.inf)))
 
     def _extent(self, energy: Array, constant: Array, rest: Array, side: float) -> Array:
         """Return the closing (side 1) or stretch (side -1) at which a contact has this energy, m.

@@ -94,13 +94,18 @@ class Recording(Checked):
             yield from self._contact_faults(chain)
 
     def _contact_faults(self, chain: Chain) -> Iterator[tuple[str, str]]:
-        """Yield the first requested contact that the chain does not have."""
+        """Yield requested contacts that the chain does not have, and forces that are not found."""
         existing = np.flatnonzero(chain.contacts.exists)
         if missing := [number for number in self.contacts.values() if number not in existing]:
             numbers = "there is no contact"
             if existing.size:
                 numbers = f"the contacts are numbered {existing[0]} to {existing[-1]}"
             yield "quantities", f"{numbers} (got {missing[0]})"
+        peaks = [name for name in self.contacts if name.startswith(OF_CONTACTS[0])]
+        if peaks and chain.damping.longest_time > 0 and not chain.law.grows:
+            cure = f"ask for force:{self.contacts[peaks[0]]}, the force over time"
+            fault = "is not found in viscous contacts whose force may decrease with the overlap"
+            yield "quantities", f"{peaks[0]} {fault}: {cure}"
 
     @property
     def contacts(self) -> dict[str, int]:

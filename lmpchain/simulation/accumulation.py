@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..chain.law import Law
 from ..engines.base import Engine, ErrorBudget, Run
 from ..scene.recording import OF_CONTACTS
 from ..scene.scene import Scene
@@ -51,6 +52,7 @@ class Gatherer:
         # Contacts, numbered as in the part.
         self._peaks = self._contacts(PEAK)
         self._traces = self._contacts(TRACE)
+        self._linear = linear
         self._viscous = scene.chain.damping.longest_time > 0
         column = np.arange(-1, size + 1)
         column[-1] = STILL
@@ -146,7 +148,22 @@ class Gatherer:
         row = self._peaks.index(contact)
         if not self._viscous:
             closest, doubt = self._accumulator.closest(row, doubts[0])
-            return self._forces(number, np.array([closest, np.zeros(1)]), (doubt, 0.0))
+            force, off = self._forces(number, np.array([closest, np.zeros(1)]), (doubt, 0.0))
+            if self._scene.chain.law.grows or self._linear:
+                return force, off
+            # The force may be larger before the contact is closest.
+            contacts = self._scene.chain.contacts
+            begin = contacts.overlap + contacts.closer(self._scene.initial()[0])
+            law = contacts.of(np.array([number])).law
+            assert isinstance(law, Law)
+            closest_overlap = contacts.overlap[number] + float(closest[0])
+            largest, bound = law.largest_force(
+                min(float(begin[number]), closest_overlap),
+                closest_overlap,
+                float(contacts.constant[number]),
+            )
+            force = np.maximum(force, largest)
+            return force, np.maximum(off, bound - force)
         force, error, *motion = self._accumulator.state["strongest"][row]
         off = self._forces(number, np.array(motion)[:, None], doubts)[1]
         return np.array([force]), error + off

@@ -9,7 +9,7 @@ from helpers.example_scenes import run, scene_of, stirred
 from helpers.thinned import thinned
 from scipy.optimize import minimize_scalar
 
-from lmpchain import Displacement, Impulse, Scene, engines, simulate
+from lmpchain import Chain, Displacement, Impulse, InputError, Law, Scene, engines, simulate
 from lmpchain.engines import Native
 from lmpchain.simulation.accumulation import GatheringRun, of_engine
 from lmpchain.theory.modes import eigenmodes
@@ -261,3 +261,40 @@ def test_a_released_grain_is_nearest_at_the_start():
     ).gathered
     assert gathered["peak_force:1"] == pytest.approx(10.0 * 1.01**1.5, rel=1e-9)
     assert gathered["peak_displacement"][0] == pytest.approx(1e-2 * chain.length_scale, rel=1e-9)
+
+
+def test_the_largest_force_of_a_contact_that_softens_is_passed_before_it_is_closest():
+    """The force decreases beyond an overlap of 0.72 L, and a strong strike reaches 2 L."""
+    length, k = 1e-6, 1e5
+    law = Law("k*(o*exp(-(o/L)**2) + 0.02*o)", k=k, L=length)
+    walls = {"top": "wall", "bottom": "wall", "gravity": 0.0}
+    chain = Chain(grains=4, diameter=1.0, law=law, masses=np.full(4, 1e-3), **walls)
+    top = minimize_scalar(lambda x: -law.force(x * length), bounds=(0, 1.2), method="bounded")
+    rate = np.sqrt(k / 1e-3)
+    for speed, passed in ((4.0, True), (0.3, False)):
+        strike = Impulse(velocity=speed * length * rate)
+        asked = ["peak_force:1", "force:1"]
+        gathered = run(chain, strike, 20 / rate, 11, 1e-8, quantities=asked).gathered
+        peak, error = gathered["peak_force:1"], gathered["peak_force:1_error"]
+        assert error < 0.02 * peak
+        assert 0.99 * peak - error <= gathered["force:1"].max() <= peak + error
+        if passed:
+            assert peak == pytest.approx(-top.fun, rel=1e-9)
+        else:
+            assert peak < -0.9 * top.fun
+    # A bound that another overlap may exceed is part of the error.
+    wave = Law("k*L*sin(o/L) + 0.1*k*o", k=k, L=length)
+    weak = Impulse(velocity=0.1 * length * rate)
+    gathered = run(chain.replace(law=wave), weak, 5 / rate, 5, quantities=["peak_force:1"]).gathered
+    stretched = minimize_scalar(
+        lambda x: -wave.force(x * length), bounds=(-6, -4), method="bounded"
+    )
+    bound = gathered["peak_force:1"] + gathered["peak_force:1_error"]
+    assert bound == pytest.approx(-stretched.fun, rel=0.05)
+    with pytest.raises(InputError, match=r"quantities: peak_force:1 is not found in viscous"):
+        scene_of(
+            chain.replace(damping={"viscoelastic": 1e-5}),
+            weak,
+            5 / rate,
+            quantities=["peak_force:1"],
+        )
