@@ -658,9 +658,12 @@ class Law(ContactLaw):
         end = np.clip(end, -SIZES[-1], SIZES[-1])
         # Below an infinite stiffness, smaller overlaps would be stiffer without limit.
         parts = PARTS if self.onset < 1 else np.append(TINY_PARTS, PARTS)
+        # Large arrays are processed in several groups of parts.
+        groups = min(math.ceil(parts.size * np.size(end) / VALUES_AT_ONCE) or 1, parts.size)
         largest = self.stiffness(end, constant)
-        for part in parts:
-            largest = np.fmax(largest, self.stiffness(part * end, constant))
+        for group in np.array_split(parts, groups):
+            values = self.stiffness(np.multiply.outer(group, end), constant)
+            largest = np.fmax(largest, np.fmax.reduce(values, axis=0))
         for kink in self.kinks(constant):
             inside = (kink * np.sign(end) > 0) & (np.abs(kink) < np.abs(end))
             largest = np.fmax(largest, np.where(inside, self.stiffness(kink, constant), 0.0))
