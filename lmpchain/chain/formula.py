@@ -492,6 +492,14 @@ def parse(text: str) -> Formula:
         raise _fault(f"is not a valid formula: {_short(text)}") from None
     left = [MAX_OPERATIONS]
     formula = _read(tree.body, 0, left)
+    _check_numbers(formula, text)
+    if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
+        raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
+    return formula
+
+
+def _check_numbers(formula: Formula, text: str) -> None:
+    """Raise `InputError` if numbers make a formula undefined or too large."""
     for node in formula.walk():
         if node.number is not None and not abs(node.number) <= MAX_NUMBER:
             raise _fault(f"has a number that is too large or undefined: {_short(text)}")
@@ -502,9 +510,6 @@ def parse(text: str) -> Formula:
             raise _fault(
                 f"has a power of the number {_digits(base)}, which is undefined: {_short(text)}"
             )
-    if sum(node.operation in CONDITIONAL for node in formula.walk()) > MAX_CONDITIONS:
-        raise _fault(f"has more than {MAX_CONDITIONS} different min, max, abs and step")
-    return formula
 
 
 def _fault(message: str) -> InputError:
