@@ -285,10 +285,13 @@ def fit(
         raise ToleranceNotMet(message)
     estimates = problem.estimates(theta)
     # The end of a trace in the scene is known only after the strike time is fitted.
-    for name, value in zip(problem.names, estimates, strict=True):
-        if name.startswith("trigger"):
-            for trace in measured:
-                _check_reach(scene, trace.time[-1] - value)
+    late = [trace.time[-1] for trace in measured if trace.trigger]
+    strikes = [
+        value
+        for name, value in zip(problem.names, estimates, strict=True)
+        if name.startswith("trigger")
+    ]
+    _check_reach(scene, max(np.subtract(late, strikes), default=0.0))
     units = np.array(problem.units)
     values = problem.by_name(theta)
     return Fit(

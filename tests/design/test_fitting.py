@@ -75,6 +75,39 @@ def test_jacobians_agree_with_differences(field: str):
     check_jacobian(problem, np.array([0.01, -0.02, 0.013, 0.1, 0.0, 0.0]), 1e-5)
 
 
+def test_each_trace_has_its_own_strike_time():
+    """Residuals are linear within the tiny noise, so that a profile is a parabola."""
+    short = SCENE.replace(duration=4e-5, samples=41)
+    velocity = measured(scene=short)
+    late = 4e-6
+    early, known, delayed = (
+        Traces(short.time + shift, [4], velocity[:, 0], noise=1e-5, trigger=shift != 0)
+        for shift in (-late, 0.0, late)
+    )
+    start = short.replace(excitation=Impulse(velocity=0.0199), duration=4.01e-5)
+    found = fit([early, known, delayed], start, ["velocity"])
+    assert found.names == ["velocity", "trigger 1", "trigger 3"]
+    truth = np.array([0.02, -late, late])
+    assert (np.abs(found.estimate - truth) <= found.bias + 1e-3 * found.error).all()
+    assert found.freedom == 3 * 41 - 3
+    at, growth = found.profile("trigger 3", reach=2.0, points=3)
+    sides = 2 * np.array([-1, 0, 1])
+    np.testing.assert_allclose((at - found.estimate[2]) / found.error[2], sides, atol=1e-6)
+    np.testing.assert_allclose(growth, [4, 0, 4], rtol=1e-2, atol=1e-2)
+    with pytest.raises(InputError, match=r"^name: must be one of velocity, trigger 1, trigger 3"):
+        found.profile("trigger")
+    rows = found.to_dataframe()
+    assert rows["trace"].tolist() == np.repeat([1, 2, 3], 41).tolist()
+    assert (rows["place"] == 4).all()
+    times = np.concatenate([trace.time for trace in (early, known, delayed)])
+    np.testing.assert_array_equal(rows["time [s]"], times)
+    np.testing.assert_array_equal(rows["measured"], np.tile(velocity[:, 0], 3))
+    np.testing.assert_allclose(rows["fitted"], rows["measured"], atol=1e-5)
+    ends = Traces(short.time + late, [4], velocity[:, 0], noise=1e-3, trigger=True)
+    with pytest.raises(InputError, match="must reach the last value"):
+        fit(ends, start.replace(duration=3.9e-5), ["velocity"])
+
+
 @pytest.mark.slow
 def test_a_profile_of_a_nearly_linear_fit_is_a_parabola():
     found = fit(
