@@ -12,10 +12,13 @@ from lmpchain.design import (
     KineticEnergy,
     Momentum,
     PeakForce,
+    Traces,
     gradient,
     parameters,
 )
 from lmpchain.design.gradients import at_step
+from lmpchain.design.unknowns import Problem
+from lmpchain.errors import RunFailed
 from lmpchain.integrators.adjoint import DifferentiableRun, economise
 from lmpchain.integrators.methods import SPLITTINGS
 
@@ -236,6 +239,7 @@ def test_adaptive_steps_reach_a_tolerance_and_are_rejected_without_a_gain():
         1
     ]
     assert np.abs(found["masses"] - true["masses"]).max() <= found.errors["masses"]
+    assert (len(found), list(found)) == (1, names)
     with pytest.raises(InputError, match="adaptive"):
         gradient(scene, Momentum([2]), names, integrator="verlet", adaptive=True)
 
@@ -274,6 +278,24 @@ def test_steps_that_are_none_are_refused(step: float):
     """A negative step was once treated as the longest possible one."""
     with pytest.raises(InputError, match="step: must be above 0"):
         gradient(drawn(3), Momentum([2]), ["masses"], step=step)
+
+
+def test_steps_and_methods_that_cannot_work_are_refused():
+    chain = Chain(
+        grains=5, diameter=1e-3, gravity=0.0, top_load=1.0, exponent=3.0, top="wall", bottom="wall"
+    )
+    scene = scene_of(chain, Impulse(velocity=0.1), 2e-2, 3)
+    for options, message in (
+        ({"step": 1e-3}, r"^the motion breaks down with steps of 0\.002 s: use shorter ones"),
+        ({"step": 1e-11}, r"^step: must be longer than 2e-11 s, because runs .* \(got 1e-11\)"),
+        ({"integrator": "euler"}, r"^integrator: must be verlet \| .* \(got 'euler'\)"),
+    ):
+        with pytest.raises((InputError, RunFailed), match=message):
+            gradient(scene, Momentum([2]), ["masses"], **options)
+    problem = Problem(scene, [Traces(scene.time, [1], np.zeros(3))], {"masses": "common"})
+    problem.looks = 20
+    with pytest.raises(RunFailed, match=r"^the motion breaks down with steps of 0\.001 s"):
+        problem.residuals(np.zeros(1))
 
 
 def test_two_steps_that_agree_by_chance_are_no_bound():

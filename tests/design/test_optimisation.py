@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 
@@ -127,7 +128,8 @@ def test_a_folder_is_of_one_task_constraints_included(
         '{"task": "a", "starts": [{}]}',
         '{"task": "a", "starts": [{"value": "x", "at": [], "history": []}]}',
         '{"mine": 1}',
-        '{"task": 3',
+        '{"task": 3, "starts": []}',
+        '{"task": "a", "starts": [{"value": 1, "at": [0], "history": 1}]}',
     ],
 )
 def test_a_foreign_starts_json_is_rejected_and_preserved(content: str, tmp_path: Path):
@@ -156,6 +158,8 @@ def test_a_file_is_not_a_folder(tmp_path: Path):
     [
         (lambda x: x + 1, lambda x: x + 2),
         (lambda x: np.sin(x), lambda x: np.cos(x)),
+        (numba.njit(lambda x: x + 1), numba.njit(lambda x: x + 2)),
+        ({1, 2}, {1, 3}),
         (lambda x, a=1: x, lambda x, a=2: x),
         (below(1.0), below(2.0)),
         (partial(max, 1), partial(max, 2)),

@@ -29,6 +29,8 @@ CHAINS = {
     | {"top_material": "steel", "bottom_material": "brass", "exponent": 1.5},
     "one wall of steel": PLAIN | {"bottom_material": "steel", "top": "free"},
     "no walls": PLAIN | {"top": "free", "bottom": "fixed"},
+    "a wall above": PLAIN | {"bottom": "fixed"},
+    "a wall below": PLAIN | {"top": "free"},
     "given masses": PLAIN | {"masses": 1e-6 * np.arange(1.0, 6.0)},
     "given constants": PLAIN | {"contact_constants": 1e9 * np.arange(1.0, 5.0)},
     "given walls": PLAIN | {"wall_constants": (1e9, 3e9)},
@@ -83,6 +85,8 @@ def check_dependence(made: Scene, name: str) -> None:
     )
     loose = slopes._replace(forces=np.where(made.chain.contacts.pressed, slopes.forces, 0.0))
     back = parameters.pull(made, loose, name)
+    if name == "wall_constants":
+        assert (back[base == 0] == 0).all()
     forward = [
         sum(float(s @ row[number]) for s, row in zip(loose, pushed, strict=True))
         for number in (0, 1)

@@ -316,6 +316,10 @@ def test_a_picture_has_the_best_value_so_far_of_every_start(maximise: bool):
     history = [np.array([3.0, 1.0, 4.0, 2.0]), np.array([2.0, 5.0])]
     best = Optimum(FLYING, 5.0 if maximise else 1.0, 1e-9, {}, history)
     assert best.runs == 6
+    rows = best.to_dataframe()
+    assert rows["start"].tolist() == [1] * 4 + [2] * 2
+    assert rows["run"].tolist() == [1, 2, 3, 4, 1, 2]
+    assert rows["value"].tolist() == [3, 1, 4, 2, 2, 5]
     ax = best.plot()
     expected = [[3, 3, 4, 4], [2, 5]] if maximise else [[3, 1, 1, 1], [2, 2]]
     assert [line.get_ydata().tolist() for line in ax.lines] == expected
@@ -408,6 +412,19 @@ def test_constraints_hold_and_failed_starts_are_reported():
 
     with pytest.raises(RunFailed, match=r"^no start converged"):
         optimise(FLYING, pulled(-3.0), ["velocity"], VELOCITY, [never], starts=1, runs=3)
+
+
+def test_starts_in_scenes_that_do_not_exist_are_not_the_best():
+    """Half of the box has a negative mass, which does not matter to a flying grain."""
+    mass = FLYING.chain.masses
+    bounds = VELOCITY | {"masses": ([-mass[0], mass[1]], [mass[0], mass[1]])}
+    found = optimise(FLYING, pulled(-3.0), ["velocity", "masses"], bounds, starts=4)
+    assert found.value == pytest.approx(1, rel=1e-9)
+    assert found.values["velocity"][0] == pytest.approx(-3, rel=1e-4)
+    assert found.values["masses"][0] > 0
+    failed = [part for part in found.history if np.isinf(part[0])]
+    assert len(failed) == 2  # A Latin hypercube has equally many points in both halves.
+    assert all(np.isinf(part).all() for part in failed)
 
 
 def test_an_unreachable_tolerance_is_reported_with_the_best_value():
